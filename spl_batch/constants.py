@@ -1,0 +1,46 @@
+"""Physics and fixed conventions that every storey shares.
+
+Nothing here is a setting: a value that a user may want to change lives in
+:mod:`spl_batch.workflow`, an instrument's fact in :mod:`spl_batch.sensor`.
+"""
+
+from typing import Final
+
+SPEED_OF_LIGHT_M_S: Final = 299_792_458.0
+"""Vacuum speed of light [m/s]."""
+
+PLANCK_J_S: Final = 6.626_070_15e-34
+"""Planck's constant [J s]."""
+
+QUANTUM_M: Final = 0.001
+"""Edge of the survey-wide coordinate lattice [m].
+
+Working coordinates are integers on this absolute lattice, so that a difference
+between two points does not depend on the tile, block or file that holds them.
+"""
+
+QUANTA_PER_M: Final = 1000
+"""Lattice steps per metre; the reciprocal of :data:`QUANTUM_M` [1/m]."""
+
+NODATA: Final = -9999.0
+"""Value of raster cells that hold nothing."""
+
+GPS_WEEK_S: Final = 604_800
+"""Seconds in a GPS week [s]."""
+
+ADJUSTED_STANDARD_OFFSET_S: Final = 1_000_000_000
+"""LAS adjusted standard GPS time is GPS time less this [s]."""
+
+CLASS_UNCLASSIFIED: Final = 1
+CLASS_GROUND: Final = 2
+CLASS_BUILDING: Final = 6
+CLASS_LOW_NOISE: Final = 7
+CLASS_WATER: Final = 9
+CLASS_HIGH_NOISE: Final = 18
+"""ASPRS LAS 1.4 classes that the delivered clouds use."""
+
+NOISE_SIGNAL: Final = 0
+NOISE_BACKGROUND: Final = 1
+NOISE_AFTERPULSE: Final = 2
+NOISE_NOT_ASSESSED: Final = 255
+"""Values of the delivered extra byte ``noise_class``."""

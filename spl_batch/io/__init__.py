@@ -1,0 +1,1 @@
+"""Path <-> value: one module a format."""

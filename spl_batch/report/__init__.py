@@ -1,0 +1,1 @@
+"""Statistics to one JSON and one HTML that opens offline."""

@@ -1,0 +1,1 @@
+"""Sensor presets as data files."""

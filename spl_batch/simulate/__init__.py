@@ -1,0 +1,1 @@
+"""Synthetic surveys with point-level truth [W17 ch. 2]."""

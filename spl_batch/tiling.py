@@ -1,0 +1,136 @@
+"""Ownership, halo and index arithmetic on the absolute lattice; pure functions.
+
+Every region is half-open, ``[min, max)``, in integer quanta of
+:data:`~spl_batch.constants.QUANTUM_M`, and every grid is anchored at coordinate
+zero. A point therefore belongs to exactly one tile, ground cell, voxel and raster
+cell, whatever else is in the survey.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTA_PER_M
+
+
+class Bounds(NamedTuple):
+    """Half-open rectangle ``[xmin, xmax) x [ymin, ymax)`` [quanta]."""
+
+    xmin: int
+    ymin: int
+    xmax: int
+    ymax: int
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the rectangle [m2]."""
+        return (self.xmax - self.xmin) * (self.ymax - self.ymin) / QUANTA_PER_M**2
+
+
+class CellId(NamedTuple):
+    """Column and row of a square on an absolute grid."""
+
+    i: int
+    j: int
+
+    def __str__(self) -> str:
+        return f"{self.i}_{self.j}"
+
+
+def quanta(length_m: float) -> int:
+    """Length on the lattice, rounded to the nearest quantum [quanta].
+
+    Parameters
+    ----------
+    length_m : float
+        Length [m].
+    """
+    return round(length_m * QUANTA_PER_M)
+
+
+def cell_bounds(cell: CellId, size: int) -> Bounds:
+    """Region that a cell of an absolute grid owns.
+
+    Parameters
+    ----------
+    cell : CellId
+        Column and row.
+    size : int
+        Edge of the grid's squares [quanta], > 0.
+    """
+    return Bounds(cell.i * size, cell.j * size, (cell.i + 1) * size, (cell.j + 1) * size)
+
+
+def cells_touching(bounds: Bounds, size: int) -> Iterator[CellId]:
+    """Cells of an absolute grid that share area with a region, row by row.
+
+    Parameters
+    ----------
+    bounds : Bounds
+        Region; an empty one touches nothing.
+    size : int
+        Edge of the grid's squares [quanta], > 0.
+    """
+    if bounds.xmax <= bounds.xmin or bounds.ymax <= bounds.ymin:
+        return
+    for j in range(bounds.ymin // size, -(-bounds.ymax // size)):
+        for i in range(bounds.xmin // size, -(-bounds.xmax // size)):
+            yield CellId(i, j)
+
+
+def grow(bounds: Bounds, halo: int) -> Bounds:
+    """Region with a halo around it.
+
+    Parameters
+    ----------
+    bounds : Bounds
+        Core region.
+    halo : int
+        Width of the halo [quanta], >= 0.
+    """
+    return Bounds(bounds.xmin - halo, bounds.ymin - halo, bounds.xmax + halo, bounds.ymax + halo)
+
+
+def overlap(a: Bounds, b: Bounds) -> bool:
+    """Whether two half-open regions share area."""
+    return a.xmin < b.xmax and b.xmin < a.xmax and a.ymin < b.ymax and b.ymin < a.ymax
+
+
+def inside(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.bool_]:
+    """Which points a region owns.
+
+    Parameters
+    ----------
+    x, y : (n,) int64
+        Coordinates [quanta].
+    bounds : Bounds
+        Half-open region.
+
+    Returns
+    -------
+    (n,) bool
+    """
+    owned: NDArray[np.bool_] = (
+        (x >= bounds.xmin) & (x < bounds.xmax) & (y >= bounds.ymin) & (y < bounds.ymax)
+    )
+    return owned
+
+
+def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """Column (or row) of each coordinate on an absolute grid; exact for negative ones.
+
+    Parameters
+    ----------
+    coordinate : (n,) int64
+        Coordinates [quanta].
+    size : int
+        Edge of the grid's squares [quanta], > 0.
+
+    Returns
+    -------
+    (n,) int64
+    """
+    index: NDArray[np.int64] = np.floor_divide(coordinate, size)
+    return index
