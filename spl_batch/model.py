@@ -274,11 +274,102 @@ class VoxelPart:
         Absolute index of the first voxel along x, y, z.
     amount : (nx, ny, nz) int64
         Expected noise points per sphere, fixed point, in 2**-32 points; parts add up.
+    shots, beamlets : (nx, ny, nz) int64, optional
+        Shots and beamlets that touch each sphere, for the published correction; they
+        add up as well.
     """
 
     corner: tuple[int, int, int]
     amount: NDArray[np.int64]
+    shots: NDArray[np.int64] | None = None
+    beamlets: NDArray[np.int64] | None = None
 
 
 VOXEL_FIXED_POINT: Final = 2.0**32
 """Steps of :attr:`VoxelPart.amount` per point."""
+
+
+TILE_COLUMNS: Final = (
+    "x",
+    "y",
+    "z",
+    "gps_time",
+    "channel",
+    "return_number",
+    "intensity",
+    "input_class",
+    "flags",
+    "source",
+    "index",
+    "line_density",
+    "afterpulse",
+)
+"""Columns of a point tile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One unit of work: small enough to travel in a message, named so that it can be repeated.
+
+    Parameters
+    ----------
+    kind : str
+        What is done; a key of the runner's table.
+    name : str
+        Which one; unique within its kind, stable between runs.
+    args : mapping
+        Plain JSON values, nothing large.
+    needs : tuple of (str, str)
+        Kind and name of the tasks whose results it reads.
+    points : int
+        Points that it handles, for progress [count].
+    """
+
+    kind: str
+    name: str
+    args: Mapping[str, Any]
+    needs: tuple[tuple[str, str], ...] = ()
+    points: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """What a task leaves behind, written last: a matching one means that it is done.
+
+    Parameters
+    ----------
+    kind, name : str
+        The task.
+    key : str
+        Hash of code, parameters and inputs; another key means that the work is stale.
+    digest : str
+        Hash of what was produced; it enters the keys of those who read it.
+    reason : str
+        Why the task failed; empty when it did not.
+    outputs : mapping of str to str
+        Path below the store or the output folder -> checksum of the file, or of the directory.
+    facts : mapping
+        Small results, plain JSON values.
+    points : int
+        Points handled [count].
+    wall_s : float
+        Duration [s].
+    peak_rss_mb : float
+        Highest resident memory of the worker so far [MiB].
+    """
+
+    kind: str
+    name: str
+    key: str
+    digest: str
+    reason: str
+    outputs: Mapping[str, str]
+    facts: Mapping[str, Any]
+    points: int
+    wall_s: float
+    peak_rss_mb: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether the task did not do its work."""
+        return bool(self.reason)

@@ -30,18 +30,21 @@ class Sensor(BaseModel):
     gate_m: Positive | None = Field(
         None, description="Slant length of the range gate [m]; estimated where missing."
     )
+    array_rotation_deg: float = Field(
+        5.7, description="Turn of the array against the scan direction, alpha_R [deg]."
+    )
     dead_time_ns: Positive = Field(1.6, description="Time after a detection without another [ns].")
     range_sigma_m: Positive = Field(0.05, description="Ranging spread, one sigma [m].")
     wavelength_nm: Positive = Field(532.0, description="Laser wavelength [nm].")
     pulse_energy_uj: Positive = Field(83.0, description="Energy of one pulse, all beamlets [uJ].")
     aperture_m: Positive = Field(0.076, description="Diameter of the receiver aperture [m].")
-    quantum_efficiency: float = Field(0.3, gt=0, le=1, description="Detector quantum efficiency.")
-    receiver_efficiency: float = Field(0.5, gt=0, le=1, description="Receiver optical efficiency.")
+    quantum_efficiency: float = Field(0.2, gt=0, le=1, description="Detector quantum efficiency.")
+    receiver_efficiency: float = Field(0.05, gt=0, le=1, description="Receiver optical efficiency.")
     hologram_efficiency: float = Field(0.8, gt=0, le=1, description="Beam splitter efficiency.")
     filter_bandwidth_nm: Positive = Field(0.5, description="Spectral filter bandwidth [nm].")
-    pixel_fov_urad: Positive = Field(100.0, description="Full field of view of one pixel [urad].")
-    beamlet_pitch_urad: Positive = Field(100.0, description="Angle between beamlets [urad].")
-    beam_divergence_urad: Positive = Field(20.0, description="Full divergence of a beamlet [urad].")
+    pixel_fov_urad: Positive = Field(120.0, description="Full field of view of one pixel [urad].")
+    beamlet_pitch_urad: Positive = Field(200.0, description="Angle between beamlets [urad].")
+    beam_divergence_urad: Positive = Field(80.0, description="Full divergence of a beamlet [urad].")
     dark_rate_hz: float = Field(30_000.0, ge=0, description="Dark counts per channel [Hz].")
     half_cone_deg: Positive = Field(15.0, lt=60, description="Half cone angle of the scan [deg].")
     scan_rate_hz: Positive = Field(25.0, description="Wedge revolutions per second [Hz].")
@@ -50,6 +53,9 @@ class Sensor(BaseModel):
     )
     afterpulse_scale_m: Positive = Field(
         0.7, description="Mean lag of an afterpulse behind the end of the dead time [m]."
+    )
+    afterpulse_lag_max_m: Positive = Field(
+        3.0, description="Longest lag of an afterpulse behind its parent [m]; W17 7.2: 2-3 m."
     )
 
 

@@ -80,7 +80,9 @@ class NoiseSettings(Section):
     smooth_intervals: int = Field(
         40, ge=0, description="Half-width of the smoothing over intervals [count]; 0 is none."
     )
-    histogram_bin_m: Positive = Field(1.0, description="Bin of the elevation histogram [m].")
+    peak_m: Positive = Field(
+        5.0, description="Height window whose fullest place marks the signal [m]."
+    )
     buffer_m: Positive = Field(50.0, description="Half-height around the signal left out [m].")
     voxel_m: Positive = Field(10.0, description="Edge of a noise voxel [m].")
     correction: Literal["seen", "published"] = Field(
@@ -93,9 +95,21 @@ class FilterSettings(Section):
 
     method: Literal["vsaes", "none"] = Field("vsaes", description="Filter; none keeps every point.")
     test: Literal["tail", "published"] = Field(
-        "tail", description="P(K >= k) <= alpha, or the published rule at 95 %."
+        "tail", description="The corrected tail with links, or the published rule at 95 %."
     )
-    alpha: Share = Field(0.001, description="Significance of the test.")
+    alpha: Share = Field(0.001, description="Largest share of pure noise to be kept by the tail.")
+    selection: float = Field(
+        20.0,
+        ge=1,
+        description="Divides alpha: an ellipsoid is fitted to the very points that it counts.",
+    )
+    weak_alpha: Share = Field(
+        0.05, description="Significance that suffices near strongly significant points."
+    )
+    link_m: float = Field(4.0, ge=0, le=40, description="Strong points are sought within [m].")
+    link_count: int = Field(
+        6, ge=0, description="Strong points that let a weak one live [count]; 0 is no linking."
+    )
     neighbours: int = Field(
         15, ge=4, le=64, description="Neighbours whose spread shapes the ellipsoid."
     )
@@ -104,8 +118,8 @@ class FilterSettings(Section):
         "eigenvalue", description="Semi-axes follow the eigenvalues [W18] or their roots."
     )
     eigen_floor_m: Positive = Field(0.03, description="Smallest spread along an axis [m].")
-    axis_cap_m: Positive = Field(20.0, description="Longest semi-axis [m].")
-    neighbour_cap_m: Positive = Field(20.0, description="Farthest neighbour looked for [m].")
+    axis_cap_m: Positive = Field(12.0, description="Longest semi-axis [m].")
+    neighbour_cap_m: Positive = Field(12.0, le=40, description="Farthest neighbour looked for [m].")
 
 
 class AfterpulseSettings(Section):
@@ -125,12 +139,24 @@ class AfterpulseSettings(Section):
 class PtdSettings(Section):
     """Progressive TIN densification [Axelsson 2000; W17 7.4]."""
 
-    seed_cell_m: Positive = Field(20.0, description="Grid of the first ground points [m].")
+    seed_cell_m: Positive = Field(2.0, description="Grid of the first ground points [m].")
+    seed_slope: Positive = Field(
+        0.2, description="Slope tolerance of the opening that seeds survive [rise/run]."
+    )
+    object_m: Positive = Field(60.0, description="Widest object that seeds avoid [m].")
     terrain_angle_deg: Positive = Field(88.0, le=90, description="Steepest terrain [deg].")
     iteration_angle_deg: Positive = Field(
         10.0, lt=90, description="Largest angle to a facet [deg]."
     )
     iteration_distance_m: Positive = Field(1.4, description="Largest distance to a facet [m].")
+    spread_m: float = Field(
+        0.15, ge=0, description="Part of a distance that ranging noise explains [m]."
+    )
+    node_m: Positive = Field(
+        1.0, description="Grid of candidates [m]; twice that below two points in a cell."
+    )
+    layer_m: Positive = Field(0.3, description="Thickness of the lowest layer in a cell [m].")
+    band_m: Positive = Field(0.2, description="Ground within this distance of the surface [m].")
 
 
 class SmrfSettings(Section):
@@ -138,9 +164,10 @@ class SmrfSettings(Section):
 
     cell_m: Positive = Field(1.0, description="Grid of minimum heights [m].")
     slope: Positive = Field(0.15, description="Slope tolerance [rise/run].")
-    window_m: Positive = Field(18.0, description="Largest object [m].")
+    window_m: Positive = Field(30.0, description="Radius of the largest window [m].")
     threshold_m: Positive = Field(0.5, description="Height above the surface [m].")
     scalar: float = Field(1.25, ge=0, description="Growth of the threshold with slope [m].")
+    layer_m: Positive = Field(0.3, description="Thickness of the lowest layer in a cell [m].")
 
 
 class GroundSettings(Section):
@@ -161,11 +188,17 @@ class ProductSettings(Section):
         20.0, description="Farthest ground point that a DTM cell may use [m]."
     )
     dsm_void_max_m: float = Field(3.0, ge=0, description="Farthest DSM cell that fills a void [m].")
+    dsm_near_m: Positive = Field(
+        0.5, description="A return with enough others this near lies on a surface [m]."
+    )
     dsm_support_m: Positive = Field(
-        1.5, description="Support for a highest return is sought here [m]."
+        2.0, description="Returns of thin crowns confirm each other within this distance [m]."
     )
     dsm_support: int = Field(
-        2, ge=0, description="Supporting returns that a DSM cell needs [count]."
+        1, ge=0, description="Returns that confirm a DSM cell, at the least [count]."
+    )
+    dsm_false_alarm: Share = Field(
+        1e-4, description="Chance that noise alone confirms a noise return, by Poisson's law."
     )
 
 

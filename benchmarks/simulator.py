@@ -1,0 +1,28 @@
+"""Speed of the simulator: points per second, kernels compiled, files written.
+
+Run ``python -m benchmarks.simulator [SCENE.yaml]``; without a scene the quickstart's is
+flown twice, the first time for compilation.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from spl_batch.simulate import load_scene, preset_scene, simulate
+
+
+def main() -> None:
+    """Simulate twice and print the second run's speed."""
+    scene = load_scene(Path(sys.argv[1])) if len(sys.argv) > 1 else preset_scene("quickstart")
+    with tempfile.TemporaryDirectory() as folder:
+        first = simulate(scene, Path(folder))
+        second = simulate(scene, Path(folder))
+    print(f"scene {scene.name}: {second.points} points")
+    for name, count in second.kinds.items():
+        print(f"  {name:<12}{count:>10}")
+    print(f"first run  {first.wall_s:6.1f} s, with compilation or loading of kernels")
+    print(f"second run {second.wall_s:6.1f} s, {second.points / second.wall_s:,.0f} points/s")
+
+
+if __name__ == "__main__":
+    main()

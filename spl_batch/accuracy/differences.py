@@ -1,0 +1,197 @@
+"""Raster minus reference, by class of surface.
+
+The DTM is compared at every reference ground point, bilinearly between cell centres; the
+DSM cell by cell with the highest reference return of the cell, because a highest return
+per cell is what it is.
+"""
+
+import itertools
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from spl_batch.accuracy.located import Raster, Reference, known
+from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER, NODATA
+
+OPEN_M: Final = 2.0
+"""Open ground has nothing tall within this distance [m]."""
+
+TALL_M: Final = 0.5
+"""Reference points higher than this above the nearest reference ground are tall [m]."""
+
+CANOPY_M: Final = 2.0
+"""Vegetation this far above a ground point within 1 m makes it ground under canopy [m]."""
+
+SLOPE_EDGES_DEG: Final = (0, 5, 15, 30, 90)
+"""Classes of terrain slope [deg]."""
+
+Differences = dict[str, NDArray[np.float32]]
+"""Raster minus reference [m] by class of surface; ``all`` holds every one."""
+
+
+def terrain_differences(
+    dtm: Raster, reference: Reference, *, chm: Raster | None = None
+) -> Differences:
+    """DTM minus reference ground points, by class of surface.
+
+    Parameters
+    ----------
+    dtm : Raster
+        Terrain [m].
+    reference : Reference
+        Points of all classes; those that are not ground tell what stands on it.
+    chm : Raster, optional
+        Height of the surface above the terrain [m]: open ground must be low in it too.
+
+    Returns
+    -------
+    Differences
+        ``all``; ``open_ground``: no reference point more than 0.5 m above the ground within
+        2 m, CHM below 0.5 m; ``under_canopy``: vegetation 2 m or more above it within 1 m;
+        and ``slope_0_5``, ``slope_5_15``, ... in degrees.
+    """
+    reference = reference.without_noise()
+    ground = reference.classification == CLASS_GROUND
+    points = reference.xyz_m[ground]
+    is_open, canopy = _cover(reference, ground)
+    difference = dtm.bilinear(points[:, :2]) - points[:, 2]
+    if chm is not None:
+        height = chm.at(points[:, :2])
+        # A void CHM says nothing against open ground.
+        is_open &= ~(height >= TALL_M)
+    classes = {
+        "all": np.ones(len(points), np.bool_),
+        "open_ground": is_open,
+        "under_canopy": canopy,
+    }
+    slope = dtm.slope_deg().at(points[:, :2])
+    for low, high in itertools.pairwise(SLOPE_EDGES_DEG):
+        classes[f"slope_{low}_{high}"] = (slope >= low) & (slope < high)
+    used = reference.counts[ground] & np.isfinite(difference)
+    return _by_class(difference, classes, used)
+
+
+def _cover(
+    reference: Reference, ground: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which ground points are open, and which lie under vegetation: two (g,) bool."""
+    points = reference.xyz_m[ground]
+    others = ~ground & (reference.classification != CLASS_WATER)
+    if not ground.any() or not others.any():
+        return np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    tree = cKDTree(points[:, :2])
+    above = reference.xyz_m[others]
+    foot = np.asarray(tree.query(above[:, :2])[1], dtype=np.intp)
+    height = above[:, 2] - points[foot, 2]
+    plants = reference.classification[others] != CLASS_BUILDING
+    return (
+        ~_near(points, above[height > TALL_M], OPEN_M),
+        _near(points, above[plants & (height >= CANOPY_M)], 1.0),
+    )
+
+
+def _near(
+    points: NDArray[np.float64], others: NDArray[np.float64], radius_m: float
+) -> NDArray[np.bool_]:
+    """Which points have one of the others within a horizontal distance."""
+    if len(others) == 0:
+        return np.zeros(len(points), np.bool_)
+    distance, _ = cKDTree(others[:, :2]).query(points[:, :2], distance_upper_bound=radius_m)
+    return np.isfinite(distance)
+
+
+def surface_differences(dsm: Raster, reference: Reference) -> Differences:
+    """DSM minus the highest reference return of each cell, by class of surface.
+
+    Parameters
+    ----------
+    dsm : Raster
+        Highest returns [m].
+    reference : Reference
+        Points of all classes. A cell counts where its highest reference point does.
+
+    Returns
+    -------
+    Differences
+        ``all``; ``ground``, ``water``, ``building`` (roofs: the cell and its eight
+        neighbours), ``building_edge`` (the other cells topped by a building),
+        ``vegetation`` (all else), by the class of the highest reference point.
+    """
+    reference = reference.without_noise()
+    row, col, held = dsm.place(reference.xyz_m[:, :2])
+    rows, cols = dsm.values.shape
+    picked = np.flatnonzero(held)
+    cell = row[picked] * cols + col[picked]
+    # Last of each run is the highest; equal heights are settled by class, never by order.
+    order = np.lexsort([reference.classification[picked], reference.xyz_m[picked, 2], cell])
+    last = np.flatnonzero(np.diff(cell[order], append=-1))
+    top, cell = picked[order[last]], cell[order[last]]
+    surface = known(dsm.values.ravel()[cell])
+    kind = reference.classification[top]
+    roof = np.zeros((rows + 2, cols + 2), np.bool_)
+    r, c = cell // cols + 1, cell % cols + 1
+    roof[r, c] = kind == CLASS_BUILDING
+    inner = np.ones(len(cell), np.bool_)
+    for dr in (-1, 0, 1):
+        for dc in (-1, 0, 1):
+            inner &= roof[r + dr, c + dc]
+    building = kind == CLASS_BUILDING
+    classes = {
+        "all": np.ones(len(cell), np.bool_),
+        "ground": kind == CLASS_GROUND,
+        "water": kind == CLASS_WATER,
+        "building": inner,
+        "building_edge": building & ~inner,
+        "vegetation": ~np.isin(kind, (CLASS_GROUND, CLASS_WATER, CLASS_BUILDING)),
+    }
+    difference = surface - reference.xyz_m[top, 2]
+    return _by_class(difference, classes, reference.counts[top] & np.isfinite(difference))
+
+
+def _by_class(
+    difference: NDArray[np.float64],
+    classes: Mapping[str, NDArray[np.bool_]],
+    used: NDArray[np.bool_],
+) -> Differences:
+    return {name: difference[mask & used].astype(np.float32) for name, mask in classes.items()}
+
+
+def merge(parts: Iterable[Differences]) -> Differences:
+    """Differences of several chunks together; a class that one chunk lacks is empty there."""
+    gathered: dict[str, list[NDArray[np.float32]]] = {}
+    for part in parts:
+        for name, values in part.items():
+            gathered.setdefault(name, []).append(values)
+    return {name: np.concatenate(values) for name, values in gathered.items()}
+
+
+def difference_raster(dtm: Raster, reference: Reference) -> Raster:
+    """DTM minus reference ground, averaged over the points of each cell.
+
+    Parameters
+    ----------
+    dtm : Raster
+        Terrain [m].
+    reference : Reference
+        Points; only ground is looked at.
+
+    Returns
+    -------
+    Raster
+        Mean difference [m] on the DTM's cells; nodata where no point can be compared. The
+        DTM is taken at each point, so slopes leave no trace.
+    """
+    ground = reference.without_noise()
+    points = ground.xyz_m[(ground.classification == CLASS_GROUND) & ground.counts]
+    difference = dtm.bilinear(points[:, :2]) - points[:, 2]
+    row, col, held = dtm.place(points[:, :2])
+    used = held & np.isfinite(difference)
+    rows, cols = dtm.values.shape
+    cell = row[used] * cols + col[used]
+    total = np.bincount(cell, weights=difference[used], minlength=rows * cols)
+    count = np.bincount(cell, minlength=rows * cols)
+    mean = np.divide(total, count, out=np.full(rows * cols, NODATA), where=count > 0)
+    return Raster(mean.reshape(rows, cols).astype(np.float32), dtm.left_m, dtm.top_m, dtm.cell_m)

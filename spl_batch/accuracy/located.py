@@ -1,0 +1,122 @@
+"""Rasters and reference points where they lie, in metres."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, NODATA
+
+
+@dataclass(frozen=True, slots=True)
+class Raster:
+    """A raster where it lies.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32
+        Row 0 northernmost; nodata :data:`~spl_batch.constants.NODATA`.
+    left_m, top_m : float
+        Easting and northing of the upper left corner [m].
+    cell_m : float
+        Edge of a cell [m].
+    """
+
+    values: NDArray[np.float32]
+    left_m: float
+    top_m: float
+    cell_m: float
+
+    def place(
+        self, xy_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        """Row and column of each point, and whether the raster reaches there."""
+        # A northing on a cell's lower edge belongs to that cell: cells are half-open upward.
+        row = -np.floor((xy_m[:, 1] - self.top_m) / self.cell_m).astype(np.int64) - 1
+        col = np.floor((xy_m[:, 0] - self.left_m) / self.cell_m).astype(np.int64)
+        rows, cols = self.values.shape
+        return row, col, (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+
+    def at(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Value of the cell that each point lies in: (n,) float64; NaN where there is none."""
+        row, col, held = self.place(xy_m)
+        out = np.full(len(xy_m), np.nan)
+        out[held] = known(self.values[row[held], col[held]])
+        return out
+
+    def bilinear(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Value between the four cell centres around each point.
+
+        Parameters
+        ----------
+        xy_m : (n, 2) float64
+            Easting and northing [m].
+
+        Returns
+        -------
+        (n,) float64
+            NaN where one of the four is void or beyond the raster.
+        """
+        rows, cols = self.values.shape
+        v = (self.top_m - xy_m[:, 1]) / self.cell_m - 0.5
+        u = (xy_m[:, 0] - self.left_m) / self.cell_m - 0.5
+        # A point exactly on the last centre has its square on the near side.
+        r = np.minimum(np.floor(v), np.where(v == rows - 1, rows - 2, rows)).astype(np.int64)
+        c = np.minimum(np.floor(u), np.where(u == cols - 1, cols - 2, cols)).astype(np.int64)
+        held = (r >= 0) & (r < rows - 1) & (c >= 0) & (c < cols - 1)
+        out = np.full(len(xy_m), np.nan)
+        r, c, fv, fu = r[held], c[held], (v - r)[held], (u - c)[held]
+        upper = known(self.values[r, c]) * (1 - fu) + known(self.values[r, c + 1]) * fu
+        lower = known(self.values[r + 1, c]) * (1 - fu) + known(self.values[r + 1, c + 1]) * fu
+        out[held] = upper * (1 - fv) + lower * fv
+        return out
+
+    def slope_deg(self) -> "Raster":
+        """Steepest slope by central differences [deg]; nodata beside voids and at the rim."""
+        rows, cols = self.values.shape
+        slope = np.full((rows, cols), NODATA, dtype=np.float32)
+        if rows > 2 and cols > 2:
+            z = known(self.values)
+            dx = (z[1:-1, 2:] - z[1:-1, :-2]) / (2 * self.cell_m)
+            dy = (z[2:, 1:-1] - z[:-2, 1:-1]) / (2 * self.cell_m)
+            angle = np.degrees(np.arctan(np.hypot(dx, dy)))
+            slope[1:-1, 1:-1] = np.where(np.isnan(angle), NODATA, angle)
+        return Raster(slope, self.left_m, self.top_m, self.cell_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Reference points.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) float64
+        Easting, northing, height [m].
+    classification : (n,) uint8
+        ASPRS classes: 2 ground, 6 building, 9 water, 7 and 18 noise; all else counts as
+        vegetation.
+    counted : (n,) bool, optional
+        Points that enter the statistics. The others, from a margin around a chunk, only
+        tell what stands nearby. By default all.
+    """
+
+    xyz_m: NDArray[np.float64]
+    classification: NDArray[np.uint8]
+    counted: NDArray[np.bool_] | None = None
+
+    def without_noise(self) -> "Reference":
+        """The same without points of class 7 or 18 or with coordinates that are not finite."""
+        kept = ~np.isin(self.classification, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE))
+        kept &= np.isfinite(self.xyz_m).all(axis=1)
+        counted = None if self.counted is None else self.counted[kept]
+        return Reference(self.xyz_m[kept], self.classification[kept], counted)
+
+    @property
+    def counts(self) -> NDArray[np.bool_]:
+        """Which points enter the statistics: (n,) bool."""
+        return np.ones(len(self.xyz_m), np.bool_) if self.counted is None else self.counted
+
+
+def known(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Float64 with NaN for nodata."""
+    return np.where(values == np.float32(NODATA), np.nan, values.astype(np.float64))

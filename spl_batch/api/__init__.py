@@ -1,0 +1,19 @@
+"""The verbs of the project, usable from a notebook; the command line only calls these."""
+
+from spl_batch.api.pipeline import RunResult, run
+from spl_batch.api.planning import PlanSummary, plan
+from spl_batch.api.reporting import report
+from spl_batch.api.simulation import quickstart, simulate
+from spl_batch.api.status import StageStatus, status
+
+__all__ = [
+    "PlanSummary",
+    "RunResult",
+    "StageStatus",
+    "plan",
+    "quickstart",
+    "report",
+    "run",
+    "simulate",
+    "status",
+]

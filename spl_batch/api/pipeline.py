@@ -1,0 +1,289 @@
+"""Run a workflow: phase after phase, skipping what is finished, isolating what fails."""
+
+import fcntl
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from spl_batch.api.events import Event, Listener, Note, PhaseStarted, TaskEnded, ignore
+from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
+from spl_batch.errors import WorkflowError
+from spl_batch.graph import Executor, executor, jobs_left
+from spl_batch.io.rasters import create_raster_store
+from spl_batch.io.store import append_log
+from spl_batch.model import Receipt, Task
+from spl_batch.plan.phases import PHASES, PRODUCTS, Phase, Survey, mosaic_parts, timeless_sources
+from spl_batch.report.model import Failure, Report
+from spl_batch.runner import KINDS, STAGES, finished, task_key
+from spl_batch.runner.summary import RunFacts, StageCost, summarise
+from spl_batch.tiling import quanta
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """How a run ended.
+
+    Parameters
+    ----------
+    exit_status : int
+        0 all done, 1 some files or tiles failed.
+    output : Path
+        Folder of the results.
+    report : Report or None
+        None when the run was told to stop before it.
+    """
+
+    exit_status: int
+    output: Path
+    report: Report | None
+
+
+@dataclass
+class _Progress:
+    """Costs and failures of one run, as they come in."""
+
+    output: Path
+    listener: Listener
+    costs: dict[str, StageCost] = field(default_factory=dict)
+    failures: list[tuple[str, Receipt]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def tell(self, event: Event) -> None:
+        """Pass an event on, to the log as well."""
+        fields = {name: getattr(event, name) for name in event.__dataclass_fields__}
+        stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
+        append_log(self.output, {"time": stamp, "event": type(event).__name__, **fields})
+        self.listener(event)
+
+    def warn(self, text: str) -> None:
+        """Note something that the report repeats."""
+        if text not in self.notes:
+            self.notes.append(text)
+            self.tell(Note("warning", text))
+
+    def ended(self, stage: str, receipt: Receipt, points: int) -> None:
+        """Count a task in."""
+        cost = self.costs.setdefault(stage, StageCost())
+        cost.add(receipt)
+        if receipt.failed:
+            self.failures.append((stage, receipt))
+        self.tell(
+            TaskEnded(stage, receipt.kind, receipt.name, points, receipt.wall_s, receipt.reason)
+        )
+
+
+def run(
+    workflow: Path | str,
+    *,
+    workers: int = 2,
+    memory: str | int = DEFAULT_MEMORY,
+    scheduler: str | None = None,
+    fresh: bool = False,
+    until: str | None = None,
+    overrides: Sequence[str] = (),
+    listener: Listener = ignore,
+) -> RunResult:
+    """Process a survey; run again, it continues where it stopped.
+
+    Parameters
+    ----------
+    workflow : Path or str
+        Workflow file.
+    workers : int
+        Worker processes on this machine; 0 works in this process.
+    memory : str or int
+        Memory limit of a worker, e.g. ``"4GiB"`` [byte].
+    scheduler : str, optional
+        Address of a running dask scheduler, used instead of local workers.
+    fresh : bool
+        Forget what earlier runs finished.
+    until : str, optional
+        Last stage to run.
+    overrides : sequence of str
+        ``key.path=value``, applied to the workflow.
+    listener : callable
+        Told what happens.
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    WorkflowError, PlanError
+        If nothing can be started.
+    StoppedError
+        If the run had to stop as a whole; the same call continues it.
+    """
+    start = time.perf_counter()
+    if until is not None and until not in STAGES:
+        raise WorkflowError(f"--until {until}: write one of {', '.join(STAGES)}")
+    if workers < 0:
+        raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
+    prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
+    output = prepared.context.output
+    with _locked(output):
+        if fresh:
+            _forget(output)
+        progress = _Progress(output, listener)
+        for warning in prepared.survey.inputs.warnings:
+            progress.warn(warning)
+        for bad in prepared.survey.inputs.bad:
+            progress.tell(Note("error", str(bad)))
+        with executor(
+            workers=workers, memory_bytes=prepared.survey.memory_bytes, scheduler=scheduler
+        ) as (pool, dashboard):
+            if dashboard:
+                progress.tell(Note("info", f"dask dashboard: {dashboard}"))
+            _run_phases(prepared, pool, progress, until)
+        if until is not None and until != "report":
+            failed = bool(progress.failures or prepared.survey.inputs.bad)
+            return RunResult(int(failed), output, None)
+        facts = RunFacts(
+            time.perf_counter() - start,
+            workers,
+            progress.costs,
+            tuple(_failures(prepared.survey, progress)),
+            progress.notes,
+            [str(p) for p in prepared.survey.inputs.reference],
+        )
+        written = summarise(prepared.survey.done, prepared.context, facts)
+    return RunResult(int(bool(written.failures)), output, written)
+
+
+def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: str | None) -> None:
+    survey, last = prepared.survey, STAGES.index(until) if until else len(STAGES)
+    for phase in PHASES:
+        stage = KINDS[phase.kind].stage
+        if STAGES.index(stage) > last:
+            return
+        if phase.kind == "surface":
+            _make_rasters(prepared)
+        _run_phase(phase, stage, prepared, pool, progress)
+        if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
+            progress.warn(
+                "the survey lies in pieces far apart: each has rasters of its own "
+                "(dtm.tif, dtm_2.tif, ...), the largest piece comes first"
+            )
+        if phase.kind == "index_file":
+            _judge_index(survey, progress)
+        if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
+            failures = [r.reason for _, r in progress.failures if r.kind == "trajectory"]
+            if failures:
+                raise WorkflowError(f"survey.trajectory: {failures[-1]}")
+        for receipt in survey.of(phase.kind).values():
+            for warning in receipt.facts.get("warnings", ()):
+                progress.warn(_named(warning, receipt))
+
+
+def _run_phase(
+    phase: Phase, stage: str, prepared: Prepared, pool: Executor, progress: _Progress
+) -> None:
+    """Do what one phase has left to do."""
+    survey, context = prepared.survey, prepared.context
+    done = survey.done.setdefault(phase.kind, {})
+    tasks = {task.name: task for task in phase.tasks(survey)}
+    jobs = [(task, task_key(task, context, _digests(task, survey))) for task in tasks.values()]
+    left, ready = jobs_left(jobs, lambda task, key: finished(task, key, context))
+    for receipt in ready:
+        done[receipt.name] = receipt
+        progress.costs.setdefault(stage, StageCost()).skip(receipt)
+    if not jobs:
+        return
+    points = sum(task.points for task, _ in left)
+    progress.tell(PhaseStarted(stage, phase.kind, len(left), len(ready), points))
+
+    def on_receipt(receipt: Receipt) -> None:
+        if not receipt.failed:
+            done[receipt.name] = receipt
+        progress.ended(stage, receipt, tasks[receipt.name].points)
+
+    pool.run(left, context, on_receipt)
+    survey.done[phase.kind] = dict(sorted(done.items()))
+
+
+def _digests(task: Task, survey: Survey) -> Iterator[str]:
+    for kind, name in task.needs:
+        yield survey.of(kind)[name].digest
+
+
+def _judge_index(survey: Survey, progress: _Progress) -> None:
+    """Stop where no input is usable; say which ones have no time."""
+    failures = [r for _, r in progress.failures if r.kind == "index_file"]
+    usable = survey.of("index_file")
+    if not usable or not any(r.points for r in usable.values()):
+        reasons = [*(str(b) for b in survey.inputs.bad), *(r.reason for r in failures)]
+        raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
+    timeless = timeless_sources(survey)
+    for source in timeless:
+        progress.warn(
+            f"{source.name}: no usable gps_time (none, not finite, or the same for every "
+            "point); its points are delivered unfiltered and take part in nothing"
+        )
+    if survey.filtering and not survey.flightlines:
+        names = ", ".join(source.name for source in timeless[:5])
+        raise WorkflowError(
+            f"{names}: no point has a usable gps_time, so there are no shots to filter by; "
+            "set filter.method: none and afterpulse.enabled: false for ground and surfaces"
+        )
+
+
+def _failures(survey: Survey, progress: _Progress) -> Iterator[Failure]:
+    """What did not make it, inputs first."""
+    for bad in survey.inputs.bad:
+        reason = "; ".join(bad.faults)
+        yield Failure(stage="index", place=bad.path, reason=reason, remedy="mend or remove it")
+    names = {str(s.key): s.name for s in survey.inputs.sources}
+    for stage, receipt in progress.failures:
+        yield Failure(
+            stage=stage,
+            place=names.get(receipt.name, receipt.name),
+            reason=receipt.reason,
+            remedy="run again: only what failed is tried",
+            task=f"{receipt.kind} {receipt.name}",
+        )
+
+
+def _named(warning: str, receipt: Receipt) -> str:
+    name = receipt.facts.get("name", receipt.name)
+    return warning if str(name) in warning else f"{name}: {warning}"
+
+
+def _make_rasters(prepared: Prepared) -> None:
+    workflow, store = prepared.context.workflow, prepared.context.store
+    create_raster_store(
+        str(store.path("rasters.zarr")),
+        (*PRODUCTS, "noise"),
+        ground_cell=quanta(workflow.ground.cell_m),
+        raster_cell=quanta(workflow.products.cell_m),
+    )
+
+
+@contextmanager
+def _locked(output: Path) -> Iterator[None]:
+    """Keep two runs out of one output; the system lets go of the lock when a run dies."""
+    try:
+        (output / "store").mkdir(parents=True, exist_ok=True)
+        stream = (output / "store" / "lock").open("w")
+    except OSError as error:
+        raise WorkflowError(f"output: {output} cannot be written: {error.strerror}") from None
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise WorkflowError(
+                f"output: another run is working in {output}; wait for it"
+            ) from None
+        yield
+
+
+def _forget(output: Path) -> None:
+    for path in (output / "store").iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.name != "lock":
+            path.unlink()

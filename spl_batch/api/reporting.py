@@ -1,0 +1,52 @@
+"""Write a report again from what is on disk."""
+
+from pathlib import Path
+
+from spl_batch.io.store import Store, read_receipt
+from spl_batch.model import Receipt
+from spl_batch.report.model import Failure, Report
+from spl_batch.runner.context import Context
+from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
+from spl_batch.workflow import parse_workflow
+
+
+def report(output: Path | str) -> Report:
+    """Write ``report.json`` and ``report.html`` of an output folder again.
+
+    Parameters
+    ----------
+    output : Path or str
+        Folder of the results.
+
+    Raises
+    ------
+    StoreError
+        If no run has finished there.
+    """
+    folder = Path(output).resolve()
+    kept = recall(folder)
+    context = Context(
+        parse_workflow(kept["workflow"], str(folder / "store" / "run.json")),
+        Path(kept["base"]),
+        folder,
+        kept["crs_wkt"],
+        kept["code"],
+    )
+    facts = RunFacts(
+        kept["wall_s"],
+        kept["workers"],
+        {stage: StageCost(**cost) for stage, cost in kept["costs"].items()},
+        [Failure(**failure) for failure in kept["failures"]],
+        kept["notes"],
+        kept["reference"],
+        kept["not_read"],
+    )
+    return summarise(_receipts(Store(folder), kept["done"]), context, facts)
+
+
+def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, dict[str, Receipt]]:
+    found: dict[str, dict[str, Receipt]] = {}
+    for kind, listed in names.items():
+        receipts = [read_receipt(store, kind, name) for name in listed]
+        found[kind] = {r.name: r for r in receipts if r is not None}
+    return found

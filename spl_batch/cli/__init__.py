@@ -1,0 +1,163 @@
+"""The command line: parse, call the API, print, exit status."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from spl_batch import __version__
+from spl_batch.errors import SplBatchError
+
+_STAGES = ("index", "shots", "shuffle", "denoise", "ground", "surfaces", "deliver", "report")
+
+
+def _limits(command: Any) -> Any:
+    """Options that say how much of the machine may be used."""
+    command = click.option(
+        "--memory", default="4GiB", show_default=True, help="Memory limit of a worker."
+    )(command)
+    return click.option(
+        "--workers", default=2, show_default=True, help="Worker processes; 0 works in this one."
+    )(command)
+
+
+_WORKFLOW = click.argument("workflow", type=click.Path(path_type=Path))
+_OUTPUT = click.argument("output", type=click.Path(path_type=Path))
+_SETTINGS = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY.PATH=VALUE",
+    help="Set a key of the workflow; repeatable.",
+)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="spl-batch")
+def cli() -> None:
+    """Raw single-photon lidar surveys to clean point clouds and terrain.
+
+    Start with `spl-batch quickstart`, or write a workflow file and `spl-batch run` it.
+    """
+
+
+@cli.command()
+@click.argument("folder", type=click.Path(path_type=Path), default=Path("spl-quickstart"))
+@_limits
+def quickstart(folder: Path, workers: int, memory: str) -> int:
+    """Simulate a small survey into FOLDER and run the whole chain on it."""
+    from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    with screen.watching() as view:
+        result = api.quickstart(
+            folder,
+            workers=workers,
+            memory=memory,
+            progress=view.simulated,
+            listener=view.on_event,
+        )
+    screen.print_result(result)
+    return result.exit_status
+
+
+@cli.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@_OUTPUT
+def simulate(scene: Path, output: Path) -> int:
+    """Fly a synthetic survey of SCENE into OUTPUT, with truth for every point."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    with screen.watching() as view:
+        summary = api.simulate(scene, output, progress=view.simulated)
+    screen.print_simulation(summary, output)
+    return 0
+
+
+@cli.command()
+@_WORKFLOW
+@_limits
+@_SETTINGS
+def plan(workflow: Path, workers: int, memory: str, overrides: tuple[str, ...]) -> int:
+    """Say what a run of WORKFLOW would do, and what is wrong with its inputs."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    summary = api.plan(workflow, workers=workers, memory=memory, overrides=overrides)
+    screen.print_plan(summary)
+    return int(bool(summary.faults))
+
+
+@cli.command()
+@_WORKFLOW
+@_limits
+@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Use a running dask scheduler.")
+@click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
+@click.option("--until", type=click.Choice(_STAGES), help="Stop after this stage.")
+@_SETTINGS
+def run(  # noqa: PLR0917 - one argument for each option, by name
+    workflow: Path,
+    workers: int,
+    memory: str,
+    scheduler: str | None,
+    fresh: bool,  # noqa: FBT001 - click passes flags by name
+    until: str | None,
+    overrides: tuple[str, ...],
+) -> int:
+    """Process the survey of WORKFLOW; run again, it continues where it stopped."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    with screen.watching() as view:
+        result = api.run(
+            workflow,
+            workers=workers,
+            memory=memory,
+            scheduler=scheduler,
+            fresh=fresh,
+            until=until,
+            overrides=overrides,
+            listener=view.on_event,
+        )
+    screen.print_result(result)
+    return result.exit_status
+
+
+@cli.command()
+@_OUTPUT
+def status(output: Path) -> int:
+    """Say what is done, failed and left in OUTPUT."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    screen.print_status(api.status(output))
+    return 0
+
+
+@cli.command()
+@_OUTPUT
+def report(output: Path) -> int:
+    """Write the report of OUTPUT again from what is on disk."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    screen.print_report(api.report(output), output)
+    return 0
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with the status of the contract."""
+    try:
+        status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except click.Abort:
+        click.echo("interrupted; the same command continues", err=True)
+        sys.exit(3)
+    except SplBatchError as error:
+        click.echo(f"spl-batch: {error}", err=True)
+        sys.exit(error.exit_status if error.exit_status != 1 else 2)
+    sys.exit(status if isinstance(status, int) else 0)

@@ -1,0 +1,183 @@
+"""Coordinate reference systems: from LAS records, and whether they suit this work."""
+
+import struct
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.errors import RasterioError, RasterioIOError
+from rasterio.io import MemoryFile
+
+from spl_batch.errors import WorkflowError
+
+WKT_KEY: Final = ("LASF_Projection", 2112)
+GEO_KEYS: Final = (
+    ("LASF_Projection", 34735),
+    ("LASF_Projection", 34736),
+    ("LASF_Projection", 34737),
+)
+"""GeoTIFF key directory, doubles and text; the record id is the TIFF tag."""
+
+_TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
+_EARTH_RADII_M: Final = (6.3e6, 6.45e6)
+
+
+def parse_crs(text: str, key: str) -> CRS:
+    """CRS that a user names.
+
+    Parameters
+    ----------
+    text : str
+        Anything that PROJ takes: ``EPSG:32615``, WKT.
+    key : str
+        The workflow key, for the message.
+
+    Raises
+    ------
+    WorkflowError
+        If there is no such CRS.
+    """
+    try:
+        return CRS.from_user_input(text)
+    except CRSError:
+        raise WorkflowError(f"{key}: {text!r} is not a known CRS; write e.g. EPSG:32615") from None
+
+
+def crs_from_wkt(data: bytes) -> CRS | None:
+    """CRS of a WKT record; none where it is empty.
+
+    Raises
+    ------
+    CRSError
+        If the text is no CRS.
+    """
+    text = data.split(b"\0")[0].decode("utf-8", errors="replace").strip()
+    return CRS.from_wkt(text) if text else None
+
+
+def crs_from_geotiff(directory: bytes, doubles: bytes, text: bytes) -> CRS | None:
+    """CRS of GeoTIFF keys, user-defined ones too; none where they define none.
+
+    GDAL has the one complete reader of such keys, so the records, which are TIFF tags
+    byte for byte, are put into a TIFF of one pixel.
+
+    Parameters
+    ----------
+    directory, doubles, text : bytes
+        Records 34735, 34736, 34737; the last two may be empty.
+    """
+    tiff = _one_pixel_tiff(directory, doubles, text)
+    try:
+        with MemoryFile(tiff) as memory, memory.open() as image:
+            found = image.crs
+            return CRS.from_wkt(found.to_wkt()) if found else None
+    except (RasterioError, RasterioIOError) as error:
+        raise CRSError(str(error)) from None
+
+
+def _one_pixel_tiff(directory: bytes, doubles: bytes, text: bytes) -> bytes:
+    def shorts(*values: int) -> tuple[int, int, bytes]:
+        return _TIFF_SHORT, len(values), struct.pack(f"<{len(values)}H", *values)
+
+    tags = {
+        256: shorts(1),  # width
+        257: shorts(1),  # height
+        258: shorts(8),  # bits per sample
+        259: shorts(1),  # no compression
+        262: shorts(1),  # black is zero
+        273: shorts(8),  # the pixel lies behind the 8 bytes of the file's head
+        277: shorts(1),  # samples per pixel
+        278: shorts(1),  # rows per strip
+        279: shorts(1),  # bytes of the strip
+        # A raster without a place makes rasterio warn.
+        33550: (_TIFF_DOUBLE, 3, struct.pack("<3d", 1, 1, 0)),
+        33922: (_TIFF_DOUBLE, 6, struct.pack("<6d", 0, 0, 0, 0, 1, 0)),
+        34735: (_TIFF_SHORT, len(directory) // 2, directory),
+    }
+    if doubles:
+        tags[34736] = (_TIFF_DOUBLE, len(doubles) // 8, doubles)
+    if text:
+        tags[34737] = (_TIFF_ASCII, len(text), text)
+    entries = struct.pack("<H", len(tags))
+    place = 16 + 2 + 12 * len(tags) + 4
+    values = b""
+    for tag, (kind, count, value) in sorted(tags.items()):
+        if len(value) <= 4:
+            entries += struct.pack("<HHI4s", tag, kind, count, value)
+        else:
+            entries += struct.pack("<HHII", tag, kind, count, place + len(values))
+            values += value + b"\0" * (len(value) % 2)
+    return struct.pack("<2sHI", b"II", 42, 16) + bytes(8) + entries + bytes(4) + values
+
+
+def horizontal(crs: CRS) -> CRS:
+    """The CRS without its heights: the horizontal part of a compound or 3D one."""
+    if crs.is_compound:
+        return crs.sub_crs_list[0]
+    if crs.is_bound and crs.source_crs is not None:
+        return horizontal(crs.source_crs)
+    return crs.to_2d() if len(crs.axis_info) > 2 and not crs.is_geocentric else crs
+
+
+def same_crs(a: CRS, b: CRS) -> bool:
+    """Whether two CRS agree in the horizontal, whatever their names and axis orders."""
+    first, second = horizontal(a), horizontal(b)
+    if first.equals(second, ignore_axis_order=True):
+        return True
+    code = first.to_epsg()
+    return code is not None and code == second.to_epsg()
+
+
+def crs_name(crs: CRS) -> str:
+    """Name and, where there is one, EPSG code."""
+    code = crs.to_epsg()
+    return f"{crs.name!r}" if code is None else f"{crs.name!r} (EPSG:{code})"
+
+
+def crs_problems(
+    crs: CRS, mins_m: Sequence[float] | None, maxs_m: Sequence[float] | None
+) -> list[str]:
+    """Why coordinates in a CRS cannot be worked with.
+
+    Parameters
+    ----------
+    crs : CRS
+        What the file, or the workflow, says.
+    mins_m, maxs_m : (3,) float or None
+        Bounding box of the coordinates, in whatever unit; none where it is not known.
+
+    Returns
+    -------
+    list of str
+        One sentence for each problem, with the remedy; empty where all is well.
+    """
+    if crs.is_geocentric:
+        return [_geocentric(crs, mins_m, maxs_m)]
+    flat = horizontal(crs)
+    if flat.is_geographic:
+        fault = f"CRS {crs_name(crs)} is geographic (degrees), coordinates must be in metres"
+        return [f"{fault}: reproject the files to a projected CRS, e.g. UTM"]
+    return [
+        (
+            f"CRS {crs_name(crs)} has {axis.name} in {axis.unit_name}, not in metres:"
+            " reproject the files to a CRS in metres"
+        )
+        for axis in crs.axis_info
+        if axis.unit_conversion_factor != 1.0
+    ]
+
+
+def _geocentric(crs: CRS, mins_m: Sequence[float] | None, maxs_m: Sequence[float] | None) -> str:
+    sentence = f"CRS {crs_name(crs)} is geocentric"
+    if mins_m is not None and maxs_m is not None:
+        radius = float(np.linalg.norm((np.asarray(mins_m) + np.asarray(maxs_m)) / 2))
+        if not _EARTH_RADII_M[0] <= radius <= _EARTH_RADII_M[1]:
+            return (
+                f"{sentence}, but the coordinates (x {mins_m[0]:.0f} to {maxs_m[0]:.0f},"
+                f" y {mins_m[1]:.0f} to {maxs_m[1]:.0f}, z {mins_m[2]:.0f} to {maxs_m[2]:.0f})"
+                f" lie {radius / 1000:.0f} km from the centre of the earth and look projected:"
+                " the CRS record is wrong, write the right one into the file"
+            )
+    return f"{sentence}, coordinates must be projected: reproject the files, e.g. to UTM"

@@ -1,0 +1,128 @@
+"""Which clock a GPS time is on, and how to bring two clocks together.
+
+LAS knows seconds of the GPS week and adjusted standard time, GPS time less 10^9 s
+[LAS 1.4 R15, section 2.4, global encoding]. The header's bit is often wrong, so the values
+decide. Adjusted times of the first eight days after 2011-09-14 look like week seconds.
+"""
+
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S, GPS_WEEK_S
+from spl_batch.model import Trajectory
+
+TimeStandard = Literal["none", "week", "adjusted", "unix_or_gps", "other"]
+"""``none``: no value, or all zero; ``unix_or_gps``: seconds since 1970 or 1980."""
+
+_WEEK_MAX_S: Final = GPS_WEEK_S + 86_400
+"""Week seconds may run on past the end of the week for the length of a flight."""
+
+_ADJUSTED_MAX_S: Final = 9e8
+"""Adjusted standard time in 2040; GPS seconds were as small as this in 2008."""
+
+_EPOCH_MAX_S: Final = 2.6e9
+
+
+def time_standard(times: NDArray[np.float64]) -> TimeStandard:
+    """Standard that times are in, judged by their values.
+
+    Parameters
+    ----------
+    times : (n,) float64
+        Times [s]; non-finite ones are not looked at.
+
+    Returns
+    -------
+    str
+        See :data:`TimeStandard`.
+    """
+    finite = times[np.isfinite(times)]
+    if not len(finite) or not np.any(finite):
+        return "none"
+    low, high = float(finite.min()), float(finite.max())
+    if low >= 0 and high < _WEEK_MAX_S:
+        return "week"
+    if low >= -ADJUSTED_STANDARD_OFFSET_S and high < _ADJUSTED_MAX_S:
+        return "adjusted"
+    if low >= _ADJUSTED_MAX_S and high < _EPOCH_MAX_S:
+        return "unix_or_gps"
+    return "other"
+
+
+def bit_warning(standard: TimeStandard, *, adjusted_bit: bool) -> str | None:
+    """Sentence about a header bit that contradicts the values; none where they agree."""
+    if standard == "week" and adjusted_bit:
+        return "the header says adjusted standard time, gps_time holds seconds of the GPS week"
+    if standard == "adjusted" and not adjusted_bit:
+        return "the header says GPS week time, gps_time holds adjusted standard time"
+    return None
+
+
+def align(
+    trajectory: Trajectory,
+    point_time_span: tuple[float, float],
+    point_standard: TimeStandard,
+) -> Trajectory:
+    """Trajectory in the points' time standard.
+
+    Week seconds say nothing of the week, so the week is taken that brings each record
+    closest to the points; records that wrap round at its end come out in order.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        In any standard.
+    point_time_span : (float, float)
+        First and last time of the points [s].
+    point_standard : str
+        Standard of the points.
+
+    Returns
+    -------
+    Trajectory
+        The same object where nothing is to be done.
+
+    Raises
+    ------
+    ValueError
+        If one of the two is in week seconds and the other spans more than half a week:
+        then the week is ambiguous.
+    """
+    given = time_standard(trajectory.time_s)
+    if given == point_standard or "other" in {given, point_standard}:
+        return trajectory
+    if "none" in {given, point_standard} or not len(trajectory.time_s):
+        return trajectory
+    time = trajectory.time_s
+    middle = (point_time_span[0] + point_time_span[1]) / 2
+    if given == "unix_or_gps":
+        time = time - ADJUSTED_STANDARD_OFFSET_S
+    if point_standard == "unix_or_gps":
+        middle -= ADJUSTED_STANDARD_OFFSET_S
+    if given == "week":
+        _refuse_ambiguous(point_time_span[1] - point_time_span[0], "points", "trajectory")
+        time = _nearest_week(time - ADJUSTED_STANDARD_OFFSET_S, middle)
+    elif point_standard == "week":
+        _refuse_ambiguous(float(time[-1] - time[0]), "trajectory", "points")
+        time = time + ADJUSTED_STANDARD_OFFSET_S
+        time = time + GPS_WEEK_S * np.rint((middle - (time[0] + time[-1]) / 2) / GPS_WEEK_S)
+    if point_standard == "unix_or_gps":
+        time = time + ADJUSTED_STANDARD_OFFSET_S
+    order = np.argsort(time, kind="stable")
+    return Trajectory(time[order], trajectory.xyz_m[order], trajectory.max_gap_s)
+
+
+def _nearest_week(time: NDArray[np.float64], middle: float) -> NDArray[np.float64]:
+    shifted: NDArray[np.float64] = time + GPS_WEEK_S * np.rint((middle - time) / GPS_WEEK_S)
+    return shifted
+
+
+def _refuse_ambiguous(span_s: float, which: str, other: str) -> None:
+    if span_s > GPS_WEEK_S / 2:
+        raise ValueError(
+            f"the {other} are in seconds of the GPS week and the {which} span"
+            f" {span_s / 86400:.1f} days, so the week is ambiguous: give both in adjusted"
+            " standard time"
+        )

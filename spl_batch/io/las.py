@@ -1,0 +1,270 @@
+"""Reading LAS, LAZ and COPC: facts without the points, and points as a stream.
+
+Coordinates become integers on the survey lattice. Where scale and offset are whole
+multiples of the quantum that is integer arithmetic and exact; elsewhere coordinates
+are rounded to the nearest quantum, and a warning says so.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTA_PER_M
+from spl_batch.errors import InputError
+from spl_batch.io.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
+from spl_batch.io.las_chunks import RecordReader
+from spl_batch.io.las_header import LasHeader, open_input, read_header
+from spl_batch.io.las_records import RecordLayout, dimension, record_layout, scan_angle_deg
+from spl_batch.model import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable
+
+_WKT_BYTES_MAX: Final = 1 << 20
+_BBOX_SLACK_M: Final = 1.0
+_MULTIPLE_TOLERANCE: Final = 1e-12
+_OFFSET_TOLERANCE: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class LasFacts:
+    """What a LAS file says about itself; its points are not read.
+
+    Parameters
+    ----------
+    mins_m, maxs_m : (float, float, float)
+        The header's bounding box, finite and in order; zeros where there are no points.
+    crs : CRS or None
+        From the WKT record, else from GeoTIFF keys.
+    adjusted_standard_bit : bool
+        What the header says about ``gps_time``; not always true of the values.
+    dimensions : tuple of str
+        Names that ``channel_dimension`` may take.
+    warnings : tuple of str
+        Oddities that do not stop the work; each is one sentence.
+    """
+
+    path: Path
+    size_bytes: int
+    n_points: int
+    version: tuple[int, int]
+    point_format: int
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    mins_m: tuple[float, float, float]
+    maxs_m: tuple[float, float, float]
+    crs: CRS | None
+    adjusted_standard_bit: bool
+    has_gps_time: bool
+    dimensions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def inspect(path: Path) -> LasFacts:
+    """Facts of a LAS, LAZ or COPC file from header, VLRs and chunk table.
+
+    Parameters
+    ----------
+    path : Path
+        The file; a few kilobytes of it are read.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file, each with its remedy.
+    """
+    header = read_header(path)
+    with RecordReader(header) as reader:
+        layout = reader.layout
+    crs, crs_warnings = header_crs(header)
+    exact = all(_whole(header.scales[a], header.offsets[a]) is not None for a in range(3))
+    rounding = (
+        f"scale {header.scales} and offset {header.offsets} are not whole millimetres:"
+        " working coordinates are rounded to the nearest millimetre"
+    )
+    return LasFacts(
+        path=path,
+        size_bytes=header.size_bytes,
+        n_points=header.n_points,
+        version=header.version,
+        point_format=header.point_format,
+        scales=header.scales,
+        offsets=header.offsets,
+        mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
+        maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
+        crs=crs,
+        adjusted_standard_bit=bool(header.global_encoding & 1),
+        has_gps_time="gps_time" in layout.names,
+        dimensions=layout.names,
+        warnings=header.warnings + crs_warnings + (() if exact else (rounding,)),
+    )
+
+
+def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
+    """CRS of a file, and what is odd about its record.
+
+    A record that cannot be understood counts as missing, with a warning: then the
+    workflow has to name the CRS.
+    """
+    try:
+        crs = _wkt_crs(header)
+        if crs is None:
+            directory, doubles, text = (
+                b"" if vlr is None else vlr.data for vlr in (header.vlr(*k) for k in GEO_KEYS)
+            )
+            crs = crs_from_geotiff(directory, doubles, text) if directory else None
+    except CRSError as error:
+        reason = " ".join(str(error).split())
+        return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
+    return crs, ()
+
+
+def _wkt_crs(header: LasHeader) -> CRS | None:
+    vlr = header.vlr(*WKT_KEY)
+    if vlr is not None:
+        return crs_from_wkt(vlr.data)
+    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
+    if evlr is None:
+        return None
+    with open_input(header.path) as file:
+        file.seek(evlr.start)
+        return crs_from_wkt(file.read(min(evlr.size, _WKT_BYTES_MAX)))
+
+
+def iter_points(
+    path: Path,
+    *,
+    channel_dimension: str | None,
+    source: int,
+    start: int = 0,
+    stop: int | None = None,
+    chunk: int = 1_000_000,
+) -> Iterator[PointTable]:
+    """Points of a file in its own order, as tables of bounded length.
+
+    Parameters
+    ----------
+    path : Path
+        LAS, LAZ or COPC.
+    channel_dimension : str or None
+        Dimension with the beamlet number; none gives channel 0.
+    source : int
+        Key of the file, for the column ``source``.
+    start, stop : int
+        Range of points, half-open; by default all.
+    chunk : int
+        Points per table [count].
+
+    Yields
+    ------
+    PointTable
+        With :data:`~spl_batch.model.SOURCE_COLUMNS`.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or the channel dimension is missing or not in 0..255;
+        messages name the points.
+    """
+    header = read_header(path)
+    layout = record_layout(header)
+    if channel_dimension is not None and channel_dimension not in layout.names:
+        raise InputError(
+            str(path),
+            f"has no dimension {channel_dimension!r} for survey.channel_dimension;"
+            f" there are {', '.join(layout.names)}",
+        )
+    end = header.n_points if stop is None else min(stop, header.n_points)
+    with RecordReader(header) as reader:
+        for first in range(start, end, chunk):
+            records = reader.read(first, min(first + chunk, end))
+            x, y, z = (_coordinate(records, header, axis, first) for axis in range(3))
+            channel = _channel(records, header, layout, channel_dimension, first)
+            places = {"x": x, "y": y, "z": z, "channel": channel}
+            places["source"] = np.full(len(records), source, dtype=np.uint64)
+            places["index"] = np.arange(first, first + len(records))
+            columns = places | _attributes(records, layout)
+            yield PointTable(
+                {k: np.ascontiguousarray(columns[k], COLUMNS[k].dtype) for k in SOURCE_COLUMNS}
+            )
+
+
+def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:
+    classes = dimension(records, layout, "classification")
+    withheld = dimension(records, layout, "withheld") != 0
+    noise = (classes == CLASS_LOW_NOISE) | (classes == CLASS_HIGH_NOISE)
+    timed = "gps_time" in layout.names
+    return {
+        "gps_time": records["gps_time"] if timed else np.full(len(records), np.nan),
+        "return_number": dimension(records, layout, "return_number"),
+        "scan_angle": scan_angle_deg(records, layout),
+        "point_source_id": records["point_source_id"],
+        "intensity": records["intensity"],
+        "input_class": classes,
+        "flags": withheld * int(PointFlag.WITHHELD) | noise * int(PointFlag.VENDOR_NOISE),
+    }
+
+
+def _whole(scale: float, offset: float) -> tuple[int, int] | None:
+    """Scale and offset in whole quanta; none where they are not whole."""
+    step, base = scale * QUANTA_PER_M, offset * QUANTA_PER_M
+    whole_step, whole_base = round(step), round(base)
+    if whole_step < 1 or abs(step / whole_step - 1) > _MULTIPLE_TOLERANCE:
+        return None
+    if abs(base - whole_base) > _OFFSET_TOLERANCE:
+        return None
+    return whole_step, whole_base
+
+
+def _coordinate(
+    records: NDArray[Any], header: LasHeader, axis: int, first: int
+) -> NDArray[np.int64]:
+    """Coordinates of one axis on the lattice [quanta]: (n,) int64.
+
+    A point well outside the header's bounding box means damaged data, which LAZ has no
+    checksum against, or a box that the plan must not rely on.
+    """
+    raw = records["XYZ"[axis]]
+    scale, offset = header.scales[axis], header.offsets[axis]
+    whole = _whole(scale, offset)
+    quanta: NDArray[np.int64]
+    if whole is not None:
+        quanta = raw.astype(np.int64) * whole[0] + whole[1]
+    else:
+        quanta = np.rint((raw * scale + offset) * QUANTA_PER_M).astype(np.int64)
+    low = (header.mins_m[axis] - _BBOX_SLACK_M) * QUANTA_PER_M
+    high = (header.maxs_m[axis] + _BBOX_SLACK_M) * QUANTA_PER_M
+    outside = (quanta < low) | (quanta > high)
+    if outside.any():
+        where = int(np.argmax(outside))
+        raise InputError(
+            str(header.path),
+            f"point {first + where} has {'xyz'[axis]} {quanta[where] / QUANTA_PER_M}, outside the"
+            f" header's {header.mins_m[axis]} to {header.maxs_m[axis]}: the points are damaged,"
+            " copy the file again; or the header is wrong, repair it (lasinfo -repair_bb)",
+        )
+    return quanta
+
+
+def _channel(
+    records: NDArray[Any], header: LasHeader, layout: RecordLayout, name: str | None, first: int
+) -> NDArray[Any]:
+    if name is None:
+        return np.zeros(len(records), dtype=np.uint8)
+    values = dimension(records, layout, name)
+    whole = values.ndim == 1 and bool(np.all((values >= 0) & (values <= 255)))
+    if whole and np.array_equal(values, np.rint(values)):
+        return values
+    if values.ndim > 1:
+        fault = f"dimension {name!r} has {values.shape[1]} values a point; a channel is one"
+    else:
+        wrong = ~((values >= 0) & (values <= 255) & (values == np.rint(values)))
+        where = int(np.argmax(wrong))
+        fault = (
+            f"dimension {name!r} is {values[where]} at point {first + where}; a channel is a whole"
+            " number 0 to 255: name another one in survey.channel_dimension"
+        )
+    raise InputError(str(header.path), fault)

@@ -1,0 +1,380 @@
+"""The fixed part of a LAS file, read and checked before any library trusts it.
+
+Counts and offsets of a broken header make readers loop for minutes or allocate without
+bound, so this module reads the header, the VLRs and the places of the EVLRs itself
+[LAS 1.4 R15, sections 2.4-2.7] and reports every fault of a file in one error.
+"""
+
+import math
+import os
+import stat
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import laspy
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import InputError
+
+HEADER_SIZES: Final = {1: 227, 2: 227, 3: 235, 4: 375}
+"""Bytes of the header by minor version."""
+
+VLR_HEAD: Final = struct.Struct("<H16sHH32s")
+EVLR_HEAD: Final = struct.Struct("<H16sHQ32s")
+
+_CORE: Final = struct.Struct("<HIIBHI5I12d")
+_CORE_START: Final = 94
+_POINT_FORMATS: Final = 11
+_COMPRESSED_BIT: Final = 0x80
+_FAR_M: Final = 1e9
+_SCALE_MAX_M: Final = 1000.0
+_HIGH_M: Final = (2**31 - 1) / QUANTA_PER_M
+_MAX_POINTS: Final = 2**32
+_MAX_RECORDS: Final = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Vlr:
+    """A variable length record, uninterpreted."""
+
+    user_id: bytes
+    record_id: int
+    description: bytes
+    data: bytes
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """User id without padding, and record id."""
+        return _text(self.user_id), self.record_id
+
+
+@dataclass(frozen=True, slots=True)
+class Evlr:
+    """Where an extended variable length record lies; its data may be huge."""
+
+    user_id: bytes
+    record_id: int
+    description: bytes
+    start: int
+    size: int
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """User id without padding, and record id."""
+        return _text(self.user_id), self.record_id
+
+
+@dataclass(frozen=True, slots=True)
+class LasHeader:
+    """A header that has passed every check.
+
+    Parameters
+    ----------
+    raw : bytes
+        The header as it lies in the file.
+    points_start : int
+        Byte where the point records (LAZ: the offset to the chunk table) start.
+    record_size : int
+        Bytes of one uncompressed point record.
+    """
+
+    path: Path
+    size_bytes: int
+    raw: bytes
+    version: tuple[int, int]
+    point_format: int
+    compressed: bool
+    record_size: int
+    n_points: int
+    points_start: int
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    mins_m: tuple[float, float, float]
+    maxs_m: tuple[float, float, float]
+    vlrs: tuple[Vlr, ...]
+    evlrs: tuple[Evlr, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def global_encoding(self) -> int:
+        """Bits of the header's global encoding."""
+        return int.from_bytes(self.raw[6:8], "little")
+
+    def vlr(self, user_id: str, record_id: int) -> Vlr | None:
+        """First VLR of this kind."""
+        return next((v for v in self.vlrs if v.key == (user_id, record_id)), None)
+
+
+@contextmanager
+def open_input(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for reading; whatever forbids it becomes one clear line.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, a folder, empty or may not be read.
+    """
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise InputError(str(path), "is a folder; name the files in it, e.g. *.laz")
+        # Opening a pipe would wait for its other end.
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(str(path), "is not a regular file; copy it to disk first")
+        if status.st_size == 0:
+            raise InputError(str(path), "is empty (0 bytes); copy it again")
+        file = path.open("rb")
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file; check the path") from None
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror}") from None
+    with file:
+        yield file
+
+
+def read_header(path: Path) -> LasHeader:
+    """Read and check header and VLRs of a LAS, LAZ or COPC file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    LasHeader
+
+    Raises
+    ------
+    InputError
+        With every fault found.
+    """
+    with open_input(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        raw = _read_raw(path, file)
+        header_size, points_start, n_vlrs, pf, record_size, legacy = _CORE.unpack_from(
+            raw, _CORE_START
+        )[:6]
+        floats = _CORE.unpack_from(raw, _CORE_START)[11:]
+        compressed = bool(pf & _COMPRESSED_BIT)
+        version = (raw[24], raw[25])
+        n_points = _count_points(raw, version[1], legacy)
+        faults = [
+            *_layout_faults(size, version[1], header_size, points_start, n_vlrs),
+            *_record_faults(pf & 0x3F, record_size),
+            *_coordinate_faults(floats, n_points),
+        ]
+        if not compressed:
+            faults += _size_faults(size, points_start, n_points, record_size)
+        if n_points >= _MAX_POINTS:
+            faults.append(f"{n_points} points; at most {_MAX_POINTS - 1} in a file: split it")
+        vlrs: tuple[Vlr, ...] = ()
+        evlrs: tuple[Evlr, ...] = ()
+        if not faults:
+            vlrs, vlr_faults = _read_vlrs(file, header_size, points_start, n_vlrs)
+            evlrs, evlr_faults = _read_evlrs(file, raw, version[1], size)
+            faults += vlr_faults + evlr_faults
+    if faults:
+        raise InputError(str(path), faults)
+    return LasHeader(
+        path=path,
+        size_bytes=size,
+        raw=raw,
+        version=version,
+        point_format=pf & 0x3F,
+        compressed=compressed,
+        record_size=record_size,
+        n_points=n_points,
+        points_start=points_start,
+        scales=floats[0:3],
+        offsets=floats[3:6],
+        mins_m=floats[7::2],
+        maxs_m=floats[6::2],
+        vlrs=vlrs,
+        evlrs=evlrs,
+        warnings=() if n_points else ("the file holds no points",),
+    )
+
+
+def _read_raw(path: Path, file: BinaryIO) -> bytes:
+    head = file.read(max(HEADER_SIZES.values()))
+    if head[:4] != b"LASF":
+        raise InputError(
+            str(path), f"is not a LAS or LAZ file: it starts with {head[:4]!r}, not b'LASF'"
+        )
+    if len(head) < min(HEADER_SIZES.values()):
+        raise InputError(
+            str(path), f"is cut off inside its header: {len(head)} bytes; copy it again"
+        )
+    major, minor = head[24], head[25]
+    if major != 1 or minor not in HEADER_SIZES:
+        raise InputError(
+            str(path), f"is LAS version {major}.{minor}; 1.1 to 1.4 can be read: convert it"
+        )
+    if len(head) < HEADER_SIZES[minor]:
+        raise InputError(
+            str(path), f"is cut off inside its header: {len(head)} bytes; copy it again"
+        )
+    return head[: HEADER_SIZES[minor]]
+
+
+def _count_points(raw: bytes, minor: int, legacy: int) -> int:
+    if minor < 4:
+        return legacy
+    # Some writers of 1.4 fill the legacy count only.
+    return int.from_bytes(raw[247:255], "little") or legacy
+
+
+def _layout_faults(
+    size: int, minor: int, header_size: int, points_start: int, n_vlrs: int
+) -> list[str]:
+    faults = []
+    if header_size < HEADER_SIZES[minor]:
+        faults.append(
+            f"header size {header_size}; version 1.{minor} needs at least {HEADER_SIZES[minor]}:"
+            " the header is damaged"
+        )
+    if not header_size <= points_start <= size:
+        faults.append(
+            f"offset to point data {points_start}; allowed {header_size} to the file's"
+            f" {size} bytes: the file is damaged or cut off, copy it again"
+        )
+    room = min(max(points_start - header_size, 0) // VLR_HEAD.size, _MAX_RECORDS)
+    if n_vlrs > room:
+        faults.append(
+            f"number of VLRs {n_vlrs}; at most {room} fit before the points:"
+            " the header is damaged, rewrite the file with the software that made it"
+        )
+    return faults
+
+
+def _record_faults(point_format: int, record_size: int) -> list[str]:
+    if point_format >= _POINT_FORMATS:
+        return [f"point format {point_format}; 0 to 10 can be read: convert the file"]
+    least = laspy.PointFormat(point_format).dtype().itemsize
+    if record_size < least:
+        return [
+            (
+                f"point record length {record_size}; point format {point_format} needs {least}:"
+                " the header is damaged"
+            )
+        ]
+    return []
+
+
+def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
+    faults = []
+    for axis in range(3):
+        name = "xyz"[axis]
+        scale, offset = floats[axis], floats[3 + axis]
+        high, low = floats[6 + 2 * axis], floats[7 + 2 * axis]
+        if not 0 < scale <= _SCALE_MAX_M:
+            faults.append(
+                f"{name} scale {scale}; must be > 0 and <= {_SCALE_MAX_M}: the header is damaged"
+            )
+        if not abs(offset) <= _FAR_M:
+            faults.append(
+                f"{name} offset {offset}; allowed -{_FAR_M:.0f} to {_FAR_M:.0f}:"
+                " the header is damaged"
+            )
+        if n_points == 0:
+            continue
+        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            faults.append(
+                f"bounding box {name} {low} to {high}; must be finite and in order:"
+                " repair the header (lasinfo -repair_bb)"
+            )
+            continue
+        limit = _HIGH_M if name == "z" else _FAR_M
+        if max(abs(low), abs(high)) > limit:
+            faults.append(
+                f"bounding box {name} {low} to {high}; allowed -{limit:.0f} to {limit:.0f}:"
+                " the header is damaged"
+            )
+    return faults
+
+
+def _size_faults(size: int, points_start: int, n_points: int, record_size: int) -> list[str]:
+    needed = points_start + n_points * record_size
+    if needed <= size:
+        return []
+    there = max(size - points_start, 0) // max(record_size, 1)
+    return [
+        (
+            f"{n_points} points need {needed} bytes, the file has {size}"
+            f" ({there} points): it is cut off or its header is damaged, copy it again"
+        )
+    ]
+
+
+def _read_vlrs(
+    file: BinaryIO, start: int, stop: int, count: int
+) -> tuple[tuple[Vlr, ...], list[str]]:
+    file.seek(start)
+    vlrs: list[Vlr] = []
+    for number in range(1, count + 1):
+        if stop - file.tell() < VLR_HEAD.size:
+            return tuple(vlrs), [
+                (
+                    f"number of VLRs {count}; only {len(vlrs)} fit before the points:"
+                    " the header is damaged, rewrite the file with the software that made it"
+                )
+            ]
+        _, user_id, record_id, length, description = VLR_HEAD.unpack(file.read(VLR_HEAD.size))
+        room = stop - file.tell()
+        if length > room:
+            return tuple(vlrs), [
+                (
+                    f"VLR {number} of {count} claims {length} bytes, {room} are left before the"
+                    " points: the header is damaged, rewrite the file with its own software"
+                )
+            ]
+        vlrs.append(Vlr(user_id, record_id, description, file.read(length)))
+    return tuple(vlrs), []
+
+
+def _read_evlrs(
+    file: BinaryIO, raw: bytes, minor: int, size: int
+) -> tuple[tuple[Evlr, ...], list[str]]:
+    if minor < 3:
+        return (), []
+    if minor == 3:
+        # 1.3 knows one extended record, the waveforms, and gives its place only.
+        start, count = int.from_bytes(raw[227:235], "little"), 1
+        if start == 0 or not raw[6] & 2:
+            return (), []
+    else:
+        start, count = struct.unpack_from("<QI", raw, 235)
+    if count > _MAX_RECORDS:
+        fault = f"number of extended VLRs {count}; at most {_MAX_RECORDS} are read"
+        return (), [f"{fault}: the header is damaged, rewrite the file with its own software"]
+    evlrs: list[Evlr] = []
+    for number in range(1, count + 1):
+        if start + EVLR_HEAD.size > size:
+            return (), [
+                (
+                    f"extended VLR {number} of {count} at byte {start}, the file has {size} bytes:"
+                    " it is cut off or its header is damaged, copy it again"
+                )
+            ]
+        file.seek(start)
+        _, user_id, record_id, length, description = EVLR_HEAD.unpack(file.read(EVLR_HEAD.size))
+        start += EVLR_HEAD.size
+        if length > size - start:
+            return (), [
+                (
+                    f"extended VLR {number} of {count} claims {length} bytes, {size - start} are"
+                    " left: the file is cut off, copy it again"
+                )
+            ]
+        evlrs.append(Evlr(user_id, record_id, description, start, length))
+        start += length
+    return tuple(evlrs), []
+
+
+def _text(padded: bytes) -> str:
+    return padded.split(b"\0")[0].decode("latin-1")

@@ -1,0 +1,100 @@
+"""Parts and overviews of delivered rasters, for statistics and pictures."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from spl_batch.errors import StoreError
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Values and where they lie.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32
+        Row 0 northernmost; nodata as in the file.
+    left_m, top_m : float
+        Easting and northing of the upper left corner [m].
+    cell_m : float
+        Edge of a cell [m].
+    """
+
+    values: NDArray[np.float32]
+    left_m: float
+    top_m: float
+    cell_m: float
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """West, east, south and north edges [m]."""
+        rows, cols = self.values.shape
+        right, bottom = self.left_m + cols * self.cell_m, self.top_m - rows * self.cell_m
+        return (self.left_m, right, bottom, self.top_m)
+
+
+def read_overview(path: Path, largest: int = 1200) -> Part:
+    """Whole raster, averaged so that no side has more cells than ``largest``.
+
+    Raises
+    ------
+    StoreError
+        If the raster cannot be read.
+    """
+    try:
+        with rasterio.open(path) as source:
+            step = max(1, math.ceil(max(source.shape) / largest))
+            shape = tuple(math.ceil(side / step) for side in source.shape)
+            # A window beyond the edge keeps cells square where the step does not divide it.
+            window = Window(0, 0, shape[1] * step, shape[0] * step)
+            values = source.read(
+                1,
+                window=window,
+                out_shape=shape,
+                boundless=step > 1,
+                fill_value=source.nodata,
+                resampling=Resampling.average if step > 1 else Resampling.nearest,
+            )
+            left, top = source.transform.c, source.transform.f
+            return Part(values.astype(np.float32), left, top, source.transform.a * step)
+    except RasterioError as error:
+        raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
+
+
+def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part | None:
+    """Cells that a region touches, and one more around; None where the raster has none.
+
+    Parameters
+    ----------
+    path : Path
+        GeoTIFF.
+    bounds_m : (float, float, float, float)
+        West, south, east, north [m].
+
+    Raises
+    ------
+    StoreError
+        If the raster cannot be read.
+    """
+    west, south, east, north = bounds_m
+    try:
+        with rasterio.open(path) as source:
+            left, top, cell = source.transform.c, source.transform.f, source.transform.a
+            col0 = max(math.floor((west - left) / cell) - 1, 0)
+            col1 = min(math.ceil((east - left) / cell) + 1, source.width)
+            row0 = max(math.floor((top - north) / cell) - 1, 0)
+            row1 = min(math.ceil((top - south) / cell) + 1, source.height)
+            if col1 <= col0 or row1 <= row0:
+                return None
+            values = source.read(1, window=Window(col0, row0, col1 - col0, row1 - row0))
+            return Part(values.astype(np.float32), left + col0 * cell, top - row0 * cell, cell)
+    except RasterioError as error:
+        raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error

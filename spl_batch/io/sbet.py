@@ -1,0 +1,81 @@
+"""SBET: smoothed best estimate of trajectory, as Applanix POSPac writes it."""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.errors import InputError
+from spl_batch.io.las_header import open_input
+
+SBET_RECORD: Final = np.dtype(
+    [
+        (name, "<f8")
+        for name in (
+            "time",
+            "latitude",
+            "longitude",
+            "altitude",
+            "x_velocity",
+            "y_velocity",
+            "z_velocity",
+            "roll",
+            "pitch",
+            "platform_heading",
+            "wander_angle",
+            "x_acceleration",
+            "y_acceleration",
+            "z_acceleration",
+            "x_angular_rate",
+            "y_angular_rate",
+            "z_angular_rate",
+        )
+    ]
+)
+"""One record: 17 little-endian doubles; seconds, radians, metres."""
+
+SBET_SUFFIXES: Final = frozenset({".out", ".sbet"})
+
+
+def read_sbet(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times and positions of an SBET file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    time_s : (n,) float64
+        As the file has them, mostly seconds of the GPS week [s].
+    lon_lat_height : (n, 3) float64
+        Longitude and latitude [deg], ellipsoidal height [m].
+
+    Raises
+    ------
+    InputError
+        If the size is no whole number of records, or the angles are none.
+    """
+    with open_input(path) as file:
+        content = file.read()
+    if len(content) % SBET_RECORD.itemsize:
+        raise InputError(
+            str(path),
+            f"has {len(content)} bytes, an SBET a multiple of {SBET_RECORD.itemsize}:"
+            " it is cut off or not an SBET, copy it again",
+        )
+    records = np.frombuffer(content, dtype=SBET_RECORD)
+    latitude, longitude = records["latitude"], records["longitude"]
+    # Written so that NaN counts as wrong.
+    wrong = ~((np.abs(latitude) <= np.pi / 2) & (np.abs(longitude) <= 2 * np.pi))
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise InputError(
+            str(path),
+            f"record {first} has latitude {latitude[first]}, longitude {longitude[first]};"
+            " an SBET has radians: it is not an SBET, or name its format by .csv or .parquet",
+        )
+    position = (np.degrees(longitude), np.degrees(latitude), records["altitude"])
+    return records["time"].astype(np.float64), np.column_stack(position)

@@ -1,0 +1,147 @@
+"""The working store: where things lie, and the receipts that say what is finished.
+
+::
+
+    store/receipts/KIND/NAME.json      what is done, what failed and why
+    store/trajectory.parquet           positions in the survey's CRS and the points' time
+    store/index/SOURCE.npz             time range of each run of points of an input file
+    store/stretches/LINE/K.parquet     whole shots in time order
+    store/lines/LINE.npz               line noise model of a flightline
+    store/voxels/LINE/K.zarr           a stretch's share of the expected noise
+    store/scatter/LINE/K.parquet       the stretch's points, a row group for each tile
+    store/tiles/I_J.parquet            points of a tile, in canonical order
+    store/{noise,ground,classes}/      labels by work unit, a row group for each tile
+    store/rasters.zarr                 raster cells
+"""
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BytesCodec, ZstdCodec
+
+from spl_batch.errors import StoreError
+from spl_batch.io.atomic import replacing, write_bytes
+from spl_batch.model import Receipt, VoxelPart
+
+VOXEL_CHUNK = 32
+"""Voxels along one horizontal side of a Zarr chunk [count]."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Store:
+    """Names of everything below ``output``.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    """
+
+    output: Path
+
+    @property
+    def root(self) -> Path:
+        """Folder of the working store."""
+        return self.output / "store"
+
+    def path(self, *parts: str) -> Path:
+        """Path below the working store."""
+        return self.root.joinpath(*parts)
+
+    def tile(self, name: str) -> Path:
+        """Points of a tile."""
+        return self.path("tiles", f"{name}.parquet")
+
+    def labels(self, kind: str, name: str) -> Path:
+        """Labels that a work unit gave."""
+        return self.path(kind, f"{name}.parquet")
+
+    def receipt(self, kind: str, name: str) -> Path:
+        """Receipt of a task."""
+        return self.path("receipts", kind, f"{name.replace('/', '~')}.json")
+
+
+def write_receipt(store: Store, receipt: Receipt) -> None:
+    """Leave a receipt; the last thing that a task does."""
+    content = json.dumps(dataclasses.asdict(receipt), indent=1, sort_keys=True, allow_nan=False)
+    write_bytes(store.receipt(receipt.kind, receipt.name), content.encode())
+
+
+def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
+    """Read a task's receipt; None when there is none or it cannot be trusted."""
+    try:
+        content = json.loads(store.receipt(kind, name).read_bytes())
+        return Receipt(**content)
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
+    """All receipts of one kind, by name."""
+    for path in sorted(store.path("receipts", kind).glob("*.json")):
+        receipt = read_receipt(store, kind, path.name.removesuffix(".json").replace("~", "/"))
+        if receipt is not None:
+            yield receipt
+
+
+def write_voxels(path: Path, part: VoxelPart) -> None:
+    """Write a stretch's share of the noise model as a Zarr group, atomically."""
+    shape = part.amount.shape
+    chunks = (min(VOXEL_CHUNK, shape[0]), min(VOXEL_CHUNK, shape[1]), shape[2])
+    with replacing(path) as temporary:
+        array = zarr.create_array(
+            str(temporary),
+            shape=shape,
+            chunks=tuple(max(c, 1) for c in chunks),
+            dtype=np.int64,
+            serializer=BytesCodec(),
+            compressors=ZstdCodec(level=3),
+            attributes={"corner": list(part.corner)},
+        )
+        array[...] = part.amount
+
+
+def add_voxels(path: Path, corner: tuple[int, int, int], total: NDArray[np.int64]) -> None:
+    """Add one part's share to a box of voxels, in place.
+
+    Parameters
+    ----------
+    path : Path
+        Group written by :func:`write_voxels`.
+    corner : (3,) int
+        Absolute index of the box's first voxel.
+    total : (nx, ny, nz) int64
+        The box; the part is added where they overlap.
+
+    Raises
+    ------
+    StoreError
+        If the part is missing or damaged.
+    """
+    try:
+        array = zarr.open_array(str(path), mode="r")
+        first = tuple(int(c) for c in array.attrs["corner"])  # type: ignore[union-attr,arg-type]
+        low = [max(a, b) for a, b in zip(first, corner, strict=True)]
+        high = [
+            min(a + n, b + m)
+            for a, n, b, m in zip(first, array.shape, corner, total.shape, strict=True)
+        ]
+        if any(b <= a for a, b in zip(low, high, strict=True)):
+            return
+        of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
+        of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
+        total[of_box] += np.asarray(array[of_part], dtype=np.int64)
+    except (OSError, KeyError, ValueError) as error:
+        raise StoreError(f"{path}: damaged or missing ({error}); run again to rebuild") from error
+
+
+def append_log(output: Path, event: Mapping[str, Any]) -> None:
+    """Add one line to ``log.jsonl``."""
+    with (output / "log.jsonl").open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(event, allow_nan=False) + "\n")

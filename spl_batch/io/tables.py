@@ -1,0 +1,162 @@
+"""Point tables as Parquet, and small arrays as NPZ.
+
+Integers are stored byte by byte (byte-stream split) under zstd without dictionaries:
+neighbouring points share their high bytes, which then cost next to nothing.
+"""
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import DTypeLike, NDArray
+
+from spl_batch.errors import StoreError
+from spl_batch.io.atomic import replacing, write_bytes
+from spl_batch.model import COLUMNS, PointTable
+
+_SPLIT_SIZES = {2, 4, 8}
+
+
+class GroupWriter:
+    """Appends row groups to one Parquet file; see :func:`writing`."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        split = [f.name for f in schema if f.type.bit_width // 8 in _SPLIT_SIZES]
+        self._schema = schema
+        self._file = pq.ParquetWriter(
+            path,
+            schema,
+            compression="zstd",
+            compression_level=1,
+            use_dictionary=False,
+            use_byte_stream_split=split,
+        )
+
+    def write(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append rows as one row group."""
+        arrow = pa.table({k: pa.array(columns[k]) for k in self._schema.names}, schema=self._schema)
+        self._file.write_table(arrow, row_group_size=max(arrow.num_rows, 1))
+
+    def close(self) -> None:
+        """Write the footer."""
+        self._file.close()
+
+
+@contextmanager
+def writing(path: Path, dtypes: Mapping[str, DTypeLike]) -> Iterator[GroupWriter]:
+    """Write a Parquet file by row groups, atomically.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    dtypes : mapping of str to dtype
+        Columns of the file, in order.
+    """
+    schema = pa.schema([(k, pa.from_numpy_dtype(np.dtype(v))) for k, v in dtypes.items()])
+    with replacing(path) as temporary:
+        writer = GroupWriter(temporary, schema)
+        try:
+            yield writer
+        finally:
+            writer.close()
+
+
+def write_table(path: Path, table: PointTable, *, group_starts: Sequence[int] = (0,)) -> None:
+    """Write a table atomically.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    table : PointTable
+        Rows in the order in which they are to lie on disk.
+    group_starts : sequence of int
+        First row of each row group, increasing, the first one 0.
+    """
+    dtypes = {name: COLUMNS[name].dtype for name in table.columns}
+    ends = [*group_starts[1:], len(table)]
+    with writing(path, dtypes) as writer:
+        for start, end in zip(group_starts, ends, strict=True):
+            writer.write(table.take(slice(start, end)).columns)
+
+
+def read_columns(
+    path: Path, names: Sequence[str], groups: Sequence[int] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Columns of a Parquet file as numpy arrays.
+
+    Parameters
+    ----------
+    path : Path
+        File written by :func:`write_table`.
+    names : sequence of str
+        Columns to read.
+    groups : sequence of int, optional
+        Row groups to read; all by default.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged.
+    """
+    try:
+        with pq.ParquetFile(path, memory_map=False) as file:
+            wanted = range(file.num_row_groups) if groups is None else groups
+            arrow = file.read_row_groups(list(wanted), columns=list(names))
+    except (OSError, pa.ArrowException) as error:
+        reason = " ".join(str(error).split())
+        raise StoreError(f"{path}: damaged or missing ({reason}); run again to rebuild") from error
+    return {name: arrow.column(name).to_numpy() for name in names}
+
+
+def read_table(path: Path, names: Sequence[str], groups: Sequence[int] | None = None) -> PointTable:
+    """Read a table, or some row groups of it; see :func:`read_columns`."""
+    return PointTable(read_columns(path, names, groups))
+
+
+def group_ranges(path: Path, name: str) -> list[tuple[int, int]]:
+    """Smallest and largest value of a column in each row group, from the footer alone.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged.
+    """
+    try:
+        footer = pq.read_metadata(path)
+    except (OSError, pa.ArrowException) as error:
+        reason = " ".join(str(error).split())
+        raise StoreError(f"{path}: damaged or missing ({reason}); run again to rebuild") from error
+    column = footer.schema.names.index(name)
+    statistics = [
+        footer.row_group(g).column(column).statistics for g in range(footer.num_row_groups)
+    ]
+    return [(s.min, s.max) if s is not None and s.has_min_max else (0, -1) for s in statistics]
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write small arrays as an uncompressed NPZ, atomically and with reproducible bytes."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
+    write_bytes(path, buffer.getvalue())
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read what :func:`write_arrays` wrote.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError) as error:
+        raise StoreError(f"{path}: damaged or missing ({error}); run again to rebuild") from error

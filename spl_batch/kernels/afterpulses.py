@@ -1,0 +1,248 @@
+"""Afterpulse evidence of one shot: hard surfaces, and parents in the same channel.
+
+See :mod:`spl_batch.stages.afterpulse` for the method and its source.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spl_batch.kernels.dcc import dcc_keep
+from spl_batch.kernels.hard_surfaces import (
+    RETURNS_MIN,
+    SHARP,
+    SURFACES_MAX,
+    Rules,
+    find_surfaces,
+    on_surface,
+    returns_behind,
+)
+from spl_batch.kernels.robust_plane import bisquare_plane, residual
+
+NEAR_M = 1.6
+"""Reach across the beam of the returns that tell whether a place is hard [m]."""
+
+HARD_SHARE = 0.8
+"""Least share of the returns of a hard place that lie on its plane."""
+
+HARD = 0.95
+"""Probability of a return behind a parent on a hard surface."""
+
+PLANE_ONLY = 0.9
+"""The same where channels are not known and the plane is the only evidence."""
+
+SOFT_CAP = 0.49
+"""Most that a parent alone gives: the space domain decides in vegetation."""
+
+
+@njit(nogil=True, cache=True)
+def soft_probability(
+    i: int, lag: float, w: NDArray[np.float64], first: NDArray[np.bool_], rules: Rules
+) -> float:
+    """Probability of an afterpulse from its lag and what else returns at its range.
+
+    Density of afterpulses at this lag against that of real returns there, the latter
+    from the other beamlets' first returns within 1.5 m.
+    """
+    lag = max(lag - rules.dead_m, 0.0)
+    afterpulse = rules.probability * math.exp(-lag / rules.scale_m) / rules.scale_m
+    others = 0
+    for j in range(len(w)):
+        others += first[j] and abs(w[j] - w[i]) <= 1.5
+    real = (others + 0.5) / (3.0 * rules.beamlets)
+    return SOFT_CAP * afterpulse / (afterpulse + real)
+
+
+@njit(nogil=True, cache=True)
+def plane_probability(
+    i: int, behind: NDArray[np.float64], spreads: NDArray[np.float64], rules: Rules
+) -> float:
+    """The published rule, where channels are not known: below a plane and on no other."""
+    flagged = False
+    for s in range(len(behind)):
+        if on_surface(behind[s, i], spreads[s], rules):
+            return 0.0
+        flagged = flagged or 0.0 < behind[s, i] <= rules.lag_max_m
+    return PLANE_ONLY if flagged else 0.0
+
+
+@njit(nogil=True, cache=True)
+def follows_surface(
+    i: int, behind: NDArray[np.float64], spreads: NDArray[np.float64], depths: NDArray[np.float64],
+    w: NDArray[np.float64], channel: NDArray[np.uint8], rules: Rules,
+) -> bool:  # fmt: skip
+    """Whether a return lies on no surface and behind one that its own beamlet hit.
+
+    ``depths`` (found,) holds what :func:`returns_behind` gives, NaN for penetrable surfaces.
+    A beamlet's second return cannot be of the surface that gave the first: the dead time
+    is longer than a hard surface is thick. So half of it is distance enough here.
+    """
+    for s in range(len(behind)):
+        if abs(behind[s, i]) <= max(0.5 * rules.dead_m, 2.5 * spreads[s]):
+            return False
+        if depths[s] <= behind[s, i] <= depths[s] + 2.0 * rules.below_m:
+            return False
+    for j in range(len(w)):
+        if channel[j] != channel[i] or not 0.0 < w[i] - w[j] <= rules.lag_max_m:
+            continue
+        for s in range(len(behind)):
+            if (
+                not np.isnan(depths[s])
+                and behind[s, i] > 0.0
+                and on_surface(behind[s, j], spreads[s], rules)
+            ):
+                return True
+    return False
+
+
+@njit(nogil=True, cache=True)
+def nearest_parent(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8], rules: Rules) -> int:
+    """The nearest earlier return of the beamlet within ``lag_max_m``; -1 for none."""
+    parent = -1
+    for j in range(len(w)):
+        behind = channel[j] == channel[i] and 0.0 < w[i] - w[j] <= rules.lag_max_m
+        if behind and (parent < 0 or w[j] > w[parent]):
+            parent = j
+    return parent
+
+
+@njit(nogil=True, cache=True)
+def follows_hard_place(
+    i: int, u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
+    channel: NDArray[np.uint8], first: NDArray[np.bool_], rules: Rules,
+) -> bool:  # fmt: skip
+    """Whether a return lies behind a parent whose neighbourhood is a piece of hard surface.
+
+    For what no plane of the whole shot fits: ridges, steps, rough ground.
+    """
+    parent = nearest_parent(i, w, channel, rules)
+    if parent < 0:
+        return False
+    near = np.empty(len(w), dtype=np.int64)
+    count = 0
+    for j in range(len(w)):
+        square = (u[j] - u[parent]) ** 2 + (v[j] - v[parent]) ** 2
+        if first[j] and square <= NEAR_M**2 and abs(w[j] - w[parent]) <= rules.lag_max_m:
+            near[count] = j
+            count += 1
+    if count < RETURNS_MIN:
+        return False
+    at = near[:count]
+    plane, weight = np.empty(3), np.empty(count)
+    if not bisquare_plane(u[at], v[at], w[at], rules.sigma_m, plane, weight):
+        return False
+    distance = residual(plane, u[at], v[at], w[at])
+    tolerance = SHARP * rules.sigma_m
+    hard = np.abs(distance) <= tolerance
+    if hard.sum() < max(RETURNS_MIN, HARD_SHARE * count):
+        return False
+    level = plane[0] + plane[1] * u[i] + plane[2] * v[i]
+    own = plane[0] + plane[1] * u[parent] + plane[2] * v[parent]
+    if abs(w[parent] - own) > rules.below_m or w[i] - level <= 0.5 * rules.dead_m:
+        return False
+    # Another first return at the depth of this one speaks for something real down there.
+    return not np.any(np.abs(distance - (w[i] - level)) <= rules.below_m)
+
+
+@njit(nogil=True, cache=True)
+def shot_probability(
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    w: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    lag: NDArray[np.float32],
+    rules: Rules,
+    out: NDArray[np.float32],
+) -> None:
+    """Probability of being an afterpulse, for each return of one shot.
+
+    Parameters
+    ----------
+    u, v, w : (n,) float64
+        Returns across and along the beam [m].
+    channel : (n,) uint8
+        Beamlet of each return.
+    lag : (n,) float32
+        Distance behind the nearest earlier return of the beamlet [m]; 0 for none.
+    rules : Rules
+        Numbers of the method.
+    out : (n,) float32
+        Filled.
+    """
+    n = len(w)
+    with_channels = False
+    for i in range(1, n):
+        with_channels = with_channels or channel[i] != channel[0]
+    first = lag == 0 if with_channels else np.ones(n, dtype=np.bool_)
+    out[:] = 0.0
+    planes = np.zeros((SURFACES_MAX, 3))
+    spreads = np.zeros(SURFACES_MAX)
+    found = 0
+    if n >= RETURNS_MIN:
+        keep = np.empty(n, dtype=np.bool_)
+        spread_max = SHARP * rules.sigma_m if with_channels else np.inf
+        dcc_keep(w, rules.gate_m, rules.coarse_m, rules.fine_m, keep)
+        found = find_surfaces(u, v, w, keep & first, rules, spread_max, planes, spreads)
+    behind = np.empty((found, n))
+    for s in range(found):
+        behind[s] = residual(planes[s], u, v, w)
+    depths = np.empty(found)
+    for s in range(found):
+        hard, depth = returns_behind(s, behind, spreads, first, rules)
+        depths[s] = depth if hard else np.nan
+    for i in range(n):
+        if not with_channels:
+            out[i] = plane_probability(i, behind, spreads, rules)
+        elif lag[i] > 0:
+            follows = follows_surface(i, behind, spreads, depths, w, channel, rules)
+            if not follows:
+                follows = follows_hard_place(i, u, v, w, channel, first, rules)
+            out[i] = HARD if follows else soft_probability(i, lag[i], w, first, rules)
+
+
+@njit(nogil=True, cache=True)
+def shot_probabilities(
+    starts: NDArray[np.int64],
+    offset: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    range_m: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    lag: NDArray[np.float32],
+    rules: Rules,
+    out: NDArray[np.float32],
+) -> None:
+    """:func:`shot_probability` for every shot.
+
+    Parameters
+    ----------
+    starts : (m + 1,) int64
+        Rows where shots start, then n.
+    offset : (n, 3) float64
+        Points relative to the first one of their shot [m].
+    direction : (n, 3) float64
+        Unit vectors along the beams; that of the first return frames its shot.
+    range_m, channel, lag
+        Columns of the rows.
+    rules : Rules
+        Numbers of the method.
+    out : (n,) float32
+        Filled.
+    """
+    for m in range(len(starts) - 1):
+        rows = slice(starts[m], starts[m + 1])
+        dx, dy, dz = direction[starts[m]]
+        # Two axes across the beam: any will do, as long as they depend on the beam alone.
+        if abs(dx) < 0.7:
+            ux, uy, uz = 0.0, dz, -dy
+        else:
+            ux, uy, uz = -dz, 0.0, dx
+        norm = math.sqrt(ux * ux + uy * uy + uz * uz)
+        ux, uy, uz = ux / norm, uy / norm, uz / norm
+        vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
+        x, y, z = offset[rows, 0], offset[rows, 1], offset[rows, 2]
+        shot_probability(
+            ux * x + uy * y + uz * z, vx * x + vy * y + vz * z, range_m[rows],
+            channel[rows], lag[rows], rules, out[rows],
+        )  # fmt: skip

@@ -1,0 +1,205 @@
+"""Hard surfaces in one shot: robust planes that its returns agree on [W17 ch. 7].
+
+See :mod:`spl_batch.stages.afterpulse` for the method and its deviations.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spl_batch.kernels.robust_plane import bisquare_plane, percentile_68, residual
+
+SURFACES_MAX = 3
+"""Hard surfaces looked for in a shot: a roof, the ground beside it, one between."""
+
+RETURNS_MIN = 6
+"""Least returns of a surface [count]."""
+
+SHARP = 3.0
+"""Most that the residuals of a hard surface spread [ranging spreads]."""
+
+PASSED_MIN = 2.0
+PASSED_SHARE = 0.1
+"""A surface is penetrable when more scattered first returns lie behind it [count, share]."""
+
+
+class Rules(NamedTuple):
+    """Numbers of the method; lengths in metres along the beam.
+
+    Parameters
+    ----------
+    gate_m, coarse_m, fine_m : float
+        DCC.
+    weight_min, p68_max_m : float
+        Hard surface and trust.
+    below_m, lag_max_m, dead_m : float
+        Threshold behind the plane, longest lag, dead time.
+    sigma_m : float
+        Ranging spread.
+    probability, scale_m : float
+        Afterpulses per detection, and their mean lag behind the dead time.
+    beamlets : float
+        Beamlets fired per shot.
+    """
+
+    gate_m: float
+    coarse_m: float
+    fine_m: float
+    weight_min: float
+    p68_max_m: float
+    below_m: float
+    lag_max_m: float
+    dead_m: float
+    sigma_m: float
+    probability: float
+    scale_m: float
+    beamlets: float
+
+
+@njit(nogil=True, cache=True)
+def on_surface(distance: float, spread: float, rules: Rules) -> bool:
+    """Whether a return is as near to a surface as its own returns are."""
+    return abs(distance) <= max(rules.below_m, 4.0 * spread)
+
+
+@njit(nogil=True, cache=True)
+def fit_surface(
+    u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
+    rules: Rules, plane: NDArray[np.float64],
+) -> tuple[bool, float]:  # fmt: skip
+    """Robust plane of candidates, and whether it is to be trusted [W17 ch. 7].
+
+    Returns
+    -------
+    trusted : bool
+        68th percentile of the distances small, and hard returns enough.
+    spread : float
+        Scale of the residuals of the hard returns [m].
+    """
+    weight = np.empty(len(u))
+    if len(u) < RETURNS_MIN or not bisquare_plane(u, v, w, rules.sigma_m, plane, weight):
+        return False, 0.0
+    distance = residual(plane, u, v, w)
+    hard = weight > rules.weight_min
+    if hard.sum() < RETURNS_MIN:
+        return False, 0.0
+    spread = max(np.median(np.abs(distance[hard])) / 0.6745, rules.sigma_m)
+    return percentile_68(plane, distance) < rules.p68_max_m, spread
+
+
+@njit(nogil=True, cache=True)
+def densest(w: NDArray[np.float64], width: float) -> tuple[float, int]:
+    """Start of the fullest range window and its count; the nearest of equals."""
+    ordered = np.sort(w)
+    best, first, left = 0, 0, 0
+    for right in range(len(ordered)):
+        while ordered[right] - ordered[left] > width:
+            left += 1
+        if right - left + 1 > best:
+            best, first = right - left + 1, left
+    return ordered[first], best
+
+
+@njit(nogil=True, cache=True)
+def find_surfaces(
+    u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
+    candidate: NDArray[np.bool_], rules: Rules,
+    spread_max: float, planes: NDArray[np.float64], spreads: NDArray[np.float64],
+) -> int:  # fmt: skip
+    """Hard surfaces of a shot: one plane as published, else level by level.
+
+    Where one plane does not do (roof beside ground, ground under a tree), the fullest
+    range window of what is left is fitted and grown, and has to stand out from an even
+    spread of the candidates.
+
+    Parameters
+    ----------
+    u, v, w : (n,) float64
+        Returns of the shot across and along the beam [m].
+    candidate : (n,) bool
+        Returns that may be of a surface.
+    rules : Rules
+        Numbers of the method.
+    spread_max : float
+        Most that the residuals of a surface spread [m]; infinite as published, where the
+        68th percentile alone decides. Those of a crown spread more than a roof's.
+    planes : (SURFACES_MAX, 3) float64
+        Filled.
+    spreads : (SURFACES_MAX,) float64
+        Filled with the scale of the residuals [m].
+
+    Returns
+    -------
+    int
+        Number of surfaces.
+    """
+    left = np.flatnonzero(candidate)
+    trusted, spread = fit_surface(u[left], v[left], w[left], rules, planes[0])
+    if trusted and spread <= spread_max:
+        spreads[0] = spread
+        return 1
+    found = 0
+    while found < SURFACES_MAX and len(left) >= RETURNS_MIN:
+        width = 2.0 * rules.p68_max_m
+        start, _ = densest(w[left], width)
+        seed = left[(w[left] >= start) & (w[left] <= start + width)]
+        trusted, spread = fit_surface(u[seed], v[seed], w[seed], rules, planes[found])
+        if not trusted:
+            break
+        for _ in range(2):
+            near = np.abs(residual(planes[found], u[left], v[left], w[left])) <= max(
+                rules.below_m, 3.0 * spread
+            )
+            grown = left[near]
+            trusted, spread = fit_surface(u[grown], v[grown], w[grown], rules, planes[found])
+            if not trusted:
+                break
+        trusted = trusted and spread <= spread_max
+        extent = max(w[left].max() - w[left].min(), width)
+        even = len(left) * 2.0 * rules.below_m / extent
+        if not trusted or len(grown) < RETURNS_MIN + 2.0 * even:
+            break
+        spreads[found] = spread
+        found += 1
+        left = left[~near]
+    return found
+
+
+@njit(nogil=True, cache=True)
+def returns_behind(
+    s: int, behind: NDArray[np.float64], spreads: NDArray[np.float64],
+    first: NDArray[np.bool_], rules: Rules,
+) -> tuple[bool, float]:  # fmt: skip
+    """What beamlets that miss a surface return behind it.
+
+    Few and scattered are background, many at one depth are the ground beside a roof;
+    many and scattered mean that the surface is penetrable: a crown, water.
+
+    Returns
+    -------
+    hard : bool
+        Whether the surface is not penetrable.
+    depth : float
+        Start of the depths, ``2 below_m`` wide, that most of them share; inf for none [m].
+    """
+    on, passed = 0, 0
+    depths = np.empty(len(first))
+    for i in range(len(first)):
+        if not first[i]:
+            continue
+        if on_surface(behind[s, i], spreads[s], rules):
+            on += 1
+        elif 0.0 < behind[s, i] <= rules.lag_max_m:
+            other = False
+            for k in range(len(behind)):
+                other = other or (k != s and on_surface(behind[k, i], spreads[k], rules))
+            if not other:
+                depths[passed] = behind[s, i]
+                passed += 1
+    if passed == 0:
+        return True, np.inf
+    depth, together = densest(depths[:passed], 2.0 * rules.below_m)
+    scattered = passed - together
+    return scattered <= PASSED_MIN + PASSED_SHARE * on, depth if together > 1 else np.inf

@@ -1,0 +1,207 @@
+"""What a stretch of returns says about noise, interval by interval [W17 5.2.1].
+
+Each interval stands alone: nothing here looks over its edge, so a flightline may be cut
+at any of them.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+GROUP_RETURNS = 100
+"""Returns that a group should have, so that its own peak is sure [count]."""
+
+GROUPS_MAX = 6
+"""Most groups of an interval: its arc on the ground is cut in as many pieces."""
+
+
+@njit(nogil=True, cache=True)
+def densest_window(sorted_z: NDArray[np.float64], width: float) -> tuple[float, int]:
+    """Fullest window of a sorted sample; the lowest one of equals.
+
+    Parameters
+    ----------
+    sorted_z : (n,) float64
+        Ascending heights, n >= 1.
+    width : float
+        Width of the window.
+
+    Returns
+    -------
+    centre : float
+        Middle between the first and the last value in the window.
+    count : int
+        Values in the window.
+    """
+    best, first, left = 0, 0, 0
+    for right in range(len(sorted_z)):
+        while sorted_z[right] - sorted_z[left] > width:
+            left += 1
+        if right - left + 1 > best:
+            best, first = right - left + 1, left
+    return 0.5 * (sorted_z[first] + sorted_z[first + best - 1]), best
+
+
+@njit(nogil=True, cache=True)
+def _significant(count: int, n: int, width: float, extent: float) -> bool:
+    """Whether ``count`` of ``n`` in one window is beyond chance for a uniform sample."""
+    expected = n * width / max(extent, width)
+    return count >= expected + 5.0 * math.sqrt(expected) + 5.0
+
+
+@njit(nogil=True, cache=True)
+def signal_heights(
+    z: NDArray[np.float64], group: NDArray[np.int64], n_groups: int, width: float
+) -> NDArray[np.float64]:
+    """Height of the signal in each group of one interval.
+
+    The group's own peak where it is beyond chance, else the interval's; where that is
+    not either, the median, which unlike a chance peak does not select noise.
+
+    Parameters
+    ----------
+    z : (n,) float64
+        Heights of the interval's returns [m], n >= 1.
+    group : (n,) int64
+        Group of each return, 0..n_groups - 1.
+    n_groups : int
+        Number of groups.
+    width : float
+        Width of the sliding height window [m].
+
+    Returns
+    -------
+    (n_groups,) float64
+        Heights [m].
+    """
+    everything = np.sort(z)
+    extent = everything[-1] - everything[0]
+    height, count = densest_window(everything, width)
+    if not _significant(count, len(z), width, extent):
+        height = everything[len(z) // 2]
+    out = np.full(n_groups, height)
+    if n_groups == 1:
+        return out
+    for g in range(n_groups):
+        own = np.sort(z[group == g])
+        if len(own) >= 10:
+            peak, count = densest_window(own, width)
+            if _significant(count, len(own), width, extent):
+                out[g] = peak
+    return out
+
+
+@njit(nogil=True, cache=True)
+def observe_interval(
+    z: NDArray[np.float64],
+    range_m: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+    offset: NDArray[np.int64],
+    interval_shots: int,
+    width: float,
+    summary: NDArray[np.float64],
+    below: NDArray[np.float64],
+) -> None:
+    """Signal height, gate extremes and distance from the signal within one interval.
+
+    Parameters
+    ----------
+    z, range_m, cosine : (n,) float64
+        Height [m], slant range [m] and cosine of the off-nadir angle.
+    offset : (n,) int64
+        Shot within the interval.
+    interval_shots : int
+        Shots of an interval.
+    width : float
+        Width of the sliding height window [m].
+    summary : (10,) float64
+        Filled with means of signal height, slant range to it and cosine, the standard
+        deviation of the signal height, then minimum and maximum of range, height and
+        slant distance behind the signal [m].
+    below : (n,) float64
+        Filled with the height of the signal less that of the return [m].
+    """
+    n_groups = min(GROUPS_MAX, max(1, len(z) // GROUP_RETURNS), interval_shots)
+    group = offset * n_groups // interval_shots
+    heights = signal_heights(z, group, n_groups, width)
+    summary[:4] = 0.0
+    summary[4::2] = np.inf
+    summary[5::2] = -np.inf
+    for i in range(len(z)):
+        below[i] = heights[group[i]] - z[i]
+        behind = below[i] / cosine[i]
+        summary[0] += heights[group[i]]
+        summary[1] += range_m[i] - behind
+        summary[2] += cosine[i]
+        summary[3] += (heights[group[i]] - heights[0]) ** 2
+        for k, value in ((4, range_m[i]), (6, z[i]), (8, behind)):
+            summary[k] = min(summary[k], value)
+            summary[k + 1] = max(summary[k + 1], value)
+    summary[:4] /= len(z)
+    summary[3] = np.sqrt(max(summary[3] - (summary[0] - heights[0]) ** 2, 0.0))
+
+
+@njit(nogil=True, cache=True)
+def observe_intervals(
+    starts: NDArray[np.int64],
+    z: NDArray[np.float64],
+    range_m: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+    offset: NDArray[np.int64],
+    channel: NDArray[np.uint8],
+    counts: NDArray[np.bool_],
+    buffers: NDArray[np.float64],
+    interval_shots: int,
+    width: float,
+    summary: NDArray[np.float64],
+    outside: NDArray[np.int32],
+    by_channel: NDArray[np.int64],
+    profile: NDArray[np.int64],
+) -> None:
+    """Noise counts of every interval of a stretch.
+
+    Parameters
+    ----------
+    starts : (m + 1,) int64
+        Rows where intervals start, then n.
+    z, range_m, cosine, offset
+        Rows as in :func:`observe_interval`.
+    channel : (n,) uint8
+        Beamlet numbers.
+    counts : (n,) bool
+        Rows that count as noise; the others follow a return of their own beamlet.
+    buffers : (b,) float64
+        Heights around the signal that are left out, descending [m].
+    interval_shots, width
+        As in :func:`observe_interval`.
+    summary : (m, 10) float64
+        Filled as in :func:`observe_interval`.
+    outside : (m, 2, b) int32
+        Filled with the returns more than each buffer above and below the signal.
+    by_channel : (2, b, 256) int64
+        The same summed by channel; added to.
+    profile : (p,) int64
+        Histogram of the height below the signal in 1 m bins, zero in the middle; added to.
+    """
+    below = np.empty(len(z), dtype=np.float64)
+    half = len(profile) // 2
+    for m in range(len(starts) - 1):
+        rows = slice(starts[m], starts[m + 1])
+        observe_interval(
+            z[rows], range_m[rows], cosine[rows], offset[rows],
+            interval_shots, width, summary[m], below[rows],
+        )  # fmt: skip
+        for i in range(starts[m], starts[m + 1]):
+            if not counts[i]:
+                continue
+            bin_ = int(np.floor(below[i])) + half
+            if 0 <= bin_ < len(profile):
+                profile[bin_] += 1
+            side = 0 if below[i] < 0 else 1
+            b = len(buffers) - 1
+            while b >= 0 and abs(below[i]) > buffers[b]:
+                outside[m, side, b] += 1
+                by_channel[side, b, channel[i]] += 1
+                b -= 1

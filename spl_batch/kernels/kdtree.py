@@ -1,0 +1,363 @@
+# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+"""Exact neighbours on the integer lattice: a balanced kd-tree without pointers.
+
+A node is a number: the root is 1, the children of ``i`` are ``2 i`` and ``2 i + 1``, and
+node ``i`` on level ``l`` holds the slots ``[(j n) >> l, ((j + 1) n) >> l)`` with
+``j = i - 2**l``. So leaves hold 16 to 32 points, none is empty, and the only
+thing stored besides the points is each node's bounding box.
+
+Squared distances are sums of squared integer differences in float64: exact below
+2**53 quanta2, that is up to 50 km. Ties are broken by row, so a query's result depends
+on the neighbours alone and neither on the tree nor on what else the table holds.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LEAF: Final = 32
+"""Most points in a leaf [count]; a power of two."""
+
+CAP_MAX: Final = 46_340
+"""Farthest neighbour that a sort key can hold [quanta]: its square stays below 2**31."""
+
+ROW_MASK: Final = 0xFFFF_FFFF
+"""Low bits of a sort key: the row. The high ones are the squared distance."""
+
+U0, U1, U2, U3, U4, U5 = (np.uint64(i) for i in range(6))
+
+
+class KdTree(NamedTuple):
+    """Points in tree order.
+
+    Parameters
+    ----------
+    points : (4, n) int32
+        x, y, z [quanta] and row of each slot, each contiguous.
+    boxes : (2**(depth + 1), 6) int32
+        Smallest x, y, z and largest x, y, z of each node; node 0 is unused.
+    depth : int
+        Level of the leaves.
+    """
+
+    points: NDArray[np.int32]
+    boxes: NDArray[np.int32]
+    depth: int
+
+
+def build(xyz: NDArray[np.int32]) -> KdTree:
+    """Put points into tree order.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates relative to any anchor [quanta]; n < 2**31.
+
+    Returns
+    -------
+    KdTree
+    """
+    n = len(xyz)
+    depth = 0
+    while (LEAF << depth) < n:
+        depth += 1
+    points = np.empty((n, 4), dtype=np.int32)
+    points[:, :3] = xyz
+    points[:, 3] = np.arange(n, dtype=np.int32)
+    boxes = np.zeros((2 << depth, 6), dtype=np.int32)
+    if n:
+        _arrange(points, boxes, depth)
+    return KdTree(np.ascontiguousarray(points.T), boxes, depth)
+
+
+def nearest(
+    xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Nearest neighbours of points among their own table, the point itself left out.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates relative to any anchor [quanta].
+    query : (n,) bool
+        Points whose neighbours are wanted.
+    neighbours : int
+        Neighbours per point [count].
+    cap : int
+        Farthest neighbour, inclusive [quanta]; at most :data:`CAP_MAX`.
+
+    Returns
+    -------
+    rows : (m, neighbours) int32
+        Rows by distance, then row, for the query points in table order; -1 where there
+        are fewer.
+    found : (m,) int32
+        Neighbours found [count].
+    """
+    if not 0 < cap <= CAP_MAX:
+        raise ValueError(f"cap {cap} quanta: must lie in 1..{CAP_MAX}")
+    rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
+    found = np.zeros(len(xyz), dtype=np.int32)
+    tree = build(xyz)
+    _nearest_all(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
+    return rows[query], found[query]
+
+
+@njit(nogil=True, cache=True)
+def _select(points, low, high, middle, axis):  # type: ignore[no-untyped-def]
+    """Quickselect: slot ``middle`` gets its value in order along ``axis``, smaller ones before."""
+    high -= 1
+    while low < high:
+        a, b, c = points[low, axis], points[(low + high) >> 1, axis], points[high, axis]
+        pivot = max(min(a, b), min(max(a, b), c))
+        i, j = low, high
+        while i <= j:
+            while points[i, axis] < pivot:
+                i += 1
+            while points[j, axis] > pivot:
+                j -= 1
+            if i <= j:
+                for field in range(4):
+                    keep = points[i, field]
+                    points[i, field] = points[j, field]
+                    points[j, field] = keep
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@njit(nogil=True, cache=True)
+def _arrange(points, boxes, depth):  # type: ignore[no-untyped-def]
+    """Split every node at its middle slot along its widest axis, depth first."""
+    n = len(points)
+    stack = np.empty(64, dtype=np.int64)
+    stack[0] = 1
+    top = 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        level = 0
+        while (node >> level) > 1:
+            level += 1
+        j = node - (1 << level)
+        low, high = (j * n) >> level, ((j + 1) * n) >> level
+        for axis in range(3):
+            least = most = points[low, axis]
+            for i in range(low + 1, high):
+                least = min(least, points[i, axis])
+                most = max(most, points[i, axis])
+            boxes[node, axis] = least
+            boxes[node, axis + 3] = most
+        if level == depth:
+            continue
+        axis, width = 0, np.int64(-1)
+        for a in range(3):
+            spread = np.int64(boxes[node, a + 3]) - np.int64(boxes[node, a])
+            if spread > width:
+                axis, width = a, spread
+        if width > 0:
+            _select(points, low, high, ((2 * j + 1) * n) >> (level + 1), axis)
+        stack[top] = 2 * node + 1
+        stack[top + 1] = 2 * node
+        top += 2
+
+
+@njit(nogil=True, cache=True, inline="always")
+def box_distance(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
+    """Squared distance from a point to a node's box, float64 [quanta2]."""
+    dx = max(boxes[node, U0] - x, x - boxes[node, U3], 0.0)
+    dy = max(boxes[node, U1] - y, y - boxes[node, U4], 0.0)
+    dz = max(boxes[node, U2] - z, z - boxes[node, U5], 0.0)
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _scan(points, low, high, x, y, z, row, keys, distance, fresh):  # type: ignore[no-untyped-def]
+    """Merge one leaf into the sorted keys, the query's own row left out.
+
+    Distances, then those that may matter, then the sorting-in: two loops without a
+    branch before the one that has them.
+    """
+    size = high - low
+    xs, ys, zs, rows = points[0], points[1], points[2], points[3]
+    for i in range(size):
+        dx = np.float64(xs[low + i]) - x
+        dy = np.float64(ys[low + i]) - y
+        dz = np.float64(zs[low + i]) - z
+        distance[i] = dx * dx + dy * dy + dz * dz
+    last = np.uint64(len(keys)) - U1
+    limit = np.float64(keys[last] >> 32)
+    count = U0
+    for i in range(size):
+        fresh[count] = (np.int64(distance[i]) << 32) | np.int64(rows[low + i])
+        count += np.uint64(distance[i] <= limit)
+    for i in range(count):
+        key = fresh[i]
+        if key >= keys[last] or (key & ROW_MASK) == row:
+            continue
+        j = last
+        while j > U0 and keys[j - U1] > key:
+            keys[j] = keys[j - U1]
+            j -= U1
+        keys[j] = key
+
+
+@njit(nogil=True, cache=True, inline="always")
+def leaf_slots(leaf, depth, n):  # type: ignore[no-untyped-def]
+    """First slot of a leaf and of the next one, as unsigned numbers."""
+    j = leaf - (U1 << depth)
+    return (j * n) >> depth, ((j + U1) * n) >> depth
+
+
+@njit(nogil=True, cache=True)
+def nearest_keys(points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
+    """Nearest neighbours of one slot, from its own leaf upwards, nearer branches first.
+
+    Indices are unsigned throughout: a signed one costs numba a test for wrapping, and
+    the compiler its vector instructions.
+
+    Parameters
+    ----------
+    points, boxes, depth
+        The tree; the depth as uint64.
+    leaf, slot : uint64
+        Node number of the slot's leaf, and the slot.
+    cap : int
+        Farthest neighbour, inclusive [quanta].
+    keys : (k,) int64
+        Receives squared distance << 32 | row, ascending.
+    distance, fresh : (LEAF,) float64, (LEAF,) int64
+        Scratch: a leaf's squared distances, and the keys that may be sorted in.
+    stack, bound : (64,) uint64, (64,) float64
+        Scratch: branches put off, and their squared distances.
+
+    Returns
+    -------
+    int
+        Neighbours found, at most k.
+    """
+    n = np.uint64(points.shape[1])
+    first = U1 << depth
+    x = np.float64(points[U0, slot])
+    y = np.float64(points[U1, slot])
+    z = np.float64(points[U2, slot])
+    row = points[U3, slot]
+    last = np.uint64(len(keys)) - U1
+    empty = (np.int64(cap) * np.int64(cap) + 1) << 32
+    keys[:] = empty
+    low, high = leaf_slots(leaf, depth, n)
+    _scan(points, low, high, x, y, z, row, keys, distance, fresh)
+    climb = leaf
+    while climb > U1:
+        stack[0] = climb ^ U1
+        bound[0] = box_distance(boxes, climb ^ U1, x, y, z)
+        climb >>= U1
+        top = U1
+        while top > U0:
+            top -= U1
+            node, least = stack[top], bound[top]
+            while least <= np.float64(keys[last] >> 32):
+                if node >= first:
+                    low, high = leaf_slots(node, depth, n)
+                    _scan(points, low, high, x, y, z, row, keys, distance, fresh)
+                    break
+                left, right = node + node, node + node + U1
+                to_left = box_distance(boxes, left, x, y, z)
+                to_right = box_distance(boxes, right, x, y, z)
+                if to_right < to_left:
+                    stack[top], bound[top] = left, to_left
+                    node, least = right, to_right
+                else:
+                    stack[top], bound[top] = right, to_right
+                    node, least = left, to_left
+                top += U1
+    found = len(keys)
+    while found > 0 and keys[found - 1] >= empty:
+        found -= 1
+    return found
+
+
+@njit(nogil=True, cache=True)
+def _nearest_all(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
+    """Neighbours of every query point, in tree order, so that the cache stays warm."""
+    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    keys = np.empty(rows.shape[1], dtype=np.int64)
+    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
+    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    for leaf in range(U1 << depth, U1 << (depth + U1)):
+        low, high = leaf_slots(leaf, depth, n)
+        for slot in range(low, high):
+            row = points[U3, slot]
+            if not query[row]:
+                continue
+            count = nearest_keys(
+                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
+            )
+            found[row] = count
+            for i in range(count):
+                rows[row, i] = keys[i] & ROW_MASK
+
+
+def enough_within(
+    tree: KdTree, places: NDArray[np.int32], radius: int, wanted: int
+) -> NDArray[np.bool_]:
+    """Which places have enough of a tree's points around them.
+
+    Parameters
+    ----------
+    tree : KdTree
+        Points to count.
+    places : (m, 3) int32
+        Coordinates relative to the tree's anchor [quanta].
+    radius : int
+        Farthest point that counts, inclusive [quanta].
+    wanted : int
+        Points needed [count], >= 1.
+
+    Returns
+    -------
+    (m,) bool
+    """
+    out = np.zeros(len(places), dtype=np.bool_)
+    if tree.points.size:
+        _enough_all(tree.points, tree.boxes, tree.depth, places, radius, wanted, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _enough_all(points, boxes, depth, places, radius, wanted, out):  # type: ignore[no-untyped-def]
+    """Nearer branch first; stops at the count that is wanted."""
+    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    first = U1 << depth
+    limit = np.float64(radius) * np.float64(radius)
+    stack = np.empty(64, dtype=np.uint64)
+    for i in range(len(places)):
+        x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
+        count = 0
+        stack[0] = U1
+        top = U1
+        while top > U0 and count < wanted:
+            top -= U1
+            node = stack[top]
+            if box_distance(boxes, node, x, y, z) > limit:
+                continue
+            if node >= first:
+                low, high = leaf_slots(node, depth, n)
+                for slot in range(low, high):
+                    dx, dy, dz = points[U0, slot] - x, points[U1, slot] - y, points[U2, slot] - z
+                    count += dx * dx + dy * dy + dz * dz <= limit
+                continue
+            near, far = node + node, node + node + U1
+            if box_distance(boxes, far, x, y, z) < box_distance(boxes, near, x, y, z):
+                near, far = far, near
+            stack[top] = far
+            stack[top + U1] = near
+            top += U1 + U1
+        out[i] = count >= wanted

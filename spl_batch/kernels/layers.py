@@ -1,0 +1,242 @@
+"""Lowest layers of a point cloud on a grid: what ground filters start from.
+
+A *node* is the mean of the lowest thin layer of points in a grid cell. Where a cell
+holds one point the node is that point; where it holds forty returns of a 5 cm spread
+the node is their mean, so that a surface through the nodes is not biased low, and a
+single point that noise has left below the ground makes no node of its own weight.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+SUPPORTED = 3
+"""Points that make a layer trustworthy by itself [count]."""
+
+_CROWDED = 10
+"""Points in a cell above which a layer of one or two is doubtful [count]."""
+
+
+class Cells(NamedTuple):
+    """Points grouped by the cells of a grid, row by row.
+
+    Parameters
+    ----------
+    order : (n,) int64
+        Points, cell after cell.
+    start : (rows * columns + 1,) int64
+        Where each cell begins in ``order``.
+    rows, columns : int
+        Shape of the grid.
+    """
+
+    order: NDArray[np.int64]
+    start: NDArray[np.int64]
+    rows: int
+    columns: int
+
+
+class Nodes(NamedTuple):
+    """Lowest layers, one or two for each occupied cell, row by row.
+
+    Parameters
+    ----------
+    xyz : (m, 3) float64
+        Mean of the layer's points [m].
+    cell : (m,) int64
+        Cell of the grid.
+    count : (m,) int64
+        Points in the layer [count].
+    doubtful : (m,) bool
+        One or two points below many others in the same cell.
+    """
+
+    xyz: NDArray[np.float64]
+    cell: NDArray[np.int64]
+    count: NDArray[np.int64]
+    doubtful: NDArray[np.bool_]
+
+
+def group_by_cell(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> Cells:
+    """Group points by the cells of a grid whose lines are multiples of its cell size.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m]; n > 0.
+    cell_m : float
+        Edge of a cell [m], > 0.
+    """
+    column = np.floor(x / cell_m).astype(np.int64)
+    row = np.floor(y / cell_m).astype(np.int64)
+    column -= column.min()
+    row -= row.min()
+    columns, rows = int(column.max()) + 1, int(row.max()) + 1
+    cell = row * columns + column
+    order = np.empty(len(x), dtype=np.int64)
+    start = np.zeros(rows * columns + 1, dtype=np.int64)
+    _counting_sort(cell, start, order)
+    return Cells(order, start, rows, columns)
+
+
+@njit(nogil=True, cache=True)
+def _counting_sort(
+    cell: NDArray[np.int64], start: NDArray[np.int64], order: NDArray[np.int64]
+) -> None:
+    """Stable grouping; fills ``start`` and ``order``."""
+    for c in cell:
+        start[c + 1] += 1
+    for c in range(len(start) - 1):
+        start[c + 1] += start[c]
+    cursor = start[:-1].copy()
+    for i in range(len(cell)):
+        order[cursor[cell[i]]] = i
+        cursor[cell[i]] += 1
+
+
+def lowest_layers(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    cells: Cells,
+    thickness_m: float,
+) -> Nodes:
+    """Nodes of a cloud: the lowest layer of each cell, and the lowest well-filled one.
+
+    Parameters
+    ----------
+    x, y, z : (n,) float64
+        Points [m].
+    cells : Cells
+        The same points, grouped.
+    thickness_m : float
+        Thickness of a layer [m].
+    """
+    most = 2 * len(cells.start)
+    xyz, cell = np.empty((most, 3)), np.empty(most, dtype=np.int64)
+    count, doubtful = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.bool_)
+    used = _lowest_layers(
+        x, y, z, cells.order, cells.start, thickness_m, xyz, cell, count, doubtful
+    )
+    return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used])
+
+
+@njit(nogil=True, cache=True)
+def _lowest_layers(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    order: NDArray[np.int64],
+    start: NDArray[np.int64],
+    thickness: float,
+    xyz: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    count: NDArray[np.int64],
+    doubtful: NDArray[np.bool_],
+) -> int:
+    used = 0
+    for c in range(len(start) - 1):
+        members = order[start[c] : start[c + 1]]
+        if len(members) == 0:
+            continue
+        heights = np.sort(z[members])
+        first, filled = _two_layers(heights, thickness)
+        for bottom in (first, filled):
+            if bottom < 0:
+                continue
+            low = heights[bottom]
+            count[used] = _layer_mean(x, y, z, members, low, thickness, xyz[used])
+            cell[used] = c
+            doubtful[used] = len(members) >= _CROWDED and count[used] < SUPPORTED
+            used += 1
+    return used
+
+
+@njit(nogil=True, cache=True)
+def _two_layers(heights: NDArray[np.float64], thickness: float) -> tuple[int, int]:
+    """Bottom of the lowest layer, and of a higher one with enough points (or -1)."""
+    n = len(heights)
+    need = min(SUPPORTED, n)
+    for i in range(n - need + 1):
+        if heights[i + need - 1] - heights[i] <= thickness:
+            return (0, i) if i > 0 else (0, -1)
+    return 0, -1
+
+
+@njit(nogil=True, cache=True)
+def _layer_mean(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    members: NDArray[np.int64],
+    low: float,
+    thickness: float,
+    out: NDArray[np.float64],
+) -> int:
+    """Mean of the layer above ``low``, then of the layer around that mean; its count."""
+    bottom = low
+    n = 0
+    for _ in range(2):
+        sx, sy, sz, n = 0.0, 0.0, 0.0, 0
+        for i in members:
+            if bottom <= z[i] <= bottom + thickness:
+                sx += x[i]
+                sy += y[i]
+                sz += z[i]
+                n += 1
+        out[0], out[1], out[2] = sx / n, sy / n, sz / n
+        bottom = out[2] - thickness / 2
+    return n
+
+
+@njit(nogil=True, cache=True)
+def count_support(
+    xyz: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    rows: int,
+    columns: int,
+    reach: int,
+    reach_m: float,
+    step_m: float,
+    slope: float,
+    out: NDArray[np.int64],
+) -> None:
+    """Nodes near each node that continue its surface, along the contour at least.
+
+    Parameters
+    ----------
+    xyz : (m, 3) float64
+        Nodes [m], in order of their cells.
+    cell : (m,) int64
+        Cell of each node.
+    rows, columns : int
+        Shape of the grid.
+    reach : int
+        Cells to look at on each side [count].
+    reach_m : float
+        Farthest neighbour [m].
+    step_m, slope : float
+        A neighbour at distance d supports within step_m + slope d [m, rise/run].
+    out : (m,) int64
+        Supporting nodes of other cells [count].
+    """
+    first = np.full(rows * columns + 1, -1, dtype=np.int64)
+    for i in range(len(cell) - 1, -1, -1):
+        first[cell[i]] = i
+    for i in range(len(cell)):
+        r, c = cell[i] // columns, cell[i] % columns
+        n = 0
+        for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
+            for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
+                other = rr * columns + cc
+                if other == cell[i] or first[other] < 0:
+                    continue
+                j = first[other]
+                while j < len(cell) and cell[j] == other:
+                    d = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
+                    if d <= reach_m and abs(xyz[j, 2] - xyz[i, 2]) <= step_m + slope * d:
+                        n += 1
+                    j += 1
+        out[i] = n

@@ -1,0 +1,161 @@
+"""Points into raster cells: order inside cells, robust means, supported tops, void filling.
+
+Cells are numbered ``row * cols + col``, row 0 being the *southernmost*; the stage turns
+the finished raster north up. Coordinates are integer differences to the corner of the
+raster, so every comparison here is exact and no result depends on the order of points.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+def sort_into_cells(
+    cell: NDArray[np.int64], z: NDArray[np.int32], cells: int
+) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Order points by cell, highest first inside each.
+
+    Parameters
+    ----------
+    cell : (n,) int64
+        Cell of each point, in ``[0, cells)``; ``cells`` below 2**31.
+    z : (n,) int32
+        Heights [quanta].
+    cells : int
+        Number of cells.
+
+    Returns
+    -------
+    order : (n,) intp
+        Points sorted by cell, then by falling height.
+    start : (cells + 1,) int64
+        Where each cell begins in ``order``.
+    """
+    depth = np.int64(2**31 - 1) - z.astype(np.int64)
+    order = np.argsort((cell << np.int64(32)) | depth)
+    start = np.zeros(cells + 1, dtype=np.int64)
+    np.cumsum(np.bincount(cell, minlength=cells), out=start[1:])
+    return order, start
+
+
+@njit(nogil=True, cache=True)
+def _spread2(z: NDArray[np.int32], begin: int, end: int, middle2: np.int64) -> np.int64:
+    """Lower median of ``|2 z - middle2|`` over a run sorted by falling height."""
+    n = end - begin
+    right = begin + n // 2
+    left = right - 1
+    deviation = np.int64(0)
+    for _ in range((n + 1) // 2):
+        above = 2 * np.int64(z[left]) - middle2 if left >= begin else np.int64(2**62)
+        below = middle2 - 2 * np.int64(z[right]) if right < end else np.int64(2**62)
+        if above <= below:
+            deviation = above
+            left -= 1
+        else:
+            deviation = below
+            right += 1
+    return deviation
+
+
+@njit(nogil=True, cache=True)
+def robust_cell_means(
+    xyz: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]],
+    start: NDArray[np.int64],
+    floor: float,
+    means: NDArray[np.float64],
+) -> None:
+    """Mean position of the returns of each cell without its outliers in height.
+
+    A return counts within 3 robust standard deviations (1.4826 times the lower median
+    absolute deviation) of the cell's median height, and always within ``floor``. Both
+    bounds are symmetric and the spread grows with slope, so on a tilted plane nothing is
+    cut on one side. Averaging x and y as well puts the mean on the plane wherever the
+    returns lie in the cell. Sums are integers: exact in any order.
+
+    Parameters
+    ----------
+    xyz : three (n,) int32
+        Points in the order of :func:`sort_into_cells` [quanta].
+    start : (cells + 1,) int64
+        Where each cell begins.
+    floor : float
+        Distance from the median at which nothing is an outlier [quanta].
+    means : (cells, 3) float64, written
+        Mean x, y, z [quanta]; NaN in cells without returns.
+    """
+    x, y, z = xyz
+    for cell in range(len(start) - 1):
+        begin, end = start[cell], start[cell + 1]
+        n = end - begin
+        if n == 0:
+            means[cell] = np.nan
+            continue
+        middle2 = np.int64(z[begin + (n - 1) // 2]) + np.int64(z[begin + n // 2])
+        limit2 = max(3.0 * 1.4826 * _spread2(z, begin, end, middle2), 2.0 * floor)
+        count, sx, sy, sz = 0, np.int64(0), np.int64(0), np.int64(0)
+        for p in range(begin, end):
+            if abs(2 * np.int64(z[p]) - middle2) <= limit2:
+                count += 1
+                sx += x[p]
+                sy += y[p]
+                sz += z[p]
+        means[cell, 0] = sx / count
+        means[cell, 1] = sy / count
+        means[cell, 2] = sz / count
+
+
+def ring_offsets(reach_cells: float) -> NDArray[np.int64]:
+    """Steps to the cells within a distance, nearest first.
+
+    Parameters
+    ----------
+    reach_cells : float
+        Largest distance between centres [cells].
+
+    Returns
+    -------
+    (m, 3) int64
+        Step in rows, step in columns, squared distance [cells2]; the cell itself left out.
+    """
+    reach = int(reach_cells)
+    side = np.arange(-reach, reach + 1, dtype=np.int64)
+    dr, dc = (a.ravel() for a in np.meshgrid(side, side, indexing="ij"))
+    d2 = dr * dr + dc * dc
+    near = (d2 > 0) & (d2 <= reach_cells * reach_cells)
+    table = np.stack([dr[near], dc[near], d2[near]], axis=1)
+    return table[np.lexsort([table[:, 1], table[:, 0], table[:, 2]])]
+
+
+@njit(nogil=True, cache=True)
+def fill_voids(
+    values: NDArray[np.float64], offsets: NDArray[np.int64], out: NDArray[np.float64]
+) -> None:
+    """Give each empty cell the value of its nearest filled one, of several the lowest.
+
+    No height between two neighbours is invented: an occluded strip beside a wall belongs
+    to the roof or to the ground, never to something half way up.
+
+    Parameters
+    ----------
+    values : (rows, cols) float64
+        Raster; NaN is empty.
+    offsets : (m, 3) int64
+        From :func:`ring_offsets`.
+    out : (rows, cols) float64, written
+        Filled raster; NaN where nothing is near enough.
+    """
+    rows, cols = values.shape
+    for row in range(rows):
+        for col in range(cols):
+            out[row, col] = values[row, col]
+            if not np.isnan(values[row, col]):
+                continue
+            found2 = np.int64(-1)
+            for k in range(len(offsets)):
+                if found2 >= 0 and offsets[k, 2] > found2:
+                    break
+                r, c = row + offsets[k, 0], col + offsets[k, 1]
+                if 0 <= r < rows and 0 <= c < cols and not np.isnan(values[r, c]):
+                    if found2 < 0 or values[r, c] < out[row, col]:
+                        out[row, col] = values[r, c]
+                    found2 = offsets[k, 2]

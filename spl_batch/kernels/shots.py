@@ -1,0 +1,68 @@
+"""Runs of equal shots and beamlets in a table that is in time order.
+
+A shot is the run of rows with one ``gps_time``, a beamlet the run with one
+``gps_time`` and one channel; nothing here looks at shot *numbers*, which two shots
+share where the times jitter.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:
+    """First row of each run of equal keys.
+
+    Parameters
+    ----------
+    *keys : (n,) arrays
+        Keys; a run ends where any of them changes.
+
+    Returns
+    -------
+    (m + 1,) int64
+        Starts of the m runs, then n; ``[0]`` for no rows.
+    """
+    n = len(keys[0])
+    if n == 0:
+        return np.zeros(1, dtype=np.int64)
+    change = np.zeros(n - 1, dtype=np.bool_)
+    for key in keys:
+        change |= key[1:] != key[:-1]
+    inner = np.flatnonzero(change) + 1
+    return np.concatenate([[0], inner, [n]]).astype(np.int64)
+
+
+@njit(nogil=True, cache=True)
+def lag_behind(
+    starts: NDArray[np.int64],
+    range_m: NDArray[np.float64],
+    dead_m: float,
+    reach_m: float,
+    lag_m: NDArray[np.float32],
+) -> None:
+    """Distance of each return behind the nearest earlier return of its beamlet.
+
+    Parameters
+    ----------
+    starts : (m + 1,) int64
+        Rows where beamlets start, then n.
+    range_m : (n,) float64
+        Slant ranges [m], in any order within a beamlet.
+    dead_m : float
+        No return can follow another closer than this; such ones are not parents [m].
+    reach_m : float
+        Longest lag that counts [m].
+    lag_m : (n,) float32
+        Filled with the lag [m]; 0 where no return of the beamlet lies within
+        ``[dead_m, reach_m]`` in front.
+    """
+    for b in range(len(starts) - 1):
+        first, last = starts[b], starts[b + 1]
+        for i in range(first, last):
+            best = 0.0
+            for j in range(first, last):
+                lag = range_m[i] - range_m[j]
+                if lag > 0.0 and dead_m <= lag <= reach_m and (best == 0.0 or lag < best):
+                    best = lag
+            lag_m[i] = best

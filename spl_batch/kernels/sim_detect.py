@@ -1,0 +1,192 @@
+# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+"""A single-photon channel: Poisson events, dead time, afterpulses [W17 2.1, 2.2, 7.1].
+
+One beamlet of one shot is a list of photo-electrons sorted by range. The channel records
+the first, is blind for the dead time, records the next, and so on (multi-stop). Every
+recorded detection may start an afterpulse in the same channel, after the dead time, and
+an afterpulse may start another.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+NO_PARENT: Final = 255
+"""Value of ``parent`` for returns that are no afterpulse."""
+
+EVENT_AFTERPULSE: Final = 6
+"""``kind`` of an afterpulse; the same number as ``scene_trace.KIND_AFTERPULSE``."""
+
+
+class Receiver(NamedTuple):
+    """How a channel detects; lengths are slant range.
+
+    Parameters
+    ----------
+    dead_m : float
+        Dead time as range [m].
+    afterpulse_probability : float
+        Afterpulses started per recorded detection.
+    afterpulse_scale_m : float
+        Scale of the exponential lag behind the dead time [m].
+    afterpulse_max_m : float
+        Longest lag behind the parent [m], > ``dead_m``.
+    """
+
+    dead_m: float
+    afterpulse_probability: float
+    afterpulse_scale_m: float
+    afterpulse_max_m: float
+
+
+@njit(nogil=True, cache=True)
+def poisson_count(rng: np.random.Generator, mean: float) -> int:
+    """Poisson number: how many unit-rate exponential gaps fit into ``mean`` [W17 Eq. 2.6]."""
+    total, count = -math.log(1.0 - rng.random()), 0
+    while total <= mean:
+        count += 1
+        total -= math.log(1.0 - rng.random())
+    return count
+
+
+@njit(nogil=True, cache=True)
+def truncated_exponential(rng: np.random.Generator, scale: float, longest: float) -> float:
+    """Exponential number that does not pass ``longest``, by inversion."""
+    return -scale * math.log(1.0 - rng.random() * -math.expm1(-longest / scale))
+
+
+@njit(nogil=True, cache=True)
+def add_event(
+    ranges: NDArray[np.float64],
+    facts: NDArray[np.int64],
+    n: int,
+    at: float,
+    kind: int,
+    parent: int,
+    source: int,
+) -> int:
+    """Put an event in its place by range.
+
+    Parameters
+    ----------
+    ranges : (k,) float64
+        Ranges of the events so far, ascending [m].
+    facts : (k, 3) int64
+        Kind, kind of the surface behind an afterpulse, recorded number of its parent (-1).
+    n : int
+        Number of events so far.
+    at, kind, parent, source
+        The new event.
+
+    Returns
+    -------
+    int
+        Number of events afterwards.
+    """
+    if n >= len(ranges):
+        raise ValueError("more photo-electrons in one beamlet than there is room for")
+    k = n
+    while k > 0 and ranges[k - 1] > at:
+        ranges[k] = ranges[k - 1]
+        facts[k] = facts[k - 1]
+        k -= 1
+    ranges[k] = at
+    facts[k, 0] = kind
+    facts[k, 1] = parent
+    facts[k, 2] = source
+    return n + 1
+
+
+@njit(nogil=True, cache=True)
+def record(
+    rng: np.random.Generator,
+    ranges: NDArray[np.float64],
+    facts: NDArray[np.int64],
+    n: int,
+    stop_m: float,
+    receiver: Receiver,
+    kept: NDArray[np.int64],
+    electrons: NDArray[np.int64],
+) -> int:
+    """Which events a channel records; afterpulses are added as they start.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of chance.
+    ranges, facts, n
+        Events as in :func:`add_event`; afterpulses are added in place.
+    stop_m : float
+        End of the range gate [m].
+    receiver : Receiver
+        Dead time and afterpulses.
+    kept, electrons : (k,) int64
+        Filled with the index of each recorded event and its number of photo-electrons:
+        itself and those that fell into its dead time.
+
+    Returns
+    -------
+    int
+        Number of recorded events.
+    """
+    count, blind_until = 0, -np.inf
+    e = 0
+    while e < n:
+        at = ranges[e]
+        if at > stop_m:
+            break
+        if at < blind_until:
+            electrons[count - 1] += 1
+        else:
+            kept[count] = e
+            electrons[count] = 1
+            blind_until = at + receiver.dead_m
+            if rng.random() < receiver.afterpulse_probability:
+                lag = receiver.dead_m + truncated_exponential(
+                    rng, receiver.afterpulse_scale_m, receiver.afterpulse_max_m - receiver.dead_m
+                )
+                surface = facts[e, 1] if facts[e, 0] == EVENT_AFTERPULSE else facts[e, 0]
+                n = add_event(ranges, facts, n, at + lag, EVENT_AFTERPULSE, surface, count)
+            count += 1
+        e += 1
+    return count
+
+
+@njit(nogil=True, cache=True)
+def add_background(
+    rng: np.random.Generator,
+    ranges: NDArray[np.float64],
+    facts: NDArray[np.int64],
+    start_m: float,
+    stop_m: float,
+    per_m: float,
+) -> Any:
+    """Background of one beamlet: a Poisson process along the gate, so uniform in it.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of chance.
+    ranges, facts
+        Events as in :func:`add_event`, none so far.
+    start_m, stop_m : float
+        Range gate [m].
+    per_m : float
+        Expected background per metre of range [1/m].
+
+    Returns
+    -------
+    int
+        Number of events.
+    """
+    n = 0
+    if per_m <= 0.0:
+        return n
+    at = start_m - math.log(1.0 - rng.random()) / per_m
+    while at < stop_m:
+        n = add_event(ranges, facts, n, at, 0, NO_PARENT, -1)
+        at -= math.log(1.0 - rng.random()) / per_m
+    return n

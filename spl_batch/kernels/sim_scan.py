@@ -1,0 +1,90 @@
+r"""Rotating-wedge scan with a square array of beamlets [W17 Eq. 2.8-2.15].
+
+Body frame: x to starboard, y to the nose, z up. The scan angle is zero at the nose and
+grows clockwise seen from above.
+
+Deviations. Eq. 2.11 as printed turns the array by :math:`+\alpha` while Eq. 2.12 turns
+the beam by :math:`-\alpha`; here both turn the same way, so the array keeps its
+attitude to the scanned circle. The :math:`z` of the pixel vector in Eq. 2.14, not defined
+there, is zero. Boresight angles and lever arm of Eq. 2.8 are zero: what is delivered is
+calibrated.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def pixel_offsets(
+    columns: int, pitch_rad: float, rotation_rad: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angular place of each beamlet in the array [W17 Eq. 2.9, 2.10].
+
+    Parameters
+    ----------
+    columns : int
+        Beamlets along one side.
+    pitch_rad : float
+        Angle between neighbours [rad].
+    rotation_rad : float
+        Turn of the array against the scan direction, alpha_R [rad].
+
+    Returns
+    -------
+    x, y : (columns ** 2,) float64
+        In the order of channels: channel = columns * (i - 1) + j, from 1.
+    """
+    centre = (columns + 1) / 2
+    i, j = np.divmod(np.arange(columns * columns), columns)
+    x = -(i + 1 - centre) * pitch_rad
+    y = (j + 1 - centre) * pitch_rad
+    c, s = np.cos(rotation_rad), np.sin(rotation_rad)
+    return c * x - s * y, s * x + c * y
+
+
+def central_vectors(angle: NDArray[np.float64], half_cone_rad: float) -> NDArray[np.float64]:
+    """Unit vectors of the array's centre in the body frame [W17 Eq. 2.13].
+
+    Parameters
+    ----------
+    angle : (n,) float64
+        Scan angle [rad].
+    half_cone_rad : float
+        Half cone angle [rad].
+
+    Returns
+    -------
+    (n, 3) float64
+    """
+    s = np.sin(half_cone_rad)
+    z = np.full(len(angle), -np.cos(half_cone_rad))
+    return np.column_stack([s * np.sin(angle), s * np.cos(angle), z])
+
+
+def rotations(
+    heading: NDArray[np.float64], roll: NDArray[np.float64], pitch: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Body frame to east, north, up.
+
+    Parameters
+    ----------
+    heading, roll, pitch : (n,) float64
+        Clockwise from north, starboard wing down, nose up [rad].
+
+    Returns
+    -------
+    (n, 3, 3) float64
+        Matrices that take a column vector of the body frame to the local frame [W17 Eq. 2.8].
+    """
+    ch, sh = np.cos(heading), np.sin(heading)
+    cp, sp = np.cos(pitch), np.sin(pitch)
+    cr, sr = np.cos(roll), np.sin(roll)
+    zero, one = np.zeros_like(ch), np.ones_like(ch)
+
+    def stack(*rows: tuple[NDArray[np.float64], ...]) -> NDArray[np.float64]:
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+    yaw = stack((ch, sh, zero), (-sh, ch, zero), (zero, zero, one))
+    nose = stack((one, zero, zero), (zero, cp, -sp), (zero, sp, cp))
+    wing = stack((cr, zero, sr), (zero, one, zero), (-sr, zero, cr))
+    product: NDArray[np.float64] = yaw @ nose @ wing
+    return product

@@ -1,0 +1,175 @@
+"""Simple morphological filter [Pingel, Clarke & McBride 2013].
+
+| source | here |
+|---|---|
+| ZImin, grid of lowest heights | the caller's: layer means, which low noise does not pull down |
+| low outliers, opening of the inverted grid, slope 500 % | :func:`low_outliers` |
+| inpainting of empty cells | :func:`fill_gaps` |
+| progressive opening, threshold slope x radius | :func:`object_cells` |
+| disk of radius k | :func:`opening`: octagon of radius k |
+
+Deviations: gaps are filled by a TIN through their rims rather than by a partial
+differential equation, which differs only inside the gap; an octagon is a square opened
+further by a diamond and so costs what its radius is, not its area.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.kernels.tin import interpolate, triangulate
+
+CAP=99.
+PAD="edge"
+_LOW_SLOPE = 5.0
+"""Slope of the opening that finds low outliers: 500 % in the source [rise/run]."""
+
+Grid = NDArray[np.float64]
+
+
+def octagon(radius: int) -> tuple[int, int]:
+    """Half-width of the square and radius of the diamond that add up to an octagon.
+
+    Parameters
+    ----------
+    radius : int
+        Radius of the octagon [cells].
+    """
+    diamond = round(radius * (2 - np.sqrt(2)))
+    return radius - diamond, diamond
+
+
+def opening(surface: Grid, radius: int) -> Grid:
+    """Grey opening by a regular octagon; edges are continued level.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Heights without gaps [m].
+    radius : int
+        Radius of the octagon [cells], >= 0.
+
+    Returns
+    -------
+    (rows, columns) float64
+    """
+    square, diamond = octagon(radius)
+    padded = np.pad(surface, radius, mode=PAD)
+    for minmax, square_filter in (
+        (np.minimum, ndimage.minimum_filter1d),
+        (np.maximum, ndimage.maximum_filter1d),
+    ):
+        for axis in (0, 1):
+            padded = square_filter(padded, 2 * square + 1, axis=axis, mode="nearest")
+        for _ in range(diamond):
+            padded = _by_cross(padded, minmax)
+    opened: Grid = padded[radius:-radius, radius:-radius] if radius else padded
+    return opened
+
+
+def _by_cross(grid: Grid, minmax: np.ufunc) -> Grid:
+    """Erosion or dilation by a cell and its four neighbours."""
+    out = grid.copy()
+    minmax(out[1:], grid[:-1], out=out[1:])
+    minmax(out[:-1], grid[1:], out=out[:-1])
+    minmax(out[:, 1:], grid[:, :-1], out=out[:, 1:])
+    minmax(out[:, :-1], grid[:, 1:], out=out[:, :-1])
+    return out
+
+
+def object_cells(surface: Grid, cell_m: float, slope: float, window_m: float) -> NDArray[np.bool_]:
+    """Cells that stand above the progressively opened surface.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Lowest heights without gaps [m].
+    cell_m : float
+        Edge of a cell [m].
+    slope : float
+        Tolerated slope [rise/run].
+    window_m : float
+        Largest radius of the window [m].
+
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    objects = np.zeros(surface.shape, dtype=np.bool_)
+    last = surface
+    for radius in range(1, int(np.ceil(window_m / cell_m)) + 1):
+        opened = opening(last, radius)
+        objects |= last - opened > min(slope * radius * cell_m, CAP)
+        last = opened
+    return objects
+
+
+def low_outliers(surface: Grid, cell_m: float) -> NDArray[np.bool_]:
+    """Cells that lie in a pit: objects of the inverted surface.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Lowest heights without gaps [m].
+    cell_m : float
+        Edge of a cell [m].
+
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    return object_cells(-surface, cell_m, _LOW_SLOPE, cell_m)
+
+
+def fill_gaps(surface: Grid) -> Grid:
+    """Surface without gaps: a TIN through the rims of its gaps, level beyond its hull.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Heights [m]; NaN in gaps, not everywhere.
+
+    Returns
+    -------
+    (rows, columns) float64
+    """
+    gaps = np.isnan(surface)
+    if not gaps.any():
+        return surface
+    nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
+    filled: Grid = surface[tuple(nearest)]
+    rim = ~gaps & ndimage.binary_dilation(gaps, structure=np.ones((3, 3)))
+    row, column = np.nonzero(rim)
+    tin = triangulate(np.column_stack([column, row, surface[rim]]).astype(np.float64))
+    if tin is None:
+        return filled
+    row, column = np.nonzero(gaps)
+    inside = interpolate(tin, column.astype(np.float64), row.astype(np.float64))
+    filled[gaps] = np.where(np.isnan(inside), filled[gaps], inside)
+    return filled
+
+
+def provisional_terrain(lowest: Grid, cell_m: float, slope: float, window_m: float) -> Grid:
+    """Terrain model from which points are judged.
+
+    Parameters
+    ----------
+    lowest : (rows, columns) float64
+        Lowest heights [m]; NaN where there are none, not everywhere.
+    cell_m : float
+        Edge of a cell [m].
+    slope : float
+        Tolerated slope [rise/run].
+    window_m : float
+        Largest radius of the window [m].
+
+    Returns
+    -------
+    (rows, columns) float64
+    """
+    surface = fill_gaps(lowest)
+    low = low_outliers(surface, cell_m)
+    cleaned = fill_gaps(np.where(low, np.nan, surface)) if not low.all() else surface
+    objects = object_cells(cleaned, cell_m, slope, window_m)
+    bare = np.where(objects | low | np.isnan(lowest), np.nan, surface)
+    return fill_gaps(bare) if not np.isnan(bare).all() else cleaned

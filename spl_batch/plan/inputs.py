@@ -1,0 +1,257 @@
+"""Which files a workflow names, and what is wrong with all of them at once; headers only."""
+
+import glob
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.io.crs import crs_problems, horizontal, same_crs
+from spl_batch.io.las import LasFacts, inspect
+from spl_batch.workflow import Workflow
+
+MAX_POINTS = 2**32 - 1
+"""Points that one file may hold [count]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """An input file that can be used.
+
+    Parameters
+    ----------
+    path : Path
+        Where it lies.
+    name : str
+        What it is called in messages: relative to the workflow where it can be.
+    delivered : str
+        Name of its classified twin below ``laz/``.
+    key : int
+        What it is called in the store: depends on the name alone, so that another file
+        in the survey renames nothing.
+    facts : LasFacts
+        Its header.
+    """
+
+    path: Path
+    name: str
+    delivered: str
+    key: int
+    facts: LasFacts
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Everything that a workflow names, checked.
+
+    Parameters
+    ----------
+    sources : tuple of Source
+        Point files that can be used, by name.
+    bad : tuple of InputError
+        Point files that cannot.
+    trajectory, reference : tuple of Path
+        Files that exist.
+    crs : CRS or None
+        The survey's CRS.
+    warnings : tuple of str
+        What a user should know before the work starts.
+    """
+
+    sources: tuple[Source, ...]
+    bad: tuple[InputError, ...]
+    trajectory: tuple[Path, ...]
+    reference: tuple[Path, ...]
+    crs: CRS | None
+    warnings: tuple[str, ...]
+
+
+def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
+    """Find and check every file of a workflow.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        The settings.
+    base : Path
+        Folder that relative paths start from.
+    output : Path
+        Folder of the results.
+
+    Raises
+    ------
+    WorkflowError
+        If the request as a whole is wrong; one line with every fault.
+    """
+    faults: list[str] = []
+    paths = _expand(workflow.survey.flightlines, base, "survey.flightlines", faults)
+    trajectory = _expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
+    reference_names = workflow.reference.points if workflow.reference else None
+    reference = _expand(reference_names, base, "reference.points", faults)
+    for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
+        if name is not None and not (base / name).exists():
+            faults.append(f"{key}: {base / name} does not exist")
+    faults += [
+        f"survey.flightlines: {path} lies in the output folder {output}; name the raw files, "
+        "or another output"
+        for path in paths
+        if output in path.parents
+    ]
+    if faults:
+        raise WorkflowError("; ".join(faults))
+    good, bad = _inspect(paths)
+    warnings = [f"{facts.path}: {text}" for facts in good for text in facts.warnings]
+    crs, good, mismatched = _survey_crs(workflow, good)
+    if crs is None and good:
+        warnings.append(
+            "no input file carries a CRS and survey.crs is not set: rasters will have none"
+        )
+    names = _delivered_names([f.path for f in good], base)
+    sources = tuple(
+        Source(f.path, _name(f.path, base), name, source_key(name), f)
+        for f, name in zip(good, names, strict=True)
+    )
+    if len({s.key for s in sources}) < len(sources):
+        raise WorkflowError("two input files share a key by chance; rename one of them")
+    _check_reference(reference, workflow, crs)
+    return Inputs(
+        tuple(sorted(sources, key=lambda s: s.name)),
+        (*bad, *mismatched),
+        trajectory,
+        reference,
+        crs,
+        tuple(warnings),
+    )
+
+
+def source_key(name: str) -> int:
+    """Key of a file by its name: the first 63 bits of its hash."""
+    return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest()) >> 1
+
+
+def _expand(
+    names: str | Sequence[str] | None, base: Path, key: str, faults: list[str]
+) -> tuple[Path, ...]:
+    """Paths that patterns stand for, each once; a pattern that matches nothing is a fault."""
+    if names is None:
+        return ()
+    found: dict[Path, None] = {}
+    for name in [names] if isinstance(names, str) else names:
+        pattern = str(base / name)
+        magic = glob.has_magic(name)
+        # glob takes absolute patterns as well as relative ones, Path.glob does not.
+        matches = sorted(glob.glob(pattern, recursive=True)) if magic else [pattern]  # noqa: PTH207
+        if not matches:
+            faults.append(f"{key}: {pattern} matches no file")
+        elif len(matches) == 1 and not Path(matches[0]).exists():
+            faults.append(f"{key}: {matches[0]} does not exist")
+        found.update(dict.fromkeys(Path(m).resolve() for m in matches))
+    return tuple(found)
+
+
+def _inspect(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for path in paths:
+        try:
+            facts = inspect(path)
+        except InputError as error:
+            bad.append(error)
+            continue
+        if facts.n_points > MAX_POINTS:
+            text = f"{facts.n_points} points; split files over {MAX_POINTS}"
+            bad.append(InputError(str(path), text))
+        else:
+            good.append(facts)
+    return good, bad
+
+
+def _survey_crs(
+    workflow: Workflow, files: Sequence[LasFacts]
+) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
+    """CRS of the survey: the setting, else what most files say; files that differ are bad."""
+    given = _parse_crs(workflow.survey.crs, "survey.crs")
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for facts in files:
+        crs = facts.crs or given
+        problems = _crs_problems(facts, crs)
+        if problems:
+            bad.append(InputError(str(facts.path), problems))
+        else:
+            good.append(facts)
+    if given is None:
+        votes = Counter(horizontal(f.crs).to_wkt() for f in good if f.crs is not None)
+        given = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+    if given is None:
+        return None, good, bad
+    agreeing: list[LasFacts] = []
+    for facts in good:
+        if facts.crs is None or same_crs(facts.crs, given):
+            agreeing.append(facts)
+        else:
+            text = f"CRS {facts.crs.name!r} is not the survey's {given.name!r}; reproject the file"
+            bad.append(InputError(str(facts.path), text))
+    return horizontal(given), agreeing, bad
+
+
+def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
+    if crs is None or not facts.n_points:
+        return []
+    return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
+
+
+def _parse_crs(text: str | None, key: str) -> CRS | None:
+    if text is None:
+        return None
+    try:
+        return CRS.from_user_input(text)
+    except CRSError:
+        raise WorkflowError(f"{key}: {text!r} is no CRS; write e.g. EPSG:32615") from None
+
+
+def _check_reference(paths: Iterable[Path], workflow: Workflow, crs: CRS | None) -> None:
+    given = _parse_crs(workflow.reference.crs if workflow.reference else None, "reference.crs")
+    faults = []
+    for path in paths:
+        try:
+            found = inspect(path).crs or given
+        except InputError as error:
+            faults.append(f"reference.points: {error}")
+            continue
+        if crs is not None and found is not None and not same_crs(found, crs):
+            faults.append(
+                f"reference.points: {path}: CRS {found.name!r} is not the survey's {crs.name!r}; "
+                "reproject it"
+            )
+    if faults:
+        raise WorkflowError("; ".join(faults))
+
+
+def _name(path: Path, base: Path) -> str:
+    return path.relative_to(base).as_posix() if path.is_relative_to(base) else str(path)
+
+
+def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:
+    """Relative names of the outputs: from the workflow's folder, else from a common one."""
+    if not paths:
+        return []
+    root = base
+    if not all(path.is_relative_to(base) for path in paths):
+        parents = [path.parent for path in paths]
+        root = next(
+            p
+            for p in (parents[0], *parents[0].parents)
+            if all(q.is_relative_to(p) for q in parents)
+        )
+    relative = [path.relative_to(root).as_posix() for path in paths]
+    stems = [name.rsplit(".", 1)[0].removesuffix(".copc") for name in relative]
+    twice = {stem for stem, n in Counter(stems).items() if n > 1}
+    return [
+        f"{name if stem in twice else stem}.laz" for name, stem in zip(relative, stems, strict=True)
+    ]

@@ -1,0 +1,102 @@
+"""Numbers as people read them; every function shows ``None`` as a dash."""
+
+from typing import Final
+
+DASH: Final = "\N{EN DASH}"
+THIN: Final = "\N{NARROW NO-BREAK SPACE}"
+MINUS: Final = "\N{MINUS SIGN}"
+
+
+def number(value: float | None, digits: int = 0) -> str:
+    """Fixed point with groups of three digits, a true minus and no negative zero."""
+    if value is None:
+        return DASH
+    text = f"{value:,.{digits}f}".replace(",", THIN)
+    if text.startswith("-"):
+        text = text[1:] if not text.strip(f"-0.{THIN}") else MINUS + text[1:]
+    return text
+
+
+def significant(value: float | None, figures: int = 3) -> str:
+    """Three significant figures, without an exponent where six digits do."""
+    if value is None:
+        return DASH
+    if value == 0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{figures - 1}e}".split("e")
+        return f"{mantissa}\N{MULTIPLICATION SIGN}10^{int(exponent)}".replace("-", MINUS)
+    rounded = float(f"{value:.{figures - 1}e}")
+    digits = max(0, figures - 1 - int(f"{rounded:e}".split("e")[1]))
+    return number(rounded, digits)
+
+
+def plain(value: float | None) -> str:
+    """As few digits as the number needs."""
+    return DASH if value is None else f"{value:g}".replace("-", MINUS)
+
+
+def percent(part: float | None, digits: int = 1) -> str:
+    """Share as a percentage; what is not nothing is never shown as 0 %."""
+    if part is None:
+        return DASH
+    least = 10.0**-digits
+    if 0 < part * 100 < least / 2:
+        return f"<{THIN}{least:.{digits}f}{THIN}%"
+    return f"{number(part * 100, digits)}{THIN}%"
+
+
+def large(value: float | None) -> str:
+    """Count in words that fit a card: 11.3 M, 4.20 G; exact below a hundred thousand."""
+    if value is None:
+        return DASH
+    for limit, unit in ((1e9, "G"), (1e6, "M")):
+        if value >= limit * 0.9995:
+            return f"{significant(value / limit)}{THIN}{unit}"
+    if value >= 99_950:
+        return f"{significant(value / 1e3)}{THIN}k"
+    return number(value)
+
+
+def duration(seconds: float | None) -> str:
+    """Time in the two largest units that matter."""
+    if seconds is None:
+        return DASH
+    if seconds < 59.95:
+        return f"{number(seconds, 1)}{THIN}s"
+    whole = round(seconds)
+    minutes, hours = whole // 60, whole // 3600
+    if hours >= 48:
+        return f"{hours // 24}{THIN}d {hours % 24}{THIN}h"
+    if hours:
+        return f"{hours}{THIN}h {minutes % 60:02d}{THIN}min"
+    return f"{minutes}{THIN}min {whole % 60:02d}{THIN}s"
+
+
+def size(byte_count: float | None) -> str:
+    """Size of a file in decimal units."""
+    if byte_count is None:
+        return DASH
+    for limit, unit in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if byte_count >= limit * 0.9995:
+            return f"{significant(byte_count / limit)}{THIN}{unit}"
+    return f"{number(byte_count)}{THIN}B"
+
+
+def centimetres(metres: float | None) -> str:
+    """Metres as centimetres with one decimal; from one metre on, as metres."""
+    if metres is None:
+        return DASH
+    if abs(metres) < 0.9995:
+        return f"{number(metres * 100, 1)}{THIN}cm"
+    return f"{number(metres, 2)}{THIN}m"
+
+
+def surface_name(key: str) -> str:
+    """Class of surface in words: "open ground", "slope 5-15 deg" and, for ``all``, "all"."""
+    if key == "all":
+        return "all surfaces"
+    kind, _, span = key.partition("_")
+    if kind == "slope":
+        return f"slope {span.replace('_', DASH)}\N{DEGREE SIGN}"
+    return key.replace("_", " ")

@@ -1,0 +1,168 @@
+"""One HTML page that opens anywhere, without a network: text, tables and pictures inside."""
+
+import datetime as dt
+import json
+from collections.abc import Mapping
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from spl_batch.report import format as text
+from spl_batch.report.model import Counts, Report, StagePerformance
+from spl_batch.report.pictures import Picture
+from spl_batch.report.summary import noise_removed, terrain_statistics, verdicts
+
+LONGEST_TABLE: Final = 200
+"""More rows than this are in ``report.json`` only: a page is for reading."""
+
+
+def render(report: Report, pictures: Mapping[str, Picture]) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    report : Report
+        What is shown.
+    pictures : mapping of str to Picture
+        As :func:`~spl_batch.report.pictures.make_pictures` gives them; any may be missing.
+
+    Returns
+    -------
+    str
+        HTML without any reference to another file; the same input gives the same text.
+    """
+    template = _environment().get_template("template.html.j2")
+    return template.render(
+        report=report,
+        pictures=pictures,
+        verdicts=verdicts(report),
+        cards=_cards(report),
+        shares=_shares(report.counts),
+        set_aside=_set_aside(report.counts),
+        stages=_stages(report.performance.stages),
+        survivors=_survivors(report),
+        written=_written(report.provenance.created),
+        parameters=json.dumps(report.provenance.parameters, indent=2, ensure_ascii=False),
+        longest=LONGEST_TABLE,
+    )
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("spl_batch.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(
+        {
+            name: getattr(text, name)
+            for name in (
+                "number",
+                "plain",
+                "significant",
+                "percent",
+                "large",
+                "duration",
+                "size",
+                "centimetres",
+                "surface_name",
+            )
+        }
+    )
+    return environment
+
+
+def _cards(report: Report) -> list[tuple[str, str, str]]:
+    """Label, value and remark of each key number."""
+    counts, work, density = report.counts, report.performance, report.density
+    whole, kept = counts.points_in, counts.signal + counts.not_assessed
+    terrain = terrain_statistics(report)
+    cards = []
+    if terrain is not None:
+        name, statistics = terrain
+        remark = f"mean {text.centimetres(statistics.mean)}, {text.surface_name(name)}"
+        cards.append(("DTM RMSE", text.centimetres(statistics.rmse), remark))
+    cards += [
+        ("Points in", text.large(counts.points_in), f"{text.number(counts.points_out)} out"),
+        (
+            "Noise removed",
+            text.percent(noise_removed(report)),
+            f"{text.large(counts.background)} background",
+        ),
+        (
+            "Afterpulses",
+            text.large(counts.afterpulse),
+            f"{text.percent(counts.afterpulse / whole if whole else None)} of all points",
+        ),
+        (
+            "Ground points",
+            text.large(counts.ground),
+            f"{text.percent(counts.ground / kept if kept else None)} of all kept",
+        ),
+        (
+            "Density kept",
+            f"{text.significant(density.mean_per_m2)} /m\N{SUPERSCRIPT TWO}",
+            f"median {text.significant(density.median_per_m2)}",
+        ),
+        ("Time", text.duration(work.wall_s), f"{text.large(work.points_per_s)} points/s"),
+    ]
+    return cards
+
+
+def _shares(counts: Counts) -> list[tuple[str, str, int, float]]:
+    """Key, label, count and share of each noise class, for the bar."""
+    parts = (
+        ("signal", "signal", counts.signal),
+        ("background", "background noise", counts.background),
+        ("afterpulse", "afterpulses", counts.afterpulse),
+        ("aside", "not assessed", counts.not_assessed),
+    )
+    whole = sum(count for _, _, count in parts)
+    return [(key, label, n, n / whole) for key, label, n in parts if n] if whole else []
+
+
+def _set_aside(counts: Counts) -> list[tuple[str, int]]:
+    """Points that took no part, or not in full, by reason."""
+    reasons = (
+        ("withheld by the vendor", counts.withheld),
+        ("flagged as noise by the vendor", counts.vendor_flagged),
+        ("without a valid time or trajectory", counts.no_beam),
+        ("outside the area of interest", counts.outside_aoi),
+        ("in files that could not be read", counts.not_read),
+    )
+    return [(reason, count) for reason, count in reasons if count]
+
+
+def _stages(stages: Mapping[str, StagePerformance]) -> list[dict[str, Any]]:
+    """Rows of the table of stages, with the lengths of their bars in percent."""
+    most_time = max((s.wall_s or 0.0 for s in stages.values()), default=0.0) or 1.0
+    most_memory = max((s.peak_rss_mb or 0.0 for s in stages.values()), default=0.0) or 1.0
+    return [
+        {
+            "name": name,
+            "cost": stage,
+            "time_bar": f"{100 * (stage.wall_s or 0.0) / most_time:.1f}",
+            "memory_bar": f"{100 * (stage.peak_rss_mb or 0.0) / most_memory:.1f}",
+        }
+        for name, stage in stages.items()
+    ]
+
+
+def _survivors(report: Report) -> float | None:
+    """Background returns that a test at alpha is expected to have let through [count]."""
+    alpha = report.noise.alpha
+    if alpha is None or not 0 < alpha < 1 or report.noise.test == "published":
+        return None
+    return report.counts.background * alpha / (1 - alpha)
+
+
+def _written(created: str) -> str:
+    """Time stamp as people read it; left as it is where it is no ISO time."""
+    try:
+        moment = dt.datetime.fromisoformat(created)
+    except ValueError:
+        return created
+    zone = moment.tzname() or ""
+    return f"{moment.day} {moment:%B %Y, %H:%M} {zone}".strip()

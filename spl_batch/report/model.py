@@ -1,0 +1,243 @@
+"""What a report says: one frozen model, from which ``schemas/report.schema.json`` is made.
+
+Nothing here draws or formats; ``report.json`` is this model, as it stands. Every number
+is finite or null: a statistic of nothing is null, never NaN, so that any JSON reader
+takes the file.
+"""
+
+import math
+import operator
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Final, Literal, SupportsIndex
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+
+SCHEMA_VERSION: Final = 1
+"""Raised when a field of ``report.json`` is renamed or removed."""
+
+
+def finite_or_none(value: Any) -> Any:
+    """Replace every non-finite number inside a value by ``None``.
+
+    Parameters
+    ----------
+    value : object
+        A number, or mappings and sequences of them; numpy scalars are welcome.
+
+    Returns
+    -------
+    object
+        The same value of plain Python types, finite or ``None``.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): finite_or_none(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [finite_or_none(item) for item in value]
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, SupportsIndex):
+        return operator.index(value)
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return value  # not a number: the field's own type says what is wrong with it
+    return number if math.isfinite(number) else None
+
+
+def _plain_integer(value: Any) -> Any:
+    return operator.index(value) if isinstance(value, SupportsIndex) else value
+
+
+Number = Annotated[float | None, BeforeValidator(finite_or_none)]
+Count = Annotated[int, BeforeValidator(_plain_integer), Field(ge=0)]
+Parameters = Annotated[dict[str, JsonValue], BeforeValidator(finite_or_none)]
+
+
+class Part(BaseModel):
+    """Base of every part of the report: frozen, and strict about its keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Flightline(Part):
+    """One pass, and what was found out about it."""
+
+    id: str = Field(description="Point source id, with the lift where there are several.")
+    points: Count = Field(description="Returns [count].")
+    shots: Count | None = Field(None, description="Shots fired, silent ones included [count].")
+    start_s: Number = Field(None, description="First GPS time, as the files have it [s].")
+    end_s: Number = Field(None, description="Last GPS time, as the files have it [s].")
+    prf_hz: Number = Field(None, description="Pulse repetition frequency [Hz].")
+    prf_basis: Literal["given", "estimated", "none"] = Field(
+        "none", description="Where the pulse repetition frequency comes from."
+    )
+    gate_m: Number = Field(None, description="Slant length of the range gate [m].")
+    gate_basis: Literal["given", "estimated", "none"] = Field(
+        "none", description="Where the length of the range gate comes from."
+    )
+    beam_basis: Literal["trajectory", "scan_angle", "vertical", "none"] = Field(
+        "none", description="What the beam directions were taken from."
+    )
+    seen_fraction: Number = Field(
+        None, description="Beamlets with at least one return / beamlets fired, 0..1."
+    )
+    noise_per_m: Number = Field(
+        None, description="Mean noise returns per metre of beamlet, over the flightline [1/m]."
+    )
+
+
+class Survey(Part):
+    """What was processed."""
+
+    name: str = Field(description="Title of the report.")
+    crs: str | None = Field(None, description="CRS of everything delivered, e.g. EPSG:32615.")
+    crs_name: str | None = Field(None, description="Its name in words.")
+    sensor: str | None = Field(None, description="Name of the instrument.")
+    area_km2: Number = Field(None, description="Area that the returns cover [km2].")
+    extent_m: tuple[Number, Number, Number, Number] | None = Field(
+        None, description="West, east, south, north [m]."
+    )
+    cell_m: Number = Field(None, description="Edge of a raster cell [m].")
+    flightlines: tuple[Flightline, ...] = ()
+
+
+class Counts(Part):
+    """Where every point went."""
+
+    points_in: Count = Field(description="Points in the input files [count].")
+    points_out: Count = Field(description="Points in the delivered files [count].")
+    signal: Count = Field(0, description="noise_class 0 [count].")
+    background: Count = Field(0, description="noise_class 1: solar and dark noise [count].")
+    afterpulse: Count = Field(0, description="noise_class 2 [count].")
+    not_assessed: Count = Field(0, description="noise_class 255 [count].")
+    ground: Count = Field(0, description="Classification 2 [count].")
+    building: Count = Field(0, description="Classification 6 [count].")
+    water: Count = Field(0, description="Classification 9 [count].")
+    withheld: Count = Field(0, description="Withheld by the vendor, carried along [count].")
+    vendor_flagged: Count = Field(
+        0, description="Class 7 or 18 in the input, carried along [count]."
+    )
+    no_beam: Count = Field(0, description="No valid time or no trajectory there [count].")
+    outside_aoi: Count = Field(0, description="Outside the area of interest [count].")
+    not_read: Count = Field(
+        0, description="Points that the headers of unreadable files promise [count]."
+    )
+
+
+class Statistics(Part):
+    """Differences of one class of surface, delivered minus reference."""
+
+    n: Count = Field(description="Compared points or cells [count].")
+    mean: Number = Field(None, description="Mean difference [m].")
+    median: Number = Field(None, description="Median difference [m].")
+    rmse: Number = Field(None, description="Root mean square difference [m].")
+    sd: Number = Field(None, description="Standard deviation [m].")
+    nmad: Number = Field(None, description="1.4826 x median absolute deviation [m].")
+    p95: Number = Field(None, description="95th percentile of the absolute difference [m].")
+    min: Number = Field(None, description="Smallest difference [m].")
+    max: Number = Field(None, description="Largest difference [m].")
+
+
+class Accuracy(Part):
+    """Comparison with reference linear-mode lidar, by class of surface; ``all`` is overall."""
+
+    dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
+    dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
+    reference_points: Count | None = Field(None, description="Reference points read [count].")
+    bias_m: Number = Field(None, description="Median difference between the sensors [m].")
+    bias_removed: bool = Field(
+        False, description="Whether the bias was subtracted before the statistics."
+    )
+
+
+class Density(Part):
+    """How densely the ground is covered by accepted returns."""
+
+    mean_per_m2: Number = Field(None, description="Mean over covered cells [1/m2].")
+    median_per_m2: Number = Field(None, description="Median over covered cells [1/m2].")
+    p05_per_m2: Number = Field(None, description="5th percentile over covered cells [1/m2].")
+    ground_per_m2: Number = Field(None, description="Mean density of ground points [1/m2].")
+    void_share: Number = Field(None, description="Share of DTM cells without a height, 0..1.")
+
+
+class Noise(Part):
+    """What was expected of the background noise, and how it was told apart."""
+
+    method: str = Field("none", description="Noise filter.")
+    test: str | None = Field(None, description="Decision rule of the filter.")
+    alpha: Number = Field(None, description="Share of pure noise that the test lets through.")
+    mean_per_m3: Number = Field(None, description="Mean expected noise density [1/m3].")
+    p05_per_m3: Number = Field(None, description="5th percentile of it [1/m3].")
+    p95_per_m3: Number = Field(None, description="95th percentile of it [1/m3].")
+    dsm_support: Count | None = Field(
+        None, description="Returns nearby that a highest return needs to set a DSM cell [count]."
+    )
+
+
+class StagePerformance(Part):
+    """Cost of one stage."""
+
+    wall_s: Number = Field(None, description="Summed time of its tasks [s].")
+    tasks: Count = Field(0, description="Tasks done in this run [count].")
+    skipped: Count = Field(0, description="Tasks found done by an earlier run [count].")
+    failed: Count = Field(0, description="Tasks that failed [count].")
+    points_per_s: Number = Field(None, description="Points per second and worker [1/s].")
+    peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
+
+
+class Performance(Part):
+    """Cost of the run."""
+
+    wall_s: Number = Field(None, description="From start to the report [s].")
+    points_per_s: Number = Field(None, description="Input points per second, end to end [1/s].")
+    peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
+    workers: Count | None = Field(None, description="Workers [count].")
+    stages: dict[str, StagePerformance] = Field({}, description="By stage, in order of work.")
+
+
+class Failure(Part):
+    """One task or file that did not make it."""
+
+    stage: str = Field(description="Stage that failed.")
+    place: str = Field(description="File, flightline stretch or tile.")
+    reason: str = Field(description="What went wrong, in one line.")
+    remedy: str | None = Field(None, description="What to do, or the command that tries again.")
+    task: str | None = Field(None, description="Key of the task.")
+
+
+class InputFile(Part):
+    """Identity of one input file."""
+
+    path: str = Field(description="Path as the workflow gives it.")
+    role: str = Field("flightline", description="Flightline, trajectory, reference, polygons.")
+    size: Count = Field(description="Size [bytes].")
+    hash: str = Field(description="Algorithm and digest, e.g. sha256:9f86d0...")
+    points: Count | None = Field(None, description="Points that its header promises [count].")
+
+
+class Provenance(Part):
+    """Enough to do it again."""
+
+    version: str = Field(description="Version of this software.")
+    created: str = Field(description="When the report was written, ISO 8601 with offset.")
+    command: str | None = Field(None, description="Command line of the run.")
+    python: str | None = Field(None, description="Version of Python.")
+    platform: str | None = Field(None, description="Operating system and processor.")
+    libraries: dict[str, str] = Field({}, description="Version of each library used.")
+    parameters: Parameters = Field({}, description="The whole workflow, defaults included.")
+    inputs: tuple[InputFile, ...] = ()
+
+
+class Report(Part):
+    """Everything that ``report.json`` holds and ``report.html`` shows."""
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    survey: Survey
+    counts: Counts
+    accuracy: Accuracy | None = Field(None, description="Null without reference points.")
+    density: Density = Density()
+    noise: Noise = Noise()
+    performance: Performance = Performance()
+    failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
+    warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")
+    provenance: Provenance

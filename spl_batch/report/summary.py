@@ -1,0 +1,150 @@
+"""The few numbers and sentences that a reader wants first, for the console and the page."""
+
+from typing import Final, Literal, NamedTuple
+
+from spl_batch.report.format import (
+    DASH,
+    MINUS,
+    THIN,
+    centimetres,
+    duration,
+    large,
+    number,
+    percent,
+    significant,
+    surface_name,
+)
+from spl_batch.report.model import Report, Statistics
+
+Tone = Literal["good", "attention", "bad", "neutral"]
+
+USGS_LIMITS: Final = ((0.05, "QL0"), (0.10, "QL1 and QL2"), (0.20, "QL3"))
+"""Largest vertical RMSE of each quality level, non-vegetated [m]; USGS Lidar Base
+Specification, table of absolute vertical accuracy. Pulse density is judged apart."""
+
+OPEN_SURFACES: Final = ("open_ground", "open", "bare_ground", "ground", "all")
+"""Classes that the terrain verdict is taken from; the first one that is there."""
+
+
+class Verdict(NamedTuple):
+    """One sentence at the top of the report."""
+
+    tone: Tone
+    text: str
+
+
+def verdicts(report: Report) -> list[Verdict]:
+    """Sentences that say whether the result can be used.
+
+    Returns
+    -------
+    list of Verdict
+        Always three: accuracy, conservation of points, failures; bad news before the others.
+    """
+    found = [_accuracy_verdict(report), _conservation_verdict(report), _failure_verdict(report)]
+    return sorted(found, key=lambda verdict: verdict.tone != "bad")
+
+
+def terrain_statistics(report: Report) -> tuple[str, Statistics] | None:
+    """Name and statistics of the surface that terrain accuracy is judged on."""
+    classes = {} if report.accuracy is None else report.accuracy.dtm
+    for name in OPEN_SURFACES:
+        if name in classes and classes[name].rmse is not None:
+            return name, classes[name]
+    return None
+
+
+def noise_removed(report: Report) -> float | None:
+    """Background and afterpulses as a share of the points that were assessed, 0..1."""
+    counts = report.counts
+    removed = counts.background + counts.afterpulse
+    assessed = counts.signal + removed
+    return removed / assessed if assessed else None
+
+
+def screen_summary(report: Report) -> list[tuple[str, str]]:
+    """Label and value of each number that the console shows after a run."""
+    counts, work = report.counts, report.performance
+    rows = [
+        ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out"),
+        ("background noise", _with_share(counts.background, counts.points_in)),
+        ("afterpulses", _with_share(counts.afterpulse, counts.points_in)),
+        ("ground", _with_share(counts.ground, counts.points_in)),
+    ]
+    if counts.not_assessed:
+        rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
+    if report.density.mean_per_m2 is not None:
+        rows.append(("density", f"{significant(report.density.mean_per_m2)} per m2"))
+    terrain = terrain_statistics(report)
+    if terrain is None:
+        rows.append(("accuracy", "no reference"))
+    else:
+        name, statistics = terrain
+        error, mean = centimetres(statistics.rmse), centimetres(statistics.mean)
+        rows.append(("DTM accuracy", f"RMSE {error}, mean {mean} on {surface_name(name)}"))
+    speed = f"{large(work.points_per_s)} points/s"
+    rows.append(("time", f"{duration(work.wall_s)} ({speed})"))
+    if work.peak_rss_mb is not None:
+        rows.append(("peak memory", f"{number(work.peak_rss_mb)} MB per worker"))
+    rows.append(("failures", number(len(report.failures)) if report.failures else "none"))
+    if report.warnings:
+        rows.append(("warnings", number(len(report.warnings))))
+    return [(label, _ascii(value)) for label, value in rows]
+
+
+def _accuracy_verdict(report: Report) -> Verdict:
+    terrain = terrain_statistics(report)
+    if terrain is None:
+        if report.accuracy is None:
+            return Verdict("neutral", "No reference was given: accuracy is not known.")
+        return Verdict("attention", "The reference covers no terrain: accuracy is not known.")
+    name, statistics = terrain
+    rmse = statistics.rmse or 0.0
+    opening = f"DTM RMSE {centimetres(rmse)} on {surface_name(name)}: "
+    for limit, level in USGS_LIMITS:
+        if rmse <= limit:
+            return Verdict(
+                "good",
+                f"{opening}meets the vertical accuracy of USGS {level} "
+                f"(\N{LESS-THAN OR EQUAL TO} {centimetres(limit)}).",
+            )
+    least = centimetres(USGS_LIMITS[-1][0])
+    return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows.")
+
+
+def _conservation_verdict(report: Report) -> Verdict:
+    counts = report.counts
+    if counts.points_in == 0:
+        return Verdict("bad", "No points were read.")
+    if counts.points_in == counts.points_out:
+        return Verdict("good", f"Every point is delivered: {number(counts.points_in)} in and out.")
+    gap = counts.points_in - counts.points_out
+    change = f"{number(abs(gap))} points {'fewer' if gap > 0 else 'more'} out than in"
+    return Verdict("bad", f"{change}: do not use the clouds before this is explained.")
+
+
+def _failure_verdict(report: Report) -> Verdict:
+    failed, warned = len(report.failures), len(report.warnings)
+    remarks = f"{number(warned)} warning{'s' * (warned != 1)}" if warned else "no warnings"
+    if failed:
+        return Verdict(
+            "bad",
+            f"{number(failed)} failure{'s' * (failed != 1)}, {remarks}: the rest is finished; "
+            "the same command tries only what failed.",
+        )
+    return Verdict("attention" if warned else "good", f"No failures, {remarks}.")
+
+
+def _ascii(text: str) -> str:
+    """A console need not know typographic spaces and signs."""
+    plain: dict[str, str | int | None] = {
+        THIN: " ",
+        MINUS: "-",
+        DASH: "-",
+        "\N{MULTIPLICATION SIGN}": "x",
+    }
+    return text.translate(str.maketrans(plain))
+
+
+def _with_share(part: int, whole: int) -> str:
+    return f"{number(part)} ({percent(part / whole if whole else None)})"

@@ -1,0 +1,181 @@
+"""One task: read, run the stage, write atomically, leave a receipt.
+
+:data:`KINDS` is the whole list of what can be done: the function, the stage of the
+command line that it belongs to, and the parts of the workflow that its result depends on.
+"""
+
+import dataclasses
+import hashlib
+import json
+import resource
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from spl_batch import __version__
+from spl_batch.errors import SplBatchError, StoppedError
+from spl_batch.io.atomic import checksum
+from spl_batch.io.store import read_receipt, write_receipt
+from spl_batch.model import Receipt, Task
+from spl_batch.runner import delivery, index, space_domain, time_domain
+from spl_batch.runner.context import Context, TaskFunction
+
+STAGES: Final = (
+    "index",
+    "shots",
+    "shuffle",
+    "denoise",
+    "ground",
+    "surfaces",
+    "deliver",
+    "report",
+)
+"""Stages of the command line, in order."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of task."""
+
+    stage: str
+    function: TaskFunction
+    settings: tuple[str, ...]
+
+
+_TIME: Final = ("noise", "afterpulse", "acquisition", "survey.sensor")
+
+KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
+    {
+        "index_file": Kind("index", index.index_file, ("survey.channel_dimension", "survey.gap_s")),
+        "trajectory": Kind("index", index.gather_trajectory, ("survey.trajectory_crs",)),
+        "heading": Kind("shots", index.find_heading, ()),
+        "sort_file": Kind("shots", time_domain.sort_file, ("survey.channel_dimension",)),
+        "gather": Kind("shots", time_domain.gather, ("noise", "survey.channel_dimension")),
+        "gather_range": Kind("shots", time_domain.gather_range, ("survey.channel_dimension",)),
+        "fit_line": Kind("shots", time_domain.fit_line, _TIME),
+        "scatter": Kind("shuffle", time_domain.scatter, (*_TIME, "tiling.tile_m", "aoi", "water")),
+        "build_tile": Kind("shuffle", time_domain.build_tile, ()),
+        "denoise": Kind("denoise", space_domain.denoise, ("filter", "noise", "afterpulse.enabled")),
+        "ground": Kind("ground", space_domain.ground, ("ground",)),
+        "surface": Kind("surfaces", space_domain.surface, ("ground.cell_m", "products")),
+        "deliver_file": Kind("deliver", delivery.deliver_file, ("outputs.diagnostics",)),
+        "deliver_tile": Kind("deliver", delivery.deliver_tile, ()),
+        "mosaic": Kind("deliver", delivery.mosaic, ("ground.cell_m", "products.cell_m")),
+    }
+)
+
+
+@cache
+def code_version() -> str:
+    """Version of the project and hash of the modules that decide results."""
+    root = Path(__file__).parent.parent
+    digest = hashlib.blake2b(digest_size=8)
+    for folder in ("io", "kernels", "runner", "stages", "sensors"):
+        for path in sorted((root / folder).glob("*")):
+            if path.suffix in {".py", ".yaml"}:
+                digest.update(path.name.encode() + path.read_bytes())
+    return f"{__version__}+{digest.hexdigest()}"
+
+
+def task_key(task: Task, context: Context, digests: Iterable[str]) -> str:
+    """Hash of everything that a task's result depends on.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    context : Context
+        Settings and code version.
+    digests : iterable of str
+        Digests of the receipts that the task needs, in the order of ``task.needs``.
+    """
+    content = context.workflow.model_dump(mode="json")
+    settings = {path: _at(content, path) for path in KINDS[task.kind].settings}
+    parts = [task.kind, task.name, task.args, settings, context.crs_wkt, context.code]
+    text = json.dumps([*parts, list(digests)], sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def finished(task: Task, key: str, context: Context) -> Receipt | None:
+    """Receipt of a task that needs no doing: it matches, and its outputs are there."""
+    receipt = read_receipt(context.store, task.kind, task.name)
+    if receipt is None or receipt.failed or receipt.key != key:
+        return None
+    if not all((context.output / path).exists() for path in receipt.outputs):
+        return None
+    return receipt
+
+
+def run_task(task: Task, key: str, context: Context) -> Receipt:
+    """Do one task and leave its receipt, also when it fails.
+
+    Parameters
+    ----------
+    task : Task
+        What to do.
+    key : str
+        From :func:`task_key`.
+    context : Context
+        The run.
+
+    Returns
+    -------
+    Receipt
+        With a reason where the task failed.
+
+    Raises
+    ------
+    StoppedError
+        If something concerns every task, such as a full disk.
+    """
+    start = time.perf_counter()
+    try:
+        produced = KINDS[task.kind].function(task.args, context)
+        outputs = {p.relative_to(context.output).as_posix(): checksum(p) for p in produced.outputs}
+        receipt = Receipt(
+            task.kind,
+            task.name,
+            key,
+            _digest(outputs, produced.facts),
+            "",
+            outputs,
+            produced.facts,
+            produced.points,
+            time.perf_counter() - start,
+            _peak_rss_mb(),
+        )
+    except StoppedError:
+        raise
+    except SplBatchError as error:
+        receipt = failure(task, key, str(error), time.perf_counter() - start)
+    except Exception as error:  # noqa: BLE001 - one task's fault must not end the others
+        reason = f"{type(error).__name__}: {error}"
+        receipt = failure(task, key, reason, time.perf_counter() - start)
+    write_receipt(context.store, receipt)
+    return receipt
+
+
+def failure(task: Task, key: str, reason: str, wall_s: float = 0.0) -> Receipt:
+    """Receipt of a task that was not done."""
+    line = " ".join(reason.split()) or "failed without a message"
+    return Receipt(task.kind, task.name, key, "", line, {}, {}, 0, wall_s, _peak_rss_mb())
+
+
+def _digest(outputs: Mapping[str, str], facts: Mapping[str, object]) -> str:
+    text = json.dumps([outputs, facts], sort_keys=True, allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _at(content: object, path: str) -> object:
+    for part in path.split("."):
+        content = content[part] if isinstance(content, dict) else None
+    return content
+
+
+def _peak_rss_mb() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)

@@ -1,0 +1,105 @@
+"""Compare the delivered rasters with reference points, file by file."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spl_batch.accuracy import (
+    Differences,
+    Raster,
+    Reference,
+    accuracy_report,
+    difference_raster,
+    merge,
+    surface_differences,
+    terrain_differences,
+)
+from spl_batch.constants import QUANTUM_M
+from spl_batch.io.las import iter_points
+from spl_batch.io.raster_parts import Part, read_overview, read_part
+from spl_batch.runner.context import Context
+
+SAMPLE = 500_000
+"""Differences that the histogram is drawn from, at most [count]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What the reference says.
+
+    Parameters
+    ----------
+    statistics : mapping
+        As ``report.json`` holds them.
+    differences_m : (n,) float32
+        An even sample of DTM minus reference [m].
+    difference : Raster
+        Mean difference by cell [m].
+    points : int
+        Reference points read [count].
+    """
+
+    statistics: dict[str, Any]
+    differences_m: np.ndarray[Any, np.dtype[np.float32]]
+    difference: Raster
+    points: int
+
+
+def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
+    """Compare DTM and DSM with reference points; None without reference or rasters."""
+    dtm_path, dsm_path = context.output / "dtm.tif", context.output / "dsm.tif"
+    reference = context.workflow.reference
+    if reference is None or not dtm_path.exists() or not dsm_path.exists():
+        return None
+    overview = _raster(read_overview(dtm_path))
+    total = np.zeros(overview.values.shape)
+    count = np.zeros(overview.values.shape, np.int64)
+    dtm: list[Differences] = []
+    dsm: list[Differences] = []
+    points = 0
+    for path in paths:
+        known = _read(path)
+        points += len(known.xyz_m)
+        bounds = _bounds(known)
+        rasters = [read_part(context.output / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm")]
+        terrain, surface, height = (r if r is None else _raster(r) for r in rasters)
+        if terrain is None or surface is None:
+            continue
+        dtm.append(terrain_differences(terrain, known, chm=height))
+        dsm.append(surface_differences(surface, known))
+        part = difference_raster(overview, known).values
+        seen = part > -9000
+        total[seen] += part[seen]
+        count[seen] += 1
+    mean = np.where(count > 0, total / np.maximum(count, 1), -9999.0).astype(np.float32)
+    merged = merge(dtm)
+    every = merged.get("all", np.empty(0, np.float32))
+    return Comparison(
+        accuracy_report(merged, merge(dsm), remove_bias=reference.remove_bias),
+        every[:: max(1, len(every) // SAMPLE)],
+        Raster(mean, overview.left_m, overview.top_m, overview.cell_m),
+        points,
+    )
+
+
+def _read(path: Path) -> Reference:
+    tables = list(iter_points(path, channel_dimension=None, source=0))
+    xyz = [np.column_stack([t[a] * QUANTUM_M for a in "xyz"]) for t in tables]
+    classes = [t["input_class"] for t in tables]
+    if not tables:
+        return Reference(np.empty((0, 3)), np.empty(0, np.uint8))
+    return Reference(np.concatenate(xyz), np.concatenate(classes))
+
+
+def _bounds(reference: Reference) -> tuple[float, float, float, float]:
+    if not len(reference.xyz_m):
+        return (0.0, 0.0, -1.0, -1.0)
+    low, high = reference.xyz_m.min(axis=0), reference.xyz_m.max(axis=0)
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _raster(part: Part) -> Raster:
+    return Raster(part.values, part.left_m, part.top_m, part.cell_m)

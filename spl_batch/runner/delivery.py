@@ -1,0 +1,131 @@
+"""Stage ``deliver``: labels back to the input files, mosaics, points by tile."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.io.labels import read_labelled_tile
+from spl_batch.io.las_write import write_classified, write_points
+from spl_batch.io.rasters import frame, stored_blocks, write_cog
+from spl_batch.model import COLUMNS, PointTable
+from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.space_domain import parse_cell
+from spl_batch.tiling import Bounds, CellId, quanta
+
+PASS_POINTS = 32_000_000
+"""Points of a file whose labels are held in memory at once [count]."""
+
+KEEP_CLASS = 255
+"""Classification of a point that nothing labelled: the input's class stays."""
+
+
+class _FileLabels:
+    """Labels of one input file by position, a pass of it at a time."""
+
+    def __init__(self, args: Mapping[str, Any], context: Context, names: tuple[str, ...]) -> None:
+        self.args = args
+        self.context = context
+        self.names = names
+        self.start = self.stop = 0
+        self.values: dict[str, NDArray[Any]] = {}
+        self.counts = np.zeros(256, np.int64)
+        self.classes = np.zeros(256, np.int64)
+
+    def __call__(self, start: int, stop: int) -> Mapping[str, NDArray[Any]]:
+        """Labels of points ``[start, stop)``."""
+        if start < self.start or stop > self.stop:
+            self._load(start, max(stop, start + PASS_POINTS))
+        part = {k: v[start - self.start : stop - self.start] for k, v in self.values.items()}
+        self.counts += np.bincount(part["noise_class"], minlength=256)
+        self.classes += np.bincount(part["classification"], minlength=256)
+        return part
+
+    def _load(self, start: int, stop: int) -> None:
+        self.start, self.stop = start, min(stop, int(self.args["points"]))
+        n = self.stop - self.start
+        fill = {"noise_class": 255, "classification": KEEP_CLASS}
+        self.values = {
+            k: np.full(n, fill.get(k, np.nan), dtype=COLUMNS[k].dtype) for k in self.names
+        }
+        source = np.uint64(int(self.args["source"]))
+        for table in self._tiles():
+            mine = table.take(table["source"] == source)
+            index = mine["index"].astype(np.int64)
+            mine = mine.take((index >= self.start) & (index < self.stop))
+            at = mine["index"].astype(np.int64) - self.start
+            for name in self.names:
+                self.values[name][at] = mine[name]
+
+    def _tiles(self) -> Iterator[PointTable]:
+        for tile, units in self.args["tiles"].items():
+            labels = {k: [("classes", u) for u in units["classes"]] for k in ("classification",)}
+            for name in self.names:
+                if name != "classification":
+                    labels[name] = [("noise", u) for u in units["noise"]]
+            yield read_labelled_tile(
+                self.context.store, parse_cell(tile), ("source", "index"), labels
+            )
+
+
+def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write one input file again with its labels: every point once, in order."""
+    diagnostics = context.workflow.outputs.diagnostics
+    extra = ("noise_density", "p_value") if diagnostics else ()
+    labels = _FileLabels(args, context, ("noise_class", "classification", *extra))
+    target = context.output / "laz" / args["delivered"]
+    written = write_classified(
+        Path(args["path"]), target, labels=labels, diagnostics=diagnostics, crs=context.crs
+    )
+    facts = {
+        "points": written,
+        "noise_class": _nonzero(labels.counts),
+        "classes": _nonzero(labels.classes),
+    }
+    return Produced([target], facts, written)
+
+
+def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:
+    return {str(k): int(v) for k, v in enumerate(counts) if v}
+
+
+def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write a tile's points with their labels."""
+    units = args["units"]
+    labels = {
+        "classification": [("classes", u) for u in units["classes"]],
+        "noise_class": [("noise", u) for u in units["noise"]],
+    }
+    columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
+    table = read_labelled_tile(context.store, parse_cell(args["tile"]), columns, labels)
+    unlabelled = table["classification"] == KEEP_CLASS
+    table = table.with_columns(
+        classification=np.where(unlabelled, table["input_class"], table["classification"])
+    )
+    target = context.output / "tiles" / f"{args['tile']}.laz"
+    write_points(target, table, crs=context.crs, extra={"noise_class": table["noise_class"]})
+    return Produced([target], {"points": len(table)}, len(table))
+
+
+def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
+    """Join a product's raster cells into one cloud-optimised GeoTIFF."""
+    products = context.workflow.products
+    edge, pixel = quanta(context.workflow.ground.cell_m), quanta(products.cell_m)
+    cells = sorted((CellId(*ij) for ij in args["cells"]), key=lambda c: (-c.j, c.i))
+    bounds = Bounds(*args["bounds"])
+    store = str(context.store.path("rasters.zarr"))
+    shape, origin_xy_m = frame(bounds, pixel)
+    folder = context.output if args["delivered"] else context.store.root
+    target = folder / f"{args['name']}.tif"
+    write_cog(
+        target,
+        stored_blocks(store, args["product"], bounds, cells, ground_cell=edge),
+        shape=shape,
+        origin_xy_m=origin_xy_m,
+        cell_m=products.cell_m,
+        crs=context.crs_wkt or None,
+        description=args["product"],
+    )
+    return Produced([target], {"rows": shape[0], "columns": shape[1]})

@@ -1,0 +1,170 @@
+"""Stage ``index``: what is in each input file, and where in it; the trajectory in one piece."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.io.atomic import checksum
+from spl_batch.io.gpstime import time_standard
+from spl_batch.io.las import inspect, iter_points
+from spl_batch.io.tables import read_arrays, write_arrays
+from spl_batch.io.trajectory import load_trajectory, write_trajectory
+from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.runner.context import Context, Produced
+from spl_batch.stages.geometry import (
+    estimate_prf,
+    heading_from_track,
+    merge_track,
+    observe_track,
+    shot_steps,
+)
+
+Track = dict[str, NDArray[np.int64]]
+
+RUN_POINTS = 65_536
+"""Points of one entry of the time index [count]."""
+
+
+class _Tally:
+    """Running totals over the chunks of one file."""
+
+    def __init__(self, gap_s: float) -> None:
+        self.gap_s = gap_s
+        self.counts: dict[str, int] = dict.fromkeys(
+            ("points", "timeless", "withheld", "vendor_noise", "excluded"), 0
+        )
+        self.spans: dict[int, list[list[float]]] = {}
+        self.steps: dict[int, NDArray[np.int64]] = {}
+        self.tracks: dict[int, Track] = {}
+        self.runs: list[tuple[float, float]] = []
+        self.low = np.full(3, np.iinfo(np.int64).max)
+        self.high = np.full(3, np.iinfo(np.int64).min)
+        self.channels: set[int] = set()
+        self.in_order = True
+        self.last_time = -np.inf
+        self.sample: list[float] = []
+
+    def add(self, table: PointTable) -> None:
+        """Count one chunk in."""
+        time = table["gps_time"]
+        valid = np.isfinite(time)
+        excluded = table.has(EXCLUDED)
+        self.counts["points"] += len(table)
+        self.counts["timeless"] += int(np.count_nonzero(~valid & ~excluded))
+        self.counts["withheld"] += int(np.count_nonzero(table.has(PointFlag.WITHHELD)))
+        self.counts["vendor_noise"] += int(np.count_nonzero(table.has(PointFlag.VENDOR_NOISE)))
+        self.counts["excluded"] += int(np.count_nonzero(excluded))
+        for axis, name in enumerate("xyz"):
+            self.low[axis] = min(self.low[axis], int(table[name].min()))
+            self.high[axis] = max(self.high[axis], int(table[name].max()))
+        self.channels.update(np.unique(table["channel"]).tolist())
+        for start in range(0, len(table), RUN_POINTS):
+            part = time[start : start + RUN_POINTS]
+            part = part[np.isfinite(part)]
+            self.runs.append((part.min(), part.max()) if len(part) else (np.inf, -np.inf))
+        self._add_times(table.take(valid & ~excluded))
+
+    def _add_times(self, table: PointTable) -> None:
+        time = table["gps_time"]
+        if not len(time):
+            return
+        self.in_order &= bool(np.all(np.diff(time) >= 0)) and time[0] >= self.last_time
+        self.last_time = float(time.max())
+        self.sample.extend((float(time.min()), float(time.max())))
+        line = table["point_source_id"]
+        for psid in np.unique(line).tolist():
+            mine = table.take(line == psid)
+            ordered = np.sort(mine["gps_time"])
+            cuts = np.flatnonzero(np.diff(ordered) > self.gap_s) + 1
+            for piece in np.split(ordered, cuts):
+                self.spans.setdefault(psid, []).append(
+                    [float(piece[0]), float(piece[-1]), len(piece)]
+                )
+            self.steps[psid] = self.steps.get(psid, 0) + shot_steps(ordered)
+            earlier = [self.tracks[psid]] if psid in self.tracks else []
+            self.tracks[psid] = merge_track([*earlier, observe_track(mine)])
+
+
+def index_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Read a file once from end to end: prove that it is readable, find what is in it."""
+    path = Path(args["path"])
+    before = checksum(path)
+    header = inspect(path)
+    settings = context.workflow.survey
+    tally = _Tally(settings.gap_s)
+    for table in iter_points(
+        path,
+        channel_dimension=settings.channel_dimension,
+        source=int(args["source"]),
+        chunk=RUN_POINTS * 16,
+    ):
+        tally.add(table)
+    runs = np.array(tally.runs, dtype=np.float64).reshape(-1, 2)
+    index = context.store.path("index", f"{args['source']}.npz")
+    tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
+    write_arrays(index, {"first": runs[:, 0], "last": runs[:, 1], **tracks})
+    facts = {
+        "name": args["name"],
+        "path": str(path),
+        "hash": before,
+        "size": path.stat().st_size,
+        **tally.counts,
+        "bounds": [*tally.low.tolist(), *tally.high.tolist()] if tally.counts["points"] else None,
+        "channels": [min(tally.channels), max(tally.channels)] if tally.channels else None,
+        "in_order": tally.in_order,
+        "spans": {str(k): merge_spans(v, settings.gap_s) for k, v in sorted(tally.spans.items())},
+        "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(tally.steps.items())},
+        "standard": time_standard(np.array(tally.sample)) if tally.sample else None,
+        "adjusted_bit": header.adjusted_standard_bit,
+        "warnings": list(header.warnings),
+    }
+    return Produced([index], facts, tally.counts["points"])
+
+
+def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
+    """Join time spans ``[first, last, points]`` that lie no farther apart than a gap [s]."""
+    merged: list[list[float]] = []
+    for first, last, points in sorted(spans):
+        if merged and first - merged[-1][1] <= gap_s:
+            merged[-1][1] = max(merged[-1][1], last)
+            merged[-1][2] += points
+        else:
+            merged.append([first, last, points])
+    return merged
+
+
+def find_heading(args: Mapping[str, Any], context: Context) -> Produced:
+    """Flight direction of a flightline without a trajectory, from the drift of its points."""
+    parts = []
+    for source in args["sources"]:
+        arrays = read_arrays(context.store.path("index", f"{source}.npz"))
+        prefix = f"{args['psid']}/"
+        track = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+        low, high = args["seconds"]
+        within = (track["second"] >= low) & (track["second"] <= high)
+        parts.append({k: v if k == "angle" else v[within] for k, v in track.items()})
+    return Produced((), {"heading_rad": heading_from_track(merge_track(parts))})
+
+
+def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
+    """Bring the trajectory into the survey's CRS and the points' time, in one file."""
+    loaded = load_trajectory(
+        [Path(p) for p in args["paths"]],
+        survey_crs=context.crs,
+        trajectory_crs=context.workflow.survey.trajectory_crs,
+        time_span_s=tuple(args["time_span_s"]),
+        bounds_m=tuple(args["bounds_m"]),
+    )
+    path = context.store.path("trajectory.parquet")
+    write_trajectory(path, loaded.trajectory)
+    time = loaded.trajectory.time_s
+    facts = {
+        "records": len(time),
+        "span_s": [float(time[0]), float(time[-1])],
+        "warnings": list(loaded.warnings),
+        "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
+    }
+    return Produced([path], facts)

@@ -1,0 +1,81 @@
+"""The vertical strip that the report shows before and after."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.io.labels import read_region
+from spl_batch.io.raster_parts import Part
+from spl_batch.model import TILE_COLUMNS, Receipt
+from spl_batch.report.plots import Profile
+from spl_batch.runner.context import Context
+from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, overlap, quanta
+
+LENGTH_M = 100.0
+WIDTH_M = 3.0
+
+
+def cut_profile(
+    height: Part | None, done: Mapping[str, Mapping[str, Receipt]], context: Context
+) -> Profile | None:
+    """Strip along the easting where most stands on the ground; None without points.
+
+    Parameters
+    ----------
+    height : Part or None
+        Overview of the CHM, which tells where to cut.
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    """
+    if height is None:
+        return None
+    strip = _tallest_strip(height)
+    tile_q = quanta(context.workflow.tiling.tile_m)
+    built = done.get("build_tile", {})
+    tiles = [t for t in cells_touching(strip, tile_q) if str(t) in built]
+    labels = {
+        "noise_class": _holders(tiles, tile_q, "noise", done.get("denoise", {})),
+        "classification": _holders(tiles, tile_q, "classes", done.get("surface", {})),
+    }
+    table, _, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels)
+    if not len(table):
+        return None
+    return Profile(
+        (table["x"] - strip.xmin) * QUANTUM_M,
+        table["z"] * QUANTUM_M,
+        table["noise_class"],
+        table["classification"],
+        WIDTH_M,
+    )
+
+
+def _tallest_strip(height: Part) -> Bounds:
+    """Strip with the largest sum of heights above ground; the first of equals."""
+    values = np.where(height.values > NODATA, height.values.astype(np.float64), 0.0)
+    length = min(max(round(LENGTH_M / height.cell_m), 1), values.shape[1])
+    total = np.cumsum(np.pad(np.minimum(values, 30.0), ((0, 0), (1, 0))), axis=1)
+    score = total[:, length:] - total[:, :-length]
+    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    west = quanta(height.left_m + float(column) * height.cell_m)
+    middle = quanta(height.top_m - (float(row) + 0.5) * height.cell_m)
+    half = quanta(WIDTH_M / 2)
+    return Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
+
+
+def _holders(
+    tiles: list[CellId],
+    tile_q: int,
+    folder: str,
+    units: Mapping[str, Receipt],
+) -> dict[CellId, list[tuple[str, str]]]:
+    """Label files that may hold each tile's points."""
+    holders: dict[CellId, list[tuple[str, str]]] = {t: [] for t in tiles}
+    for name, receipt in units.items():
+        core = Bounds(*receipt.facts["core"])
+        for tile in tiles:
+            if overlap(cell_bounds(tile, tile_q), core):
+                holders[tile].append((folder, name))
+    return holders

@@ -1,0 +1,168 @@
+"""Stages ``denoise``, ``ground`` and ``surfaces``: a place with its halo, all flightlines."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.io.labels import read_region, write_labels
+from spl_batch.io.polygons import contains, read_polygons
+from spl_batch.io.rasters import write_cell
+from spl_batch.io.store import add_voxels
+from spl_batch.model import TILE_COLUMNS, PointFlag, PointTable
+from spl_batch.runner.context import Context, Produced
+from spl_batch.stages import denoise as denoising
+from spl_batch.stages import ground as grounding
+from spl_batch.stages import surface as surfacing
+from spl_batch.stages import voxel_noise
+from spl_batch.tiling import Bounds, CellId, cell_bounds, cell_index, grow, inside, quanta
+
+Units = dict[CellId, list[tuple[str, str]]]
+
+
+def denoise(args: Mapping[str, Any], context: Context) -> Produced:
+    """Decide which points of a block are noise."""
+    workflow = context.workflow
+    core = Bounds(*args["core"])
+    region = grow(core, quanta(denoising.reach_m(workflow.filter)))
+    table, tiles, rows = read_region(context.store, _cells(args["tiles"]), region, TILE_COLUMNS, {})
+    owned = inside(table["x"], table["y"], core)
+    density = _expected(table, args["voxels"], context)
+    decided = denoising.denoise(table, density, owned, workflow.filter)
+    path = context.store.labels("noise", args["block"])
+    labels: dict[str, NDArray[Any]] = {
+        "noise_class": decided["noise_class"],
+        "p_value": decided["p_value"],
+        "noise_density": density[owned],
+    }
+    write_labels(path, tiles[owned], rows[owned], labels)
+    classes, counts = np.unique(decided["noise_class"], return_counts=True)
+    facts = {
+        "core": list(core),
+        "noise_class": dict(zip(map(str, classes.tolist()), counts.tolist(), strict=True)),
+    }
+    return Produced([path], facts, int(np.count_nonzero(owned)))
+
+
+def ground(args: Mapping[str, Any], context: Context) -> Produced:
+    """Find the ground of a cell."""
+    settings = context.workflow.ground
+    core = _ground_cell(args, context)
+    table, tiles, rows = read_region(
+        context.store,
+        _cells(args["tiles"]),
+        grow(core, quanta(settings.buffer_m)),
+        TILE_COLUMNS,
+        {"noise_class": _units(args["noise"])},
+    )
+    mask = grounding.ground_mask(table, _usable(table), settings)
+    owned = inside(table["x"], table["y"], core)
+    path = context.store.labels("ground", args["cell"])
+    write_labels(path, tiles[owned], rows[owned], {"ground": mask[owned]})
+    facts = {"ground": int(np.count_nonzero(mask & owned))}
+    return Produced([path], facts, int(np.count_nonzero(owned)))
+
+
+def surface(args: Mapping[str, Any], context: Context) -> Produced:
+    """Raster cells and final classes of a ground cell."""
+    workflow = context.workflow
+    core = _ground_cell(args, context)
+    reach = quanta(surfacing.reach_m(workflow.products))
+    table, tiles, rows = read_region(
+        context.store,
+        _cells(args["tiles"]),
+        grow(core, reach),
+        TILE_COLUMNS,
+        {
+            "noise_class": _units(args["noise"]),
+            "noise_density": _units(args["noise"]),
+            "ground": _units(args["ground"]),
+        },
+    )
+    # A point that no unit has labelled, or that lies outside the area, makes no surface.
+    known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
+    shown = table.take(known & ~table.has(PointFlag.OUTSIDE_AOI))
+    arrays = surfacing.surfaces(shown, core, workflow.products)
+    if workflow.aoi is not None:
+        _mask_outside(arrays, core, context)
+    arrays["noise"] = _mean_noise(table, core, quanta(workflow.products.cell_m))
+    write_cell(str(context.store.path("rasters.zarr")), CellId(*args["ij"]), arrays)
+    classes = surfacing.classify(table, core, arrays["dtm"])
+    owned = inside(table["x"], table["y"], core)
+    path = context.store.labels("classes", args["cell"])
+    write_labels(path, tiles[owned], rows[owned], {"classification": classes[owned]})
+    sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
+    return Produced([path], {"core": list(core), "rasters": sums}, int(np.count_nonzero(owned)))
+
+
+def _expected(table: PointTable, parts: Sequence[str], context: Context) -> NDArray[np.float64]:
+    """Noise density expected in each point's voxel [1/m3]."""
+    edge = quanta(context.workflow.noise.voxel_m)
+    if not len(table) or not parts:
+        return np.zeros(len(table))
+    index = [cell_index(table[axis].astype(np.int64), edge) for axis in "xyz"]
+    corner = [int(i.min()) for i in index]
+    shape = [int(i.max()) - c + 1 for i, c in zip(index, corner, strict=True)]
+    total = np.zeros(shape, dtype=np.int64)
+    for part in parts:
+        add_voxels(
+            context.store.path("voxels", f"{part}.zarr"), (corner[0], corner[1], corner[2]), total
+        )
+    density = voxel_noise.density(total, context.workflow.noise)
+    at = tuple(i - c for i, c in zip(index, corner, strict=True))
+    return np.asarray(density[at], dtype=np.float64)
+
+
+def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float32]:
+    """Mean expected noise density of the points in each raster cell, north-up [1/m3]."""
+    rows, columns = (core.ymax - core.ymin) // cell, (core.xmax - core.xmin) // cell
+    mine = inside(table["x"], table["y"], core) & np.isfinite(table["noise_density"])
+    column = (table["x"][mine] - core.xmin) // cell
+    row = (core.ymax - 1 - table["y"][mine]) // cell
+    at = row * columns + column
+    count = np.bincount(at, minlength=rows * columns)
+    total = np.bincount(at, weights=table["noise_density"][mine], minlength=rows * columns)
+    mean = np.where(count > 0, total / np.maximum(count, 1), NODATA)
+    return mean.reshape(rows, columns).astype(np.float32)
+
+
+def _mask_outside(arrays: dict[str, NDArray[np.float32]], core: Bounds, context: Context) -> None:
+    """Take away raster cells whose centres lie outside the area of interest."""
+    cell = quanta(context.workflow.products.cell_m)
+    x = np.arange(core.xmin + cell // 2, core.xmax, cell, dtype=np.int64)
+    y = np.arange(core.ymin + cell // 2, core.ymax, cell, dtype=np.int64)[::-1]
+    east, north = (grid.ravel() for grid in np.meshgrid(x, y))
+    polygons = read_polygons(context.resolve(context.workflow.aoi or ""), context.crs)
+    outside = ~contains(polygons, east, north).reshape(len(y), len(x))
+    for name, values in arrays.items():
+        arrays[name] = np.where(outside, np.float32(NODATA), values)
+
+
+def _usable(table: PointTable) -> NDArray[np.bool_]:
+    """Signal that a surface may rest on."""
+    usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
+    return usable & ~table.has(PointFlag.OUTSIDE_AOI)
+
+
+def _ground_cell(args: Mapping[str, Any], context: Context) -> Bounds:
+    return cell_bounds(CellId(*args["ij"]), quanta(context.workflow.ground.cell_m))
+
+
+def _cells(names: Sequence[str]) -> list[CellId]:
+    return [parse_cell(name) for name in names]
+
+
+def parse_cell(name: str) -> CellId:
+    """Cell of a name such as ``"-3_12"``."""
+    i, j = name.split("_")
+    return CellId(int(i), int(j))
+
+
+def _units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:
+    """Label units by tile, as a task's arguments carry them."""
+    return {
+        parse_cell(tile): [(kind, name) for kind, name in listed] for tile, listed in units.items()
+    }

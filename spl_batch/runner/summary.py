@@ -1,0 +1,372 @@
+"""Stage ``report``: what all receipts say together, as one report with its pictures."""
+
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spl_batch import __version__
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.errors import StoreError
+from spl_batch.io.atomic import checksum, write_bytes
+from spl_batch.io.raster_parts import Part, read_overview
+from spl_batch.model import Receipt
+from spl_batch.report.maps import Raster
+from spl_batch.report.model import (
+    Accuracy,
+    Counts,
+    Density,
+    Failure,
+    Flightline,
+    InputFile,
+    Noise,
+    Performance,
+    Provenance,
+    Report,
+    StagePerformance,
+    Statistics,
+    Survey,
+)
+from spl_batch.report.pictures import PictureInputs, make_pictures
+from spl_batch.report.write import write_report
+from spl_batch.runner.accuracy import Comparison, compare
+from spl_batch.runner.context import Context
+from spl_batch.runner.profile import cut_profile
+
+Receipts = Mapping[str, Mapping[str, Receipt]]
+
+LIBRARIES = ("dask", "distributed", "laspy", "lazrs", "numba", "numpy", "pyarrow", "pyproj")
+"""Libraries whose versions the report names, and those that decide results."""
+
+
+@dataclass
+class StageCost:
+    """What one stage has cost."""
+
+    wall_s: float = 0.0
+    tasks: int = 0
+    skipped: int = 0
+    failed: int = 0
+    points: int = 0
+    peak_rss_mb: float = 0.0
+
+    def add(self, receipt: Receipt) -> None:
+        """Count a task that was done."""
+        self.tasks += 1
+        self.failed += receipt.failed
+        self.wall_s += receipt.wall_s
+        self.points += receipt.points
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+    def skip(self, receipt: Receipt) -> None:
+        """Count a task that an earlier run did, with what it cost then."""
+        self.skipped += 1
+        self.wall_s += receipt.wall_s
+        self.points += receipt.points
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What the receipts do not say.
+
+    Parameters
+    ----------
+    wall_s : float
+        Duration of the run so far [s].
+    workers : int
+        Worker processes [count].
+    costs : mapping of str to StageCost
+        Cost of each stage.
+    failures : list of Failure
+        What did not make it.
+    notes : list of str
+        Warnings.
+    reference : list of str
+        Reference files.
+    not_read : int
+        Points that unreadable files promise [count].
+    """
+
+    wall_s: float
+    workers: int
+    costs: Mapping[str, StageCost] = field(default_factory=dict)
+    failures: Iterable[Failure] = ()
+    notes: Iterable[str] = ()
+    reference: Iterable[str] = ()
+    not_read: int = 0
+
+
+def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
+    """Write ``report.json`` and ``report.html``.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    """
+    compared = compare([Path(p) for p in facts.reference], context)
+    report = Report(
+        survey=_survey(done, context),
+        counts=_counts(done, facts),
+        accuracy=_accuracy(compared),
+        density=_density(context),
+        noise=_noise(context),
+        performance=_performance(done, facts),
+        failures=tuple(facts.failures),
+        warnings=(*facts.notes, *_uncovered(done)),
+        provenance=_provenance(done, context),
+    )
+    write_report(context.output, report, make_pictures(_pictures(done, context, compared), report))
+    remember(done, context, facts)
+    return report
+
+
+def remember(done: Receipts, context: Context, facts: RunFacts) -> None:
+    """Keep what a later ``report`` needs."""
+    content = {
+        "workflow": context.workflow.model_dump(mode="json"),
+        "base": str(context.base),
+        "crs_wkt": context.crs_wkt,
+        "code": context.code,
+        "wall_s": facts.wall_s,
+        "workers": facts.workers,
+        "costs": {k: asdict(v) for k, v in facts.costs.items()},
+        "failures": [f.model_dump() for f in facts.failures],
+        "notes": list(facts.notes),
+        "reference": list(facts.reference),
+        "not_read": facts.not_read,
+        "done": {kind: list(names) for kind, names in done.items()},
+    }
+    write_bytes(context.store.path("run.json"), json.dumps(content).encode())
+
+
+def _survey(done: Receipts, context: Context) -> Survey:
+    workflow, crs = context.workflow, context.crs
+    boxes = [r.facts["bounds"] for r in done["index_file"].values() if r.facts["bounds"]]
+    low = [min(b[a] for b in boxes) * QUANTUM_M for a in (0, 1)]
+    high = [max(b[a] for b in boxes) * QUANTUM_M for a in (3, 4)]
+    authority = crs.to_authority() if crs is not None else None
+    return Survey(
+        name=workflow.survey.name,
+        crs=":".join(authority) if authority else (crs.name if crs is not None else None),
+        crs_name=crs.name if crs is not None else None,
+        sensor=workflow.sensor.name,
+        area_km2=_covered_km2(context),
+        extent_m=(low[0], high[0], low[1], high[1]),
+        cell_m=workflow.products.cell_m,
+        flightlines=tuple(_flightlines(done, context)),
+    )
+
+
+def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
+    given = context.workflow.sensor.gate_m is not None
+    for name, receipt in done.get("fit_line", {}).items():
+        facts = receipt.facts
+        yield Flightline(
+            id=name,
+            points=facts["points"],
+            start_s=facts["span_s"][0],
+            end_s=facts["span_s"][1],
+            prf_hz=facts["prf_hz"],
+            prf_basis="given" if facts["prf_basis"] == "given" else "estimated",
+            gate_m=facts["gate_m"],
+            gate_basis="given" if given else "estimated",
+            beam_basis=facts["basis"],
+            seen_fraction=facts["seen_fraction"],
+            noise_per_m=facts["noise_per_m"],
+        )
+
+
+def _counts(done: Receipts, facts: RunFacts) -> Counts:
+    index = [r.facts for r in done["index_file"].values()]
+    tiles = [r.facts for r in done.get("build_tile", {}).values()]
+    delivered = [r.facts for r in done.get("deliver_file", {}).values()]
+    noise = {k: sum(f["noise_class"].get(k, 0) for f in delivered) for k in ("0", "1", "2", "255")}
+    classes = {k: sum(f["classes"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
+    return Counts(
+        points_in=sum(f["points"] for f in index),
+        points_out=sum(f["points"] for f in delivered),
+        signal=noise["0"],
+        background=noise["1"],
+        afterpulse=noise["2"],
+        not_assessed=noise["255"],
+        ground=classes["2"],
+        building=classes["6"],
+        water=classes["9"],
+        withheld=sum(f["withheld"] for f in index),
+        vendor_flagged=sum(f["vendor_noise"] for f in index),
+        no_beam=sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index),
+        outside_aoi=sum(f["outside_aoi"] for f in tiles),
+        not_read=facts.not_read,
+    )
+
+
+def _accuracy(compared: Comparison | None) -> Accuracy | None:
+    if compared is None:
+        return None
+    found = compared.statistics
+    removed = bool(found["bias_removed_m"])
+    return Accuracy(
+        dtm={k: Statistics(**v) for k, v in found["dtm"].items()},
+        dsm={k: Statistics(**v) for k, v in found["dsm"].items()},
+        reference_points=compared.points,
+        bias_m=found["vertical_bias_m"],
+        bias_removed=removed,
+    )
+
+
+def _density(context: Context) -> Density:
+    part = _overview(context.output / "density.tif")
+    dtm = _overview(context.output / "dtm.tif")
+    if part is None or dtm is None:
+        return Density()
+    covered = part.values[part.values > 0]
+    if not len(covered):
+        return Density()
+    return Density(
+        mean_per_m2=float(covered.mean()),
+        median_per_m2=float(np.median(covered)),
+        p05_per_m2=float(np.percentile(covered, 5)),
+        void_share=float(np.mean(dtm.values[part.values > 0] == NODATA)),
+    )
+
+
+def _noise(context: Context) -> Noise:
+    settings = context.workflow.filter
+    part = _overview(context.store.path("noise.tif"))
+    values = part.values[part.values > NODATA] if part is not None else np.empty(0)
+    some = len(values) > 0
+    return Noise(
+        method=settings.method,
+        test=settings.test if settings.method != "none" else None,
+        alpha=settings.alpha if settings.method != "none" else None,
+        mean_per_m3=float(values.mean()) if some else None,
+        p05_per_m3=float(np.percentile(values, 5)) if some else None,
+        p95_per_m3=float(np.percentile(values, 95)) if some else None,
+        dsm_support=context.workflow.products.dsm_support,
+    )
+
+
+def _performance(done: Receipts, facts: RunFacts) -> Performance:
+    points = sum(r.facts["points"] for r in done["index_file"].values())
+    return Performance(
+        wall_s=facts.wall_s,
+        points_per_s=points / facts.wall_s if facts.wall_s > 0 else None,
+        peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
+        workers=facts.workers,
+        stages={
+            stage: StagePerformance(
+                wall_s=cost.wall_s,
+                tasks=cost.tasks,
+                skipped=cost.skipped,
+                failed=cost.failed,
+                points_per_s=cost.points / cost.wall_s if cost.wall_s > 0 else None,
+                peak_rss_mb=cost.peak_rss_mb,
+            )
+            for stage, cost in facts.costs.items()
+        },
+    )
+
+
+def _uncovered(done: Receipts) -> Iterable[str]:
+    """One sentence for each flightline that the trajectory does not cover."""
+    spans: dict[str, tuple[int, float, float]] = {}
+    for name, receipt in done.get("gather", {}).items():
+        if receipt.facts["uncovered"]:
+            first, last = receipt.facts["uncovered_span_s"]
+            line = name.split("/", maxsplit=1)[0]
+            n, low, high = spans.get(line, (0, first, last))
+            spans[line] = (n + receipt.facts["uncovered"], min(low, first), max(high, last))
+    for line, (n, low, high) in spans.items():
+        yield (
+            f"flightline {line}: the trajectory does not cover {n} returns between gps_time "
+            f"{low:.3f} and {high:.3f}; they are delivered unfiltered"
+        )
+
+
+def _provenance(done: Receipts, context: Context) -> Provenance:
+    inputs = [
+        InputFile(
+            path=r.facts["name"],
+            size=r.facts["size"],
+            hash=f"blake2b:{r.facts['hash']}",
+            points=r.facts["points"],
+        )
+        for r in done["index_file"].values()
+    ]
+    for receipt in done.get("trajectory", {}).values():
+        inputs.extend(
+            _input_file(Path(item["path"]), "trajectory", item["hash"])
+            for item in receipt.facts["inputs"]
+        )
+    for role in ("aoi", "water"):
+        name = getattr(context.workflow, role)
+        if name is not None:
+            inputs.append(_input_file(context.resolve(name), role))
+    return Provenance(
+        version=context.code,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        python=platform.python_version(),
+        platform=f"{platform.system()} {platform.machine()}",
+        libraries={"spl-batch": __version__, **{name: version(name) for name in LIBRARIES}},
+        parameters=context.workflow.model_dump(mode="json"),
+        inputs=tuple(inputs),
+    )
+
+
+def _input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
+    found = digest if digest is not None else checksum(path)
+    return InputFile(path=path.name, role=role, size=path.stat().st_size, hash=f"blake2b:{found}")
+
+
+def _pictures(done: Receipts, context: Context, compared: Comparison | None) -> PictureInputs:
+    parts = {n: _overview(context.output / f"{n}.tif") for n in ("dtm", "dsm", "chm", "density")}
+    rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
+    noise = _overview(context.store.path("noise.tif"))
+    difference = None
+    if compared is not None:
+        d = compared.difference
+        difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
+    return PictureInputs(
+        **rasters,
+        noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
+        difference=difference,
+        differences_m=None if compared is None else compared.differences_m,
+        profile=cut_profile(parts["chm"], done, context),
+    )
+
+
+def _overview(path: Path) -> Part | None:
+    return read_overview(path) if path.exists() else None
+
+
+def _covered_km2(context: Context) -> float | None:
+    part = _overview(context.output / "density.tif")
+    return None if part is None else float(np.count_nonzero(part.values > 0)) * part.cell_m**2 / 1e6
+
+
+def recall(output: Path) -> dict[str, Any]:
+    """What :func:`remember` kept.
+
+    Raises
+    ------
+    StoreError
+        If no run has finished there.
+    """
+    path = output / "store" / "run.json"
+    try:
+        content: dict[str, Any] = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        raise StoreError(f"{output}: no finished run here; `spl-batch run` comes first") from None
+    return content

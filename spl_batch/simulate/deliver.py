@@ -1,0 +1,188 @@
+"""What comes with the flightlines: trajectory, reference cloud, truth, workflow."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from spl_batch.constants import (
+    CLASS_BUILDING,
+    CLASS_GROUND,
+    CLASS_UNCLASSIFIED,
+    CLASS_WATER,
+)
+from spl_batch.io.atomic import replacing
+from spl_batch.kernels.scene_trace import (
+    KIND_GROUND,
+    KIND_ROOF,
+    KIND_WATER,
+    SceneArrays,
+)
+from spl_batch.kernels.sim_linear import linear_returns, surface_heights
+from spl_batch.kernels.sim_shots import NoiseGrid, empty_layers
+from spl_batch.simulate.files import (
+    las_header,
+    sbet_records,
+    write_points,
+    write_polygons,
+    write_raster,
+    write_text,
+    write_trajectory_csv,
+)
+from spl_batch.simulate.flight import Pass
+from spl_batch.simulate.layout import Layout, footprints
+from spl_batch.simulate.scene import Scene
+
+TRAJECTORY_HZ = 200.0
+"""Records per second of the trajectory [Hz]."""
+
+LINEAR_SPOT_M = 0.1
+"""Spread of the reference's footprint [m]."""
+
+
+def deliver(
+    scene: Scene, arrays: SceneArrays, layout: Layout, passes: list[Pass], out: Path
+) -> Path:
+    """Write everything but the flightlines; the workflow's path.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    arrays, layout
+        What it became.
+    passes : list of Pass
+        Its flightlines.
+    out : Path
+        Folder of the survey.
+    """
+    _trajectory(scene, passes, out)
+    _reference(scene, arrays, out)
+    _rasters(scene, arrays, out)
+    origin = scene.origin_m[:2]
+    water = [
+        shapely.Polygon([(x + origin[0], y + origin[1]) for x, y in w.ring_m]) for w in scene.water
+    ]
+    if water:
+        write_polygons(out / "water.gpkg", water, scene.crs)
+    roofs = [[[x + origin[0], y + origin[1]] for x, y in shape.exterior.coords]
+             for shape in footprints(layout.buildings)]  # fmt: skip
+    truth = {
+        "scene": scene.model_dump(mode="json", by_alias=True),
+        "buildings": [b.model_dump(mode="json") for b in layout.buildings],
+        "building_outlines": roofs,
+        "crowns": layout.crowns,
+        "wires": [[float(v) for v in row] for row in arrays.wire],
+        "wire_columns": ["x", "y", "ux", "uy", "span", "a", "vertex", "offset", "radius", "rho"],
+    }
+    write_text(out / "truth" / "scene.json", truth)
+    return _workflow(scene, out, bool(water))
+
+
+def deliver_noise(scene: Scene, grid: NoiseGrid, out: Path) -> None:
+    """Write the expected background per cubic metre on the 10 m lattice.
+
+    Parameters
+    ----------
+    scene : Scene
+        Gives the origin.
+    grid : NoiseGrid
+        Expected background points of each voxel.
+    out : Path
+        Folder of the survey.
+    """
+    corner = np.rint((grid.corner + np.array([*scene.origin_m[:2], 0.0])) / grid.voxel_m).astype(
+        np.int64
+    )
+    density = (grid.amount / grid.voxel_m**3).astype(np.float32)
+    with replacing(out / "truth" / "noise_density.npz") as part:
+        # a file object: given a name, numpy would put .npz behind it
+        with part.open("wb") as file:
+            np.savez_compressed(file, density=density, corner=corner, voxel_m=grid.voxel_m)
+
+
+def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
+    records, tables = [], []
+    for run in passes:
+        first = math.floor(run.start_s) - 1
+        last = math.ceil(run.middle_s + run.half_s) + 3
+        time_s = first + np.arange(round((last - first) * TRAJECTORY_HZ) + 1) / TRAJECTORY_HZ
+        xyz = run.position(time_s) + np.array([*scene.origin_m[:2], 0.0])
+        tables.append(np.column_stack([time_s, xyz]))
+        records.append(sbet_records(scene.crs, time_s, xyz, run.attitude(time_s)))
+    table = np.concatenate(tables)
+    write_trajectory_csv(out / "trajectory.csv", table[:, 0], table[:, 1:])
+    with replacing(out / "trajectory.sbet") as part:
+        np.concatenate(records).astype("<f8").tofile(part)
+
+
+def _reference(scene: Scene, arrays: SceneArrays, out: Path) -> None:
+    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(4,)))
+    n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
+    xy = rng.random((n, 2)) * scene.extent_m
+    z, kind = np.empty((n, 2)), np.zeros((n, 2), dtype=np.uint8)
+    above = float(arrays.ground_z.max()) + 500.0
+    linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
+    z += scene.reference.noise_m * rng.standard_normal(z.shape)
+    seen = np.isfinite(z)
+    returns = seen.sum(axis=1).astype(np.uint8)
+    number = np.column_stack([np.ones(n, dtype=np.uint8), returns])
+    classes = np.full(256, CLASS_UNCLASSIFIED, dtype=np.uint8)
+    classes[[KIND_GROUND, KIND_ROOF, KIND_WATER]] = CLASS_GROUND, CLASS_BUILDING, CLASS_WATER
+    time_s = scene.acquisition.start_s + np.arange(n) / 400_000.0
+    pulse = np.repeat(np.arange(n), 2).reshape(n, 2)[seen]
+    header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
+    write_points(
+        out / "reference_lml.laz",
+        header,
+        {
+            "x": xy[pulse, 0] + scene.origin_m[0],
+            "y": xy[pulse, 1] + scene.origin_m[1],
+            "z": z[seen],
+            "gps_time": time_s[pulse],
+            "classification": classes[kind[seen]],
+            "return_number": number[seen],
+            "number_of_returns": returns[pulse],
+            "point_source_id": np.ones(len(pulse), dtype=np.uint16),
+        },
+    )
+
+
+def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
+    """True ground and surface at the centres of 1 m cells on whole metres."""
+    west, south = (math.floor(v) for v in scene.origin_m[:2])
+    east, north = (
+        math.ceil(v + size) for v, size in zip(scene.origin_m, scene.extent_m, strict=False)
+    )
+    x = np.arange(west, east) + 0.5 - scene.origin_m[0]
+    y = np.arange(north, south, -1) - 0.5 - scene.origin_m[1]
+    xs, ys = np.meshgrid(x, y)
+    ground, surface = np.empty(xs.size), np.empty(xs.size)
+    surface_heights(arrays, xs.ravel(), ys.ravel(), ground, surface)
+    for name, values in (("dtm", ground), ("dsm", surface)):
+        path = out / "truth" / f"{name}.tif"
+        write_raster(path, values.reshape(xs.shape), float(west), float(north), scene.crs)
+
+
+def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - one caller
+    content: dict[str, Any] = {
+        "survey": {
+            "name": scene.name,
+            "flightlines": "flightlines/*.laz",
+            "trajectory": "trajectory.csv",
+            "sensor": scene.instrument.model_dump(mode="json")
+            if scene.sensor_overrides or not isinstance(scene.sensor, str)
+            else scene.sensor,
+            "channel_dimension": "channel",
+        },
+        "reference": {"points": "reference_lml.laz"},
+        "output": "out",
+        "acquisition": {"prf_hz": scene.acquisition.prf_hz, "gate_m": scene.acquisition.gate_m},
+    }
+    if water:
+        content["water"] = "water.gpkg"
+    path = out / "workflow.yaml"
+    write_text(path, content)
+    return path

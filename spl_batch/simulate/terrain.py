@@ -1,0 +1,91 @@
+"""Ground heights, reflectance and water of a scene, on a grid of nodes."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.kernels.scene_trace import KIND_GROUND, KIND_WATER
+from spl_batch.simulate.scene import Scene
+
+APRON_M = 60.0
+"""How far the ground goes on beyond the extent, so that slanted beams meet it [m]."""
+
+
+class Ground(NamedTuple):
+    """Node grids; see :class:`~spl_batch.kernels.scene_trace.SceneArrays`."""
+
+    z: NDArray[np.float64]
+    rho: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+    grid: NDArray[np.float64]
+
+
+def make_ground(scene: Scene, rng: np.random.Generator) -> Ground:
+    """Ground of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    rng : Generator
+        Source of chance.
+    """
+    terrain = scene.terrain
+    step = terrain.grid_m
+    apron = math.ceil(APRON_M / step) * step
+    nx, ny = (math.ceil((size + 2 * apron) / step) + 1 for size in scene.extent_m)
+    relief = _smooth_noise(rng, (ny, nx), terrain.wavelength_m / step / 4)
+    z = scene.origin_m[2] + terrain.relief_m * (relief - 0.5)
+    z += terrain.roughness_m * rng.standard_normal((ny, nx))
+    bright = _smooth_noise(rng, (ny, nx), 10.0 / step) - 0.5
+    bright /= max(float(bright.std()), 1e-9)
+    rho = terrain.reflectance * np.clip(1 + terrain.reflectance_variation * bright, 0.05, 3.0)
+    kind = np.full((ny, nx), KIND_GROUND, dtype=np.uint8)
+    ground = Ground(z, np.clip(rho, 0.0, 1.0), kind, np.array([-apron, -apron, step]))
+    return _flood(scene, ground)
+
+
+def node_points(ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """East and north of every node: two (ny, nx) float64 [m]."""
+    ny, nx = ground.z.shape
+    x = ground.grid[0] + ground.grid[2] * np.arange(nx)
+    y = ground.grid[1] + ground.grid[2] * np.arange(ny)
+    east, north = np.meshgrid(x, y)
+    return east, north
+
+
+def _smooth_noise(
+    rng: np.random.Generator, shape: tuple[int, int], sigma: float
+) -> NDArray[np.float64]:
+    """Smooth random field from 0 to 1."""
+    coarse = max(int(sigma / 4), 1)
+    small = tuple(n // coarse + 3 for n in shape)
+    field = ndimage.gaussian_filter(rng.standard_normal(small), sigma / coarse, mode="wrap")
+    large = ndimage.zoom(field, coarse, order=3)[: shape[0], : shape[1]]
+    low, high = float(large.min()), float(large.max())
+    scaled: NDArray[np.float64] = (large - low) / max(high - low, 1e-12)
+    return scaled
+
+
+def _flood(scene: Scene, ground: Ground) -> Ground:
+    """Lower the ground to each water level, with banks of the stated slope."""
+    z, rho, kind = ground.z.copy(), ground.rho.copy(), ground.kind.copy()
+    points = shapely.points(*node_points(ground))
+    for water in scene.water:
+        polygon = shapely.Polygon(water.ring_m)
+        distance = shapely.distance(polygon, points)
+        wet = distance == 0.0
+        if not wet.any():
+            continue
+        # below every node of the shore, so that no ground stands in a pit beside it
+        shore = distance <= 2 * ground.grid[2]
+        level = float(z[shore].min()) - 0.3
+        z = np.minimum(z, level + 0.05 + water.bank_slope * distance)
+        z[wet] = level
+        rho[wet] = water.reflectance
+        kind[wet] = KIND_WATER
+    return Ground(z, rho, kind, ground.grid)

@@ -1,0 +1,235 @@
+"""Beam geometry of each point, and what is estimated where the survey does not say it.
+
+Sources: [W17] 6.2.2 and [W18] 2.2.2 (the line of sight joins the return with the
+trajectory interpolated at the shot's time).
+
+Deviations: without a trajectory the beam is taken from the scan angle across the
+flight direction, or is vertical; its origin is then a stand-in where the beam crosses
+the absolute height :data:`STAND_IN_HEIGHT_M`, so that ranges still order the returns of
+a beam and a gate cut at a height stays one. Nothing depends on how a flightline is cut.
+"""
+
+from collections.abc import Sequence
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTUM_M
+from spl_batch.model import BeamTable, PointTable, Trajectory
+
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "scan_angle")
+COLUMNS_ADDED: Final = ()
+BYTES_PER_POINT: Final = 160
+
+STAND_IN_HEIGHT_M: Final = 10_000.0
+"""Height of stand-in origins [m]; above every terrain and every survey flight."""
+
+STEP_BIN_S: Final = 1e-8
+"""Bin of the histogram of steps between shots [s]."""
+
+STEP_BINS: Final = 100_000
+"""Bins of that histogram: steps up to 1 ms, so PRFs from 1 kHz."""
+
+MIN_ANGLES: Final = 16
+"""Fewer distinct scan angles than this are a label of the line, not a geometry."""
+
+Basis = Literal["trajectory", "scan_angle", "vertical"]
+
+
+def beams(
+    table: PointTable, trajectory: Trajectory | None, *, heading_rad: float | None = None
+) -> BeamTable:
+    """Line of sight of each point.
+
+    Parameters
+    ----------
+    table : PointTable
+        Needs :data:`COLUMNS_NEEDED`; times are finite.
+    trajectory : Trajectory or None
+        Sensor positions; where they do not cover a time the beam is not known.
+    heading_rad : float, optional
+        Flight direction, clockwise from north [rad], used without a trajectory: beams
+        then lean by the scan angle to starboard. None gives vertical beams.
+
+    Returns
+    -------
+    BeamTable
+    """
+    points = np.empty((len(table), 3), dtype=np.float64)
+    for axis, name in enumerate(("x", "y", "z")):
+        points[:, axis] = table[name] * QUANTUM_M
+    if trajectory is not None:
+        return _from_trajectory(points, table["gps_time"], trajectory)
+    lean = np.zeros(len(table))
+    if heading_rad is not None:
+        lean = np.deg2rad(table["scan_angle"].astype(np.float64))
+    starboard = (0.0, 0.0) if heading_rad is None else (np.cos(heading_rad), -np.sin(heading_rad))
+    return _stand_in(points, lean, starboard)
+
+
+def _from_trajectory(
+    points: NDArray[np.float64], time_s: NDArray[np.float64], trajectory: Trajectory
+) -> BeamTable:
+    origin, known = trajectory.position(time_s)
+    direction = points - origin
+    range_m = np.sqrt(np.einsum("ij,ij->i", direction, direction))
+    known = known & (range_m > 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direction /= range_m[:, None]
+    return BeamTable(origin, direction, range_m, known)
+
+
+def _stand_in(
+    points: NDArray[np.float64], lean_rad: NDArray[np.float64], starboard: Sequence[float]
+) -> BeamTable:
+    cosine = np.cos(lean_rad)
+    direction = np.column_stack(
+        [np.sin(lean_rad) * starboard[0], np.sin(lean_rad) * starboard[1], -cosine]
+    )
+    known: NDArray[np.bool_] = (cosine > 0.1) & (points[:, 2] < STAND_IN_HEIGHT_M)
+    range_m = (STAND_IN_HEIGHT_M - points[:, 2]) / np.where(known, cosine, 1.0)
+    return BeamTable(points - direction * range_m[:, None], direction, range_m, known)
+
+
+def observe_track(table: PointTable) -> dict[str, NDArray[np.int64]]:
+    """What a flightline's heading is estimated from; parts of a flightline add up.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of one flightline with finite times.
+
+    Returns
+    -------
+    dict
+        ``second`` (m,), and per whole second ``count``, ``x_sum``, ``y_sum`` [quanta];
+        ``angle`` (a,) distinct scan angles [mdeg], all int64.
+    """
+    second, inverse = np.unique(np.floor(table["gps_time"]).astype(np.int64), return_inverse=True)
+    sums = np.zeros((2, len(second)), dtype=np.int64)
+    np.add.at(sums[0], inverse, table["x"])
+    np.add.at(sums[1], inverse, table["y"])
+    angle = np.rint(table["scan_angle"].astype(np.float64) * 1000).astype(np.int64)
+    return {
+        "second": second,
+        "count": np.bincount(inverse, minlength=len(second)).astype(np.int64),
+        "x_sum": sums[0],
+        "y_sum": sums[1],
+        "angle": np.unique(angle)[: 4 * MIN_ANGLES],
+    }
+
+
+def merge_track(parts: Sequence[dict[str, NDArray[np.int64]]]) -> dict[str, NDArray[np.int64]]:
+    """Add up parts of :func:`observe_track`, in any order."""
+    if not parts:
+        return observe_track_empty()
+    second, inverse = np.unique(np.concatenate([p["second"] for p in parts]), return_inverse=True)
+    merged = {"second": second}
+    for name in ("count", "x_sum", "y_sum"):
+        merged[name] = np.zeros(len(second), dtype=np.int64)
+        np.add.at(merged[name], inverse, np.concatenate([p[name] for p in parts]))
+    merged["angle"] = np.unique(np.concatenate([p["angle"] for p in parts]))[: 4 * MIN_ANGLES]
+    return merged
+
+
+def observe_track_empty() -> dict[str, NDArray[np.int64]]:
+    """Statistics of no points."""
+    names = ("second", "count", "x_sum", "y_sum", "angle")
+    return {name: np.empty(0, dtype=np.int64) for name in names}
+
+
+def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
+    """Flight direction from the drift of the points' centroid.
+
+    Parameters
+    ----------
+    track : dict
+        Merged statistics of one flightline.
+
+    Returns
+    -------
+    float or None
+        Heading, clockwise from north [rad]; None (beams are then vertical) where the
+        scan angle takes too few values to be a geometry, or the drift is no clear line.
+    """
+    if len(track["angle"]) < MIN_ANGLES or len(track["second"]) < 3:
+        return None
+    # The first and last second are cut somewhere: their centroids are not comparable.
+    inner = slice(1, -1) if len(track["second"]) > 4 else slice(None)
+    time = (track["second"] - track["second"][0])[inner].astype(np.float64)
+    x = ((track["x_sum"] / track["count"])[inner]) * QUANTUM_M
+    y = ((track["y_sum"] / track["count"])[inner]) * QUANTUM_M
+    speed = np.array([np.polynomial.polynomial.polyfit(time, v, 1)[1] for v in (x, y)])
+    travelled = float(np.hypot(*speed) * np.ptp(time))
+    spread = np.hypot(
+        x - x.mean() - speed[0] * (time - time.mean()),
+        y - y.mean() - speed[1] * (time - time.mean()),
+    )
+    if travelled < 50.0 or float(np.median(spread)) > 0.1 * travelled:
+        return None
+    return float(np.arctan2(speed[0], speed[1]))
+
+
+def basis_of(trajectory: Trajectory | None, heading_rad: float | None) -> Basis:
+    """What :func:`beams` takes the beams from, for the report."""
+    if trajectory is not None:
+        return "trajectory"
+    return "vertical" if heading_rad is None else "scan_angle"
+
+
+def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Histogram of the steps between consecutive shots; histograms add up.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Times of the points of one flightline, in any order; not finite ones are ignored.
+
+    Returns
+    -------
+    (STEP_BINS,) int64
+        Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped.
+    """
+    step = np.diff(np.unique(time_s[np.isfinite(time_s)]))
+    step = step[step < (STEP_BINS - 1) * STEP_BIN_S]
+    index = np.rint(step / STEP_BIN_S).astype(np.int64)
+    return np.bincount(index, minlength=STEP_BINS).astype(np.int64)
+
+
+def estimate_prf(steps: NDArray[np.int64]) -> float | None:
+    """Pulse repetition frequency from the steps between shots.
+
+    Silent shots make steps of two and more periods, but one period stays the commonest;
+    the mean around the mode takes out the jitter (20.03 / 19.97 us), and the steps of
+    two periods sharpen it.
+
+    Parameters
+    ----------
+    steps : (STEP_BINS,) int64
+        Sum of histograms of :func:`shot_steps`.
+
+    Returns
+    -------
+    float or None
+        PRF [Hz]; None where no step is common enough.
+    """
+    total = int(steps.sum())
+    if total < 10:
+        return None
+    centre = np.arange(len(steps)) * STEP_BIN_S
+    # A window of +-2 % around each bin, so that jitter does not split the mode.
+    half = np.maximum(3, np.arange(len(steps)) // 50)
+    cumulative = np.concatenate([[0], np.cumsum(steps)])
+    low = np.maximum(np.arange(len(steps)) - half, 0)
+    high = np.minimum(np.arange(len(steps)) + half + 1, len(steps))
+    window = (cumulative[high] - cumulative[low]).astype(np.float64)
+    window[:4] = 0
+    # The window widens with the step, so ties and trends favour the long steps: undo it.
+    mode = int(np.argmax(window / np.sqrt(high - low)))
+    if window[mode] < max(5.0, 0.05 * total):
+        return None
+    counted = steps[low[mode] : high[mode]]
+    period = float(np.dot(counted, centre[low[mode] : high[mode]]) / counted.sum())
+    return 1.0 / period

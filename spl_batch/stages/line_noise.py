@@ -1,0 +1,306 @@
+"""Line noise density of each beamlet, rho_l [1/m].
+
+Sources: [W17] Eq. 5.1, [W18] 2.2.1.
+
+| symbol | name |
+|---|---|
+| N | ``outside``: noise returns of an interval |
+| 6000 | shots fired x ``beamlets`` |
+| R | slant length of gate that was counted |
+| rho_l | ``rate`` x ``gain`` of the channel |
+
+Deviations: silent shots count as fired; R is a slant length and what the gate really
+leaves; the buffer shrinks where the gate is short; the rate of an interval is shrunk
+towards that of its neighbours as far as Poisson statistics explain their differences
+(empirical Bayes with a gamma prior), and so are the channels' gains towards one.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.model import BeamTable, PointTable
+from spl_batch.sensor import Sensor
+from spl_batch.stages.gate import fit_gate
+from spl_batch.stages.line_model import LineModel
+from spl_batch.stages.line_observe import (
+    FOLLOWER_M,
+    merge,
+    observe,
+)
+from spl_batch.stages.noise_region import choose_region, offered_lengths, profile_rate
+from spl_batch.workflow import NoiseSettings
+
+__all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
+
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
+COLUMNS_ADDED: Final = ("line_density",)
+BYTES_PER_POINT: Final = 120
+
+SEEN_TARGET: Final = 15.0
+"""Beamlets seen that a window of shots should have; exp(-15) of the windows are empty."""
+
+RETURNS_MIN: Final = 20.0
+"""Fewer beamlets seen per interval than this, and the median is one of the noise returns."""
+
+
+def fit(
+    merged: dict[str, NDArray[Any]],
+    settings: NoiseSettings,
+    sensor: Sensor,
+) -> LineModel:
+    """Line noise model of one flightline.
+
+    Parameters
+    ----------
+    merged : dict
+        Statistics of all its stretches, from :func:`merge`.
+    settings : NoiseSettings
+        Interval, smoothing and buffer.
+    sensor : Sensor
+        Beamlets per shot, and the gate's length where it is known.
+    """
+    if len(merged["interval"]) == 0:
+        return _nothing(settings, sensor)
+    interval, rows, first, last = _fired(merged, settings.interval_shots)
+    summary = merged["summary"][rows]
+    present = np.diff(rows, prepend=-1) > 0
+    outside = np.where(present[:, None, None], merged["outside"][rows], 0)
+    beamlets, gain_active, warnings = _channels(merged["seen_channel"], sensor.beamlets)
+    gate = fit_gate(interval, summary, outside, settings.buffer_m, sensor.gate_m)
+    fired = (last - first + 1).astype(np.float64) * beamlets
+    length = offered_lengths(gate, summary, settings.buffer_m)
+    region = choose_region(outside, fired[:, None, None] * length, fired, gate, summary)
+    use = {"both": [1.0, 1.0], "above": [1.0, 0.0], "below": [0.0, 1.0]}
+    if region.side == "none":
+        flat = profile_rate(merged["profile"], gate, summary, fired)
+        rate, gain = np.full(len(interval), flat), gain_active
+    else:
+        sides = np.array(use[region.side])
+        counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
+        exposure = fired * (length[:, :, region.buffer] @ sides)
+        rate = _smooth(interval, counted, exposure, settings.smooth_intervals)
+        by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
+        gain = _gains(by_channel, gain_active)
+    seen = np.where(present, merged["beamlets"][rows], 0)
+    return LineModel(
+        interval=interval,
+        rate=rate,
+        first=first,
+        last=last,
+        near=gate.near,
+        far=gate.far,
+        gain=gain,
+        seen_fraction=np.minimum(seen / fired, 1.0),
+        kind=gate.kind,
+        gate_m=gate.length_m,
+        mean_rate=float(np.average(rate, weights=fired)),
+        beamlets=beamlets,
+        interval_shots=settings.interval_shots,
+        seen_shots=_seen_window(seen, last - first + 1, settings.interval_shots),
+        warnings=(*warnings, *gate.warnings, *region.warnings, *_few(merged)),
+    )
+
+
+def _few(merged: dict[str, NDArray[Any]]) -> tuple[str, ...]:
+    """Warn of intervals with so few returns that noise is taken for their signal."""
+    per_interval = float(merged["beamlets"].mean())
+    if per_interval >= RETURNS_MIN:
+        return ()
+    text = (
+        f"an interval holds {per_interval:.1f} beamlets with a return: the noise rate is too "
+        f"low by about 1 / {per_interval:.1f}; raise noise.interval_shots"
+    )
+    return (text,)
+
+
+def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:
+    none, empty = np.empty(0, dtype=np.int64), np.empty(0)
+    return LineModel(
+        none, empty, none, none, empty, empty, np.ones(256), empty, "range",
+        sensor.gate_m or 0.0, 0.0, sensor.beamlets, settings.interval_shots, 1,
+        ("no return has a known beam: there is no noise model",),
+    )  # fmt: skip
+
+
+def _fired(
+    merged: dict[str, NDArray[Any]], interval_shots: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Which shots were fired: silent intervals are put in, edges of the data cut off.
+
+    Returns
+    -------
+    interval : (k,) int64
+        Intervals, with those that chance can have left empty.
+    rows : (k,) int64
+        Row of ``merged`` for each; a silent interval repeats the one before it.
+    first, last : (k,) int64
+        First and last shot fired within the interval.
+    """
+    interval = merged["interval"]
+    step = np.diff(interval)
+    # Empty runs are geometric; a run longer than one in a thousand such flightlines shows
+    # once was no chance: the laser was off or the points were cut out.
+    empty = max(_empty_share(merged, step, interval_shots), 1e-300)
+    longest = np.log(1e3 * len(interval)) / -np.log(empty) if empty < 1.0 else 0.0
+    bridged = step - 1 <= longest
+    repeat = np.ones(len(interval), dtype=np.int64)
+    repeat[:-1] += np.where(bridged, step - 1, 0)
+    rows = np.repeat(np.arange(len(interval)), repeat)
+    within = np.arange(len(rows)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
+    starts_run = np.concatenate([[True], ~bridged])
+    ends_run = np.concatenate([~bridged, [True]])
+    first = np.where(starts_run, merged["first"], 0)[rows] * (within == 0)
+    last = np.where(ends_run[rows], merged["last"][rows], interval_shots - 1)
+    return interval[rows] + within, rows, first, last
+
+
+def _empty_share(
+    merged: dict[str, NDArray[Any]], step: NDArray[np.int64], interval_shots: int
+) -> float:
+    """Probability that chance leaves an interval without a return."""
+    missing = 1.0 - float(np.mean(step == 1)) if len(step) else 0.0
+    between = int(np.sum(merged["last"] - merged["first"]))
+    if between == 0:
+        return missing
+    silent = max(1.0 - float(np.sum(merged["shots"] - 1)) / between, 0.0)
+    return min(missing, silent**interval_shots)
+
+
+def _channels(
+    seen: NDArray[np.int64], beamlets: int
+) -> tuple[int, NDArray[np.float64], tuple[str, ...]]:
+    """Beamlets per shot, and gains as far as live and dead channels decide them.
+
+    Returns
+    -------
+    beamlets : int
+        Beamlets per shot.
+    gain : (256,) float64
+        0 for dead channels, the same for all others, mean one over the beamlets.
+    warnings : tuple of str
+    """
+    live = seen > 0
+    alive = int(live.sum())
+    if alive > beamlets:
+        text = f"{alive} channels are seen where the sensor has {beamlets}: {alive} are assumed"
+        return alive, live.astype(np.float64), (text,)
+    if seen.sum() < 10 * beamlets or alive == beamlets:
+        return beamlets, np.ones(256), ()
+    gain = live.astype(np.float64) * (beamlets / alive)
+    return beamlets, gain, (f"{beamlets - alive} of {beamlets} channels give no returns",)
+
+
+def _moving(interval: NDArray[np.int64], value: NDArray[Any], half: int) -> NDArray[np.float64]:
+    """Sum over the intervals within ``half`` of each: (m,) float64."""
+    total = np.concatenate([[0], np.cumsum(value)])
+    low = np.searchsorted(interval, interval - half, side="left")
+    high = np.searchsorted(interval, interval + half, side="right")
+    moved: NDArray[np.float64] = (total[high] - total[low]).astype(np.float64)
+    return moved
+
+
+def _smooth(
+    interval: NDArray[np.int64],
+    counted: NDArray[np.int64],
+    exposure: NDArray[np.float64],
+    half: int,
+) -> NDArray[np.float64]:
+    """Rate of each interval [1/m], shrunk towards that of its wider neighbourhood."""
+    # A counted return blinds the length behind it for the next one.
+    exposure = np.maximum(exposure - FOLLOWER_M * counted, 0.0)
+    total = (counted.sum() + 0.5) / max(exposure.sum(), 1.0)
+    wide_n, wide_e = (_moving(interval, v, half) for v in (counted, exposure))
+    wide = (wide_n + 1.0) / (wide_e + 1.0 / total)
+    near = half // 8
+    near_n, near_e = (_moving(interval, v, near) for v in (counted, exposure))
+    block = interval // (2 * near + 1)
+    starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
+    n = np.add.reduceat(counted, starts)
+    weight = _prior_weight(n, np.add.reduceat(wide * exposure, starts))
+    rate: NDArray[np.float64] = (near_n + weight) / (near_e + weight / wide)
+    return rate
+
+
+def _prior_weight(n: NDArray[np.int64], expected: NDArray[np.float64]) -> float:
+    """Counts that a gamma prior is worth: 1 / relative variance beyond Poisson."""
+    excess = float(np.sum((n - expected) ** 2 - expected))
+    square = float(np.sum(expected**2))
+    return square / excess if excess > 1e-9 * square > 0 else 1e9
+
+
+def _gains(by_channel: NDArray[np.int64], active: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Gain of each channel, mean as in ``active``: (256,) float64."""
+    # A live channel without noise returns keeps its mean share: it was seen, not counted.
+    used = np.flatnonzero((active > 0) & (by_channel > 0))
+    if len(used) == 0:
+        return active
+    n = by_channel[used].astype(np.float64)
+    # Weak channels are a kind of their own: only the ordinary ones share a prior.
+    usual = float(np.median(n))
+    ordinary = np.abs(n - usual) <= 5.0 * np.sqrt(usual + 1.0)
+    expected = float(n[ordinary].mean())
+    weight = _prior_weight(by_channel[used][ordinary], np.full(ordinary.sum(), expected))
+    raw = np.where(ordinary, (n + weight) / (expected + weight), n / expected)
+    gain = active.copy()
+    gain[used] = raw * (active[used].sum() / raw.sum())
+    return gain
+
+
+def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_shots: int) -> int:
+    """Shots over which beamlets stand in for silent ones: a divisor of the interval."""
+    per_shot = float(seen.sum()) / float(fired.sum())
+    for shots in range(1, interval_shots + 1):
+        if interval_shots % shots == 0 and shots * per_shot >= SEEN_TARGET:
+            return shots
+    return interval_shots
+
+
+def line_density(table: PointTable, model: LineModel) -> NDArray[np.float32]:
+    """Expected noise of each point's beamlet [W17 Eq. 5.1].
+
+    Parameters
+    ----------
+    table : PointTable
+        Needs ``shot`` and ``channel``.
+    model : LineModel
+        Model of the flightline.
+
+    Returns
+    -------
+    (n,) float32
+        Noise returns per metre of beamlet [1/m].
+    """
+    rate = model.at(table["shot"], model.rate, model.mean_rate)
+    density: NDArray[np.float32] = (rate * model.gain[table["channel"]]).astype(np.float32)
+    return density
+
+
+def gate_of(
+    table: PointTable, beams: BeamTable, model: LineModel
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Slant ranges between which each point's beamlet was listened to.
+
+    Parameters
+    ----------
+    table : PointTable
+        Needs ``shot`` and ``z``.
+    beams : BeamTable
+        Their beams.
+    model : LineModel
+        Model of the flightline.
+
+    Returns
+    -------
+    near_m, far_m : (n,) float64
+        Slant ranges [m].
+    """
+    near = model.at(table["shot"], model.near, 0.0)
+    far = model.at(table["shot"], model.far, 0.0)
+    if model.kind == "range":
+        return near, far
+    z = beams.origin_m[:, 2]
+    cosine = np.maximum(-beams.direction[:, 2], 0.1)
+    return (z - near) / cosine, (z - far) / cosine

@@ -1,0 +1,372 @@
+r"""Terrain, surface, height, density and intensity rasters of one ground cell.
+
+Domain: space. A ground cell is an absolute square whose edge is a whole multiple of the
+raster cell; it and a fixed margin around it decide its rasters, whatever tile, block or
+task they are computed in.
+
+====== ========================================================================
+DTM    TIN through one vertex per raster cell: the robust mean (x, y, z) of its
+       ground returns, evaluated at cell centres. The spread of a single range
+       (5 cm) stays in a TIN through single returns; averaging removes it, and
+       averaging positions too keeps slopes unbiased.
+DSM    Highest return of the cell that is ground or that others confirm: more of
+       them within ``dsm_near_m``, or more that stand as free as itself within
+       ``dsm_support_m``, than noise alone puts there (:mod:`spl_batch.kernels.tops`).
+       What noise puts there is measured by the returns that the filter refused;
+       without any, ``dsm_support`` returns do. A wire of few returns per metre
+       stands out of the DSM where there is little noise only. Never below the DTM.
+       A cell without a confirmed return takes the nearest value within
+       ``dsm_void_max_m``, of several the lowest.
+CHM    DSM - DTM, hence >= 0; nodata where either is.
+====== ========================================================================
+
+Returns that the filter has not assessed (no beam; or no filter at all) take part in a
+raster cell only where it holds no assessed signal: there they are all that is known.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import pdtrc
+
+from spl_batch.constants import (
+    CLASS_BUILDING,
+    CLASS_GROUND,
+    CLASS_HIGH_NOISE,
+    CLASS_LOW_NOISE,
+    CLASS_UNCLASSIFIED,
+    CLASS_WATER,
+    NODATA,
+    NOISE_AFTERPULSE,
+    NOISE_BACKGROUND,
+    NOISE_NOT_ASSESSED,
+    NOISE_SIGNAL,
+    QUANTUM_M,
+)
+from spl_batch.kernels.interpolate import tin_raster
+from spl_batch.kernels.raster import (
+    fill_voids,
+    ring_offsets,
+    robust_cell_means,
+    sort_into_cells,
+)
+from spl_batch.kernels.tops import CellPoints, Support, supported_tops
+from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.tiling import Bounds, grow, inside, quanta
+from spl_batch.workflow import ProductSettings
+
+DOMAIN: Final = "space"
+"""Needs every flightline of a place."""
+
+COLUMNS_NEEDED: Final = (
+    "x",
+    "y",
+    "z",
+    "noise_class",
+    "ground",
+    "intensity",
+    "return_number",
+    "flags",
+)
+"""Columns that :func:`surfaces` reads."""
+
+BYTES_PER_POINT: Final = 100
+"""Peak of the working arrays per point of the table, the table itself not counted [bytes]."""
+
+PRODUCTS: Final = ("dtm", "dsm", "chm", "intensity", "density")
+"""Names of the rasters."""
+
+GROUND_FLOOR_M: Final = 0.15
+"""Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
+
+WATER_ABOVE_M: Final = 1.0
+"""Returns in a water polygon up to this high above the DTM are water: waves and spread [m]."""
+
+
+def margin_cells(settings: ProductSettings) -> int:
+    """Raster cells around a ground cell whose points decide its rasters [count]."""
+    return max(_cells(2.0 * settings.void_max_m, settings), _top_margin(settings))
+
+
+def reach_m(settings: ProductSettings) -> float:
+    """Width of the margin that :func:`surfaces` reads around a ground cell [m].
+
+    Twice the widest void that is interpolated over: the ground on its far side counts.
+    """
+    return margin_cells(settings) * quanta(settings.cell_m) * QUANTUM_M
+
+
+def surfaces(
+    table: PointTable, cell: Bounds, settings: ProductSettings
+) -> dict[str, NDArray[np.float32]]:
+    """Rasters of one ground cell.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of the cell and of a margin of at least :func:`reach_m`, in any order, with
+        :data:`COLUMNS_NEEDED`; points farther out are ignored.
+    cell : Bounds
+        The ground cell [quanta]; its edges are whole multiples of the raster cell.
+    settings : ProductSettings
+        Cell size and distances.
+
+    Returns
+    -------
+    dict of str to (rows, cols) float32
+        ``dtm, dsm, chm`` [m], ``intensity`` (mean of first returns, as delivered),
+        ``density`` (signal returns per m2); row 0 is the northernmost; nodata
+        :data:`~spl_batch.constants.NODATA`, which ``density`` never holds.
+    """
+    size = quanta(settings.cell_m)
+    if any(edge % size for edge in cell):
+        raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
+    dtm = _terrain(table, cell, settings)
+    signal, level = _signal(table, cell, settings)
+    support = _support(_noise_density(table, cell, settings), settings)
+    dsm = _top_surface(signal, level, support, cell, settings)
+    dsm = np.where(dsm < dtm, dtm, dsm)
+    density, intensity = _counts(signal, cell, size)
+    rasters = {
+        "dtm": dtm * QUANTUM_M,
+        "dsm": dsm * QUANTUM_M,
+        "chm": (dsm - dtm) * QUANTUM_M,
+        "intensity": intensity,
+        "density": density,
+    }
+    return {name: _delivered(values) for name, values in rasters.items()}
+
+
+def _delivered(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """North up, nodata for NaN."""
+    north_up = np.where(np.isnan(values), NODATA, values)[::-1]
+    return np.ascontiguousarray(north_up, dtype=np.float32)
+
+
+def _shape(bounds: Bounds, size: int) -> tuple[int, int]:
+    return (bounds.ymax - bounds.ymin) // size, (bounds.xmax - bounds.xmin) // size
+
+
+def _cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int64]:
+    """Number of the raster cell of each point, from the south-west corner, row by row."""
+    row = (table["y"] - bounds.ymin) // size
+    col = (table["x"] - bounds.xmin) // size
+    number: NDArray[np.int64] = row * _shape(bounds, size)[1] + col
+    return number
+
+
+def _local(
+    table: PointTable, order: NDArray[np.intp], corner: Bounds
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Sorted coordinates relative to a corner: three (n,) int32 [quanta]."""
+    return (
+        (table["x"][order] - corner.xmin).astype(np.int32),
+        (table["y"][order] - corner.ymin).astype(np.int32),
+        table["z"][order],
+    )
+
+
+def _terrain(table: PointTable, cell: Bounds, settings: ProductSettings) -> NDArray[np.float64]:
+    """DTM from the south [quanta]; NaN in voids."""
+    size = quanta(settings.cell_m)
+    wide = grow(cell, margin_cells(settings) * size)
+    ground = table.select(("x", "y", "z")).take(
+        (table["ground"] == 1) & inside(table["x"], table["y"], wide)
+    )
+    rows, cols = _shape(wide, size)
+    order, start = sort_into_cells(_cell_number(ground, wide, size), ground["z"], rows * cols)
+    means = np.empty((rows * cols, 3))
+    robust_cell_means(_local(ground, order, wide), start, GROUND_FLOOR_M / QUANTUM_M, means)
+    vertices = means[~np.isnan(means[:, 2])]
+    vertices[:, :2] -= wide.xmax - cell.xmax
+    return tin_raster(vertices, size, _shape(cell, size), quanta(settings.void_max_m))
+
+
+def _signal(
+    table: PointTable, cell: Bounds, settings: ProductSettings
+) -> tuple[PointTable, NDArray[np.uint8]]:
+    """Returns that surfaces are made of, and their level: 0 assessed signal, 1 not assessed."""
+    size = quanta(settings.cell_m)
+    near = grow(cell, _top_margin(settings) * size)
+    noise_class = table["noise_class"]
+    usable = (noise_class == NOISE_SIGNAL) | (noise_class == NOISE_NOT_ASSESSED)
+    usable &= ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
+    usable &= inside(table["x"], table["y"], near)
+    signal = table.select(COLUMNS_NEEDED).take(usable)
+    level = (signal["noise_class"] == NOISE_NOT_ASSESSED).astype(np.uint8)
+    rows, cols = _shape(near, size)
+    number = _cell_number(signal, near, size)
+    assessed = np.bincount(number[level == 0], minlength=rows * cols) > 0
+    kept = (level == 0) | ~assessed[number]
+    return signal.take(kept), level[kept]
+
+
+def _void_cells(settings: ProductSettings) -> int:
+    return quanta(settings.dsm_void_max_m) // quanta(settings.cell_m)
+
+
+def _cells(length_m: float, settings: ProductSettings) -> int:
+    """Raster cells that a length may reach into [count]."""
+    return -(-quanta(length_m) // quanta(settings.cell_m))
+
+
+def _support_cells(settings: ProductSettings) -> int:
+    """Cells around a return that decide on it: its crowd, and what is near to the crowd."""
+    return _cells(settings.dsm_support_m, settings) + _cells(settings.dsm_near_m, settings)
+
+
+def _top_margin(settings: ProductSettings) -> int:
+    """Raster cells around a ground cell that its DSM looks at [count]."""
+    return _void_cells(settings) + _support_cells(settings)
+
+
+def _noise_density(table: PointTable, cell: Bounds, settings: ProductSettings) -> float:
+    """Noise in and around a ground cell, by the returns that the filter refused [1/m3].
+
+    Their central 96 % in height stand for the gate, so that strays do not stretch it; the
+    raster cells with any return stand for the ground flown over.
+    """
+    size = quanta(settings.cell_m)
+    wide = grow(cell, margin_cells(settings) * size)
+    around = table.select(("x", "y", "z", "noise_class")).take(inside(table["x"], table["y"], wide))
+    z = around["z"][around["noise_class"] == NOISE_BACKGROUND]
+    if len(z) < 2:
+        return 0.0
+    low, high = np.percentile(z, (2, 98))
+    depth_m = max(float(high - low) * QUANTUM_M, 1.0)
+    flown = np.count_nonzero(np.bincount(_cell_number(around, wide, size)))
+    return 0.96 * len(z) / (flown * (size * QUANTUM_M) ** 2 * depth_m)
+
+
+def _critical(expected: float, settings: ProductSettings) -> int:
+    """Smallest count that noise alone reaches rarely enough, and ``dsm_support`` at least."""
+    count = settings.dsm_support
+    # pdtrc(k - 1, m) = P(K >= k); it is 0 for m = 0 and k > 0.
+    while count > 0 and pdtrc(count - 1, expected) > settings.dsm_false_alarm:
+        count += 1
+    return count
+
+
+def _support(noise_density: float, settings: ProductSettings) -> Support:
+    """What confirms a return, given the noise around it [1/m3]."""
+    near_m, far_m = settings.dsm_near_m, settings.dsm_support_m
+    sphere = 4.0 / 3.0 * np.pi * noise_density
+    return Support(
+        near=quanta(near_m),
+        far=quanta(far_m),
+        near_count=_critical(sphere * near_m**3, settings),
+        far_count=_critical(sphere * far_m**3, settings),
+        near_cells=_cells(near_m, settings),
+        far_cells=_cells(far_m, settings),
+    )
+
+
+def _top_surface(
+    signal: PointTable,
+    level: NDArray[np.uint8],
+    support: Support,
+    cell: Bounds,
+    settings: ProductSettings,
+) -> NDArray[np.float64]:
+    """DSM from the south, small voids filled [quanta]; NaN in the larger ones."""
+    size = quanta(settings.cell_m)
+    near = grow(cell, _top_margin(settings) * size)
+    rows, cols = _shape(near, size)
+    order, start = sort_into_cells(_cell_number(signal, near, size), signal["z"], rows * cols)
+    points = CellPoints(
+        *_local(signal, order, near),
+        level=level[order],
+        ground=signal["ground"][order] == 1,
+        start=start,
+        rows=rows,
+        cols=cols,
+    )
+    tops = np.empty((rows, cols))
+    supported_tops(points, support, tops)
+    # The outermost cells lack neighbours that could confirm them: they must lend nothing.
+    edge = _support_cells(settings)
+    tops = tops[edge : rows - edge, edge : cols - edge]
+    filled = np.empty_like(tops)
+    fill_voids(tops, ring_offsets(settings.dsm_void_max_m / settings.cell_m), filled)
+    void = _void_cells(settings)
+    return filled[void : filled.shape[0] - void, void : filled.shape[1] - void]
+
+
+def _counts(
+    signal: PointTable, cell: Bounds, size: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Signal returns per m2, and mean intensity of the first returns (NaN without any)."""
+    core = signal.take(inside(signal["x"], signal["y"], cell))
+    shape = _shape(cell, size)
+    cells = shape[0] * shape[1]
+    number = _cell_number(core, cell, size)
+    density = np.bincount(number, minlength=cells) / (size * QUANTUM_M) ** 2
+    first = core["return_number"] <= 1
+    number = number[first]
+    # Sums of whole numbers below 2**53 are exact in float64, in any order.
+    total = np.bincount(number, weights=core["intensity"][first], minlength=cells)
+    count = np.bincount(number, minlength=cells)
+    mean = np.divide(total, count, out=np.full(cells, np.nan), where=count > 0)
+    return density.reshape(shape), mean.reshape(shape)
+
+
+def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """ASPRS class of each point as delivered.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of the cell with ``x, y, z, noise_class, ground, input_class, flags``. Points
+        outside the cell are compared with the DTM at its nearest rim.
+    cell : Bounds
+        The ground cell [quanta].
+    dtm : (rows, cols) float32
+        Its DTM from :func:`surfaces`, north up [m]; nodata where there is none.
+
+    Returns
+    -------
+    (n,) uint8
+        2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
+        water polygon and not more than :data:`WATER_ABOVE_M` above the DTM, or above none; 6
+        where the input says building; 1 the rest. Points that nothing assessed keep the input's
+        class, except that class 2 is this project's ground only.
+
+    Notes
+    -----
+    Where the DTM is void, the median height of the cell's signal stands for the surface;
+    without any signal, all noise is above it.
+    """
+    noise_class, given = table["noise_class"], table["input_class"]
+    ground, assessed = table["ground"] == 1, noise_class != NOISE_NOT_ASSESSED
+    surface, void = _surface_below(table, cell, dtm)
+    height = table["z"] * QUANTUM_M - surface
+    water = table.has(PointFlag.WATER) & (void | (height <= WATER_ABOVE_M))
+    result = np.where(
+        np.isin(given, (CLASS_BUILDING, CLASS_WATER)) | ~assessed, given, CLASS_UNCLASSIFIED
+    )
+    # The input's own ground is not what the ground filter found.
+    result[result == CLASS_GROUND] = CLASS_UNCLASSIFIED
+    result[ground] = CLASS_GROUND
+    result[water] = CLASS_WATER
+    noise = (noise_class == NOISE_BACKGROUND) | (noise_class == NOISE_AFTERPULSE)
+    result[noise] = np.where(height[noise] < 0, CLASS_LOW_NOISE, CLASS_HIGH_NOISE)
+    untouched = ~assessed & table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
+    result[untouched] = given[untouched]
+    return result.astype(np.uint8)
+
+
+def _surface_below(
+    table: PointTable, cell: Bounds, dtm: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Height of the surface at each point [m], -inf if nothing is known; where the DTM is void."""
+    rows, cols = dtm.shape
+    size = (cell.xmax - cell.xmin) // cols
+    row = rows - 1 - np.clip((table["y"] - cell.ymin) // size, 0, rows - 1)
+    col = np.clip((table["x"] - cell.xmin) // size, 0, cols - 1)
+    surface = dtm[row, col].astype(np.float64)
+    void = surface == np.float32(NODATA)
+    if void.any():
+        signal = (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], cell)
+        surface[void] = np.median(table["z"][signal]) * QUANTUM_M if signal.any() else -np.inf
+    return surface, void

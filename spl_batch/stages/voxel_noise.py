@@ -1,0 +1,186 @@
+"""Expected background per voxel: the voxel-spherical model.
+
+Sources: [W17] Eq. 5.2-5.3, 6.1-6.2; [W18] Eq. 1-2.
+
+| symbol | name |
+|---|---|
+| r | :func:`sphere_radius_m` |
+| l_i | chord, :func:`~spl_batch.kernels.chords.chord_length` |
+| n_u, n | ``VoxelPart.shots``, ``VoxelPart.beamlets`` |
+
+Deviations: silent beamlets are absent from the points; the published gamma counts a shot
+whose footprint merely touches the sphere as a whole one. By default the beamlets that are
+seen stand in for the silent ones of a few shots around them: what those shots listened to
+is shared out equally among them, so that a channel that is seen more often deposits no
+more. A beamlet counts once, however many returns it has; chords end at the gate.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTUM_M
+from spl_batch.kernels.chords import deposit_beamlets
+from spl_batch.kernels.shots import run_starts
+from spl_batch.model import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart
+from spl_batch.stages.line_model import LineModel
+from spl_batch.stages.line_noise import gate_of, line_density
+from spl_batch.tiling import cell_index, quanta
+from spl_batch.workflow import NoiseSettings
+
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
+COLUMNS_ADDED: Final = ()
+BYTES_PER_POINT: Final = 240
+
+
+def sphere_radius_m(voxel_m: float) -> float:
+    """Radius of the sphere with the volume of a voxel [m]: 6.2035 m for 10 m."""
+    return voxel_m * float(np.cbrt(3.0 / (4.0 * np.pi)))
+
+
+def deposit(
+    table: PointTable, beams: BeamTable, model: LineModel, settings: NoiseSettings
+) -> VoxelPart:
+    """One stretch's share of the noise expected in each voxel.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by (gps_time, channel, ...).
+    beams : BeamTable
+        Their beams; rows without a known beam deposit nothing.
+    model : LineModel
+        Noise of the flightline.
+    settings : NoiseSettings
+        Voxel and correction.
+
+    Returns
+    -------
+    VoxelPart
+        With ``shots`` and ``beamlets`` where the correction is "published".
+    """
+    published = settings.correction == "published"
+    rows = np.flatnonzero(beams.known)
+    beamlet = run_starts(table["gps_time"][rows], table["channel"][rows])[:-1]
+    rows = rows[beamlet]
+    near, far = gate_of(table, beams, model)
+    usable = far[rows] > near[rows]
+    rows = rows[usable]
+    table = table.take(rows)
+    near, far = near[rows] - beams.range_m[rows], far[rows] - beams.range_m[rows]
+    if len(rows) == 0:
+        empty = np.zeros((0, 0, 0), dtype=np.int64)
+        return VoxelPart((0, 0, 0), empty, *((empty, empty) if published else ()))
+    per_m = line_density(table, model) if published else seen_density(table, model)
+    edge = quanta(settings.voxel_m)
+    point = np.stack([table[k].astype(np.int64) for k in ("x", "y", "z")], axis=1)
+    voxel = np.stack([cell_index(point[:, k], edge) for k in range(3)], axis=1)
+    metres = point * np.float64(QUANTUM_M)
+    relative = (2 * (point - voxel * edge) - edge) * np.float64(0.5 * QUANTUM_M)
+    direction = beams.direction[rows]
+    radius = sphere_radius_m(settings.voxel_m)
+    corner, shape = _box(metres, direction, near, far, settings.voxel_m)
+    amount = np.zeros(shape, dtype=np.int64)
+    counted = np.zeros((2, *(shape if published else (0, 0, 0))), dtype=np.int64)
+    shot = np.cumsum(np.diff(table["gps_time"], prepend=-np.inf) != 0)
+    deposit_beamlets(
+        voxel - corner, relative, direction, near, far,
+        per_m.astype(np.float64) * VOXEL_FIXED_POINT, settings.voxel_m, radius, shot,
+        amount, counted[0], counted[1],
+    )  # fmt: skip
+    place = (int(corner[0]), int(corner[1]), int(corner[2]))
+    return VoxelPart(place, amount, *((counted[0], counted[1]) if published else ()))
+
+
+def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
+    """Noise per metre that each seen beamlet stands for, silent ones included.
+
+    Parameters
+    ----------
+    table : PointTable
+        One row per seen beamlet, in time order; needs ``shot``.
+    model : LineModel
+        Noise of the flightline.
+
+    Returns
+    -------
+    (n,) float64
+        Mean rate times beamlets fired over beamlets seen, within ``model.seen_shots``
+        shots [1/m].
+    """
+    shot = table["shot"]
+    window = np.floor_divide(shot, model.seen_shots)
+    runs = run_starts(window)
+    seen = np.repeat(np.diff(runs), np.diff(runs))
+    row = model.row(shot)
+    start = window * model.seen_shots - np.floor_divide(shot, model.interval_shots) * (
+        model.interval_shots
+    )
+    first = np.maximum(start, model.first[row])
+    last = np.minimum(start + model.seen_shots - 1, model.last[row])
+    # A shot number that two shots share must not make the fired fewer than the seen.
+    fired = np.maximum(np.maximum(last - first + 1, 1) * model.beamlets, seen)
+    density: NDArray[np.float64] = model.rate[row] * fired / seen
+    return density
+
+
+def _box(
+    point: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+    voxel_m: float,
+) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+    """Voxels that the beamlets can touch: first index and number along each axis."""
+    radius = sphere_radius_m(voxel_m)
+    low, high = np.empty(3), np.empty(3)
+    for k in range(3):
+        ends = point[:, k] + np.stack([near, far]) * direction[:, k]
+        low[k], high[k] = ends.min(), ends.max()
+    # One voxel more on each side: candidates are looked at before they are measured.
+    corner = np.floor((low - 2 * radius) / voxel_m).astype(np.int64) - 1
+    stop = np.floor((high + 2 * radius) / voxel_m).astype(np.int64) + 2
+    size = stop - corner
+    return corner, (int(size[0]), int(size[1]), int(size[2]))
+
+
+def density(
+    amount: NDArray[np.int64],
+    settings: NoiseSettings,
+    *,
+    shots: NDArray[np.int64] | None = None,
+    beamlets: NDArray[np.int64] | None = None,
+    beamlets_per_shot: int = 100,
+) -> NDArray[np.float64]:
+    """Expected noise density of voxels from the sum of all parts [W18 Eq. 2].
+
+    Parameters
+    ----------
+    amount : ndarray of int64
+        Sum of ``VoxelPart.amount`` over all stretches of all flightlines.
+    settings : NoiseSettings
+        Voxel and correction.
+    shots, beamlets : ndarray of int64, optional
+        Sums of the other two; needed where the correction is "published".
+    beamlets_per_shot : int
+        The 100 of gamma = 100 n_u / n.
+
+    Returns
+    -------
+    ndarray of float64
+        Noise points per cubic metre, shaped like ``amount``.
+
+    Raises
+    ------
+    ValueError
+        If the published correction lacks its sums.
+    """
+    per_m3: NDArray[np.float64] = amount / (VOXEL_FIXED_POINT * settings.voxel_m**3)
+    if settings.correction == "seen":
+        return per_m3
+    if shots is None or beamlets is None:
+        raise ValueError("the published correction needs the sums of shots and of beamlets")
+    gamma = beamlets_per_shot * shots / np.maximum(beamlets, 1)
+    return per_m3 * gamma

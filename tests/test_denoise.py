@@ -1,0 +1,227 @@
+"""The noise filter: labels against a slow twin, rules for odd points, independence of tiling."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import stats
+
+from spl_batch.kernels.ellipsoid import Shape
+from spl_batch.model import PointFlag, PointTable, canonical_order
+from spl_batch.stages.denoise import denoise, reach_m
+from spl_batch.workflow import FilterSettings
+from tests.test_ellipsoid import brute_counts, mixed_cloud
+
+DEFAULT = FilterSettings()
+CLOSE = FilterSettings(neighbour_cap_m=3.0, axis_cap_m=3.0, link_m=1.5, link_count=3)
+"""Short reaches, so that a small cloud has an inside and an outside."""
+
+
+def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
+    n = len(xyz)
+    base = {
+        "x": xyz[:, 0].astype(np.int64),
+        "y": xyz[:, 1].astype(np.int64),
+        "z": xyz[:, 2].astype(np.int32),
+        "gps_time": np.arange(n, dtype=np.float64),
+        "channel": np.zeros(n, dtype=np.uint8),
+        "return_number": np.zeros(n, dtype=np.uint8),
+        "flags": np.zeros(n, dtype=np.uint8),
+        "source": np.zeros(n, dtype=np.uint64),
+        "index": np.arange(n, dtype=np.uint32),
+    }
+    return PointTable(base).with_columns(**columns)
+
+
+def everything(n: int) -> NDArray[np.bool_]:
+    return np.ones(n, dtype=np.bool_)
+
+
+def labels(
+    table: PointTable, density: float, filtering: FilterSettings = DEFAULT
+) -> NDArray[np.uint8]:
+    n = len(table)
+    return denoise(table, np.full(n, density), everything(n), filtering)["noise_class"]
+
+
+@pytest.mark.parametrize("test", ["tail", "published"])
+@pytest.mark.parametrize("density", [0.02, 0.13, 1.0])
+def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
+    filtering = FilterSettings(test=test, link_m=1.0, link_count=3)
+    xyz = mixed_cloud(21, 500)
+    low, high, volume = brute_counts(xyz, Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0))
+    assert (low == high).all()
+    mean = density * volume * 1e-9
+    if test == "published":
+        signal = stats.poisson.cdf(low, mean) >= 0.95
+    else:
+        tail = stats.poisson.sf(low - 1, mean)
+        signal = strong = tail <= filtering.alpha / filtering.selection
+        d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
+        linked = ((d2 <= 1000**2) & strong).sum(axis=1) >= 3
+        signal = strong | ((tail <= filtering.weak_alpha) & linked)
+        assert (signal != strong).any()
+    found = labels(as_table(xyz), density, filtering)
+    np.testing.assert_array_equal(found, np.where(signal, 0, 1))
+    assert 0 < signal.mean() < 1
+
+
+def test_exact_p_value_goes_below_the_decision() -> None:
+    xyz = mixed_cloud(22, 500)
+    low, _, volume = brute_counts(xyz, Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0))
+    tail = stats.poisson.sf(low - 1, 0.13e-9 * volume)
+    density = np.full(500, 0.13)
+    exact = denoise(as_table(xyz), density, everything(500), DEFAULT, exact=True)
+    quick = denoise(as_table(xyz), density, everything(500), DEFAULT)
+    np.testing.assert_array_equal(exact["noise_class"], quick["noise_class"])
+    shown = tail > 1e-12
+    np.testing.assert_allclose(exact["p_value"][shown], tail[shown], rtol=1e-5)
+    assert (exact["p_value"][~shown] <= 1e-12).all()
+    assert (exact["p_value"] <= quick["p_value"]).all()
+
+
+def test_pure_noise_is_kept_at_no_more_than_alpha() -> None:
+    n = 30_000
+    rng = np.random.default_rng(5)
+    for density in (0.05, 0.4):
+        side = (n / density) ** (1 / 3) * 1000
+        table = as_table(rng.uniform(0, side, (n, 3)))
+        inner = np.all([np.abs(table[a] - side / 2) < 0.4 * side for a in "xyz"], axis=0)
+        kept = {
+            test: (
+                denoise(table, np.full(n, density), inner, FilterSettings(test=test))["noise_class"]
+                == 0
+            ).mean()
+            for test in ("tail", "published")
+        }
+        assert kept["tail"] <= DEFAULT.alpha
+        assert 0.11 < kept["published"] < 0.27
+
+
+def test_flags_and_afterpulses() -> None:
+    xyz = mixed_cloud(23, 300)
+    flags = np.zeros(300, dtype=np.uint8)
+    flags[:4] = PointFlag.WITHHELD, PointFlag.VENDOR_NOISE, PointFlag.NO_BEAM, PointFlag.OUTSIDE_AOI
+    echo = np.zeros(300, dtype=np.float32)
+    echo[[0, 10, 11]] = 0.5, 0.9, 0.49
+    table = as_table(xyz, flags=flags, afterpulse=echo)
+    result = denoise(table, np.full(300, 0.05), everything(300), DEFAULT)
+    np.testing.assert_array_equal(result["noise_class"][:4], 255)
+    np.testing.assert_array_equal(result["noise_class"] == 2, np.arange(300) == 10)
+    assert np.isnan(result["p_value"][[0, 1, 2, 3, 10]]).all()
+    assert np.isfinite(np.delete(result["p_value"], [0, 1, 2, 3, 10])).all()
+
+
+def test_excluded_points_and_afterpulses_shape_nothing() -> None:
+    xyz = mixed_cloud(24, 400)
+    gone = np.arange(400) % 3 == 0
+    flags = np.where(gone & (np.arange(400) % 2 == 0), PointFlag.WITHHELD, 0).astype(np.uint8)
+    echo = np.where(gone & (np.arange(400) % 2 == 1), 1.0, 0.0).astype(np.float32)
+    mixed = denoise(as_table(xyz, flags=flags, afterpulse=echo), np.full(400, 0.1), ~gone, DEFAULT)
+    alone = labels(as_table(xyz[~gone]), 0.1)
+    np.testing.assert_array_equal(mixed["noise_class"], alone)
+
+
+def test_points_that_are_not_decided_serve_as_neighbours() -> None:
+    xyz = mixed_cloud(25, 400)
+    flags = np.zeros(400, dtype=np.uint8)
+    flags[::2] = PointFlag.OUTSIDE_AOI
+    result = labels(as_table(xyz, flags=flags), 0.1)
+    whole = labels(as_table(xyz), 0.1)
+    np.testing.assert_array_equal(result[::2], 255)
+    np.testing.assert_array_equal(result[1::2], whole[1::2])
+
+
+def test_method_none_keeps_all() -> None:
+    flags = np.array([0, PointFlag.WITHHELD, PointFlag.NO_BEAM, 0], dtype=np.uint8)
+    echo = np.array([0, 1, 0, 1], dtype=np.float32)
+    table = as_table(np.zeros((4, 3)), flags=flags, afterpulse=echo)
+    result = labels(table, 0.1, FilterSettings(method="none"))
+    np.testing.assert_array_equal(result, [0, 255, 0, 2])
+    assert reach_m(FilterSettings(method="none")) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("cloud", "density", "expected"),
+    [
+        (np.zeros((0, 3)), 0.1, []),
+        (np.zeros((1, 3)), 0.1, [1]),
+        (np.zeros((1, 3)), 0.0, [1]),
+        (np.zeros((2, 3)), 0.0, [0, 0]),
+        (np.zeros((60, 3)), 0.1, [0] * 60),
+        (np.array([[0, 0, 0], [0, 0, 900], [0, 0, 50_000]]), 0.0, [0, 0, 1]),
+    ],
+    ids=["none", "one", "one, no noise", "pair, no noise", "all in one place", "pair and a stray"],
+)
+def test_odd_clouds(cloud: NDArray[Any], density: float, expected: list[int]) -> None:
+    np.testing.assert_array_equal(labels(as_table(cloud), density), expected)
+
+
+def test_every_point_twice_keeps_a_surface() -> None:
+    xyz = mixed_cloud(26, 600)[200:400]
+    twice = np.repeat(xyz, 2, axis=0)
+    assert (labels(as_table(twice), 0.001) == 0).mean() > 0.99
+
+
+def test_reach_is_the_sum_of_the_links() -> None:
+    assert reach_m(CLOSE) == 4.5
+    assert reach_m(FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0)) == 9.0
+    assert reach_m(FilterSettings(test="published", axis_cap_m=13.0)) == 13.0
+
+
+@given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(-(10**9), 10**9)] * 2))
+@settings(max_examples=15, deadline=None)
+def test_order_and_place_do_not_matter(seed: int, shift: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    # a coarse lattice: ties are everywhere, and canonical order has to break them
+    table = as_table(mixed_cloud(seed % 1000, 300, step=300))
+    density = np.full(300, 0.05)
+    order = canonical_order(table)
+    first = denoise(table.take(order), density, everything(300), CLOSE)["noise_class"]
+    moved = table.take(rng.permutation(300))
+    moved = moved.with_columns(x=moved["x"] + shift[0], y=moved["y"] + shift[1])
+    again = canonical_order(moved)
+    second = denoise(moved.take(again), density, everything(300), CLOSE)["noise_class"]
+    np.testing.assert_array_equal(second, first)
+
+
+@pytest.mark.parametrize("step", [1, 200])
+@pytest.mark.parametrize("filtering", [CLOSE, CLOSE.model_copy(update={"test": "published"})])
+def test_tiles_with_halo_give_the_whole(filtering: FilterSettings, step: int) -> None:
+    rng = np.random.default_rng(31)
+    xyz = np.concatenate(
+        [mixed_cloud(s, 900, step=step) + np.int32([8000 * s, 0, 0]) for s in range(3)]
+    )
+    table = as_table(xyz, channel=rng.integers(0, 9, len(xyz)))
+    table = table.take(canonical_order(table))
+    density = rng.choice([0.5, 4.0], len(table))
+    whole = denoise(table, density, everything(len(table)), filtering)
+    assert 0.1 < (whole["noise_class"] == 0).mean() < 0.9
+    halo = round(reach_m(filtering) * 1000)
+    for low in range(0, 24_000, 3000):
+        own = (table["x"] >= low) & (table["x"] < low + 3000)
+        read = (table["x"] >= low - halo) & (table["x"] < low + 3000 + halo)
+        part = denoise(table.take(read), density[read], own[read], filtering)
+        np.testing.assert_array_equal(part["noise_class"], whole["noise_class"][own])
+        np.testing.assert_array_equal(part["p_value"], whole["p_value"][own])
+
+
+def test_an_ordinary_scene_keeps_its_wires() -> None:
+    rng = np.random.default_rng(41)
+    side, gate = 40.0, 120.0
+    ground = rng.uniform(0, side, (int(15 * side**2), 3))
+    ground[:, 2] = 0.1 * ground[:, 0] + rng.normal(0, 0.05, len(ground))
+    noise = rng.uniform(0, 1, (int(0.13 * gate * side**2), 3)) * [side, side, gate] - [0, 0, 50]
+    along = rng.uniform(0, side, int(2.4 * side))
+    wire = np.stack([along, 0 * along + 20, 18 + 0.01 * (along - 20) ** 2], axis=1)
+    wire += rng.normal(0, 0.05, wire.shape)
+    xyz = np.concatenate([ground, noise, wire])
+    kind = np.repeat([0, 1, 2], [len(ground), len(noise), len(wire)])
+    kept = labels(as_table(np.rint(xyz * 1000)), 0.13) == 0
+    inner = np.all(np.abs(xyz[:, :2] - side / 2) < 0.4 * side, axis=1)
+    assert kept[inner & (kind == 0)].mean() >= 0.995
+    assert kept[inner & (kind == 1)].mean() <= 0.05
+    assert kept[inner & (kind == 2)].mean() >= 0.95

@@ -1,0 +1,93 @@
+"""Ground filters on a scene whose truth is known."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+
+from spl_batch.model import PointTable
+from spl_batch.stages.ground import ground_mask
+from spl_batch.workflow import GroundSettings
+
+Float = NDArray[np.float64]
+
+EDGE_M = 120.0
+RANGING_SD_M = 0.05
+ROOFS = ((10.0, 10.0, 22.0, 24.0, 6.0), (50.0, 52.0, 105.0, 110.0, 11.0))
+ORIGIN_M = (500_000.0, 3_300_000.0)
+
+
+class Scene(NamedTuple):
+    table: PointTable
+    ground: NDArray[np.bool_]
+    noise: NDArray[np.bool_]
+
+
+def terrain(x: Float, y: Float) -> Float:
+    """Tilted, rolling ground with a 3 m embankment and a 45 degree bank 8 m high [m]."""
+    rolling = 100 + 0.08 * x + 3 * np.sin(x / 17) * np.cos(y / 23)
+    embankment = np.clip((7 - np.abs(y - 40)) * 0.7, 0, 3)
+    return rolling + embankment + np.clip(y - 112, 0, 8)
+
+
+def roof_height(x: Float, y: Float) -> Float:
+    """Height of the roof over a place; NaN where there is none [m]."""
+    height = np.full_like(x, np.nan)
+    for x0, y0, x1, y1, above in ROOFS:
+        over = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
+        height[over] = terrain(np.array((x0 + x1) / 2), np.array((y0 + y1) / 2)) + above
+    return height
+
+
+@cache
+def scene(density: float = 25.0) -> Scene:
+    """Ground, two roofs (one of 55 m), trees, shrubs and 2 per 1000 points deep below."""
+    rng = np.random.default_rng(7)
+    n = int(density * EDGE_M**2)
+    x, y = rng.uniform(0, EDGE_M, (2, n))
+    base, roof = terrain(x, y), roof_height(x, y)
+    z, ground = base.copy(), np.isnan(roof)
+    z[~ground] = roof[~ground]
+    for cx, cy, r, top in zip(*_plants(rng), strict=True):
+        under = ground & ((x - cx) ** 2 + (y - cy) ** 2 < r * r) & (rng.random(n) < 0.85)
+        z[under] += rng.uniform(0.3 * top, top, int(under.sum()))
+        ground &= ~under
+    z += rng.normal(0, RANGING_SD_M, n)
+    noise = rng.random(n) < 0.002
+    z[noise] = base[noise] - rng.uniform(0.5, 50, int(noise.sum()))
+    xq, yq, zq = (np.rint(v * 1000) for v in (x + ORIGIN_M[0], y + ORIGIN_M[1], z))
+    order = np.lexsort([zq, yq, xq])
+    table = PointTable(
+        {
+            "x": xq[order].astype(np.int64),
+            "y": yq[order].astype(np.int64),
+            "z": zq[order].astype(np.int32),
+        }
+    )
+    return Scene(table, (ground & ~noise)[order], noise[order])
+
+
+def _plants(rng: np.random.Generator) -> tuple[Float, Float, Float, Float]:
+    """Places, radii and heights of 60 trees and 40 shrubs [m]."""
+    place = rng.uniform(0, EDGE_M, (2, 100))
+    radius = np.concatenate([rng.uniform(2, 5, 60), rng.uniform(0.5, 1.5, 40)])
+    height = np.concatenate([rng.uniform(6, 20, 60), rng.uniform(0.6, 2.0, 40)])
+    return place[0], place[1], radius, height
+
+
+def dtm_error(scene: Scene, mask: NDArray[np.bool_]) -> Float:
+    """Interpolated ground less truth at cell centres that are open ground [m]."""
+    x = scene.table["x"] / 1000 - ORIGIN_M[0]
+    y = scene.table["y"] / 1000 - ORIGIN_M[1]
+    column, row = np.floor(x[mask]).astype(int), np.floor(y[mask]).astype(int)
+    key, place = np.unique(row * 1000 + column, return_inverse=True)
+    mean = [
+        np.bincount(place, v[mask]) / np.bincount(place) for v in (x, y, scene.table["z"] / 1000)
+    ]
+    assert len(key) > 3
+    gx, gy = (v.ravel() for v in np.meshgrid(np.arange(2.5, 118), np.arange(2.5, 118)))
+    error = LinearNDInterpolator(np.column_stack(mean[:2]), mean[2])(gx, gy) - terrain(gx, gy)
+    return error[np.isnan(roof_height(gx, gy)) & np.isfinite(error)]

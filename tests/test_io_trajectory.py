@@ -1,0 +1,269 @@
+"""Trajectories: three formats give the same positions, PROJ and a hand formula agree."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.io.gpstime import align, bit_warning, time_standard
+from spl_batch.io.sbet import SBET_RECORD
+from spl_batch.io.trajectory import (
+    COLUMNS,
+    load_trajectory,
+    read_slice,
+    read_trajectory,
+    write_trajectory,
+)
+from spl_batch.model import Trajectory
+
+UTM = CRS.from_epsg(32615)
+ADJUSTED = 2.5e8
+WEEK = 604_800
+
+
+def flight(n: int = 50, start: float = 1000.0) -> NDArray[np.float64]:
+    """A straight line at 4 km: (n, 4) time, x, y, z."""
+    t = np.arange(n) / 10
+    return np.column_stack([start + t, 500_000 + 80 * t, 4_000_000 - 5 * t, 4000 + 0.1 * t])
+
+
+def write_csv(path: Path, rows: NDArray[np.float64], head: str = "gps_time,x,y,z") -> Path:
+    delimiter = ";" if ";" in head else ","
+    lines = [delimiter.join(repr(float(v)) for v in row) for row in rows]
+    path.write_text("\n".join([head, *lines]) + "\n")
+    return path
+
+
+def write_sbet(path: Path, rows: NDArray[np.float64]) -> Path:
+    back = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True)
+    longitude, latitude = back.transform(rows[:, 1], rows[:, 2])
+    records = np.zeros(len(rows), SBET_RECORD)
+    records["time"], records["altitude"] = rows[:, 0], rows[:, 3]
+    records["longitude"], records["latitude"] = np.radians(longitude), np.radians(latitude)
+    records.tofile(path)
+    return path
+
+
+def read(*paths: Path, crs: str | None = None, survey: CRS | None = UTM) -> Any:
+    return read_trajectory(paths, survey_crs=survey, trajectory_crs=crs)
+
+
+def test_csv_parquet_and_sbet_agree(tmp_path: Path) -> None:
+    rows = flight()
+    table = pa.table({k: rows[:, i] for i, k in reversed(list(enumerate(COLUMNS)))})
+    pq.write_table(table, tmp_path / "a.parquet")
+    for path in (
+        write_csv(tmp_path / "a.csv", rows),
+        write_sbet(tmp_path / "a.out", rows),
+        tmp_path / "a.parquet",
+    ):
+        loaded = read(path)
+        assert loaded.standard == "week"
+        assert loaded.warnings == ()
+        np.testing.assert_array_equal(loaded.trajectory.time_s, rows[:, 0])
+        np.testing.assert_allclose(loaded.trajectory.xyz_m, rows[:, 1:], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("head", "order"),
+    [
+        ("Z,Roll,GPS_TIME,Y,X", (3, 0, 0, 2, 1)),
+        ("gps_time;X;Y;Z;note", (0, 1, 2, 3, 0)),
+        ("# gps_time, x , y , z", (0, 1, 2, 3)),
+        ("\ufeffgps_time,x,y,z", (0, 1, 2, 3)),
+    ],
+)
+def test_csv_heads(tmp_path: Path, head: str, order: tuple[int, ...]) -> None:
+    rows = flight()
+    trajectory = read(write_csv(tmp_path / "a.csv", rows[:, order], head)).trajectory
+    np.testing.assert_array_equal(trajectory.xyz_m, rows[:, 1:])
+
+
+def test_order_and_cut_do_not_matter(tmp_path: Path) -> None:
+    rows = flight()
+    mixed = np.random.default_rng(0).permutation(rows)
+    parts = [write_csv(tmp_path / f"{i}.csv", mixed[i::3]) for i in range(3)]
+    loaded = read(*parts)
+    np.testing.assert_array_equal(loaded.trajectory.xyz_m, rows[:, 1:])
+    again = read(*parts, parts[0])
+    np.testing.assert_array_equal(again.trajectory.time_s, rows[:, 0])
+    assert again.warnings == ("trajectory: 17 records repeat a time and were left out",)
+
+
+def test_heights_of_a_geographic_trajectory_stay(tmp_path: Path) -> None:
+    rows = np.array([[0.0, -93.0, 40.0, 4123.25], [1.0, -93.001, 40.0, 4124.5]])
+    path = write_csv(tmp_path / "a.csv", rows)
+    for code in ("EPSG:4326", "EPSG:4979"):
+        xyz = read(path, crs=code).trajectory.xyz_m
+        np.testing.assert_array_equal(xyz[:, 2], rows[:, 3])
+        # On the central meridian, by definition, and 0.9996 times the arc along it.
+        np.testing.assert_allclose(xyz[0, 0], 500_000, atol=1e-6)
+        np.testing.assert_allclose(xyz[0, 1], 4_427_757.219, atol=1e-2)
+
+
+def test_survey_with_geoid_heights(tmp_path: Path) -> None:
+    path = write_sbet(tmp_path / "a.sbet", flight())
+    loaded = read(path, survey=CRS.from_user_input("EPSG:32615+5773"))
+    assert np.isfinite(loaded.trajectory.xyz_m).all()
+    moved = np.abs(loaded.trajectory.xyz_m[:, 2] - flight()[:, 3]) > 1
+    assert moved.all() or "PROJ grids" in loaded.warnings[0]
+
+
+def test_faults(tmp_path: Path) -> None:
+    rows = flight()
+    bad = rows.copy()
+    bad[7, 2] = np.nan
+    cases = {
+        "no such file": tmp_path / "missing.csv",
+        "no column gps_time": write_csv(tmp_path / "a.csv", rows, "time,x,y,z"),
+        "first is record 7": write_csv(tmp_path / "b.csv", bad),
+        "at least 2": write_csv(tmp_path / "c.csv", rows[:1]),
+        "multiple of 136": tmp_path / "d.sbet",
+        "not an SBET": tmp_path / "e.sbet",
+        "not a Parquet": tmp_path / "f.parquet",
+        "not a CSV": tmp_path / "g.csv",
+        "no column gps_time, x, y, z": tmp_path / "h.csv",
+        "empty values": tmp_path / "i.csv",
+    }
+    (tmp_path / "d.sbet").write_bytes(bytes(137))
+    np.full(17 * 4, 45.0).tofile(tmp_path / "e.sbet")
+    (tmp_path / "f.parquet").write_bytes(b"PAR1 and then nonsense")
+    (tmp_path / "g.csv").write_text("gps_time,x,y,z\n1,2,3,4\n5,6,seven,8\n")
+    (tmp_path / "h.csv").write_bytes(bytes(range(256)) * 10)
+    (tmp_path / "i.csv").write_text("gps_time,x,y,z\n1,2,3,4\n5,6,,8\n")
+    for words, path in cases.items():
+        with pytest.raises(InputError) as caught:
+            read(path)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="matches no file"):
+        read()
+
+
+def test_crs_faults(tmp_path: Path) -> None:
+    sbet, table = write_sbet(tmp_path / "a.sbet", flight()), write_csv(tmp_path / "a.csv", flight())
+    with pytest.raises(InputError, match=r"survey has no CRS.*survey\.crs"):
+        read(sbet, survey=None)
+    with pytest.raises(InputError, match="geographic"):
+        read(sbet, crs="EPSG:32615")
+    with pytest.raises(WorkflowError, match=r"survey\.trajectory_crs"):
+        read(table, crs="EPSG:nonsense")
+    assert len(read(table, survey=None).trajectory.time_s) == 50
+
+
+def load(path: Path, span: tuple[float, float], **given: Any) -> Any:
+    box = {"bounds_m": (500_000, 3_999_000, 501_000, 4_001_000), **given}
+    return load_trajectory([path], survey_crs=UTM, trajectory_crs=None, time_span_s=span, **box)
+
+
+def test_loaded_into_the_points_time(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", flight())
+    week = np.floor((ADJUSTED + 1e9) / WEEK) * WEEK - 1e9
+    loaded = load(path, (week + 1000.5, week + 1001.5))
+    np.testing.assert_allclose(loaded.trajectory.time_s, flight()[:, 0] + week, atol=1e-6)
+    assert loaded.standard == "adjusted"
+    assert loaded.warnings == ("trajectory: week time converted to adjusted time",)
+    short = load(path, (900.0, 1001.0), bounds_m=(500_000, 3_999_000, 0, 501_000, 4_001_000, 9))
+    assert "covers 1000.000 to 1004.900 s" in short.warnings[0]
+
+
+def test_trajectory_in_another_crs_is_found_out(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", flight())
+    with pytest.raises(InputError, match=r"different CRS.*survey\.trajectory_crs"):
+        load(path, (1000.0, 1001.0), bounds_m=(700_000, 6_000_000, 701_000, 6_001_000))
+
+
+def test_week_that_cannot_be_told(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", flight())
+    with pytest.raises(InputError, match="ambiguous"):
+        load(path, (ADJUSTED, ADJUSTED + 2 * WEEK))
+
+
+def test_slices_interpolate_like_the_whole(tmp_path: Path) -> None:
+    rows = flight(200_000)
+    whole = Trajectory(rows[:, 0], rows[:, 1:])
+    write_trajectory(tmp_path / "t.parquet", whole)
+    first, last = rows[0, 0], rows[-1, 0]
+    spans = [
+        (first, last),
+        (first + 6553.55, first + 6553.65),
+        (first - 9, first - 5),
+        (last + 5, last + 9),
+        (first + 3.33, first + 3.34),
+        (first - 1, first + 1),
+    ]
+    for start, stop in spans:
+        part = read_slice(tmp_path / "t.parquet", start, stop)
+        times = np.linspace(start, stop, 50)
+        for got, wanted in zip(part.position(times), whole.position(times), strict=True):
+            np.testing.assert_array_equal(got, wanted)
+        assert stop - start > 100 or len(part.time_s) < 30
+
+
+@pytest.mark.parametrize(
+    ("values", "standard"),
+    [
+        ([], "none"),
+        ([np.nan, 0.0, 0.0], "none"),
+        ([0.0, 3.5], "week"),
+        ([604_799.0, 604_850.0, np.nan], "week"),
+        ([700_000.0], "adjusted"),
+        ([-3e8], "adjusted"),
+        ([246_539_563.0, 281_629_030.0], "adjusted"),
+        ([1.48e9], "unix_or_gps"),
+        ([1e3, 2e9], "other"),
+        ([1e18], "other"),
+    ],
+)
+def test_time_standard(values: list[float], standard: str) -> None:
+    assert time_standard(np.array(values, dtype=np.float64)) == standard
+
+
+def test_header_bit_that_contradicts_the_values() -> None:
+    assert "adjusted" in str(bit_warning("adjusted", adjusted_bit=False))
+    assert "week" in str(bit_warning("week", adjusted_bit=True))
+    assert bit_warning("adjusted", adjusted_bit=True) is None
+    assert bit_warning("week", adjusted_bit=False) is None
+    assert bit_warning("none", adjusted_bit=False) is None
+
+
+@given(
+    start=st.integers(7 * 10**8, 15 * 10**8),
+    length=st.integers(10, 80_000),
+    given_standard=st.sampled_from(["week", "adjusted", "unix_or_gps"]),
+    wanted=st.sampled_from(["week", "adjusted", "unix_or_gps"]),
+)
+def test_any_clock_into_any_other(
+    start: int,
+    length: int,
+    given_standard: Literal["week", "adjusted", "unix_or_gps"],
+    wanted: Literal["week", "adjusted", "unix_or_gps"],
+) -> None:
+    """Whole GPS seconds in every standard; week seconds may wrap within the flight."""
+    gps = np.linspace(start, start + length, 11).round()
+    clocks = {
+        "adjusted": gps - 1e9,
+        "unix_or_gps": gps,
+        "week": gps - start // WEEK * WEEK,
+    }
+    times = clocks[given_standard] % WEEK if given_standard == "week" else clocks[given_standard]
+    if time_standard(times) != given_standard or time_standard(clocks[wanted]) != wanted:
+        return
+    order = np.argsort(times)
+    xyz = np.column_stack([gps, gps, gps])
+    given_trajectory = Trajectory(times[order], xyz[order])
+    span = (float(clocks[wanted][3]), float(clocks[wanted][7]))
+    aligned = align(given_trajectory, span, wanted)
+    if given_standard == wanted:
+        assert aligned is given_trajectory
+        return
+    np.testing.assert_array_equal(aligned.time_s, clocks[wanted])
+    np.testing.assert_array_equal(aligned.xyz_m[:, 0], gps)

@@ -1,0 +1,98 @@
+"""The kd-tree against distances of all pairs, ties and duplicates included."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.kernels.kdtree import LEAF, build, enough_within, nearest
+
+
+def brute_nearest(
+    xyz: NDArray[np.int32], neighbours: int, cap: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Every pair, sorted by squared distance, then row."""
+    wide = xyz.astype(np.int64)
+    d2 = ((wide[:, None] - wide[None]) ** 2).sum(axis=2)
+    rows = np.full((len(xyz), neighbours), -1)
+    found = np.zeros(len(xyz), dtype=np.int64)
+    for i in range(len(xyz)):
+        order = np.lexsort([np.arange(len(xyz)), d2[i]])
+        order = order[(order != i) & (d2[i][order] <= cap * cap)][:neighbours]
+        rows[i, : len(order)] = order
+        found[i] = len(order)
+    return rows, found
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 300),
+    st.sampled_from([3, 40, 20_000]),
+    st.integers(1, 20),
+    st.sampled_from([1, 7, 5_000, 46_340]),
+)
+@settings(max_examples=60, deadline=None)
+def test_neighbours_are_those_of_all_pairs(
+    seed: int, n: int, side: int, neighbours: int, cap: int
+) -> None:
+    # a small side makes ties and coincident points the rule
+    xyz = np.random.default_rng(seed).integers(0, side, (n, 3)).astype(np.int32)
+    rows, found = nearest(xyz, np.ones(n, dtype=bool), neighbours, cap)
+    expected_rows, expected_found = brute_nearest(xyz, neighbours, cap)
+    np.testing.assert_array_equal(found, expected_found)
+    np.testing.assert_array_equal(rows, expected_rows)
+
+
+def test_far_apart_coordinates_stay_exact() -> None:
+    # beyond float32's 2**24, and differences beyond 2**31
+    xyz = np.array(
+        [[-(2**31), 0, 0], [-(2**31) + 3, 4, 0], [2**31 - 1, 0, 0], [2**31 - 2, 0, 0]],
+        dtype=np.int32,
+    )
+    rows, found = nearest(xyz, np.ones(4, dtype=bool), 2, 5)
+    np.testing.assert_array_equal(found, [1, 1, 1, 1])
+    np.testing.assert_array_equal(rows[:, 0], [1, 0, 3, 2])
+
+
+def test_query_selects_rows_in_table_order() -> None:
+    xyz = np.random.default_rng(1).integers(0, 1000, (200, 3)).astype(np.int32)
+    query = np.arange(200) % 7 == 0
+    rows, _ = nearest(xyz, query, 5, 1000)
+    every, _ = nearest(xyz, np.ones(200, dtype=bool), 5, 1000)
+    np.testing.assert_array_equal(rows, every[query])
+
+
+@pytest.mark.parametrize("n", [0, 1, LEAF, LEAF + 1, 1000])
+def test_tree_holds_every_point_once_inside_its_boxes(n: int) -> None:
+    xyz = np.random.default_rng(2).integers(-500, 500, (n, 3)).astype(np.int32)
+    tree = build(xyz)
+    np.testing.assert_array_equal(np.sort(tree.points[3]), np.arange(n))
+    np.testing.assert_array_equal(tree.points[:3].T, xyz[tree.points[3]])
+    if n == 0:
+        return
+    for level in range(tree.depth + 1):
+        for j in range(1 << level):
+            low, high = (j * n) >> level, ((j + 1) * n) >> level
+            held = tree.points[:3, low:high]
+            box = tree.boxes[(1 << level) + j]
+            assert high > low
+            np.testing.assert_array_equal(box, np.r_[held.min(axis=1), held.max(axis=1)])
+    assert (n >> tree.depth) <= LEAF
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 9))
+@settings(max_examples=30, deadline=None)
+def test_enough_within_counts_all_pairs(seed: int, n: int, wanted: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.integers(0, 30, (n, 3)).astype(np.int32)
+    places = rng.integers(-5, 35, (40, 3)).astype(np.int32)
+    d2 = ((places[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
+    expected = (d2 <= 8 * 8).sum(axis=1) >= wanted
+    np.testing.assert_array_equal(enough_within(build(xyz), places, 8, wanted), expected)
+
+
+@pytest.mark.parametrize("cap", [0, -1, 46_341])
+def test_cap_outside_the_key_is_refused(cap: int) -> None:
+    with pytest.raises(ValueError, match="must lie in"):
+        nearest(np.zeros((2, 3), dtype=np.int32), np.ones(2, dtype=bool), 1, cap)

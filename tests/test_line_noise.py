@@ -1,0 +1,180 @@
+"""Line noise density, gate and gains of one flightline."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.kernels.intervals import densest_window
+from spl_batch.kernels.shots import lag_behind, run_starts
+from spl_batch.model import PointTable
+from spl_batch.sensor import load_preset
+from spl_batch.stages import geometry, line_noise
+from spl_batch.stages.line_model import LineModel
+from spl_batch.workflow import NoiseSettings
+from tests.flightlines import ALTITUDE_M, Flight, cut, fly, relief
+
+SETTINGS = NoiseSettings()
+SENSOR = load_preset("spl100")
+
+
+def model_of(flight: Flight, gate_m: float | None = None) -> LineModel:
+    beams = geometry.beams(flight.table, flight.trajectory)
+    stats = line_noise.merge([line_noise.observe(flight.table, beams, SETTINGS)])
+    return line_noise.fit(stats, SETTINGS, SENSOR.model_copy(update={"gate_m": gate_m}))
+
+
+@pytest.mark.parametrize(
+    ("scene", "gate_m", "tolerance"),
+    [
+        ({}, 300, 0.03),
+        ({"surface": relief}, 300, 0.03),
+        ({"surface": relief, "gate_kind": "surface"}, 300, 0.03),
+        ({"gate_m": 85}, 85, 0.03),
+        ({"gate_m": 85, "canopy_m": 25}, 85, 0.03),
+        ({"detection": 0.01, "noise_per_m": 7e-5, "shots": 9000}, 300, 0.03),
+        ({"gate_m": 25, "canopy_m": 8}, 25, 0.06),
+    ],
+)
+def test_rate_and_gate(scene: dict[str, object], gate_m: float, tolerance: float) -> None:
+    model = model_of(fly(**scene))  # type: ignore[arg-type]
+    truth = scene.get("noise_per_m", 1.3e-3)
+    assert model.mean_rate == pytest.approx(truth, rel=tolerance)
+    assert model.gate_m == pytest.approx(gate_m, rel=0.02)
+
+
+def test_gate_cut_at_heights_is_told_from_one_in_range() -> None:
+    flight = fly(surface=relief, gate_kind="height", gate_m=280, gate_ahead_m=220, scan_m=900)
+    model = model_of(flight)
+    assert model.kind == "range"  # one cone angle: the same thing
+    tilted = fly(gate_kind="height", gate_m=280, scan_m=200, shots=1500)
+    other = fly(gate_kind="height", gate_m=280, scan_m=1100, shots=1500, first_shot=13_845)
+    columns = {k: np.concatenate([tilted.table[k], other.table[k]]) for k in tilted.table.columns}
+    both = Flight(PointTable(columns), tilted.trajectory, np.empty(0, dtype=np.bool_))
+    path = both.trajectory
+    long = type(path)(
+        path.time_s + np.array([0, 1]), path.xyz_m + np.array([[0, 0, 0], [90, 0, 0]]), 1e6
+    )
+    model = model_of(Flight(both.table, long, both.noise))
+    assert model.kind == "height"
+    top, bottom = ALTITUDE_M - (ALTITUDE_M - 40 - 140), 180 - 280
+    assert np.median(model.near) == pytest.approx(top, abs=3)
+    assert np.median(model.far) == pytest.approx(bottom, abs=3)
+
+
+def test_stated_gate_is_used_and_contradiction_reported() -> None:
+    flight = fly(shots=600)
+    assert model_of(flight, 300.0).gate_m == pytest.approx(300.0, abs=1e-6)
+    wrong = model_of(flight, 150.0)
+    assert wrong.gate_m == pytest.approx(300, abs=2)
+    assert "150 m stated" in wrong.warnings[0]
+
+
+def test_dead_and_weak_channels() -> None:
+    gains = np.ones(100)
+    gains[[3, 52]] = 0.0
+    gains[[7, 8]] = 0.1
+    model = model_of(fly(gains=gains))
+    assert model.mean_rate == pytest.approx(1.3e-3 * gains.mean(), rel=0.02)
+    assert model.gain[[4, 53]].tolist() == [0.0, 0.0]
+    per_channel = model.gain[1:101] * model.mean_rate / 1.3e-3
+    assert per_channel[[7, 8]] == pytest.approx([0.1, 0.1], abs=0.04)
+    assert per_channel[20:50] == pytest.approx(np.ones(30), abs=0.15)
+    assert any("2 of 100 channels" in text for text in model.warnings)
+
+
+def test_rate_follows_the_sky_and_density_the_model() -> None:
+    def sky(shot: np.ndarray) -> np.ndarray:
+        return 1e-3 * (1 + 0.6 * np.sin(shot / 2000))
+
+    flight = fly(noise_per_m=sky, shots=9000)
+    model = model_of(flight)
+    middle = model.interval * 60 + 30
+    assert model.rate == pytest.approx(sky(middle), rel=0.25)
+    density = line_noise.line_density(flight.table, model)
+    assert density.dtype == np.float32
+    first = flight.table["shot"][0] // 60 == model.interval[0]
+    assert first
+    assert density[0] == pytest.approx(model.rate[0] * model.gain[flight.table["channel"][0]])
+
+
+def test_hole_in_the_data_is_no_silence_and_silence_is_no_hole() -> None:
+    flight = fly(shots=3000)
+    keep = (flight.table["shot"] < 13_005) | (flight.table["shot"] > 14_500)
+    holed = Flight(flight.table.take(keep), flight.trajectory, flight.noise[keep])
+    assert model_of(holed).mean_rate == pytest.approx(1.3e-3, rel=0.03)
+    assert np.diff(model_of(holed).interval).max() > 20
+    quiet = model_of(fly(shots=9000, detection=0.0003, noise_per_m=1e-6))
+    assert np.all(np.diff(quiet.interval) == 1)
+    assert np.sum(quiet.seen_fraction == 0) > 3
+    assert "interval_shots" in quiet.warnings[-1]
+
+
+def test_unfolds_to_nothing_without_points() -> None:
+    flight = fly(shots=60)
+    empty = flight.table.take(slice(0, 0))
+    beams = geometry.beams(empty, flight.trajectory)
+    stats = line_noise.merge([line_noise.observe(empty, beams, SETTINGS)])
+    model = line_noise.fit(stats, SETTINGS, SENSOR)
+    assert model.mean_rate == 0.0
+    assert line_noise.line_density(flight.table, model).max() == 0.0
+
+
+def test_one_shot_and_one_return_are_finite() -> None:
+    flight = fly(shots=60)
+    model = model_of(Flight(flight.table.take(slice(0, 1)), flight.trajectory, flight.noise[:1]))
+    assert np.isfinite(model.rate).all()
+    assert np.isfinite(model.near).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(1, 9), st.randoms(use_true_random=False))
+def test_cutting_changes_no_bit(intervals: int, order: object) -> None:
+    flight = fly(shots=700, surface=relief)
+    parts = [
+        line_noise.observe(t, geometry.beams(t, flight.trajectory), SETTINGS)
+        for t in cut(flight.table, 60 * intervals)
+    ]
+    order.shuffle(parts)  # type: ignore[attr-defined]
+    model = line_noise.fit(line_noise.merge(parts), SETTINGS, SENSOR)
+    whole = model_of(flight)
+    for name, values in whole.to_arrays().items():
+        assert np.array_equal(values, model.to_arrays()[name]), name
+
+
+def test_parts_must_not_share_an_interval() -> None:
+    flight = fly(shots=120)
+    part = line_noise.observe(
+        flight.table, geometry.beams(flight.table, flight.trajectory), SETTINGS
+    )
+    with pytest.raises(ValueError, match="share an interval"):
+        line_noise.merge([part, part])
+
+
+def test_model_survives_npz(tmp_path: object) -> None:
+    model = model_of(fly(shots=600, gate_m=85))
+    np.savez(f"{tmp_path}/m.npz", **model.to_arrays())
+    with np.load(f"{tmp_path}/m.npz") as stored:
+        again = LineModel.from_arrays(dict(stored))
+    assert again.warnings == model.warnings
+    assert again.kind == model.kind
+    assert again.gate_m == model.gate_m
+    assert np.array_equal(again.rate, model.rate)
+
+
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=40), st.floats(0.1, 20))
+def test_densest_window_against_trying_all(values: list[float], width: float) -> None:
+    ordered = np.sort(np.array(values))
+    _, count = densest_window(ordered, width)
+    assert count == max(int(np.sum((ordered >= v) & (ordered - v <= width))) for v in ordered)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.floats(0, 12)), min_size=1, max_size=30))
+def test_lag_is_to_the_nearest_parent(rows: list[tuple[int, float]]) -> None:
+    rows = sorted(rows, key=lambda row: row[0])
+    channel, range_m = (np.array(v) for v in zip(*rows, strict=True))
+    lag = np.empty(len(rows), dtype=np.float32)
+    lag_behind(run_starts(channel), range_m.astype(float), 0.2, 5.0, lag)
+    for i, (c, r) in enumerate(rows):
+        lags = [r - q for d, q in rows if d == c and 0.2 <= r - q <= 5.0]
+        assert lag[i] == pytest.approx(min(lags, default=0.0), rel=1e-6)

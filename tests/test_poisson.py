@@ -1,0 +1,24 @@
+"""The Poisson tail against scipy, relative error in the small tail included."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from spl_batch.kernels.poisson import noise_tail_probability, poisson_critical
+
+MEANS = np.array([0.0, 1e-9, 1e-3, 0.3, 1.84, 7.5, 40.0, 333.3, 5000.0])
+
+
+def test_tail_equals_scipy() -> None:
+    mean, count = (a.ravel() for a in np.meshgrid(MEANS, [0, 1, 2, 5, 16, 47, 200, 400, 5300]))
+    tail = noise_tail_probability(count.astype(np.int32), mean)
+    np.testing.assert_allclose(tail, stats.poisson.sf(count - 1, mean), rtol=1e-9, atol=1e-300)
+
+
+@pytest.mark.parametrize("alpha", [1e-12, 5e-5, 0.001, 0.05, 0.6, 0.999])
+def test_critical_count_is_the_smallest_that_passes(alpha: float) -> None:
+    for mean in MEANS:
+        count = poisson_critical(mean, alpha)
+        assert count >= 1
+        assert stats.poisson.sf(count - 1, mean) <= alpha
+        assert count == 1 or stats.poisson.sf(count - 2, mean) > alpha

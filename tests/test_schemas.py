@@ -1,0 +1,77 @@
+"""The committed schemas are what the models say, and say what the loader accepts."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from spl_batch.errors import WorkflowError
+from spl_batch.report.schema import main, schemas, stale
+from spl_batch.workflow import parse_workflow
+
+FOLDER = Path(__file__).parents[1] / "schemas"
+MINIMAL = {"survey": {"flightlines": "*.laz"}, "output": "out"}
+
+
+def test_the_committed_schemas_are_not_stale() -> None:
+    assert stale(FOLDER) == [], "run: python -m spl_batch.report.schema"
+    assert {p.name for p in FOLDER.glob("*.json")} == set(schemas())
+
+
+@pytest.mark.parametrize("name", sorted(schemas()))
+def test_each_schema_is_a_schema(name: str) -> None:
+    schema = json.loads(schemas()[name])
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert schema["$schema"].endswith("2020-12/schema")
+
+
+def _leaves(schema: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    sections = [schema, *schema.get("$defs", {}).values()]
+    return [item for section in sections for item in section.get("properties", {}).items()]
+
+
+@pytest.mark.parametrize("name", sorted(schemas()))
+def test_each_field_is_described(name: str) -> None:
+    for key, field in _leaves(json.loads(schemas()[name])):
+        is_section = "$ref" in json.dumps(field) or key == "schema_version"
+        assert "description" in field or is_section, f"{name}: {key} says nothing about itself"
+
+
+@pytest.mark.parametrize(
+    ("change", "good"),
+    [
+        ({}, True),
+        ({"filter": {"method": "none"}}, True),
+        ({"filter": {"alpha": 1.5}}, False),
+        ({"filter": {"alhpa": 0.1}}, False),
+        ({"tiling": {"tile_m": 0}}, False),
+        ({"output": None}, False),
+    ],
+)
+def test_schema_and_loader_agree(change: dict[str, Any], good: bool) -> None:  # noqa: FBT001
+    content = {**MINIMAL, **change}
+    schema = json.loads(schemas()["workflow.schema.json"])
+    assert jsonschema.Draft202012Validator(schema).is_valid(content) is good
+    if good:
+        parse_workflow(content, "test")
+    else:
+        with pytest.raises(WorkflowError):
+            parse_workflow(content, "test")
+
+
+def test_the_generator_writes_checks_and_repairs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "made"
+    assert main([str(folder), "--check"]) == 1
+    assert not folder.exists()
+    assert main([str(folder)]) == 0
+    assert main([str(folder), "--check"]) == 0
+    (folder / "report.schema.json").write_text("{}", encoding="utf-8")
+    capsys.readouterr()
+    assert main([str(folder), "--check"]) == 1
+    assert "report.schema.json: stale" in capsys.readouterr().err
+    assert main([str(folder)]) == 0
+    assert stale(folder) == []
