@@ -171,7 +171,7 @@ def executor(
             raise StoppedError(
                 f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
             ) from error
-        yield OnDask(client), str(client.dashboard_link or "")
+        yield OnDask(client), str(client.dashboard_link or "") if scheduler else ""
 
 
 def jobs_left(

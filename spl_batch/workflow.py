@@ -189,11 +189,9 @@ class ProductSettings(Section):
     )
     dsm_void_max_m: float = Field(3.0, ge=0, description="Farthest DSM cell that fills a void [m].")
     dsm_near_m: Positive = Field(
-        0.5, description="A return with enough others this near lies on a surface [m]."
+        0.5, description="Smallest sphere in which returns confirm a DSM cell [m]."
     )
-    dsm_support_m: Positive = Field(
-        2.0, description="Returns of thin crowns confirm each other within this distance [m]."
-    )
+    dsm_support_m: Positive = Field(2.0, description="Largest such sphere, for thin crowns [m].")
     dsm_support: int = Field(
         1, ge=0, description="Returns that confirm a DSM cell, at the least [count]."
     )

@@ -147,7 +147,7 @@ def level(x: NDArray[np.float64], _: NDArray[np.float64]) -> NDArray[np.float64]
 
 @pytest.mark.parametrize(
     ("height", "removed"),
-    [(level, 0.95), (lambda x, y: 0.5 * y + 0 * x, 0.95), (eave, 0.85), (ridge, 0.6)],
+    [(level, 0.95), (lambda x, y: 0.5 * y + 0 * x, 0.95), (eave, 0.8), (ridge, 0.4)],
 )
 def test_afterpulses_go_and_surfaces_stay(height: Height, removed: float) -> None:
     table, track, kind = shots(height)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import poisson
 
@@ -24,6 +24,7 @@ def slow_dcc(ranges: list[float], gate: float, coarse: float, fine: float) -> li
     return [ok and inside.count(b) >= threshold for b, ok in zip(bins, near, strict=True)]
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.floats(2900, 3200), min_size=1, max_size=60),
     st.sampled_from([40.0, 85.0, 300.0]),

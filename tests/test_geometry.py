@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.model import COLUMNS, PointTable, Trajectory
@@ -90,6 +90,7 @@ def test_prf_of_no_rhythm_is_none() -> None:
     assert geometry.estimate_prf(geometry.shot_steps(np.empty(0))) is None
 
 
+@settings(deadline=None)
 @given(st.integers(min_value=2, max_value=900))
 def test_histograms_of_steps_add_up(cut: int) -> None:
     time = 5.0 + np.cumsum(np.random.default_rng(cut).choice([2e-5, 4e-5], 1000))

@@ -25,6 +25,7 @@ def run(flight: Flight, chosen: NoiseSettings = SEEN) -> tuple[LineModel, VoxelP
     return model, voxel_noise.deposit(flight.table, beams, model, chosen)
 
 
+@settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10_000))
 def test_chord_against_dense_sampling(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -113,7 +113,7 @@ def print_report(report: Report, output: Path) -> None:
 
 def print_simulation(summary: Any, output: Path) -> None:
     """Print what was simulated."""
-    _pairs([("returns", f"{summary.points:,}"), ("flightlines", str(summary.flightlines))])
+    _pairs([("returns", f"{summary.points:,}"), ("flightlines", str(len(summary.lines)))])
     _path("workflow", output / "workflow.yaml")
 
 

@@ -47,7 +47,7 @@ def replacing(path: Path) -> Iterator[Path]:
         if error.errno in _CONCERNS_EVERYTHING:
             what = _CONCERNS_EVERYTHING[error.errno]
             raise StoppedError(f"{path}: {what}; free some space and run again") from error
-        if error.errno in {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR}:
+        if error.errno in {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}:
             raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
         raise
     finally:

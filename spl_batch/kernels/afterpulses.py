@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.dcc import dcc_keep
 from spl_batch.kernels.hard_surfaces import (
+    NEAR_M,
     RETURNS_MIN,
     SHARP,
     SURFACES_MAX,
@@ -20,9 +21,6 @@ from spl_batch.kernels.hard_surfaces import (
     returns_behind,
 )
 from spl_batch.kernels.robust_plane import bisquare_plane, residual
-
-NEAR_M = 1.6
-"""Reach across the beam of the returns that tell whether a place is hard [m]."""
 
 HARD_SHARE = 0.8
 """Least share of the returns of a hard place that lie on its plane."""
@@ -109,6 +107,22 @@ def nearest_parent(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8], r
 
 
 @njit(nogil=True, cache=True)
+def neighbours(
+    at: int, u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
+    first: NDArray[np.bool_], rules: Rules,
+) -> NDArray[np.int64]:  # fmt: skip
+    """First returns around one of the shot, across the beam and in range: (k,) int64."""
+    near = np.empty(len(w), dtype=np.int64)
+    count = 0
+    for j in range(len(w)):
+        square = (u[j] - u[at]) ** 2 + (v[j] - v[at]) ** 2
+        if first[j] and square <= NEAR_M**2 and abs(w[j] - w[at]) <= rules.lag_max_m:
+            near[count] = j
+            count += 1
+    return near[:count]
+
+
+@njit(nogil=True, cache=True)
 def follows_hard_place(
     i: int, u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
     channel: NDArray[np.uint8], first: NDArray[np.bool_], rules: Rules,
@@ -120,30 +134,27 @@ def follows_hard_place(
     parent = nearest_parent(i, w, channel, rules)
     if parent < 0:
         return False
-    near = np.empty(len(w), dtype=np.int64)
-    count = 0
-    for j in range(len(w)):
-        square = (u[j] - u[parent]) ** 2 + (v[j] - v[parent]) ** 2
-        if first[j] and square <= NEAR_M**2 and abs(w[j] - w[parent]) <= rules.lag_max_m:
-            near[count] = j
-            count += 1
+    at = neighbours(parent, u, v, w, first, rules)
+    count = len(at)
     if count < RETURNS_MIN:
         return False
-    at = near[:count]
     plane, weight = np.empty(3), np.empty(count)
     if not bisquare_plane(u[at], v[at], w[at], rules.sigma_m, plane, weight):
         return False
     distance = residual(plane, u[at], v[at], w[at])
-    tolerance = SHARP * rules.sigma_m
-    hard = np.abs(distance) <= tolerance
-    if hard.sum() < max(RETURNS_MIN, HARD_SHARE * count):
-        return False
-    level = plane[0] + plane[1] * u[i] + plane[2] * v[i]
-    own = plane[0] + plane[1] * u[parent] + plane[2] * v[parent]
-    if abs(w[parent] - own) > rules.below_m or w[i] - level <= 0.5 * rules.dead_m:
-        return False
-    # Another first return at the depth of this one speaks for something real down there.
-    return not np.any(np.abs(distance - (w[i] - level)) <= rules.below_m)
+    own = w[parent] - (plane[0] + plane[1] * u[parent] + plane[2] * v[parent])
+    depth = w[i] - (plane[0] + plane[1] * u[i] + plane[2] * v[i])
+    hard = beside = 0
+    for k in range(count):
+        hard += abs(distance[k]) <= SHARP * rules.sigma_m
+        # Another first return at the same depth speaks for something real down there.
+        beside += abs(distance[k] - depth) <= rules.below_m
+    return (
+        hard >= max(RETURNS_MIN, HARD_SHARE * count)
+        and beside == 0
+        and abs(own) <= rules.below_m
+        and depth > 0.5 * rules.dead_m
+    )
 
 
 @njit(nogil=True, cache=True)

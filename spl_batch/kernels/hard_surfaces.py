@@ -9,7 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.robust_plane import bisquare_plane, percentile_68, residual
+from spl_batch.kernels.robust_plane import (
+    bisquare_plane,
+    median_distance,
+    percentile_68,
+    residual,
+)
 
 SURFACES_MAX = 3
 """Hard surfaces looked for in a shot: a roof, the ground beside it, one between."""
@@ -23,6 +28,9 @@ SHARP = 3.0
 PASSED_MIN = 2.0
 PASSED_SHARE = 0.1
 """A surface is penetrable when more scattered first returns lie behind it [count, share]."""
+
+NEAR_M = 1.6
+"""Reach across the beam of the returns that tell whether a place is hard [m]."""
 
 
 class Rules(NamedTuple):
@@ -82,17 +90,23 @@ def fit_surface(
     if len(u) < RETURNS_MIN or not bisquare_plane(u, v, w, rules.sigma_m, plane, weight):
         return False, 0.0
     distance = residual(plane, u, v, w)
-    hard = weight > rules.weight_min
-    if hard.sum() < RETURNS_MIN:
+    hard = np.empty(len(u), dtype=np.float64)
+    count = 0
+    for i in range(len(u)):
+        if weight[i] > rules.weight_min:
+            hard[count] = distance[i]
+            count += 1
+    if count < RETURNS_MIN:
         return False, 0.0
-    spread = max(np.median(np.abs(distance[hard])) / 0.6745, rules.sigma_m)
+    spread = max(median_distance(hard[:count]) / 0.6745, rules.sigma_m)
     return percentile_68(plane, distance) < rules.p68_max_m, spread
 
 
 @njit(nogil=True, cache=True)
 def densest(w: NDArray[np.float64], width: float) -> tuple[float, int]:
     """Start of the fullest range window and its count; the nearest of equals."""
-    ordered = np.sort(w)
+    ordered = w.copy()
+    ordered.sort()
     best, first, left = 0, 0, 0
     for right in range(len(ordered)):
         while ordered[right] - ordered[left] > width:
@@ -103,16 +117,83 @@ def densest(w: NDArray[np.float64], width: float) -> tuple[float, int]:
 
 
 @njit(nogil=True, cache=True)
+def seed(
+    number: int, u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
+    left: NDArray[np.int64], rules: Rules,
+) -> NDArray[np.int64]:  # fmt: skip
+    """Candidates to start a surface from: around a corner of the shot, or at one depth.
+
+    Parameters
+    ----------
+    number : int
+        0 to 3 are the corners, 4 is the fullest range window.
+    u, v, w, rules
+        As in :func:`find_surfaces`.
+    left : (m,) int64
+        Candidates that no surface holds yet, m >= 1.
+
+    Returns
+    -------
+    (k,) int64
+        Some of ``left``.
+    """
+    chosen = np.empty(len(left), dtype=np.int64)
+    count = 0
+    if number == 4:
+        width = 2.0 * rules.p68_max_m
+        start, _ = densest(w[left], width)
+        for i in left:
+            if start <= w[i] <= start + width:
+                chosen[count] = i
+                count += 1
+        return chosen[:count]
+    su, sv = 1.0 - 2.0 * (number % 2), 1.0 - 2.0 * (number // 2)
+    corner = left[0]
+    for i in left:
+        if su * u[i] + sv * v[i] > su * u[corner] + sv * v[corner]:
+            corner = i
+    for i in left:
+        square = (u[i] - u[corner]) ** 2 + (v[i] - v[corner]) ** 2
+        if square <= NEAR_M**2 and abs(w[i] - w[corner]) <= NEAR_M:
+            chosen[count] = i
+            count += 1
+    return chosen[:count]
+
+
+@njit(nogil=True, cache=True)
+def grow(
+    start: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
+    w: NDArray[np.float64], left: NDArray[np.int64], rules: Rules, plane: NDArray[np.float64],
+) -> tuple[int, float]:  # fmt: skip
+    """Surface from a seed: number of candidates on it (0 if not trusted) and its spread."""
+    trusted, spread = fit_surface(u[start], v[start], w[start], rules, plane)
+    on = np.empty(len(left), dtype=np.int64)
+    count = 0
+    for _ in range(2):
+        if not trusted:
+            return 0, 0.0
+        count = 0
+        for i in left:
+            distance = w[i] - (plane[0] + plane[1] * u[i] + plane[2] * v[i])
+            if abs(distance) <= max(rules.below_m, 3.0 * spread):
+                on[count] = i
+                count += 1
+        near = on[:count]
+        trusted, spread = fit_surface(u[near], v[near], w[near], rules, plane)
+    return (count, spread) if trusted else (0, 0.0)
+
+
+@njit(nogil=True, cache=True)
 def find_surfaces(
     u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
     candidate: NDArray[np.bool_], rules: Rules,
     spread_max: float, planes: NDArray[np.float64], spreads: NDArray[np.float64],
 ) -> int:  # fmt: skip
-    """Hard surfaces of a shot: one plane as published, else level by level.
+    """Hard surfaces of a shot: one plane as published, else several.
 
-    Where one plane does not do (roof beside ground, ground under a tree), the fullest
-    range window of what is left is fitted and grown, and has to stand out from an even
-    spread of the candidates.
+    Where one plane does not do (roof beside ground, a ridge, ground under a tree), planes
+    are grown from the corners of the shot and from its fullest range; the largest one is
+    taken if it stands out from an even spread of the candidates, then the next.
 
     Parameters
     ----------
@@ -141,30 +222,41 @@ def find_surfaces(
         spreads[0] = spread
         return 1
     found = 0
+    plane = np.empty(3)
     while found < SURFACES_MAX and len(left) >= RETURNS_MIN:
-        width = 2.0 * rules.p68_max_m
-        start, _ = densest(w[left], width)
-        seed = left[(w[left] >= start) & (w[left] <= start + width)]
-        trusted, spread = fit_surface(u[seed], v[seed], w[seed], rules, planes[found])
-        if not trusted:
+        best = 0
+        for number in range(5):
+            start = seed(number, u, v, w, left, rules)
+            count, spread = grow(start, u, v, w, left, rules, plane)
+            if spread <= spread_max and count > best:
+                best, spreads[found] = count, spread
+                for k in range(3):
+                    planes[found, k] = plane[k]
+        rest, extent = beyond(planes[found], spreads[found], u, v, w, left, rules)
+        even = len(left) * 2.0 * rules.below_m / max(extent, 2.0 * rules.p68_max_m)
+        if best < RETURNS_MIN + 2.0 * even:
             break
-        for _ in range(2):
-            near = np.abs(residual(planes[found], u[left], v[left], w[left])) <= max(
-                rules.below_m, 3.0 * spread
-            )
-            grown = left[near]
-            trusted, spread = fit_surface(u[grown], v[grown], w[grown], rules, planes[found])
-            if not trusted:
-                break
-        trusted = trusted and spread <= spread_max
-        extent = max(w[left].max() - w[left].min(), width)
-        even = len(left) * 2.0 * rules.below_m / extent
-        if not trusted or len(grown) < RETURNS_MIN + 2.0 * even:
-            break
-        spreads[found] = spread
         found += 1
-        left = left[~near]
+        left = rest
     return found
+
+
+@njit(nogil=True, cache=True)
+def beyond(
+    plane: NDArray[np.float64], spread: float, u: NDArray[np.float64], v: NDArray[np.float64],
+    w: NDArray[np.float64], left: NDArray[np.int64], rules: Rules,
+) -> tuple[NDArray[np.int64], float]:  # fmt: skip
+    """Candidates that are not on a plane, and the range that all of them span [m]."""
+    rest = np.empty(len(left), dtype=np.int64)
+    count = 0
+    low = high = w[left[0]]
+    for i in left:
+        low, high = min(low, w[i]), max(high, w[i])
+        distance = w[i] - (plane[0] + plane[1] * u[i] + plane[2] * v[i])
+        if not on_surface(distance, spread, rules):
+            rest[count] = i
+            count += 1
+    return rest[:count], high - low
 
 
 @njit(nogil=True, cache=True)

@@ -41,10 +41,15 @@ def weighted_plane(
     bool
         False, with ``plane`` as it was, where the points lie on one line seen along the beam.
     """
-    total = weight.sum()
+    total = mu = mv = mw = 0.0
+    for i in range(len(u)):
+        total += weight[i]
+        mu += weight[i] * u[i]
+        mv += weight[i] * v[i]
+        mw += weight[i] * w[i]
     if total <= 0.0:
         return False
-    mu, mv, mw = (weight * u).sum() / total, (weight * v).sum() / total, (weight * w).sum() / total
+    mu, mv, mw = mu / total, mv / total, mw / total
     uu = uv = vv = uw = vw = 0.0
     for i in range(len(u)):
         du, dv, dw = u[i] - mu, v[i] - mv, w[i] - mw
@@ -69,8 +74,21 @@ def residual(
     w: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
     """Distance behind the plane along the beam: (n,) float64 [m]."""
-    distance: NDArray[np.float64] = w - (plane[0] + plane[1] * u + plane[2] * v)
+    distance = np.empty(len(w), dtype=np.float64)
+    for i in range(len(w)):
+        distance[i] = w[i] - (plane[0] + plane[1] * u[i] + plane[2] * v[i])
     return distance
+
+
+@njit(nogil=True, cache=True)
+def median_distance(distance: NDArray[np.float64]) -> float:
+    """Median of absolute values, of at least one."""
+    size = np.empty(len(distance), dtype=np.float64)
+    for i in range(len(distance)):
+        size[i] = abs(distance[i])
+    size.sort()
+    half = len(size) // 2
+    return float(0.5 * (size[half] + size[-half - 1]))
 
 
 @njit(nogil=True, cache=True)
@@ -100,19 +118,23 @@ def bisquare_plane(
     bool
         Whether there is a plane.
     """
-    weight[:] = 1.0
+    for i in range(len(u)):
+        weight[i] = 1.0
     if len(u) < 4 or not weighted_plane(u, v, w, weight, plane):
         return False
     for _ in range(ITERATIONS):
-        before = plane.copy()
-        distance = np.abs(residual(plane, u, v, w))
-        scale = max(np.median(distance) / 0.6745, scale_min)
+        before = (plane[0], plane[1], plane[2])
+        distance = residual(plane, u, v, w)
+        scale = max(median_distance(distance) / 0.6745, scale_min)
         for i in range(len(u)):
-            ratio = distance[i] / (BISQUARE * scale)
+            ratio = abs(distance[i]) / (BISQUARE * scale)
             weight[i] = (1.0 - ratio * ratio) ** 2 if ratio < 1.0 else 0.0
         if not weighted_plane(u, v, w, weight, plane):
             return False
-        if np.max(np.abs(plane - before)) < 1e-6:
+        moved = 0.0
+        for k in range(3):
+            moved = max(moved, abs(plane[k] - before[k]))
+        if moved < 1e-6:
             break
     return True
 
@@ -129,5 +151,8 @@ def percentile_68(plane: NDArray[np.float64], distance: NDArray[np.float64]) -> 
         Distances along the beam [m]; they are turned perpendicular to the plane here.
     """
     tilt = math.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
-    ordered = np.sort(np.abs(distance))
+    ordered = np.empty(len(distance), dtype=np.float64)
+    for i in range(len(distance)):
+        ordered[i] = abs(distance[i])
+    ordered.sort()
     return float(ordered[min(len(ordered) - 1, int(0.68 * len(ordered)))]) / tilt

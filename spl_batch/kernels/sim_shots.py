@@ -369,19 +369,17 @@ def first_rows(points: Points, count: int) -> Points:
     )
 
 
-def event_room(gate_m: float, noise_per_m: float, layers: int) -> int:
+def event_room(background: float, signal: float, layers: int) -> int:
     """Events that one beamlet must have room for, far beyond what chance makes likely.
 
     Parameters
     ----------
-    gate_m : float
-        Length of the gate [m].
-    noise_per_m : float
-        Highest background [1/m].
+    background, signal : float
+        Highest expected photo-electrons of background, and of one surface [count].
     layers : int
         Most layers that one beam can meet.
     """
-    mean = gate_m * noise_per_m
+    mean = background + signal
     return int(2 * (mean + 12 * math.sqrt(mean + 1))) + 16 * (layers + 8)
 
 

@@ -1,13 +1,11 @@
 """Highest return of each raster cell that others confirm: noise must not stand out.
 
-Noise that the filter leaves hangs mostly a few metres above dense surfaces, where its
-neighbourhoods borrow returns from the surface. A count in one sphere cannot tell it from
-a thin crown at the same density of returns in space. Two spheres can:
-
-- *near*: a return on a surface has several others within half a metre, whatever the
-  surface's tilt; returns with so many are *dense*.
-- *far*: a return in a crown has few that near, but many within two metres that are not
-  dense either. Noise above a roof has only other noise: the roof's returns are dense.
+Noise that the filter leaves hangs mostly a few metres above dense surfaces and crowns,
+where its neighbourhood borrows their returns. A count in one sphere cannot tell it from a
+thin crown. Several spheres can: a return counts for a larger sphere only where no smaller
+one confirms it. A roof is confirmed within half a metre, whatever its tilt, a dense crown
+within a metre, a thin one within two; noise above a roof or a dense crown then has only
+other noise to confirm it.
 
 Ground returns confirm themselves and nothing else.
 """
@@ -18,28 +16,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_UNKNOWN, _SPARSE, _DENSE = 0, 1, 2
+_UNKNOWN, _NO, _YES = 0, 1, 2
 
 
 class Support(NamedTuple):
-    """What confirms a return; lengths in quanta.
+    """What confirms a return: spheres, the smallest first.
 
     Parameters
     ----------
-    near, far : int
-        Radii of the two spheres.
-    near_count, far_count : int
-        Returns that they must hold, the confirmed one itself not counted [count].
-    near_cells, far_cells : int
-        Raster cells to each side that the radii can reach.
+    radius : (s,) int64
+        Radii [quanta].
+    needed : (s,) int64
+        Returns that each must hold, the confirmed one itself not counted [count].
+    cells : (s,) int64
+        Raster cells to each side that each can reach [count].
     """
 
-    near: int
-    far: int
-    near_count: int
-    far_count: int
-    near_cells: int
-    far_cells: int
+    radius: NDArray[np.int64]
+    needed: NDArray[np.int64]
+    cells: NDArray[np.int64]
 
 
 class CellPoints(NamedTuple):
@@ -48,7 +43,7 @@ class CellPoints(NamedTuple):
     Parameters
     ----------
     x, y, z : (n,) int32
-        Coordinates relative to any anchor [quanta].
+        Coordinates relative to the raster's south-west corner [quanta].
     level : (n,) uint8
         Reliability; a return is confirmed only by returns of its own level or a lower one.
     ground : (n,) bool
@@ -57,6 +52,8 @@ class CellPoints(NamedTuple):
         Where each cell begins.
     rows, cols : int
         Shape of the raster.
+    size : int
+        Edge of a cell [quanta]; x and y count from the raster's corner.
     """
 
     x: NDArray[np.int32]
@@ -67,6 +64,7 @@ class CellPoints(NamedTuple):
     start: NDArray[np.int64]
     rows: int
     cols: int
+    size: int
 
 
 @njit(nogil=True, cache=True)
@@ -82,7 +80,7 @@ def _first_not_above(z: NDArray[np.int32], begin: int, end: int, top: np.int64) 
 
 
 @njit(nogil=True, cache=True)
-def _confirms(points: CellPoints, p: int, q: int, radius: int) -> bool:
+def _may_confirm(points: CellPoints, p: int, q: int, radius: int) -> bool:
     """Whether return q may confirm return p and lies within a radius."""
     if q == p or points.ground[q] or points.level[q] > points.level[p]:
         return False
@@ -93,45 +91,30 @@ def _confirms(points: CellPoints, p: int, q: int, radius: int) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def _dense(
-    points: CellPoints, p: int, place: tuple[int, int], by: Support, known: NDArray[np.uint8]
+def _confirmed(
+    points: CellPoints, p: int, scale: int, by: Support, known: NDArray[np.uint8]
 ) -> bool:
-    """Whether enough returns lie near; remembered in ``known``."""
-    if known[p] != _UNKNOWN:
-        return bool(known[p] == _DENSE)
+    """Whether one sphere holds enough returns that no smaller one confirms."""
+    if known[p, scale] != _UNKNOWN:
+        return bool(known[p, scale] == _YES)
     found = 0
-    row, col = place
+    radius, reach, needed = by.radius[scale], by.cells[scale], by.needed[scale]
+    row, col = points.y[p] // points.size, points.x[p] // points.size
     z0 = np.int64(points.z[p])
-    for r in range(max(row - by.near_cells, 0), min(row + by.near_cells + 1, points.rows)):
-        for c in range(max(col - by.near_cells, 0), min(col + by.near_cells + 1, points.cols)):
-            end = points.start[r * points.cols + c + 1]
-            begin = _first_not_above(points.z, points.start[r * points.cols + c], end, z0 + by.near)
-            for q in range(begin, end):
-                if z0 - points.z[q] > by.near or found >= by.near_count:
+    for r in range(max(row - reach, 0), min(row + reach + 1, points.rows)):
+        for c in range(max(col - reach, 0), min(col + reach + 1, points.cols)):
+            cell = r * points.cols + c
+            end = points.start[cell + 1]
+            for q in range(_first_not_above(points.z, points.start[cell], end, z0 + radius), end):
+                if z0 - points.z[q] > radius or found >= needed:
                     break
-                found += _confirms(points, p, q, by.near)
-    known[p] = _DENSE if found >= by.near_count else _SPARSE
-    return found >= by.near_count
-
-
-@njit(nogil=True, cache=True)
-def _crowded(
-    points: CellPoints, p: int, place: tuple[int, int], by: Support, known: NDArray[np.uint8]
-) -> bool:
-    """Whether enough returns that are not dense lie in the far sphere."""
-    found = 0
-    row, col = place
-    z0 = np.int64(points.z[p])
-    for r in range(max(row - by.far_cells, 0), min(row + by.far_cells + 1, points.rows)):
-        for c in range(max(col - by.far_cells, 0), min(col + by.far_cells + 1, points.cols)):
-            end = points.start[r * points.cols + c + 1]
-            begin = _first_not_above(points.z, points.start[r * points.cols + c], end, z0 + by.far)
-            for q in range(begin, end):
-                if z0 - points.z[q] > by.far or found >= by.far_count:
-                    break
-                if _confirms(points, p, q, by.far) and not _dense(points, q, (r, c), by, known):
-                    found += 1
-    return found >= by.far_count
+                if _may_confirm(points, p, q, radius):
+                    free = True
+                    for smaller in range(scale):
+                        free = free and not _confirmed(points, q, smaller, by, known)
+                    found += free
+    known[p, scale] = _YES if found >= needed else _NO
+    return bool(found >= needed)
 
 
 @njit(nogil=True, cache=True)
@@ -147,16 +130,15 @@ def supported_tops(points: CellPoints, by: Support, tops: NDArray[np.float64]) -
     tops : (rows, cols) float64, written
         Heights [quanta]; NaN where no return is confirmed.
     """
-    known = np.zeros(len(points.x), dtype=np.uint8)
+    known = np.zeros((len(points.x), len(by.radius)), dtype=np.uint8)
     for row in range(points.rows):
         for col in range(points.cols):
             tops[row, col] = np.nan
             cell = row * points.cols + col
             for p in range(points.start[cell], points.start[cell + 1]):
-                if (
-                    points.ground[p]
-                    or _dense(points, p, (row, col), by, known)
-                    or _crowded(points, p, (row, col), by, known)
-                ):
+                accepted = points.ground[p]
+                for scale in range(len(by.radius)):
+                    accepted = accepted or _confirmed(points, p, scale, by, known)
+                if accepted:
                     tops[row, col] = points.z[p]
                     break

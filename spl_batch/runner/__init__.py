@@ -63,7 +63,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "ground": Kind("ground", space_domain.ground, ("ground",)),
         "surface": Kind("surfaces", space_domain.surface, ("ground.cell_m", "products")),
         "deliver_file": Kind("deliver", delivery.deliver_file, ("outputs.diagnostics",)),
-        "deliver_tile": Kind("deliver", delivery.deliver_tile, ()),
+        "deliver_tile": Kind("deliver", delivery.deliver_tile, ("outputs.tiles",)),
         "mosaic": Kind("deliver", delivery.mosaic, ("ground.cell_m", "products.cell_m")),
     }
 )

@@ -104,8 +104,10 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     table = table.with_columns(
         classification=np.where(unlabelled, table["input_class"], table["classification"])
     )
-    target = context.output / "tiles" / f"{args['tile']}.laz"
-    write_points(target, table, crs=context.crs, extra={"noise_class": table["noise_class"]})
+    copc = context.workflow.outputs.tiles == "copc"
+    target = context.output / "tiles" / f"{args['tile']}{'.copc' if copc else ''}.laz"
+    extra = {"noise_class": table["noise_class"]}
+    write_points(target, table, crs=context.crs, extra=extra, copc=copc)
     return Produced([target], {"points": len(table)}, len(table))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.io.atomic import checksum
-from spl_batch.io.gpstime import time_standard
+from spl_batch.io.gpstime import bit_warning, time_standard
 from spl_batch.io.las import inspect, iter_points
 from spl_batch.io.tables import read_arrays, write_arrays
 from spl_batch.io.trajectory import load_trajectory, write_trajectory
@@ -71,7 +71,8 @@ class _Tally:
         time = table["gps_time"]
         if not len(time):
             return
-        self.in_order &= bool(np.all(np.diff(time) >= 0)) and time[0] >= self.last_time
+        ordered = bool(np.all(np.diff(time) >= 0) and time[0] >= self.last_time)
+        self.in_order = self.in_order and ordered
         self.last_time = float(time.max())
         self.sample.extend((float(time.min()), float(time.max())))
         line = table["point_source_id"]
@@ -106,6 +107,8 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
     write_arrays(index, {"first": runs[:, 0], "last": runs[:, 1], **tracks})
+    standard = time_standard(np.array(tally.sample))
+    contradiction = bit_warning(standard, adjusted_bit=header.adjusted_standard_bit)
     facts = {
         "name": args["name"],
         "path": str(path),
@@ -117,9 +120,8 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "in_order": tally.in_order,
         "spans": {str(k): merge_spans(v, settings.gap_s) for k, v in sorted(tally.spans.items())},
         "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(tally.steps.items())},
-        "standard": time_standard(np.array(tally.sample)) if tally.sample else None,
-        "adjusted_bit": header.adjusted_standard_bit,
-        "warnings": list(header.warnings),
+        "standard": standard,
+        "warnings": [*header.warnings, *([contradiction] if contradiction else [])],
     }
     return Produced([index], facts, tally.counts["points"])
 

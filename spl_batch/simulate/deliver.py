@@ -97,10 +97,10 @@ def deliver_noise(scene: Scene, grid: NoiseGrid, out: Path) -> None:
         np.int64
     )
     density = (grid.amount / grid.voxel_m**3).astype(np.float32)
-    with replacing(out / "truth" / "noise_density.npz") as part:
-        # a file object: given a name, numpy would put .npz behind it
-        with part.open("wb") as file:
-            np.savez_compressed(file, density=density, corner=corner, voxel_m=grid.voxel_m)
+    path = out / "truth" / "noise_density.npz"
+    # a file object: given a name, numpy would put .npz behind it
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, density=density, corner=corner, voxel_m=grid.voxel_m)
 
 
 def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:

@@ -109,6 +109,17 @@ def simulate(
 ) -> SimulationSummary:
     """Simulate a survey.
 
+    Written are ``flightlines/line_NN.laz`` (points in time order, without truth),
+    ``trajectory.csv`` and ``trajectory.sbet``, ``reference_lml.laz``, ``water.gpkg`` where
+    there is water, ``workflow.yaml``, and ``truth/``: ``line_NN.parquet`` with a row for
+    each point in the file's order (``kind``: index in :data:`KINDS`; ``parent``: kind of the
+    surface behind an afterpulse, else 255; ``parent_row``: row of its parent, else -1),
+    ``dtm.tif``, ``dsm.tif`` (at cell centres), ``noise_density.npz`` (expected background
+    per cubic metre, lattice index of the first voxel, edge) and ``scene.json``.
+
+    Only shots whose footprint meets the extent are there, so a flightline's shots come in
+    arcs with pauses of thousands of shots between them, as in a delivery cut to an area.
+
     Parameters
     ----------
     scene : Scene
@@ -192,7 +203,12 @@ def _fly(
     gate = rig.scene.acquisition.gate_m
     peak = rig.noise.at(np.array([run.flight.sky * (1 + rig.scene.sky.variation)]))
     layers = empty_layers(rig.arrays)
-    room = event_room(gate, float(peak[0] * rig.optics.gain.max(initial=0.0)), len(layers))
+    gain = float(rig.optics.gain.max(initial=0.0))
+    nearest = min(float(piece.ground_range_m.min()) for piece in pieces) - gate / 2
+    brightest = gain * rig.optics.signal_m2 / max(nearest, 1.0) ** 2
+    # tuned wires may send back more than falls on them
+    brightest *= max(1.0, float(rig.arrays.wire[:, 9].max(initial=0.0)))
+    room = event_room(gate * gain * float(peak[0]), brightest, len(layers))
     events = (
         np.empty(room),
         np.empty((room, 3), dtype=np.int64),

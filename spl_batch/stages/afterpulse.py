@@ -23,15 +23,13 @@ from spl_batch.kernels.hard_surfaces import Rules
 from spl_batch.kernels.shots import lag_behind, run_starts
 from spl_batch.model import BeamTable, PointTable
 from spl_batch.sensor import Sensor
+from spl_batch.stages.gate import GATE_ASSUMED_M
 from spl_batch.workflow import AfterpulseSettings
 
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
 COLUMNS_ADDED: Final = ("afterpulse",)
 BYTES_PER_POINT: Final = 140
-
-GATE_ASSUMED_M: Final = 300.0
-"""Gate where neither the sensor nor the data say one; it enters DCC by a logarithm [m]."""
 
 
 def probability(

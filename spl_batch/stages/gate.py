@@ -20,6 +20,17 @@ from spl_batch.stages.line_observe import BUFFER_LADDER, SUMMARY
 WINDOW_INTERVALS: Final = 64
 """Intervals whose extremes are read together [count]."""
 
+GATE_MIN_M: Final = 60.0
+"""Shorter gates have to be stated; what looks like one is a scene without noise [m]."""
+
+GATE_ASSUMED_M: Final = 300.0
+"""Gate where neither the workflow nor the points say one [m]."""
+
+_NO_NOISE: Final = (
+    "too few returns away from the surface to see the range gate: "
+    f"{GATE_ASSUMED_M:.0f} m assumed; state acquisition.gate_m"
+)
+
 Kind = Literal["range", "height"]
 
 
@@ -136,9 +147,14 @@ def _known_length(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...]]:
     """Put a known length in, unless the returns contradict it."""
     low, high = edges.low, edges.high
+    warnings: tuple[str, ...] = ()
     if gate_m is None:
-        return low, high, () if edges.supported else (_NO_NOISE,)
-    if edges.supported and abs(edges.extent - gate_m) > 0.1 * gate_m:
+        if edges.supported and edges.extent >= GATE_MIN_M:
+            return low, high, ()
+        # Points whose noise somebody has removed fill no gate: their extent is the scene's,
+        # and taking it for a gate would call trees noise.
+        gate_m, warnings = GATE_ASSUMED_M, (_NO_NOISE,)
+    elif edges.supported and abs(edges.extent - gate_m) > 0.1 * gate_m:
         text = (
             f"the returns fill a gate of {edges.extent:.0f} m, not the {gate_m:.0f} m stated; "
             "what they fill is used"
@@ -146,9 +162,4 @@ def _known_length(
         return low, high, (text,)
     middle = 0.5 * (low + high)
     half = np.maximum(0.5 * gate_m * edges.scale, 0.0 if edges.supported else 0.5 * (high - low))
-    return middle - half, middle + half, ()
-
-
-_NO_NOISE: Final = (
-    "too few returns away from the surface to see the range gate: their extent is taken for it"
-)
+    return middle - half, middle + half, warnings

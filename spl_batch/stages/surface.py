@@ -10,8 +10,8 @@ DTM    TIN through one vertex per raster cell: the robust mean (x, y, z) of its
        (5 cm) stays in a TIN through single returns; averaging removes it, and
        averaging positions too keeps slopes unbiased.
 DSM    Highest return of the cell that is ground or that others confirm: more of
-       them within ``dsm_near_m``, or more that stand as free as itself within
-       ``dsm_support_m``, than noise alone puts there (:mod:`spl_batch.kernels.tops`).
+       them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
+       ``dsm_support_m`` being tried in turn (:mod:`spl_batch.kernels.tops`).
        What noise puts there is measured by the returns that the filter refused;
        without any, ``dsm_support`` returns do. A wire of few returns per metre
        stands out of the DSM where there is little noise only. Never below the DTM.
@@ -211,9 +211,17 @@ def _cells(length_m: float, settings: ProductSettings) -> int:
     return -(-quanta(length_m) // quanta(settings.cell_m))
 
 
+def _scales_m(settings: ProductSettings) -> tuple[float, ...]:
+    """Radii of the spheres that confirm a return, each twice the one before [m]."""
+    radii_m = [settings.dsm_near_m]
+    while 2.0 * radii_m[-1] < settings.dsm_support_m:
+        radii_m.append(2.0 * radii_m[-1])
+    return (*radii_m, settings.dsm_support_m)
+
+
 def _support_cells(settings: ProductSettings) -> int:
-    """Cells around a return that decide on it: its crowd, and what is near to the crowd."""
-    return _cells(settings.dsm_support_m, settings) + _cells(settings.dsm_near_m, settings)
+    """Cells around a return that decide on it: its sphere, and the smaller ones of those in it."""
+    return sum(_cells(radius_m, settings) for radius_m in _scales_m(settings))
 
 
 def _top_margin(settings: ProductSettings) -> int:
@@ -250,15 +258,12 @@ def _critical(expected: float, settings: ProductSettings) -> int:
 
 def _support(noise_density: float, settings: ProductSettings) -> Support:
     """What confirms a return, given the noise around it [1/m3]."""
-    near_m, far_m = settings.dsm_near_m, settings.dsm_support_m
-    sphere = 4.0 / 3.0 * np.pi * noise_density
+    radii_m = _scales_m(settings)
+    expected = [4.0 / 3.0 * np.pi * noise_density * radius_m**3 for radius_m in radii_m]
     return Support(
-        near=quanta(near_m),
-        far=quanta(far_m),
-        near_count=_critical(sphere * near_m**3, settings),
-        far_count=_critical(sphere * far_m**3, settings),
-        near_cells=_cells(near_m, settings),
-        far_cells=_cells(far_m, settings),
+        radius=np.array([quanta(radius_m) for radius_m in radii_m]),
+        needed=np.array([_critical(count, settings) for count in expected]),
+        cells=np.array([_cells(radius_m, settings) for radius_m in radii_m]),
     )
 
 
@@ -281,6 +286,7 @@ def _top_surface(
         start=start,
         rows=rows,
         cols=cols,
+        size=size,
     )
     tops = np.empty((rows, cols))
     supported_tops(points, support, tops)
