@@ -143,6 +143,9 @@ class PtdSettings(Section):
     seed_slope: Positive = Field(
         0.2, description="Slope tolerance of the opening that seeds survive [rise/run]."
     )
+    seed_step_m: Positive = Field(
+        3.0, description="Fall between two windows that is an object's at any slope [m]."
+    )
     object_m: Positive = Field(60.0, description="Widest object that seeds avoid [m].")
     terrain_angle_deg: Positive = Field(88.0, le=90, description="Steepest terrain [deg].")
     iteration_angle_deg: Positive = Field(

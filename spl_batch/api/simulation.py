@@ -9,7 +9,6 @@ from spl_batch.api.events import Listener, ignore
 from spl_batch.api.pipeline import RunResult, run
 from spl_batch.api.preparing import DEFAULT_MEMORY
 
-
 if TYPE_CHECKING:
     from spl_batch.simulate import SimulationSummary
 

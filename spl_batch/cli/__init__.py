@@ -97,7 +97,7 @@ def plan(workflow: Path, workers: int, memory: str, overrides: tuple[str, ...]) 
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
 @click.option("--until", type=click.Choice(_STAGES), help="Stop after this stage.")
 @_SETTINGS
-def run(  # noqa: PLR0917 - one argument for each option, by name
+def run(
     workflow: Path,
     workers: int,
     memory: str,

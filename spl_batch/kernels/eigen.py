@@ -1,4 +1,4 @@
-# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+
 """Eigenvalues and eigenvectors of symmetric 3 x 3 matrices in closed form.
 
 Eigenvalues by the trigonometric solution of the cubic, eigenvectors by cross products

@@ -1,4 +1,4 @@
-# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+
 """Neighbours inside each point's adaptive ellipsoid [W18 Eq. 3-8; W17 Eq. 5.4-5.6, 6.3-6.5].
 
 ============ ================================================================

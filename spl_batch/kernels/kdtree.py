@@ -1,4 +1,4 @@
-# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+
 """Exact neighbours on the integer lattice: a balanced kd-tree without pointers.
 
 A node is a number: the root is 1, the children of ``i`` are ``2 i`` and ``2 i + 1``, and

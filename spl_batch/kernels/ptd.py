@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.kernels.tin import Tin, locate, locate_one, triangulate
+from spl_batch.kernels.tin import Tin, locate_one, triangulate
 
 _ROUNDS = 60
 """Rounds after which densification stops anyway; ten to twenty are usual [count]."""
@@ -250,7 +250,7 @@ def _best_of_facets(
 
 def heights_above(
     tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signed distance of points to a surface, along the facets' normals.
 
     Parameters
@@ -262,15 +262,36 @@ def heights_above(
 
     Returns
     -------
-    (n,) float64
+    distance : (n,) float64
         Distance [m], positive above; NaN outside the surface.
+    edge : (n,) float64
+        Shortest edge of the point's facet, horizontally [m].
     """
-    facet = np.empty(len(x), dtype=np.int32)
-    locate(tin.xyz, tin.facets, tin.neighbours, x, y, facet)
-    a, b, c = tin.planes[facet].T
-    x0, y0, _ = tin.xyz[tin.facets[facet, 0]].T
-    distance = (z - (c + a * (x - x0) + b * (y - y0))) / np.sqrt(1 + a * a + b * b)
-    distance[facet < 0] = np.nan
-    corners = tin.xyz[tin.facets, :2]
-    edge = np.hypot(*np.moveaxis(corners - np.roll(corners, 1, axis=1), 2, 0)).min(axis=1)
-    return distance, edge[facet]
+    distance, edge = np.empty(len(x)), np.empty(len(x))
+    _heights_above(tin.xyz, tin.facets, tin.neighbours, tin.planes, x, y, z, distance, edge)
+    return distance, edge
+
+
+@njit(nogil=True, cache=True)
+def _heights_above(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    planes: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    distance: NDArray[np.float64],
+    edge: NDArray[np.float64],
+) -> None:
+    last = 0
+    for i in range(len(x)):
+        found, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
+        if found < 0:
+            distance[i], edge[i] = np.nan, np.nan
+            continue
+        distance[i] = facet_fit(xyz, facets[found], planes[found], x[i], y[i], z[i])[0]
+        edge[i] = np.inf
+        for k in range(3):
+            a, b = facets[found, k], facets[found, (k + 1) % 3]
+            edge[i] = min(edge[i], np.hypot(xyz[a, 0] - xyz[b, 0], xyz[a, 1] - xyz[b, 1]))

@@ -1,4 +1,4 @@
-# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+
 """What one beam meets on its way down: semi-transparent layers, then one hard surface."""
 
 import math

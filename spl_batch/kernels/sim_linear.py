@@ -1,4 +1,4 @@
-# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+
 """A scene seen from straight above: linear-mode returns, and heights of surfaces."""
 
 import numpy as np

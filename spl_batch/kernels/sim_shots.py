@@ -1,4 +1,4 @@
-# ruff: noqa: PLR0917 - kernels take bare arrays and numbers, by position
+
 """Shots of a flightline against a scene: what every beamlet of every shot records."""
 
 import math

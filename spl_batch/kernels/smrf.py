@@ -19,8 +19,6 @@ from scipy import ndimage
 
 from spl_batch.kernels.tin import interpolate, triangulate
 
-CAP=99.
-PAD="edge"
 _LOW_SLOPE = 5.0
 """Slope of the opening that finds low outliers: 500 % in the source [rise/run]."""
 
@@ -54,7 +52,7 @@ def opening(surface: Grid, radius: int) -> Grid:
     (rows, columns) float64
     """
     square, diamond = octagon(radius)
-    padded = np.pad(surface, radius, mode=PAD)
+    padded = np.pad(surface, radius, mode="edge")
     for minmax, square_filter in (
         (np.minimum, ndimage.minimum_filter1d),
         (np.maximum, ndimage.maximum_filter1d),
@@ -77,7 +75,9 @@ def _by_cross(grid: Grid, minmax: np.ufunc) -> Grid:
     return out
 
 
-def object_cells(surface: Grid, cell_m: float, slope: float, window_m: float) -> NDArray[np.bool_]:
+def object_cells(
+    surface: Grid, cell_m: float, slope: float, window_m: float, *, step_m: float = np.inf
+) -> NDArray[np.bool_]:
     """Cells that stand above the progressively opened surface.
 
     Parameters
@@ -90,6 +90,9 @@ def object_cells(surface: Grid, cell_m: float, slope: float, window_m: float) ->
         Tolerated slope [rise/run].
     window_m : float
         Largest radius of the window [m].
+    step_m : float
+        A larger fall from one window to the next is an object's at any radius [m]; the
+        source has no such limit, and keeps halls that are low for their width.
 
     Returns
     -------
@@ -99,7 +102,7 @@ def object_cells(surface: Grid, cell_m: float, slope: float, window_m: float) ->
     last = surface
     for radius in range(1, int(np.ceil(window_m / cell_m)) + 1):
         opened = opening(last, radius)
-        objects |= last - opened > min(slope * radius * cell_m, CAP)
+        objects |= last - opened > min(slope * radius * cell_m, step_m)
         last = opened
     return objects
 

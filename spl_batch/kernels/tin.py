@@ -210,32 +210,10 @@ def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
     (n,) float64
         Height [m]; NaN outside the surface.
     """
-    return surface_at(tin, x, y)[0]
-
-
-def surface_at(
-    tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Height and steepness of a surface.
-
-    Parameters
-    ----------
-    tin : Tin
-        Surface.
-    x, y : (n,) float64
-        Places [m], near ones following each other.
-
-    Returns
-    -------
-    height : (n,) float64
-        Height [m]; NaN outside the surface.
-    slope : (n,) float64
-        Steepest rise [rise/run].
-    """
     facet = np.empty(len(x), dtype=np.int32)
     locate(tin.xyz, tin.facets, tin.neighbours, x, y, facet)
     a, b, c = tin.planes[facet].T
     x0, y0, _ = tin.xyz[tin.facets[facet, 0]].T
     height: NDArray[np.float64] = c + a * (x - x0) + b * (y - y0)
     height[facet < 0] = np.nan
-    return height, np.hypot(a, b)
+    return height

@@ -18,6 +18,7 @@ from spl_batch.stages import denoise as denoising
 from spl_batch.stages import ground as grounding
 from spl_batch.stages import surface as surfacing
 from spl_batch.stages import voxel_noise
+from spl_batch.stages.water import submerged
 from spl_batch.tiling import Bounds, CellId, cell_bounds, cell_index, grow, inside, quanta
 
 Units = dict[CellId, list[tuple[str, str]]]
@@ -144,7 +145,8 @@ def _mask_outside(arrays: dict[str, NDArray[np.float32]], core: Bounds, context:
 def _usable(table: PointTable) -> NDArray[np.bool_]:
     """Signal that a surface may rest on."""
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
-    return usable & ~table.has(PointFlag.OUTSIDE_AOI)
+    usable = usable & ~table.has(PointFlag.OUTSIDE_AOI)
+    return usable & ~submerged(table, usable)
 
 
 def _ground_cell(args: Mapping[str, Any], context: Context) -> Bounds:

@@ -193,7 +193,9 @@ def _assess(
     density[known] = line_noise.line_density(subset, model)
     chance = np.zeros(len(table), np.float32)
     if workflow.afterpulse.enabled:
-        chance[known] = afterpulse.probability(subset, beams, workflow.afterpulse, workflow.sensor)
+        chance[known] = afterpulse.probability(
+            subset, beams, workflow.afterpulse, _sensor(args, context), gate_m=model.gate_m
+        )
     part = voxel_noise.deposit(subset, beams, model, workflow.noise)
     path = context.store.path("voxels", f"{args['stretch']}.zarr")
     write_voxels(path, part)

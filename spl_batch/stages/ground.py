@@ -173,7 +173,9 @@ def _on_objects(
         return np.zeros(len(trusted), dtype=np.bool_)
     surface = fill_gaps(lowest)
     raised = low_outliers(surface, cell_m)
-    raised |= object_cells(surface, cell_m, settings.seed_slope, settings.object_m / 2)
+    raised |= object_cells(
+        surface, cell_m, settings.seed_slope, settings.object_m / 2, step_m=settings.seed_step_m
+    )
     on_objects: NDArray[np.bool_] = raised.ravel()[nodes.cell]
     return on_objects
 

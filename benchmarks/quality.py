@@ -1,0 +1,164 @@
+"""What the chain keeps and removes, against point truth: ``python -m benchmarks.quality SURVEY``.
+
+SURVEY is a folder that ``spl-batch simulate`` or ``spl-batch quickstart`` wrote and that
+``spl-batch run`` has processed with ``outputs.diagnostics: true`` where the noise density
+is to be checked. Prints one line for each figure, with the bar that the project sets.
+"""
+
+import sys
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import rasterio
+from numpy.typing import NDArray
+
+KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other")
+SPIKE_M = 0.5
+"""A DSM cell this much above every true return of it and its neighbours is set by noise [m]."""
+
+Bar = tuple[str, float]
+BARS: dict[str, Bar] = {
+    "ground kept %": (">=", 99.5),
+    "roof kept %": (">=", 99.0),
+    "vegetation kept %": (">=", 98.0),
+    "wire kept %": (">=", 95.0),
+    "background removed %": (">=", 95.0),
+    "afterpulses under ground and roofs removed %": (">=", 85.0),
+    "DTM RMSE on open ground cm": ("<=", 10.0),
+    "DSM cells set by noise per 10 000": ("<=", 1.0),
+    "expected / true noise density": ("~", 0.05),
+}
+
+
+def main(folder: Path) -> dict[str, float]:
+    """Measure one processed survey and print the figures."""
+    points = _load(folder)
+    figures = {**_kept(points), **_terrain(folder), **_spikes(folder, points)}
+    if "noise_density" in points:
+        figures["expected / true noise density"] = _density_ratio(folder, points)
+    for name, value in figures.items():
+        kind, limit = BARS.get(name, ("", 0.0))
+        bar = {"~": f"1 +- {limit:g}", "": ""}.get(kind, f"{kind} {limit:g}")
+        print(f"{name:48s} {value:10.3f}   {bar}")
+    return figures
+
+
+def _load(folder: Path) -> dict[str, NDArray[np.generic]]:
+    """Delivered points of all flightlines, with truth beside them."""
+    parts: dict[str, list[NDArray[np.generic]]] = {}
+    for truth in sorted((folder / "truth").glob("line_*.parquet")):
+        las = laspy.read(folder / "out" / "laz" / "flightlines" / f"{truth.stem}.laz")
+        table = pq.read_table(truth)
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        columns |= {"x": np.asarray(las.x), "y": np.asarray(las.y), "z": np.asarray(las.z)}
+        for name in ("noise_class", "classification", "noise_density", "p_value"):
+            if name in las.point_format.dimension_names:
+                columns[name] = np.asarray(las[name])
+        for name, values in columns.items():
+            parts.setdefault(name, []).append(values)
+    return {name: np.concatenate(values) for name, values in parts.items()}
+
+
+def _kept(points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
+    kind, signal = points["kind"], points["noise_class"] == 0
+    shares = {
+        f"{name} kept %": 100 * float(signal[kind == KINDS.index(name)].mean())
+        for name in ("ground", "roof", "vegetation", "wire", "water")
+        if np.any(kind == KINDS.index(name))
+    }
+    background = kind == KINDS.index("background")
+    afterpulse = kind == KINDS.index("afterpulse")
+    hard = afterpulse & np.isin(points["parent"], (KINDS.index("ground"), KINDS.index("roof")))
+    soft = afterpulse & (points["parent"] == KINDS.index("vegetation"))
+    return {
+        **shares,
+        "background removed %": 100 * float(1 - signal[background].mean()),
+        "afterpulses under ground and roofs removed %": 100 * float(1 - signal[hard].mean()),
+        "afterpulses in vegetation removed %": 100 * float(1 - signal[soft].mean()),
+    }
+
+
+def _terrain(folder: Path) -> dict[str, float]:
+    """DTM against the true one, where the true surface is the ground, and everywhere."""
+    with rasterio.open(folder / "out" / "dtm.tif") as found:
+        height, at = found.read(1), found.transform
+    with rasterio.open(folder / "truth" / "dtm.tif") as true:
+        terrain, origin = true.read(1), true.transform
+    with rasterio.open(folder / "truth" / "dsm.tif") as true:
+        top = true.read(1)
+    row, col = round((origin.f - at.f) / at.e), round((origin.c - at.c) / at.a)
+    r0, c0 = max(row, 0), max(col, 0)
+    r1, c1 = min(row + terrain.shape[0], height.shape[0]), min(col + terrain.shape[1], height.shape[1])
+    got = height[r0:r1, c0:c1].astype(np.float64)
+    want = terrain[r0 - row : r1 - row, c0 - col : c1 - col].astype(np.float64)
+    above = top[r0 - row : r1 - row, c0 - col : c1 - col] - want
+    valid = (got > -9000) & (want > -9000)
+    open_ground = valid & (np.abs(above) < 0.2)
+    difference = got - want
+    return {
+        "DTM RMSE on open ground cm": 100 * float(np.sqrt(np.mean(difference[open_ground] ** 2))),
+        "DTM mean difference on open ground cm": 100 * float(difference[open_ground].mean()),
+        "DTM mean |difference| everywhere cm": 100 * float(np.abs(difference[valid]).mean()),
+        "DTM worst difference cm": 100 * float(np.abs(difference[valid]).max()),
+    }
+
+
+def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
+    """Share of DSM cells above every true return within one cell."""
+    with rasterio.open(folder / "out" / "dsm.tif") as source:
+        dsm, at = source.read(1).astype(np.float64), source.transform
+    noise = np.isin(points["kind"], (KINDS.index("background"), KINDS.index("afterpulse")))
+    row = np.floor((at.f - points["y"][~noise]) / -at.e).astype(int)
+    col = np.floor((points["x"][~noise] - at.c) / at.a).astype(int)
+    inside = (row >= 0) & (row < dsm.shape[0]) & (col >= 0) & (col < dsm.shape[1])
+    top = np.full(dsm.shape, -np.inf)
+    np.maximum.at(top, (row[inside], col[inside]), points["z"][~noise][inside])
+    padded = np.pad(top, 1, constant_values=-np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
+    near = windows.max(axis=(2, 3))
+    valid = (dsm > -9000) & np.isfinite(near)
+    spiked = valid & (dsm > near + SPIKE_M)
+    return {"DSM cells set by noise per 10 000": 1e4 * float(spiked.sum() / valid.sum())}
+
+
+def _density_ratio(folder: Path, points: dict[str, NDArray[np.generic]]) -> float:
+    """Expected over true background, pooled: summed expectation of voxels over their noise.
+
+    Only voxels that hold at least one delivered density count; each counts once.
+    """
+    voxel = np.floor(np.stack([points[a] / 10.0 for a in "xyz"])).astype(np.int64)
+    low = voxel.min(axis=1, keepdims=True)
+    shape = tuple(voxel.max(axis=1) - low[:, 0] + 1)
+    at = np.ravel_multi_index(tuple(voxel - low), shape)
+    count = np.bincount(at, weights=points["kind"] == 0, minlength=int(np.prod(shape)))
+    known = np.isfinite(points["noise_density"])
+    expected = np.zeros(int(np.prod(shape)))
+    expected[at[known]] = points["noise_density"][known] * 1000.0
+    inner = _interior(folder, voxel, low, shape)
+    used = (expected > 0) & inner
+    print(f"{'true noise returns pooled':48s} {count[used].sum():10.0f}")
+    return float(expected[used].sum() / count[used].sum())
+
+
+def _interior(
+    folder: Path,
+    voxel: NDArray[np.int64],
+    low: NDArray[np.int64],
+    shape: tuple[int, ...],
+) -> NDArray[np.bool_]:
+    """Voxels that the survey covers wholly: one ring inside its edge."""
+    del folder
+    ground = np.zeros(shape[:2], dtype=bool)
+    ground[tuple((voxel - low)[:2])] = True
+    padded = np.pad(ground, 2)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (5, 5))
+    inner = windows.all(axis=(2, 3))
+    return np.broadcast_to(inner[:, :, None], shape).reshape(-1)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python -m benchmarks.quality SURVEY_FOLDER")
+    main(Path(sys.argv[1]))

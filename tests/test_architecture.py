@@ -1,0 +1,145 @@
+"""Imports only go down, dask stays in one module, modules stay short."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "spl_batch"
+
+STOREYS: list[set[str]] = [
+    {"__main__"},
+    {"cli"},
+    {"api"},
+    {"graph"},
+    {"plan"},
+    {"runner"},
+    {"stages"},
+    {"report", "accuracy", "simulate"},
+    {"io"},
+    {"kernels"},
+    {"tiling"},
+    {"model"},
+    {"workflow", "sensor", "sensors", "constants", "errors", "__init__"},
+]
+"""Modules by storey, the top one first; a module may import its own storey and below."""
+
+LEVEL = {name: level for level, names in enumerate(STOREYS) for name in names}
+MAX_LINES = 400
+
+
+def modules() -> list[Path]:
+    return sorted(p for p in PACKAGE.rglob("*.py") if not p.name.startswith("."))
+
+
+def dotted(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Every module that a file imports, inside functions as well."""
+    package = dotted(path).split(".")
+    if path.name != "__init__.py":
+        package = package[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            # `from spl_batch import api` names a module, not a value.
+            if module == "spl_batch":
+                yield from (f"{module}.{alias.name}" for alias in node.names)
+            else:
+                yield module
+
+
+def storey(name: str) -> str:
+    """Storey of a project module; names of `spl_batch` itself lie in `__init__`."""
+    parts = name.split(".")
+    return parts[1] if len(parts) > 1 and parts[1] in LEVEL else "__init__"
+
+
+def faults(path: Path, names: Iterator[str]) -> list[str]:
+    """What a module imports and must not."""
+    mine = storey(dotted(path)) if dotted(path) != "spl_batch" else "__init__"
+    found = []
+    for name in names:
+        top = name.split(".")[0]
+        if top in {"dask", "distributed"} and mine != "graph":
+            found.append(f"{name}: only graph may import dask")
+        if top != "spl_batch":
+            continue
+        theirs = storey(name)
+        if LEVEL[theirs] < LEVEL[mine]:
+            found.append(f"{name}: upwards")
+        if mine == "stages" and theirs == "io":
+            found.append(f"{name}: stages do no input or output")
+        if mine == "stages" and theirs in {"report", "accuracy", "simulate"}:
+            found.append(f"{name}: no part of a stage")
+        if mine == "kernels" and theirs not in {"kernels", "constants"}:
+            found.append(f"{name}: kernels know constants and kernels only")
+        if mine == "io" and theirs == "kernels":
+            found.append(f"{name}: io computes nothing")
+    return found
+
+
+def test_every_module_has_a_storey() -> None:
+    tops = {p.relative_to(PACKAGE).parts[0].removesuffix(".py") for p in modules()}
+    assert tops <= set(LEVEL), "give new modules a storey"
+
+
+@pytest.mark.parametrize("path", modules(), ids=dotted)
+def test_imports_go_down(path: Path) -> None:
+    assert faults(path, imported(path)) == []
+
+
+@pytest.mark.parametrize("path", modules(), ids=dotted)
+def test_modules_are_short_and_have_a_purpose(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < MAX_LINES
+    assert path.stem not in {"utils", "util", "helpers", "misc", "common"}
+    assert ast.get_docstring(ast.parse(text)), "a module opens with what it is for"
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "good"),
+    [
+        ("stages/denoise.py", "from spl_batch.io.las import inspect", False),
+        ("stages/denoise.py", "from spl_batch.kernels import kdtree", True),
+        ("kernels/tin.py", "from spl_batch.model import PointTable", False),
+        ("kernels/tin.py", "from spl_batch.constants import NODATA", True),
+        ("runner/index.py", "from spl_batch import graph", False),
+        ("runner/index.py", "def f():\n    import dask.array", False),
+        ("graph.py", "import distributed", True),
+        ("io/las.py", "from ..runner import run_task", False),
+        ("io/las.py", "from . import crs", True),
+        ("tiling.py", "from .workflow import Workflow", True),
+        ("sensor.py", "from .tiling import quanta", False),
+    ],
+)
+def test_the_walk_finds_what_it_should(module: str, line: str, good: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    names = iter(_imports_of(PACKAGE / module, line, tmp_path))
+    assert (faults(PACKAGE / module, names) == []) is good
+
+
+def _imports_of(path: Path, text: str, tmp_path: Path) -> list[str]:
+    """Imports of a text, as if it stood in a module."""
+    copy = tmp_path / path.relative_to(PACKAGE.parent)
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    copy.write_text(text, encoding="utf-8")
+    relative = path.relative_to(PACKAGE.parent)
+    assert copy.relative_to(tmp_path) == relative
+    tree = ast.parse(text)
+    package = dotted(path).split(".")[:-1]
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            names += [f"{module}.{a.name}" for a in node.names] if module == "spl_batch" else [module]
+    return names

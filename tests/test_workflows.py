@@ -1,0 +1,144 @@
+"""The files and commands that people are shown are those that the program takes."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from pydantic import BaseModel
+
+from spl_batch.runner import STAGES
+from spl_batch.simulate import load_scene
+from spl_batch.workflow import Section, Workflow, parse_workflow
+
+ROOT = Path(__file__).parent.parent
+FILES = sorted((ROOT / "workflows").glob("*.yaml"))
+WORKFLOWS = [path for path in FILES if path.name != "scene.yaml"]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+MAIN_JOB = "pip install . && spl-batch quickstart"
+TESTS = "pip install '.[test]' && python -m pytest"
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def sections(model: type[BaseModel] = Workflow, place: str = "") -> list[str]:
+    """Every key of the workflow by its path, sections and values."""
+    found = []
+    for name, field in model.model_fields.items():
+        found.append(place + name)
+        kinds = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        for kind in kinds:
+            if isinstance(kind, type) and issubclass(kind, Section):
+                found += sections(kind, f"{place}{name}.")
+    return found
+
+
+def differing(given: Any, default: Any, place: str) -> list[str]:
+    """Values of a file that are not the default, where there is one."""
+    if isinstance(given, dict):
+        return [
+            line
+            for key, value in given.items()
+            for line in differing(value, default.get(key), f"{place}.{key}" if place else key)
+        ]
+    return [] if given == default else [place]
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_workflow_files_are_accepted(path: Path) -> None:
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    workflow = parse_workflow(content, path.name)
+    assert set(content) <= set(Workflow.model_fields)
+    assert workflow.output
+
+
+def test_the_scene_file_is_accepted() -> None:
+    scene = load_scene(ROOT / "workflows" / "scene.yaml")
+    assert len(scene.flights) >= 2
+
+
+def test_the_complete_workflow_names_every_key_with_its_default() -> None:
+    text = (ROOT / "workflows" / "spl100.yaml").read_text(encoding="utf-8")
+    missing = [
+        path
+        for path in sections()
+        if not re.search(rf"^[ #]*{path.rpartition('.')[2]}:", text, re.MULTILINE)
+    ]
+    assert not missing, "keys that workflows/spl100.yaml does not show"
+
+    content = yaml.safe_load(text)
+    bare = parse_workflow({"survey": {"flightlines": "x"}, "output": "out"}, "bare")
+    examples = {
+        "survey.name",
+        "survey.flightlines",
+        "survey.trajectory",
+        "survey.channel_dimension",
+        "reference.points",
+    }
+    defaults = bare.model_dump(mode="json")
+    defaults["reference"] = {"remove_bias": False}
+    assert set(differing(content, defaults, "")) == examples
+
+
+def test_the_linear_mode_workflow_needs_no_time() -> None:
+    path = ROOT / "workflows" / "linear_mode.yaml"
+    workflow = parse_workflow(yaml.safe_load(path.read_text(encoding="utf-8")), path.name)
+    assert workflow.filter.method == "none"
+    assert not workflow.afterpulse.enabled
+
+
+def test_the_readme_opens_with_the_two_commands() -> None:
+    commands = blocks(ROOT / "README.md", "sh")
+    assert [block.strip() for block in commands[:2]] == [MAIN_JOB, TESTS]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_workflows_on_pages_are_accepted(page: Path) -> None:
+    """A block that starts a survey is a whole file; any other is put into one."""
+    for block in blocks(page, "yaml"):
+        content = yaml.safe_load(block)
+        whole = {"survey": {"flightlines": "x"}, "output": "out"} | content
+        whole["survey"] = {"flightlines": "x"} | whole["survey"]
+        parse_workflow(whole, page.name)
+
+
+def test_the_readme_shows_a_whole_workflow() -> None:
+    shown = [yaml.safe_load(block) for block in blocks(ROOT / "README.md", "yaml")]
+    assert any({"survey", "output"} <= set(content) for content in shown)
+    for content in shown:
+        parse_workflow(content, "README.md")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_links_between_pages_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    targets = [t for t in re.findall(r"\]\(([^)#]+)", text) if not t.startswith("http")]
+    missing = [t for t in targets if not (page.parent / t).exists()]
+    assert not [t for t in missing if not t.endswith(".png")], missing
+
+
+def test_every_stage_is_explained() -> None:
+    using = (ROOT / "docs" / "using.md").read_text(encoding="utf-8")
+    assert [stage for stage in STAGES if f"| `{stage}` |" not in using] == []
+
+
+def test_people_and_ci_use_the_same_commands() -> None:
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    guide = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    make = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for command in (
+        "ruff format --check .",
+        "ruff check .",
+        "mypy",
+        "python -m spl_batch.report.schema --check",
+        "python -m pytest",
+        "spl-batch quickstart",
+    ):
+        line = rf"(^|\s|&& )\(?{re.escape(command)}($|\s|\))"
+        for name, text in {".ci/run": ci, "CONTRIBUTING.md": guide, "Makefile": make}.items():
+            assert re.search(line, text, re.MULTILINE), f"{command!r} is not in {name}"
