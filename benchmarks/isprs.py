@@ -8,8 +8,9 @@ second pass takes each sample whole, to show what the cutting does.
 
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import laspy
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTUM_M
 from spl_batch.model import PointTable
 from spl_batch.stages.ground import ground_mask
-from spl_batch.tiling import cell_bounds, cells_touching, grow, inside, quanta, Bounds
+from spl_batch.tiling import Bounds, cell_bounds, cells_touching, grow, inside, quanta
 from spl_batch.workflow import GroundSettings
 
 PUBLISHED = {
@@ -39,6 +40,9 @@ PUBLISHED = {
 }
 """Total error and kappa [%]: Axelsson's results in Sithole & Vosselman (2003), and
 Pingel et al. (2013) with parameters tuned for each sample."""
+
+
+COLUMNS = ("in cells", "whole", "published")
 
 
 class Score(NamedTuple):
@@ -79,25 +83,40 @@ def score(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> Score:
     return Score(100 * (1 - agreed), 100 * float((agreed - by_chance) / (1 - by_chance)))
 
 
-def main(folder: Path) -> None:
-    """Print one table for each method."""
-    samples = {path.name[:6]: read(path) for path in sorted(folder.glob("samp*.laz"))}
-    for method, published in PUBLISHED.items():
-        settings = GroundSettings(method=method)
-        print(f"\n{method}: total error / kappa [%]   in cells        whole     published")
-        rows = []
-        started = time.perf_counter()
-        for name, (table, truth) in samples.items():
-            cut = score(by_cells(table, settings), truth)
-            found = ground_mask(table, np.ones(len(table), dtype=np.bool_), settings)
-            whole = score(found, truth)
-            rows.append((cut, whole, Score(*published.get(name, (np.nan, np.nan)))))
-            t1, t2 = (~found & truth).sum() / truth.sum(), (found & ~truth).sum() / (~truth).sum()
-            print(f"  {name:20}", *(f"{s.total_error:6.2f} /{s.kappa:6.2f}" for s in rows[-1]), f"{100*t1:.1f} {100*t2:.1f}")
-        means = np.nanmean(np.array(rows), axis=0)
-        print(f"  {'mean':20}", *(f"{t:6.2f} /{k:6.2f}" for t, k in means))
-        print(f"  {time.perf_counter() - started:.1f} s")
+def compare(
+    samples: dict[str, tuple[PointTable, NDArray[np.bool_]]], method: Literal["ptd", "smrf"]
+) -> None:
+    """Print one method's table."""
+    settings = GroundSettings(method=method)
+    print(f"\n{method:8}  total error / kappa [%]", *(f"{n:>15}" for n in COLUMNS))
+    started = time.perf_counter()
+    rows = []
+    for name, (table, truth) in samples.items():
+        cut = score(by_cells(table, settings), truth)
+        whole = score(ground_mask(table, np.ones(len(table), dtype=np.bool_), settings), truth)
+        published = Score(*PUBLISHED[method].get(name, (np.nan, np.nan)))
+        rows.append((cut, whole, published))
+        print_row(name, rows[-1])
+    means = np.array(rows).mean(axis=0) if rows else np.full((3, 2), np.nan)
+    print_row("mean", [Score(*mean) for mean in means])
+    print(f"{time.perf_counter() - started:.1f} s for both passes")
+
+
+def print_row(name: str, scores: Sequence[Score]) -> None:
+    """Print one line of a table."""
+    print(f"{name:33}", *(f"{s.total_error:6.2f} / {s.kappa:6.2f}" for s in scores))
+
+
+def main(folder: Path) -> int:
+    """Print one table for each method; the exit status."""
+    samples = {path.name[:6]: read(path) for path in sorted(folder.glob("samp*.la[sz]"))}
+    if not samples:
+        print(f"{folder}: no samples (samp*.laz) here", file=sys.stderr)
+        return 2
+    compare(samples, "ptd")
+    compare(samples, "smrf")
+    return 0
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "."))
+    sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else ".")))

@@ -7,7 +7,7 @@ its description, and an unknown key is an error that names the nearest known one
 import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -296,7 +296,9 @@ def _apply(content: dict[str, Any], override: str) -> None:
     *parents, last = key.split(".")
     node = content
     for parent in parents:
-        child = node.setdefault(parent, {})
+        if node.get(parent) is None:
+            node[parent] = {}
+        child = node[parent]
         if not isinstance(child, dict):
             raise WorkflowError(f"--set {override}: {parent} is a value, not a section")
         node = child
@@ -309,15 +311,31 @@ def _apply(content: dict[str, Any], override: str) -> None:
 def _fault(error: Any) -> str:
     place = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(error["loc"][-1], _known_keys(), n=1, cutoff=0.0)
-        return f"{place}: no such key; the nearest known key is {near[0]!r}"
+        # pydantic names the member of a union on the way, as in survey.sensor.Sensor.prf.
+        near = _nearest([str(p) for p in error["loc"] if p != "Sensor"])
+        return f"{place}: no such key; the nearest known key is {near!r}"
     given = error.get("input")
     shown = "" if isinstance(given, dict) else f" (found {given!r})"
     return f"{place}: {error['msg'][0].lower()}{error['msg'][1:]}{shown}"
 
 
-def _known_keys() -> list[str]:
-    """Every key of every section, sorted."""
-    schema = Workflow.model_json_schema()
-    sections = [schema, *schema["$defs"].values()]
-    return sorted({key for section in sections for key in section.get("properties", {})})
+def _nearest(place: Sequence[str]) -> str:
+    """Known key most like an unknown one, those of its own section first."""
+    known = _keys(Workflow)
+    own = [key for key in known if key[:-1] == tuple(place[:-1])]
+    for keys, cutoff in ((own, 0.6), (known, 0.0)):
+        near = difflib.get_close_matches(place[-1], [key[-1] for key in keys], n=1, cutoff=cutoff)
+        if near:
+            return ".".join(next(key for key in keys if key[-1] == near[0]))
+    return ""
+
+
+def _keys(model: type[BaseModel], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Path of every key of a section and of those below it."""
+    found: list[tuple[str, ...]] = []
+    for name, field in model.model_fields.items():
+        found.append((*above, name))
+        for part in (field.annotation, *get_args(field.annotation)):
+            if isinstance(part, type) and issubclass(part, BaseModel):
+                found += _keys(part, (*above, name))
+    return found

@@ -91,3 +91,49 @@ def dtm_error(scene: Scene, mask: NDArray[np.bool_]) -> Float:
     gx, gy = (v.ravel() for v in np.meshgrid(np.arange(2.5, 118), np.arange(2.5, 118)))
     error = LinearNDInterpolator(np.column_stack(mean[:2]), mean[2])(gx, gy) - terrain(gx, gy)
     return error[np.isnan(roof_height(gx, gy)) & np.isfinite(error)]
+
+
+def whole(found: Scene, settings: GroundSettings) -> NDArray[np.bool_]:
+    return ground_mask(found.table, np.ones(len(found.table), dtype=bool), settings)
+
+
+@pytest.mark.parametrize(
+    ("method", "missed", "taken", "rmse_m"),
+    [("ptd", 0.005, 0.01, 0.05), ("smrf", 0.06, 0.02, 0.15)],
+)
+def test_known_scene(method: str, missed: float, taken: float, rmse_m: float) -> None:
+    found = scene()
+    mask = whole(found, GroundSettings(method=method))
+    objects = ~found.ground & ~found.noise
+    error = dtm_error(found, mask)
+    assert np.mean(~mask[found.ground]) < missed
+    assert np.mean(mask[objects]) < taken
+    assert np.mean(mask[found.noise]) < 0.02
+    assert np.sqrt(np.mean(error**2)) < rmse_m
+    assert abs(np.mean(error)) < 0.02
+    assert len(error) > 7000
+
+
+def test_ground_is_not_biased_low() -> None:
+    found = scene()
+    mask = whole(found, GroundSettings())
+    kept = mask & found.ground
+    x = found.table["x"] / 1000 - ORIGIN_M[0]
+    y = found.table["y"] / 1000 - ORIGIN_M[1]
+    residual = found.table["z"] / 1000 - terrain(x, y)
+    assert abs(residual[kept].mean()) < 0.002
+    assert residual[kept].std() == pytest.approx(RANGING_SD_M, rel=0.03)
+
+
+def test_cells_agree_where_their_buffers_overlap() -> None:
+    """Two overlapping windows of the scene give the same ground away from their edges."""
+    found = scene()
+    x = found.table["x"] - int(ORIGIN_M[0]) * 1000
+    left, right = np.flatnonzero(x < 90_000), np.flatnonzero(x >= 30_000)
+    mask = np.zeros((2, len(x)), dtype=bool)
+    for k, part in enumerate((left, right)):
+        mask[k, part] = ground_mask(
+            found.table.take(part), np.ones(len(part), dtype=bool), GroundSettings()
+        )
+    middle = (x >= 55_000) & (x < 65_000)
+    assert np.mean(mask[0, middle] != mask[1, middle]) < 0.001

@@ -16,7 +16,8 @@ from spl_batch.graph import Executor, executor, jobs_left
 from spl_batch.io.rasters import create_raster_store
 from spl_batch.io.store import append_log
 from spl_batch.model import Receipt, Task
-from spl_batch.plan.phases import PHASES, PRODUCTS, Phase, Survey, mosaic_parts, timeless_sources
+from spl_batch.plan.phases import PHASES, PRODUCTS, Phase
+from spl_batch.plan.survey import Survey, mosaic_parts, timeless_sources
 from spl_batch.report.model import Failure, Report
 from spl_batch.runner import KINDS, STAGES, finished, task_key
 from spl_batch.runner.summary import RunFacts, StageCost, summarise

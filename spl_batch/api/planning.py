@@ -9,7 +9,7 @@ from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import PlanError
 from spl_batch.plan.cost import Cost, estimate
-from spl_batch.plan.phases import Survey
+from spl_batch.plan.survey import Survey
 from spl_batch.tiling import Bounds, CellId, cells_touching, quanta
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from spl_batch.errors import WorkflowError
 from spl_batch.plan.inputs import gather_inputs
-from spl_batch.plan.phases import Survey
+from spl_batch.plan.survey import Survey
 from spl_batch.runner import code_version
 from spl_batch.runner.context import Context
 from spl_batch.workflow import Workflow, load_workflow

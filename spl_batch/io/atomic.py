@@ -5,7 +5,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from spl_batch.errors import StoppedError, WorkflowError
@@ -95,4 +95,6 @@ def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
-        path.unlink(missing_ok=True)
+        # Where a file stands in place of the folder there is nothing to remove either.
+        with suppress(FileNotFoundError, NotADirectoryError):
+            path.unlink()

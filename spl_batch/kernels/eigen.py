@@ -1,4 +1,3 @@
-
 """Eigenvalues and eigenvectors of symmetric 3 x 3 matrices in closed form.
 
 Eigenvalues by the trigonometric solution of the cubic, eigenvectors by cross products

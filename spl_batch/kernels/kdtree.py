@@ -1,4 +1,3 @@
-
 """Exact neighbours on the integer lattice: a balanced kd-tree without pointers.
 
 A node is a number: the root is 1, the children of ``i`` are ``2 i`` and ``2 i + 1``, and

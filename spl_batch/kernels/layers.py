@@ -47,7 +47,7 @@ class Nodes(NamedTuple):
         Mean of the layer's points [m].
     cell : (m,) int64
         Cell of the grid.
-    count : (m,) int64
+    points : (m,) int64
         Points in the layer [count].
     doubtful : (m,) bool
         One or two points below many others in the same cell.
@@ -55,7 +55,7 @@ class Nodes(NamedTuple):
 
     xyz: NDArray[np.float64]
     cell: NDArray[np.int64]
-    count: NDArray[np.int64]
+    points: NDArray[np.int64]
     doubtful: NDArray[np.bool_]
 
 

@@ -6,9 +6,13 @@ plane and the largest angle from the facet's corners stay below the limits.
 
 | symbol | here |
 |---|---|
-| terrain angle | ``terrain_angle_deg``: on steeper facets a candidate is judged by its mirror image |
-| iteration angle | ``angle_deg`` |
+| terrain angle | ``terrain_slope``: steeper facets judge a candidate's mirror image |
+| iteration angle | ``sin_angle`` |
 | iteration distance | ``distance_m`` |
+
+Deviations: the part of a distance that ranging noise explains counts for no angle; each
+facet takes its lowest candidate in a round, as one that is not lowest may be a shrub; the
+surface is framed by extrapolated vertices, so that points at the edge have facets too.
 """
 
 from typing import NamedTuple
@@ -242,7 +246,8 @@ def _best_of_facets(
         judged = distance
         if slope2 > limits.terrain_slope**2:
             judged, sine = _mirrored_fit(xyz, facets, neighbours, planes, t, candidates[i])
-        sine *= max(0.0, 1.0 - limits.spread_m / abs(judged))
+        if judged != 0.0:
+            sine *= max(0.0, 1.0 - limits.spread_m / abs(judged))
         if abs(judged) <= limits.distance_m and sine <= limits.sin_angle and distance < lowest[t]:
             lowest[t] = distance
             best[t] = i

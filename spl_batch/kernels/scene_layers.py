@@ -1,4 +1,3 @@
-
 """What one beam meets on its way down: semi-transparent layers, then one hard surface."""
 
 import math

@@ -1,4 +1,3 @@
-
 """A single-photon channel: Poisson events, dead time, afterpulses [W17 2.1, 2.2, 7.1].
 
 One beamlet of one shot is a list of photo-electrons sorted by range. The channel records

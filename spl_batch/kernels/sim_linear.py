@@ -1,4 +1,3 @@
-
 """A scene seen from straight above: linear-mode returns, and heights of surfaces."""
 
 import numpy as np

@@ -1,4 +1,3 @@
-
 """Shots of a flightline against a scene: what every beamlet of every shot records."""
 
 import math

@@ -141,7 +141,7 @@ def fill_gaps(surface: Grid) -> Grid:
         return surface
     nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
     filled: Grid = surface[tuple(nearest)]
-    rim = ~gaps & ndimage.binary_dilation(gaps, structure=np.ones((3, 3)))
+    rim = ~gaps & ndimage.binary_dilation(gaps, structure=np.ones((3, 3), dtype=np.bool_))
     row, column = np.nonzero(rim)
     tin = triangulate(np.column_stack([column, row, surface[rim]]).astype(np.float64))
     if tin is None:

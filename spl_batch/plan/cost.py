@@ -8,7 +8,7 @@ from typing import Final
 
 from spl_batch.io.store import read_receipts
 from spl_batch.plan.flightlines import STRETCH_POINTS
-from spl_batch.plan.phases import Survey
+from spl_batch.plan.survey import Survey
 from spl_batch.runner import KINDS
 from spl_batch.runner.context import Context
 from spl_batch.stages import denoise, geometry, ground, surface

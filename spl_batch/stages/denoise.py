@@ -13,7 +13,9 @@ of pure noise. ``tail`` deviates in three points:
   0.02 to 1 noise points per m3 (``benchmarks/denoise.py``; without it 0.04-0.62 %);
 - hysteresis: a point that passes at ``weak_alpha`` only lives if at least ``link_count``
   points that pass by themselves lie within ``link_m``. Links are not chained, so the
-  reach is that of the ellipsoid plus one link.
+  reach is that of the ellipsoid plus one link;
+- returns that depend on another one are no neighbours and share its label
+  (:mod:`~spl_batch.stages.followers`).
 
 Rules for the borders of the method: with fewer neighbours within the cap than the
 settings ask for, those there are shape the ellipsoid, and with fewer than four it is
@@ -38,6 +40,7 @@ from spl_batch.kernels.ellipsoid import Shape, count_inside
 from spl_batch.kernels.kdtree import build, enough_within
 from spl_batch.kernels.poisson import noise_tail_probability
 from spl_batch.model import EXCLUDED, UNFILTERED, PointTable
+from spl_batch.stages.followers import LAG_M, dependents, follow
 from spl_batch.tiling import quanta
 from spl_batch.workflow import FilterSettings
 
@@ -66,8 +69,9 @@ def reach_m(settings: FilterSettings) -> float:
     if settings.method == "none":
         return 0.0
     reach = max(settings.neighbour_cap_m, settings.axis_cap_m)
-    linked = settings.test == "tail" and settings.link_count > 0
-    return reach + settings.link_m if linked else reach
+    if settings.test == "published":
+        return reach
+    return reach + LAG_M + (settings.link_m if settings.link_count > 0 else 0.0)
 
 
 def denoise(
@@ -111,14 +115,40 @@ def denoise(
     if settings.method == "none":
         noise_class[~excluded] = NOISE_SIGNAL
     else:
-        active = np.flatnonzero(~excluded & ~echo)
-        asked = (query & ~table.has(UNFILTERED))[active]
+        dependent = np.zeros(len(table), np.bool_)
+        if settings.test != "published":
+            dependent = dependents(table) & ~excluded & ~echo
+        active = np.flatnonzero(~excluded & ~echo & ~dependent)
+        asked = (_with_parents(table, query, dependent) & ~table.has(UNFILTERED))[active]
         signal, tail = _assess(_relative(table, active), density[active], asked, settings, exact)
         rows = active[asked]
         noise_class[rows] = np.where(signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = tail
+        noise_class[echo] = NOISE_AFTERPULSE
+        noise_class[dependent & ~table.has(UNFILTERED)] = NOISE_SIGNAL
+        rows = np.flatnonzero(~excluded)
+        kept = table.take(rows)
+        noise_class[rows] = follow(kept, dependent[rows], noise_class[rows])
+        noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
     noise_class[echo] = NOISE_AFTERPULSE
     return {"noise_class": noise_class[query], "p_value": p_value[query]}
+
+
+def _with_parents(
+    table: PointTable, query: NDArray[np.bool_], dependent: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Points to decide, and those that a dependent one of them may follow: (n,) bool."""
+    asked = np.flatnonzero(query & dependent)
+    if not len(asked):
+        return query
+    margin = quanta(LAG_M)
+    parents = np.ones(len(table), np.bool_)
+    for name in "xy":
+        values = table[name]
+        parents &= (values >= values[asked].min() - margin) & (
+            values <= values[asked].max() + margin
+        )
+    return query | parents
 
 
 def _relative(table: PointTable, rows: NDArray[np.intp]) -> NDArray[np.int32]:

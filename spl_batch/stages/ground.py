@@ -26,12 +26,20 @@ NEEDS: Final = ("x", "y", "z")
 ADDS: Final = ("ground",)
 
 _INSERT_M = 0.05
-EDGE_K = 0.176
+"""Nearer candidates leave the surface as it is: a third of the ranging noise of one
+point, and more than that of a layer's mean [m]."""
+
 _FILLED = 2.0
+"""Points in an occupied cell below which the candidates' grid is doubled [count]."""
+
 _WIDE_M = 16.0
+"""Cells that tell the occupied area from voids [m]."""
+
 _SUPPORT = 2
 _SUPPORT_STEP_M = 0.25
 _SUPPORT_SLOPE = 0.35
+"""A node is believed below the surface, and as a seed, with two nodes within two cells
+that continue it; on a slope of any steepness those along the contour do."""
 
 Float = NDArray[np.float64]
 
@@ -70,6 +78,12 @@ def ground_mask(
 def ptd_mask(x: Float, y: Float, z: Float, settings: PtdSettings) -> NDArray[np.bool_]:
     """Ground points by progressive TIN densification.
 
+    Seeds are the lowest nodes that survive a progressive opening, so that neither a wide
+    hall nor an embankment needs a seed grid of its own size; the source's iteration
+    parameters then take in what the opening cut off. Points are ground in a band on both
+    sides of the surface, so that their mean is not biased low; the band widens with the
+    facets, over which the surface is known less well.
+
     Parameters
     ----------
     x, y, z : (n,) float64
@@ -100,8 +114,8 @@ def ptd_mask(x: Float, y: Float, z: Float, settings: PtdSettings) -> NDArray[np.
         return mask
     order = cells.order
     height, edge = heights_above(tin, x[order], y[order], z[order])
-    allowed = np.minimum(settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge, settings.iteration_distance_m)
-    mask[order] = np.abs(height) <= allowed
+    allowed = settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge
+    mask[order] = np.abs(height) <= np.minimum(allowed, settings.iteration_distance_m)
     return mask
 
 
@@ -124,7 +138,7 @@ def _first_true(choices: tuple[NDArray[np.bool_], ...]) -> NDArray[np.bool_]:
 
 
 def node_cell(x: Float, y: Float, smallest_m: float) -> float:
-    """Edge of the candidates' grid: doubled until half of the occupied area is filled.
+    """Edge of the candidates' grid: doubled for sparse data.
 
     Parameters
     ----------
@@ -167,7 +181,7 @@ def _on_objects(
     cell_m: float,
     settings: PtdSettings,
 ) -> NDArray[np.bool_]:
-    """Nodes that no seed may be taken from: on patches with edges, or cut off by opening."""
+    """Nodes that no seed may be taken from: in pits, or cut off by opening."""
     lowest = _lowest_grid(nodes, trusted, cells)
     if np.isnan(lowest).all():
         return np.zeros(len(trusted), dtype=np.bool_)
@@ -222,7 +236,7 @@ def smrf_mask(x: Float, y: Float, z: Float, settings: SmrfSettings) -> NDArray[n
     """
     cells = group_by_cell(x, y, settings.cell_m)
     nodes = lowest_layers(x, y, z, cells, settings.layer_m)
-    trusted = ~nodes.doubtful
+    trusted = _first_true((~nodes.doubtful,))
     lowest = _lowest_grid(nodes, trusted, cells)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
     column = x / settings.cell_m - np.floor(x.min() / settings.cell_m) - 0.5

@@ -1,0 +1,93 @@
+"""What a run knows about its survey: inputs, limits, and what is finished so far."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from spl_batch.model import Receipt
+from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
+from spl_batch.plan.inputs import Inputs, Source
+from spl_batch.plan.mosaics import split_mosaic
+from spl_batch.plan.space import Unit, choose_block_tiles, tile_counts, units
+from spl_batch.runner.space_domain import parse_cell
+from spl_batch.stages.denoise import reach_m
+from spl_batch.tiling import Bounds, CellId, quanta
+from spl_batch.workflow import Workflow
+
+
+@dataclass
+class Survey:
+    """What a run knows so far: inputs, limits, and the receipts of what is finished."""
+
+    inputs: Inputs
+    workflow: Workflow
+    memory_bytes: int
+    workers: int
+    done: dict[str, dict[str, Receipt]] = field(default_factory=dict)
+
+    def of(self, kind: str) -> Mapping[str, Receipt]:
+        """Finished tasks of a kind, by name."""
+        return self.done.get(kind, {})
+
+    @property
+    def filtering(self) -> bool:
+        """Whether anything in the chain needs shots and times."""
+        return self.workflow.filter.method != "none" or self.workflow.afterpulse.enabled
+
+    @cached_property
+    def flightlines(self) -> list[Flightline]:
+        """Flightlines; complete once the index stage is."""
+        return find_flightlines(self.of("index_file"), self.workflow) if self.filtering else []
+
+    @cached_property
+    def counts(self) -> dict[CellId, int]:
+        """Points by tile; complete once the shuffle is."""
+        return tile_counts(self.of("build_tile"))
+
+    @cached_property
+    def blocks(self) -> list[Unit]:
+        """Denoise blocks; complete once the shuffle is."""
+        return units(self.counts, self.tile_q, self.block_q, self.halo_q)
+
+    @cached_property
+    def block_q(self) -> int:
+        """Edge of a denoise block [quanta]."""
+        tiles = choose_block_tiles(self.counts, self.workflow, self.memory_bytes, self.workers)
+        return tiles * self.tile_q
+
+    @property
+    def tile_q(self) -> int:
+        """Edge of a tile [quanta]."""
+        return quanta(self.workflow.tiling.tile_m)
+
+    @property
+    def cell_q(self) -> int:
+        """Edge of a ground cell [quanta]."""
+        return quanta(self.workflow.ground.cell_m)
+
+    @property
+    def halo_q(self) -> int:
+        """Halo of a denoise block [quanta]."""
+        return quanta(reach_m(self.workflow.filter))
+
+
+def timeless_sources(survey: Survey) -> list[Source]:
+    """Files whose points have no usable time although the chain needs it."""
+    indexed = survey.of("index_file")
+    return [
+        s
+        for s in survey.inputs.sources
+        if survey.filtering
+        and str(s.key) in indexed
+        and is_timeless(indexed[str(s.key)], survey.workflow)
+    ]
+
+
+def mosaic_parts(survey: Survey) -> list[tuple[list[CellId], Bounds]]:
+    """Ground cells and region of each mosaic, the largest part first.
+
+    One mosaic, unless the survey lies in pieces so far apart that it would be empty space.
+    """
+    cells = [parse_cell(name) for name in survey.of("surface")]
+    boxes = [r.facts["bounds"] for r in survey.of("index_file").values() if r.facts["bounds"]]
+    return split_mosaic(cells, boxes, survey.cell_q, quanta(survey.workflow.products.cell_m))

@@ -1,0 +1,102 @@
+"""Labels find their points again, however the units are cut."""
+
+from pathlib import Path
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from spl_batch.io.labels import read_labelled_tile, read_labels, read_region, write_labels
+from spl_batch.io.store import Store
+from spl_batch.io.tables import write_table
+from spl_batch.model import CANONICAL_ORDER, COLUMNS, PointTable, canonical_order
+from spl_batch.tiling import Bounds, CellId, cell_bounds, cell_index, cells_touching, inside
+
+TILE = 100
+
+
+def scene(n: int, seed: int) -> PointTable:
+    rng = np.random.default_rng(seed)
+    columns = {
+        "x": rng.integers(-250, 250, n),
+        "y": rng.integers(-250, 250, n),
+        "z": rng.integers(-9, 9, n),
+        "gps_time": rng.integers(0, 5, n),
+        "channel": rng.integers(0, 5, n),
+        "return_number": rng.integers(1, 3, n),
+        "source": rng.integers(1, 3, n),
+        "index": np.arange(n),
+    }
+    table = PointTable({k: v.astype(COLUMNS[k].dtype) for k, v in columns.items()})
+    return table.take(canonical_order(table))
+
+
+def write_tiles(store: Store, table: PointTable) -> list[CellId]:
+    i, j = (cell_index(table[a], TILE) for a in "xy")
+    tiles = sorted({CellId(a, b) for a, b in zip(i.tolist(), j.tolist(), strict=True)})
+    for tile in tiles:
+        write_table(store.tile(str(tile)), table.take((i == tile.i) & (j == tile.j)))
+    return tiles
+
+
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(n=st.integers(1, 150), unit=st.sampled_from([70, 100, 260]), seed=st.integers(0, 99))
+def test_labels_of_other_units_come_back_to_each_point(
+    tmp_path_factory: object, n: int, unit: int, seed: int
+) -> None:
+    store = Store(tmp_path_factory.mktemp("store"))  # type: ignore[attr-defined]
+    table = scene(n, seed)
+    tiles = write_tiles(store, table)
+    units = {u for t in tiles for u in cells_touching(cell_bounds(t, TILE), unit)}
+    for u in units:
+        core = cell_bounds(u, unit)
+        near = [t for t in tiles if t in set(cells_touching(core, TILE))]
+        found, owner, row = read_region(store, near, core, CANONICAL_ORDER, {})
+        # The label is a function of the point alone, so that it can be recomputed.
+        write_labels(store.labels("ground", str(u)), owner, row, {"ground": found["index"] % 7})
+    holders = {
+        t: [("ground", str(u)) for u in cells_touching(cell_bounds(t, TILE), unit) if u in units]
+        for t in tiles
+    }
+    seen = 0
+    for tile in tiles:
+        back = read_labelled_tile(store, tile, CANONICAL_ORDER, {"ground": holders[tile]})
+        assert np.array_equal(back["ground"], back["index"] % 7)
+        seen += len(back)
+    assert seen == n
+    region = Bounds(-120, -33, 155, 101)
+    got, _, _ = read_region(store, tiles, region, CANONICAL_ORDER, {"ground": holders})
+    mine = table.take(inside(table["x"], table["y"], region))
+    assert np.array_equal(got["index"], mine["index"]), "canonical order, nothing lost"
+    assert np.array_equal(got["ground"], mine["index"] % 7)
+
+
+def test_points_without_labels_say_so(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    table = scene(50, 1)
+    tile = write_tiles(store, table)[0]
+    names = ("noise_class", "p_value", "classification", "ground")
+    back = read_labelled_tile(store, tile, ("x",), dict.fromkeys(names, ()))
+    assert np.all(back["noise_class"] == 255)
+    assert np.all(back["classification"] == 255)
+    assert np.all(back["ground"] == 0)
+    assert np.all(np.isnan(back["p_value"]))
+
+
+def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
+    path = tmp_path / "u.parquet"
+    write_labels(path, np.empty((0, 2), np.int32), np.empty(0, np.uint32), {"ground": np.empty(0)})
+    assert len(read_labels(path, CellId(0, 0), ["ground"])["row"]) == 0
+    tiles = np.array([[1, 0], [0, 1], [1, 0]], np.int32)
+    write_labels(path, tiles, np.array([7, 3, 2], np.uint32), {"ground": np.array([1, 2, 3])})
+    back = read_labels(path, CellId(1, 0), ["ground"])
+    assert back["row"].tolist() == [2, 7]
+    assert back["ground"].tolist() == [3, 1]
+    assert len(read_labels(path, CellId(1, 1), ["ground"])["row"]) == 0
+
+
+def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
+    table, tiles, rows = read_region(Store(tmp_path), [], Bounds(0, 0, 9, 9), CANONICAL_ORDER, {})
+    assert len(table) == len(tiles) == len(rows) == 0

@@ -1,0 +1,243 @@
+"""From headers and receipts to tasks: flightlines, blocks, mosaics, sizes."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spl_batch.api.preparing import parse_bytes
+from spl_batch.errors import WorkflowError
+from spl_batch.model import Receipt
+from spl_batch.plan import mosaics
+from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
+from spl_batch.plan.inputs import source_key
+from spl_batch.plan.mosaics import split_mosaic
+from spl_batch.plan.space import choose_block_tiles, owners, tile_counts, units, voxel_parts
+from spl_batch.runner.index import merge_spans
+from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, grow, overlap
+from spl_batch.workflow import Workflow, parse_workflow
+
+
+def workflow(**sections: Any) -> Workflow:
+    survey = {"flightlines": "a", **sections.pop("survey", {})}
+    return parse_workflow({"survey": survey, "output": "o", **sections}, "w")
+
+
+DEFAULTS = workflow()
+
+
+def indexed(name: str, spans: Mapping[int, list[list[float]]], prf: float | None = None) -> Receipt:
+    points = sum(int(s[2]) for listed in spans.values() for s in listed)
+    facts = {
+        "name": name,
+        "points": points,
+        "spans": {str(k): v for k, v in spans.items()},
+        "prf_hz": {str(k): prf for k in spans},
+    }
+    return Receipt("index_file", name, "", "", "", {}, facts, points, 0.0, 0.0)
+
+
+def lines_of(receipts: list[Receipt], **sections: Any) -> list[Flightline]:
+    return find_flightlines({r.name: r for r in receipts}, workflow(**sections), 10_000)
+
+
+def test_files_of_one_pass_are_one_flightline() -> None:
+    files = [indexed("b", {7: [[110.5, 120.0, 400]]}), indexed("a", {7: [[100.25, 110.0, 600]]})]
+    (line,) = lines_of(files)
+    assert (line.name, line.psid, line.points) == ("00007_100", 7, 1000)
+    assert (line.first_s, line.last_s) == (100.25, 120.0)
+    assert line.sources == ("a", "b")
+    assert line.clock.t0_s == 100.0, "the shot grid begins at a whole second"
+    assert lines_of(files[::-1]) == [line]
+
+
+def test_a_long_pause_starts_another_lift() -> None:
+    files = [indexed("a", {7: [[0.0, 10.0, 5], [69.0, 80.0, 5], [141.0, 150.0, 5]]})]
+    assert [x.name for x in lines_of(files)] == ["00007_0", "00007_141"]
+    assert [x.name for x in lines_of(files, survey={"gap_s": 50})] == [
+        "00007_0",
+        "00007_69",
+        "00007_141",
+    ]
+    assert len(lines_of(files, survey={"gap_s": 61.0})) == 1, "a gap is longer than gap_s"
+
+
+def test_a_pause_inside_one_file_may_be_filled_by_another() -> None:
+    first = indexed("a", {1: [[0.0, 10.0, 5], [100.0, 110.0, 5]]})
+    second = indexed("b", {1: [[20.0, 90.0, 9]]})
+    assert len(lines_of([first])) == 2
+    (line,) = lines_of([first, second])
+    assert line.sources == ("a", "b")
+
+
+def test_pulse_rate_is_given_estimated_or_assumed() -> None:
+    spans = {1: [[0.0, 9.0, 100]]}
+    few, many = indexed("a", {1: [[9.0, 9.5, 10]]}, 10_000.0), indexed("b", spans, 25_000.0)
+    assert (lines_of([few, many])[0].clock.prf_hz, lines_of([few])[0].prf_basis) == (
+        25_000.0,
+        "estimated",
+    )
+    given_rate = lines_of([many], acquisition={"prf_hz": 60000})[0]
+    assert (given_rate.clock.prf_hz, given_rate.prf_basis) == (60_000.0, "given")
+    assert lines_of([indexed("c", spans)])[0].prf_basis == "assumed"
+
+
+@given(
+    first=st.floats(0, 1e6),
+    length=st.floats(0.5, 4000),
+    points=st.integers(1, 10**9),
+    prf=st.sampled_from([1000.0, 25_000.0, 60_000.0]),
+)
+def test_stretches_cover_a_line_without_overlap(
+    first: float, length: float, points: int, prf: float
+) -> None:
+    files = [indexed("a", {1: [[first, first + length, points]]}, prf)]
+    (line,) = find_flightlines({"a": files[0]}, DEFAULTS)
+    ks = [k for _, k in line.stretches()]
+    assert ks == list(range(ks[0], ks[-1] + 1))
+    low, high = (line.clock.shot(_array(t))[0] for t in (line.first_s, line.last_s))
+    assert ks[0] * line.stretch_shots <= low
+    assert high < (ks[-1] + 1) * line.stretch_shots
+    assert line.window_s(ks[0])[0] <= first
+    assert first + length <= line.window_s(ks[-1])[1]
+    intervals = line.stretch_shots / DEFAULTS.noise.interval_shots
+    assert intervals == int(intervals), "stretches are whole intervals"
+    assert math.log2(intervals) % 1 == 0, "of which a power of two make one"
+
+
+def _array(value: float) -> Any:
+    import numpy as np  # noqa: PLC0415
+
+    return np.array([value])
+
+
+def test_files_without_usable_time() -> None:
+    assert not is_timeless(indexed("a", {1: [[0.0, 1.0, 500]]}), workflow())
+    assert is_timeless(indexed("a", {1: [[5.0, 5.0, 500]]}), workflow())
+    assert not is_timeless(indexed("a", {1: [[5.0, 5.0, 3]]}), workflow()), "one shot is a time"
+    nothing = indexed("a", {})
+    assert not is_timeless(nothing, workflow()), "an empty file is no fault"
+    no_times = Receipt(*(getattr(nothing, f) for f in Receipt.__slots__[:6]), **_counted(5))
+    assert is_timeless(no_times, workflow())
+    assert lines_of([no_times]) == []
+
+
+def _counted(points: int) -> dict[str, Any]:
+    facts = {"name": "a", "points": points, "spans": {}, "prf_hz": {}}
+    return {"facts": facts, "points": points, "wall_s": 0.0, "peak_rss_mb": 0.0}
+
+
+@given(st.lists(st.tuples(st.integers(0, 500), st.integers(0, 20)), max_size=20), st.randoms())
+def test_spans_join_in_any_order(spans: list[tuple[int, int]], random: Any) -> None:
+    listed = [[float(a), float(a + n), 1] for a, n in spans]
+    joined = merge_spans([list(s) for s in listed], 5.0)
+    random.shuffle(listed)
+    assert merge_spans(listed, 5.0) == joined
+    assert sum(s[2] for s in joined) == len(spans)
+    assert all(b[0] - a[1] > 5.0 for a, b in zip(joined, joined[1:], strict=False))
+
+
+COUNTS = {CellId(i, j): 10 + i for i in range(-2, 3) for j in range(4)}
+
+
+@pytest.mark.parametrize("unit", [70, 100, 250])
+@pytest.mark.parametrize("halo", [0, 30, 130])
+def test_units_own_everything_once_and_read_their_halo(unit: int, halo: int) -> None:
+    found = units(COUNTS, 100, unit, halo)
+    cells = [u.cell for u in found]
+    assert cells == sorted(set(cells))
+    needed = {c for t in COUNTS for c in cells_touching(cell_bounds(t, 100), unit)}
+    assert set(cells) == needed
+    for u in found:
+        wide = grow(u.core, halo)
+        assert set(u.tiles) == {t for t in COUNTS if overlap(cell_bounds(t, 100), wide)}
+        assert u.points == sum(
+            n for t, n in COUNTS.items() if overlap(cell_bounds(t, 100), u.core)
+        )
+
+
+def test_empty_tiles_make_no_units() -> None:
+    receipts = {
+        name: Receipt("build_tile", name, "", "", "", {}, {"points": n}, n, 0.0, 0.0)
+        for name, n in (("0_0", 5), ("-1_2", 0), ("-3_-4", 1))
+    }
+    assert tile_counts(receipts) == {CellId(-3, -4): 1, CellId(0, 0): 5}
+    assert units({}, 100, 100, 50) == []
+
+
+def test_owners_are_the_finished_units_that_touch() -> None:
+    done = dict.fromkeys(["0_0", "1_0"])
+    found = owners([CellId(1, 0), CellId(9, 9)], 100, 150, done)  # type: ignore[arg-type]
+    assert found == {CellId(1, 0): ["0_0", "1_0"], CellId(9, 9): []}
+
+
+def test_blocks_grow_with_memory_and_shrink_with_workers() -> None:
+    many = {CellId(i, j): 100_000 for i in range(16) for j in range(16)}
+    sizes = [choose_block_tiles(many, workflow(), m * 2**30, 2) for m in (1, 4, 64)]
+    assert sizes == sorted(sizes)
+    assert sizes[0] < sizes[-1]
+    assert choose_block_tiles(many, workflow(), 2**36, 200) <= sizes[-1]
+    assert choose_block_tiles(many, workflow(tiling={"block_tiles": 3}), 2**28, 2) == 3
+    assert choose_block_tiles({}, workflow(), 2**30, 2) >= 1
+
+
+def test_only_voxel_parts_of_the_region_are_read() -> None:
+    boxes = {"a": [0, 0, 0, 2, 2, 9], "b": [2, 0, 0, 4, 2, 9], "c": [-9, -9, 0, -8, -8, 1]}
+    assert voxel_parts(boxes, Bounds(0, 0, 20, 20), 10) == ["a"]
+    assert voxel_parts(boxes, Bounds(0, 0, 21, 20), 10) == ["a", "b"]
+    assert voxel_parts(boxes, Bounds(-85, -85, -84, -84), 10) == ["c"]
+
+
+def box(x: int, y: int, size: int = 150_000) -> list[int]:
+    return [x, y, 0, x + size, y + size, 10]
+
+
+def test_one_mosaic_where_the_survey_is_in_one_piece() -> None:
+    cells = [CellId(0, 0), CellId(1, 0), CellId(-1, 2)]
+    ((kept, region),) = split_mosaic(cells, [box(-100_500, 10_200, 400_000)], 200_000, 1000)
+    assert kept == sorted(cells)
+    assert region == Bounds(-101_000, 10_000, 300_000, 411_000)
+    assert split_mosaic([], [], 200_000, 1000) == []
+
+
+def test_pieces_far_apart_get_rasters_of_their_own() -> None:
+    near = [CellId(i, 0) for i in range(3)]
+    far = [CellId(200_000, 100_000)]
+    boxes = [box(0, 0, 599_000), box(200_000 * 200_000, 100_000 * 200_000)]
+    parts = split_mosaic([*far, *near], boxes, 200_000, 1000)
+    assert [p[0] for p in parts] == [near, far], "the largest piece comes first"
+    for cells, region in parts:
+        assert region.area_m2 < mosaics.LARGEST_SPARSE
+        assert all(v % 1000 == 0 for v in region)
+        assert all(overlap(cell_bounds(c, 200_000), region) for c in cells)
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("4GiB", 4 * 2**30),
+        ("4 gib", 4 * 2**30),
+        ("1.5GB", 1_500_000_000),
+        ("500M", 500_000_000),
+        ("300MiB", 300 * 2**20),
+        (2**30, 2**30),
+        ("2000000000", 2 * 10**9),
+        ("2000000000B", 2 * 10**9),
+    ],
+)
+def test_sizes(text: str | int, size: int) -> None:
+    assert parse_bytes(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "lots", "4 GiBs", "-4GiB", "4GiB 2", "4XB", "100MiB", 0])
+def test_what_is_no_size(text: str | int) -> None:
+    with pytest.raises(WorkflowError, match="--memory"):
+        parse_bytes(text)
+
+
+def test_a_key_depends_on_the_name_alone() -> None:
+    assert source_key("a/b.laz") == source_key("a/b.laz") != source_key("a/c.laz")
+    assert 0 <= source_key("x") < 2**63
