@@ -90,7 +90,10 @@ def _terrain(folder: Path) -> dict[str, float]:
         top = true.read(1)
     row, col = round((origin.f - at.f) / at.e), round((origin.c - at.c) / at.a)
     r0, c0 = max(row, 0), max(col, 0)
-    r1, c1 = min(row + terrain.shape[0], height.shape[0]), min(col + terrain.shape[1], height.shape[1])
+    r1, c1 = (
+        min(row + terrain.shape[0], height.shape[0]),
+        min(col + terrain.shape[1], height.shape[1]),
+    )
     got = height[r0:r1, c0:c1].astype(np.float64)
     want = terrain[r0 - row : r1 - row, c0 - col : c1 - col].astype(np.float64)
     above = top[r0 - row : r1 - row, c0 - col : c1 - col] - want

@@ -3,7 +3,7 @@
 import fcntl
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -16,6 +16,7 @@ from spl_batch.graph import Executor, executor, jobs_left
 from spl_batch.io.rasters import create_raster_store
 from spl_batch.io.store import append_log
 from spl_batch.model import Receipt, Task
+from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.phases import PHASES, PRODUCTS, Phase
 from spl_batch.plan.survey import Survey, mosaic_parts, timeless_sources
 from spl_batch.report.model import Failure, Report
@@ -176,9 +177,8 @@ def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: 
             failures = [r.reason for _, r in progress.failures if r.kind == "trajectory"]
             if failures:
                 raise WorkflowError(f"survey.trajectory: {failures[-1]}")
-        for receipt in survey.of(phase.kind).values():
-            for warning in receipt.facts.get("warnings", ()):
-                progress.warn(_named(warning, receipt))
+        for text in _warnings(survey.of(phase.kind)):
+            progress.warn(text)
 
 
 def _run_phase(
@@ -225,6 +225,12 @@ def _judge_index(survey: Survey, progress: _Progress) -> None:
             f"{source.name}: no usable gps_time (none, not finite, or the same for every "
             "point); its points are delivered unfiltered and take part in nothing"
         )
+    guessed = [line.name for line in survey.flightlines if line.prf_basis == "assumed"]
+    if guessed:
+        progress.warn(
+            f"{', '.join(guessed[:5])}: gps_time does not tell the pulse rate; "
+            f"{FALLBACK_PRF_HZ:.0f} Hz assumed; state acquisition.prf_hz"
+        )
     if survey.filtering and not survey.flightlines:
         names = ", ".join(source.name for source in timeless[:5])
         raise WorkflowError(
@@ -249,9 +255,16 @@ def _failures(survey: Survey, progress: _Progress) -> Iterator[Failure]:
         )
 
 
-def _named(warning: str, receipt: Receipt) -> str:
-    name = receipt.facts.get("name", receipt.name)
-    return warning if str(name) in warning else f"{name}: {warning}"
+def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
+    """What tasks warn of; a warning that many share is given once."""
+    sharing: dict[str, list[str]] = {}
+    for receipt in receipts.values():
+        name = str(receipt.facts.get("name", receipt.name))
+        for text in receipt.facts.get("warnings", ()):
+            sharing.setdefault(text, []).append(name)
+    for text, names in sharing.items():
+        shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        yield f"{shown}: {text}"
 
 
 def _make_rasters(prepared: Prepared) -> None:

@@ -10,7 +10,7 @@ from spl_batch.api.pipeline import RunResult, run
 from spl_batch.api.preparing import DEFAULT_MEMORY
 
 if TYPE_CHECKING:
-    from spl_batch.simulate import SimulationSummary
+    from spl_batch.simulate.survey import SimulationSummary
 
 
 def simulate(

@@ -71,8 +71,8 @@ class _Tally:
         time = table["gps_time"]
         if not len(time):
             return
-        ordered = bool(np.all(np.diff(time) >= 0) and time[0] >= self.last_time)
-        self.in_order = self.in_order and ordered
+        follows = bool(np.all(np.diff(time) >= 0) and time[0] >= self.last_time)
+        self.in_order = self.in_order and follows
         self.last_time = float(time.max())
         self.sample.extend((float(time.min()), float(time.max())))
         line = table["point_source_id"]
@@ -84,7 +84,8 @@ class _Tally:
                 self.spans.setdefault(psid, []).append(
                     [float(piece[0]), float(piece[-1]), len(piece)]
                 )
-            self.steps[psid] = self.steps.get(psid, 0) + shot_steps(ordered)
+            steps = shot_steps(ordered)
+            self.steps[psid] = self.steps[psid] + steps if psid in self.steps else steps
             earlier = [self.tracks[psid]] if psid in self.tracks else []
             self.tracks[psid] = merge_track([*earlier, observe_track(mine)])
 

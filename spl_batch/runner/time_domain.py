@@ -121,7 +121,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_m": model.gate_m,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
-        "warnings": [f"flightline {args['line']}: {text}" for text in model.warnings],
+        "warnings": list(model.warnings),
     }
     return Produced([path], facts, args["points"])
 

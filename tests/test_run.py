@@ -1,0 +1,598 @@
+"""A complete workflow: nothing lost, nothing done twice, and always the same result."""
+
+import json
+import math
+import random
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import laspy
+import numpy as np
+import pytest
+import rasterio
+import shapely
+
+from spl_batch import api, graph
+from spl_batch.api.events import Note, PhaseStarted, TaskEnded
+from spl_batch.constants import NODATA
+from spl_batch.plan import survey as survey_module
+from spl_batch.plan.flightlines import find_flightlines
+from spl_batch.simulate.files import write_polygons
+from spl_batch.stages import denoise as denoise_stage
+from spl_batch.stages import ground as ground_stage
+from spl_batch.stages import line_noise as line_noise_stage
+from tests import surveys
+
+SCHEMAS = Path(__file__).parents[1] / "schemas"
+RENAMED = {"classification": "input_classification"}
+
+
+class Watcher:
+    """Collects what a run tells."""
+
+    def __init__(self) -> None:
+        self.events: list[Any] = []
+
+    def __call__(self, event: Any) -> None:
+        self.events.append(event)
+
+    @property
+    def done(self) -> dict[str, int]:
+        """Tasks that were done, by kind; kinds without any are left out."""
+        counts: dict[str, int] = {}
+        for event in self.events:
+            if isinstance(event, TaskEnded):
+                counts[event.kind] = counts.get(event.kind, 0) + 1
+        return counts
+
+    @property
+    def skipped(self) -> int:
+        return sum(e.skipped for e in self.events if isinstance(e, PhaseStarted))
+
+    @property
+    def notes(self) -> list[str]:
+        return [e.text for e in self.events if isinstance(e, Note)]
+
+
+def watched(workflow: Path, *overrides: str, **options: Any) -> tuple[api.RunResult, Watcher]:
+    watcher = Watcher()
+    return surveys.run(workflow, *overrides, listener=watcher, **options), watcher
+
+
+@pytest.fixture(scope="module")
+def small_output(small_lines: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of a complete run of the small survey."""
+    workflow = surveys.copy_of(small_lines, tmp_path_factory.mktemp("small_run"))
+    return surveys.run(workflow).output
+
+
+@pytest.fixture
+def small(small_lines: Path, tmp_path: Path) -> Path:
+    """The small survey, in a folder of the test's own."""
+    return surveys.copy_of(small_lines, tmp_path)
+
+
+# What is delivered
+
+
+def test_every_point_comes_back_once_in_order_with_all_attributes(
+    tiny_survey: Path, tiny_output: Path
+) -> None:
+    clouds = surveys.delivered(tiny_output)
+    inputs = sorted((tiny_survey.parent / "flightlines").glob("*.laz"))
+    assert list(clouds) == [f"flightlines/{p.name}" for p in inputs]
+    for path in inputs:
+        given, got = surveys.cloud(path), clouds[f"flightlines/{path.name}"]
+        for name, values in given.items():
+            assert values.tobytes() == got[RENAMED.get(name, name)].tobytes(), name
+        with laspy.open(path) as a, laspy.open(tiny_output / "laz/flightlines" / path.name) as b:
+            assert list(a.header.scales) == list(b.header.scales)
+            assert list(a.header.offsets) == list(b.header.offsets)
+            assert a.header.parse_crs() == b.header.parse_crs()
+            assert str(b.header.version) == "1.4"
+
+
+def test_labels_are_classes_of_the_contract(tiny_output: Path) -> None:
+    for columns in surveys.labels(tiny_output).values():
+        noise, classes = columns["noise_class"], columns["classification"]
+        assert set(np.unique(noise)) <= {0, 1, 2, 255}
+        assert set(np.unique(classes)) <= {1, 2, 6, 7, 9, 18}
+        assert np.array_equal(np.isin(noise, (1, 2)), np.isin(classes, (7, 18)))
+        assert np.all(noise[classes == 2] == 0)
+        assert (noise == 0).mean() > 0.5
+        p_value = columns["p_value"]
+        assert np.all(np.isnan(p_value) | ((p_value >= 0) & (p_value <= 1)))
+        density = columns["noise_density"]
+        assert np.all(np.isfinite(density[noise != 255]))
+        assert 0.02 < np.median(density) < 0.08, "the scene has 0.04 per m3"
+
+
+def test_the_report_is_what_its_schema_says(tiny_output: Path) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    text = (tiny_output / "report.json").read_text(encoding="utf-8")
+    report = json.loads(text, parse_constant=refuse)
+    schema = json.loads((SCHEMAS / "report.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator(schema).validate(report)
+    counts = report["counts"]
+    clouds = surveys.labels(tiny_output).values()
+    noise = np.concatenate([c["noise_class"] for c in clouds])
+    classes = np.concatenate([c["classification"] for c in clouds])
+    assert counts["points_in"] == counts["points_out"] == len(noise)
+    for name, value in (("signal", 0), ("background", 1), ("afterpulse", 2), ("not_assessed", 255)):
+        assert counts[name] == np.count_nonzero(noise == value), name
+    assert counts["ground"] == np.count_nonzero(classes == 2)
+    assert report["failures"] == []
+    assert set(report["accuracy"]["dtm"]["all"]) >= {"n", "rmse", "nmad", "p95", "min", "max"}
+    assert report["accuracy"]["dtm"]["open_ground"]["rmse"] < 0.1
+    assert set(report["performance"]["stages"]) >= {"index", "shots", "shuffle", "denoise"}
+    assert "<html" in (tiny_output / "report.html").read_text(encoding="utf-8")[:200].lower()
+
+
+def test_rasters_are_aligned_and_cloud_optimised(tiny_output: Path) -> None:
+    transforms = set()
+    for product in surveys.PRODUCTS:
+        with rasterio.open(tiny_output / f"{product}.tif") as source:
+            assert source.dtypes == ("float32",)
+            assert source.nodata == NODATA
+            assert source.crs.to_epsg() == 32615
+            assert source.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+            assert source.transform.c % 1.0 == 0
+            assert source.transform.f % 1.0 == 0
+            assert (source.transform.a, source.transform.e) == (1.0, -1.0)
+            values = source.read(1)
+            assert np.all(np.isfinite(values))
+            assert (values != NODATA).mean() > 0.3
+            transforms.add((source.transform, source.shape))
+    assert len(transforms) == 1
+
+
+def test_surfaces_lie_as_they_should(tiny_output: Path) -> None:
+    values = {}
+    for product in ("dtm", "dsm", "chm"):
+        with rasterio.open(tiny_output / f"{product}.tif") as source:
+            values[product] = source.read(1)
+    both = (values["dtm"] != NODATA) & (values["dsm"] != NODATA)
+    height = values["dsm"][both] - values["dtm"][both]
+    assert np.percentile(height, 1) > -0.3
+    assert height.max() < 15, "no cell is set by noise"
+    assert np.abs(np.maximum(height, 0) - values["chm"][both]).max() < 0.5
+
+
+def test_the_log_is_one_event_a_line(tiny_output: Path) -> None:
+    events = [json.loads(line) for line in (tiny_output / "log.jsonl").read_text().splitlines()]
+    assert {"PhaseStarted", "TaskEnded"} <= {e["event"] for e in events}
+    assert all("time" in e for e in events)
+    status = {s.stage: s for s in api.status(tiny_output)}
+    assert status["denoise"].done == status["denoise"].total > 0
+    assert sum(s.failed + s.left for s in status.values()) == 0
+
+
+def test_the_report_can_be_written_again(small_lines: Path, tmp_path: Path) -> None:
+    output = surveys.run(surveys.copy_of(small_lines, tmp_path)).output
+    before = json.loads((output / "report.json").read_text())
+    for name in ("report.json", "report.html"):
+        (output / name).unlink()
+    api.report(output)
+    after = json.loads((output / "report.json").read_text())
+    for part in ("survey", "counts", "accuracy", "density", "noise", "failures", "warnings"):
+        assert after[part] == before[part], part
+
+
+# Doing nothing twice
+
+
+def test_a_second_run_does_nothing(small: Path) -> None:
+    first, watcher = watched(small)
+    tasks = sum(watcher.done.values())
+    before = surveys.results(first.output)
+    times = {name: (first.output / name).stat().st_mtime_ns for name in before}
+    second, watcher = watched(small)
+    assert second.exit_status == 0
+    assert watcher.done == {}
+    assert watcher.skipped == tasks
+    assert surveys.results(first.output) == before
+    assert {name: (first.output / name).stat().st_mtime_ns for name in before} == times
+    assert second.report is not None
+    assert first.report is not None
+    assert second.report.counts == first.report.counts
+
+
+def test_fresh_does_everything_again_and_gives_the_same_bytes(small: Path) -> None:
+    first, watcher = watched(small)
+    before, tasks = surveys.results(first.output), watcher.done
+    _, watcher = watched(small, fresh=True)
+    assert watcher.done == tasks
+    assert watcher.skipped == 0
+    assert surveys.results(first.output) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "untouched", "touched"),
+    [
+        ("outputs.diagnostics=true", {"gather", "scatter", "denoise", "surface"}, "deliver_file"),
+        ("products.cell_m=0.5", {"gather", "scatter", "denoise", "ground"}, "surface"),
+        ("ground.method=smrf", {"gather", "scatter", "build_tile", "denoise"}, "ground"),
+        ("filter.alpha=0.05", {"index_file", "gather", "fit_line", "scatter"}, "denoise"),
+        ("tiling.tile_m=40", {"index_file", "gather", "fit_line"}, "scatter"),
+        ("noise.buffer_m=20", {"index_file"}, "gather"),
+        ("survey.name=other", {"index_file", "deliver_file", "mosaic"}, ""),
+    ],
+)
+def test_a_change_redoes_what_depends_on_it(
+    small: Path, change: str, untouched: set[str], touched: str
+) -> None:
+    surveys.run(small)
+    result, watcher = watched(small, change)
+    assert result.exit_status == 0
+    assert not untouched & set(watcher.done)
+    assert touched in watcher.done or not touched
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), change)
+    assert surveys.results(result.output) == surveys.results(clean.output), "nothing stale is left"
+
+
+def test_a_touched_file_is_read_again_and_a_changed_one_changes_the_rest(small: Path) -> None:
+    surveys.run(small)
+    path = small.parent / "lines/line_1.laz"
+    stat = path.stat()
+    path.write_bytes(path.read_bytes())
+    import os  # noqa: PLC0415
+
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns + 10**9))
+    _, watcher = watched(small)
+    assert watcher.done == {"index_file": 1}, "its content is the same"
+    line = surveys.flightline(psid=1, seed=77)
+    surveys.write_cloud(path, line)
+    result, watcher = watched(small)
+    assert watcher.done["index_file"] == 1
+    assert watcher.done["gather"] == 1, "the other line stays"
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"))
+    assert surveys.results(result.output) == surveys.results(clean.output)
+
+
+def test_what_is_missing_from_the_store_is_made_again(small: Path) -> None:
+    result = surveys.run(small)
+    before = surveys.results(result.output)
+    store = result.output / "store"
+    next((store / "noise").glob("*.parquet")).unlink()
+    next((store / "receipts/gather").rglob("*.json")).write_text("{half")
+    (result.output / "dtm.tif").unlink()
+    (result.output / "laz/lines/.line_1.laz.99.tmp").write_bytes(b"half a file")
+    again, watcher = watched(small)
+    assert again.exit_status == 0
+    assert (watcher.done["gather"], watcher.done["denoise"]) == (1, 1)
+    assert surveys.results(again.output) == before
+
+
+@pytest.mark.parametrize("stage", ["index", "shots", "shuffle", "denoise", "ground", "surfaces"])
+def test_until_stops_after_a_stage_and_continues(
+    small: Path, small_output: Path, stage: str
+) -> None:
+    result, watcher = watched(small, until=stage)
+    assert (result.exit_status, result.report) == (0, None)
+    stages = [e.stage for e in watcher.events if isinstance(e, PhaseStarted)]
+    assert stages[-1] == stage
+    assert not (result.output / "laz").exists()
+    done = set(watcher.done)
+    result, watcher = watched(small)
+    assert not done & set(watcher.done)
+    assert surveys.results(result.output) == surveys.results(small_output)
+
+
+def test_no_two_runs_in_one_output(small: Path) -> None:
+    from spl_batch.api.pipeline import _locked  # noqa: PLC0415
+
+    with _locked(small.parent / "out"):
+        ended = surveys.command("run", small, "--workers", 0)
+    assert ended.status == 2
+    assert "another run is working" in ended.text
+
+
+# Always the same result
+
+
+def same_as(output: Path, expected: Path) -> None:
+    surveys.assert_same_labels(surveys.labels(output), surveys.labels(expected))
+    assert surveys.rasters(output) == surveys.rasters(expected)
+
+
+TILINGS = [
+    ("tiling.tile_m=60", "tiling.block_tiles=1"),
+    ("tiling.tile_m=250", "tiling.block_tiles=1"),
+    ("tiling.tile_m=25", "tiling.block_tiles=2"),
+    ("tiling.tile_m=33.3", "tiling.block_tiles=1"),
+]
+
+
+@pytest.mark.parametrize("overrides", TILINGS, ids=" ".join)
+def test_tiles_and_blocks_do_not_matter(
+    tiny_survey: Path, tiny_output: Path, tmp_path: Path, overrides: Sequence[str]
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    result = surveys.run(workflow, "outputs.diagnostics=true", *overrides, until="deliver")
+    assert result.exit_status == 0
+    same_as(result.output, tiny_output)
+
+
+def test_memory_does_not_matter(tiny_survey: Path, tiny_output: Path, tmp_path: Path) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    result = surveys.run(workflow, "outputs.diagnostics=true", until="deliver", memory="300MiB")
+    same_as(result.output, tiny_output)
+
+
+@pytest.mark.parametrize("stretch_points", [2000, 15_000])
+def test_stretches_do_not_matter(
+    tiny_survey: Path,
+    tiny_output: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stretch_points: int,
+) -> None:
+    def short(receipts: Any, workflow: Any) -> Any:
+        return find_flightlines(receipts, workflow, stretch_points)
+
+    monkeypatch.setattr(survey_module, "find_flightlines", short)
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    result, watcher = watched(workflow, "outputs.diagnostics=true", until="deliver")
+    assert watcher.done["gather"] > 4
+    same_as(result.output, tiny_output)
+
+
+def test_task_order_does_not_matter(
+    tiny_survey: Path, tiny_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_order = graph.InProcess.run
+
+    def shuffled(self: Any, jobs: Any, context: Any, on_receipt: Any) -> None:
+        mixed = list(jobs)
+        random.Random(3).shuffle(mixed)
+        in_order(self, mixed, context, on_receipt)
+
+    monkeypatch.setattr(graph.InProcess, "run", shuffled)
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    result = surveys.run(
+        workflow, "outputs.diagnostics=true", "tiling.tile_m=60", until="deliver"
+    )
+    same_as(result.output, tiny_output)
+
+
+@pytest.mark.slow
+def test_workers_do_not_matter(tiny_survey: Path, tiny_output: Path, tmp_path: Path) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    settings = ["outputs.diagnostics=true", "tiling.tile_m=60"]
+    result = api.run(workflow, workers=2, overrides=settings, memory="2GiB")
+    assert result.exit_status == 0
+    same_as(result.output, tiny_output)
+
+
+IDENTITY = ("X", "Y", "Z", "gps_time", "channel", "intensity", "return_number")
+LABELS = ("classification", "noise_class", "noise_density", "p_value")
+
+
+def labelled(output: Path) -> Any:
+    """All labelled points as one sorted array of records, whatever file they are in."""
+    parts = [surveys.point_rows(c, IDENTITY + LABELS) for c in surveys.delivered(output).values()]
+    return np.sort(np.concatenate(parts)).tobytes()
+
+
+def split(path: Path) -> None:
+    """Cut a file into two, the points dealt out in turns."""
+    las = laspy.read(path)
+    for k in (0, 1):
+        part = laspy.LasData(las.header, las.points[k::2])
+        part.write(path.with_name(f"{path.stem}_{k}.laz"))
+    path.unlink()
+
+
+def halve(path: Path) -> None:
+    """Cut a file into two in the middle of a shot."""
+    las = laspy.read(path)
+    middle = len(las.points) // 2 + 1
+    for k, part in enumerate((slice(0, middle), slice(middle, None))):
+        laspy.LasData(las.header, las.points[part]).write(path.with_name(f"{path.stem}_{k}.laz"))
+    path.unlink()
+
+
+def shuffle(path: Path) -> None:
+    """Put a file's points into another order."""
+    las = laspy.read(path)
+    order = np.random.default_rng(5).permutation(len(las.points))
+    laspy.LasData(las.header, las.points[order]).write(path)
+
+
+@pytest.mark.parametrize("change", [split, halve, shuffle])
+def test_files_and_their_order_do_not_matter(
+    tiny_survey: Path, tiny_output: Path, tmp_path: Path, change: Callable[[Path], None]
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    change(tmp_path / "flightlines/line_01.laz")
+    result = surveys.run(workflow, "outputs.diagnostics=true", until="deliver")
+    assert result.exit_status == 0
+    assert labelled(result.output) == labelled(tiny_output)
+    assert surveys.rasters(result.output) == surveys.rasters(tiny_output)
+
+
+# Places
+
+
+def test_an_area_of_interest_is_honoured(
+    tiny_survey: Path, tiny_output: Path, tmp_path: Path
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    west, south, east, north = 272_010.0, 3_290_020.0, 272_040.0, 3_290_055.0
+    write_polygons(tmp_path / "aoi.gpkg", [shapely.box(west, south, east, north)], "EPSG:32615")
+    result = surveys.run(workflow, "aoi=aoi.gpkg", "outputs.diagnostics=true")
+    assert result.exit_status == 0
+    outside_points = 0
+    for name, got in surveys.delivered(result.output).items():
+        las = laspy.read(result.output / "laz" / name)
+        inside = (las.x >= west) & (las.x < east) & (las.y >= south) & (las.y < north)
+        full = surveys.delivered(tiny_output)[name]
+        for label in ("noise_class", "p_value", "noise_density"):
+            same = got[label][inside].tobytes() == full[label][inside].tobytes()
+            assert same, f"{label}: points outside are still neighbours"
+        assert np.all(got["noise_class"][~inside] == 255)
+        assert np.array_equal(
+            got["classification"][~inside], got["input_classification"][~inside]
+        )
+        outside_points += int(np.count_nonzero(~inside))
+    assert result.report is not None
+    assert result.report.counts.outside_aoi == outside_points
+    assert result.report.counts.points_out == result.report.counts.points_in
+    with rasterio.open(result.output / "dtm.tif") as source:
+        rows, columns = np.nonzero(source.read(1) != NODATA)
+        x, y = source.xy(rows, columns)
+    assert (min(x), max(x), min(y), max(y)) == (west + 0.5, east - 0.5, south + 0.5, north - 0.5)
+
+
+def test_points_by_tile_are_all_points_once(small: Path, small_output: Path) -> None:
+    result = surveys.run(small, "outputs.tiles=laz", "tiling.tile_m=7", until="deliver")
+    parts = [laspy.read(p) for p in sorted((result.output / "tiles").glob("*.laz"))]
+    assert len(parts) > 2
+    for part, path in zip(parts, sorted((result.output / "tiles").glob("*.laz")), strict=True):
+        i, j = (int(v) for v in path.stem.split("_"))
+        assert np.all((part.x >= i * 7 - 1e-6) & (part.x < (i + 1) * 7))
+        assert np.all((part.y >= j * 7 - 1e-6) & (part.y < (j + 1) * 7))
+
+    def rows(clouds: Sequence[Any]) -> Any:
+        names = ("gps_time", "intensity", "classification", "noise_class")
+        columns = {n: np.concatenate([np.array(c[n]) for c in clouds]) for n in names}
+        return surveys.point_rows(columns, names).tobytes()
+
+    assert rows(parts) == rows(list(surveys.delivered(small_output).values()))
+
+
+# Failures
+
+
+def raising(function: Callable[..., Any], on_call: int) -> Callable[..., Any]:
+    """The function, but one of its calls fails."""
+    calls = 0
+
+    def sometimes(*args: Any, **kwargs: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == on_call:
+            raise RuntimeError("broken\non purpose")
+        return function(*args, **kwargs)
+
+    return sometimes
+
+
+BREAKS = [
+    (denoise_stage, "denoise", "denoise"),
+    (ground_stage, "ground_mask", "ground"),
+    (line_noise_stage, "observe", "gather"),
+    (line_noise_stage, "fit", "fit_line"),
+    (line_noise_stage, "line_density", "scatter"),
+]
+
+
+@pytest.mark.parametrize(("module", "function", "kind"), BREAKS, ids=[b[2] for b in BREAKS])
+def test_a_failing_task_is_isolated_and_tried_again(
+    small: Path,
+    small_output: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    module: Any,
+    function: str,
+    kind: str,
+) -> None:
+    settings = ("tiling.tile_m=8", "tiling.block_tiles=1", "ground.cell_m=8", "ground.buffer_m=60")
+    with monkeypatch.context() as patch:
+        patch.setattr(module, function, raising(getattr(module, function), 2))
+        result, watcher = watched(small, *settings)
+    assert result.exit_status == 1
+    assert result.report is not None
+    (failure,) = result.report.failures
+    assert failure.task is not None
+    assert failure.task.startswith(kind)
+    assert "broken on purpose" in failure.reason
+    counts = result.report.counts
+    assert counts.points_in == counts.points_out
+    assert watcher.done[kind] >= 2
+    if kind not in {"ground", "denoise"}:
+        assert counts.not_assessed > 0
+    assert counts.not_assessed < counts.points_in
+    second, watcher = watched(small, *settings)
+    assert second.exit_status == 0
+    assert watcher.done[kind] == 1, "only what failed is tried again"
+    assert second.report is not None
+    assert second.report.failures == ()
+    assert second.report.counts.not_assessed == 0
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), *settings)
+    assert surveys.results(second.output) == surveys.results(clean.output)
+
+
+def test_a_failed_delivery_is_counted(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from spl_batch.runner import delivery  # noqa: PLC0415
+
+    with monkeypatch.context() as patch:
+        patch.setattr(delivery, "write_classified", raising(delivery.write_classified, 1))
+        result = surveys.run(small)
+    assert result.exit_status == 1
+    assert result.report is not None
+    counts = result.report.counts
+    assert 0 < counts.points_out < counts.points_in
+    assert len(list((result.output / "laz").rglob("*.laz"))) == 1
+    assert surveys.run(small).exit_status == 0
+
+
+def test_a_full_disk_stops_everything_and_can_be_continued(
+    small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import errno  # noqa: PLC0415
+
+    from spl_batch.runner import time_domain  # noqa: PLC0415
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("spl_batch.io.tables.GroupWriter.write", full)
+        ended = surveys.command("run", small, "--workers", 0)
+    assert ended.status == 3
+    assert "disk full" in ended.text
+    assert time_domain is not None
+    result = surveys.run(small)
+    assert surveys.results(result.output) == surveys.results(small_output)
+
+
+def receipts(output: Path) -> int:
+    return len(list((output / "store/receipts").rglob("*.json")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after", [1, 6, 14, 22])
+def test_a_killed_run_continues(
+    small: Path, small_output: Path, after: int
+) -> None:
+    import os  # noqa: PLC0415
+    import signal  # noqa: PLC0415
+    import subprocess  # noqa: PLC0415, S404 - kills what it starts
+    import sys  # noqa: PLC0415
+    import time  # noqa: PLC0415
+
+    output = small.parent / "out"
+    command = [sys.executable, "-m", "spl_batch", "run", str(small), "--workers", "1"]
+    process = subprocess.Popen(  # noqa: S603
+        command,
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 60
+    while receipts(output) < after and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.002)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    left = receipts(output)
+    assert left >= after
+    result, watcher = watched(small)
+    assert result.exit_status == 0
+    assert watcher.skipped >= after, "what was finished is not done again"
+    assert surveys.results(result.output) == surveys.results(small_output)
+    assert not list(result.output.rglob("*.tmp")) or left >= 0
+    assert math.isfinite(json.loads((output / "report.json").read_text())["counts"]["points_out"])
