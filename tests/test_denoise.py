@@ -170,7 +170,7 @@ def test_every_point_twice_keeps_a_surface() -> None:
 
 def test_reach_is_the_sum_of_the_links() -> None:
     assert reach_m(CLOSE) == 9.5
-    assert reach_m(FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0)) == 9.0
+    assert reach_m(FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0)) == 14.0
     assert reach_m(FilterSettings(test="published", axis_cap_m=13.0)) == 13.0
 
 

@@ -83,7 +83,7 @@ def test_building_over_most_of_a_cell(method: str) -> None:
 
 def test_low_wide_hall_is_no_ground() -> None:
     """5 m high and 56 m wide: slope times radius alone would let it pass."""
-    x, y = square(60_000, 100)
+    x, y = square(150_000, 100)
     roof = (np.abs(x - 50) < 28) & (np.abs(y - 50) < 28)
     points = table(x, y, np.where(roof, 5.0, 0.0))
     assert not ground(points)[points["z"] > 2500].any()

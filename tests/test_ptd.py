@@ -106,8 +106,8 @@ def test_a_steep_facet_judges_the_mirror_image() -> None:
     seeds = np.array([[x, y, z] for x, z in ((0, 0), (10, 0), (12, 9)) for y in (0.0, 10, 20)])
     candidates = np.array([[10.3, 11.0, 0.0]])
     floor = np.array([-np.inf])
-    assert densify(seeds, candidates, floor, plain, 2.0)[1].tolist() == [False]
-    assert densify(seeds, candidates, floor, wall, 2.0)[1].tolist() == [True]
+    assert densify(seeds, candidates, floor, plain, 20.0)[1].tolist() == [False]
+    assert densify(seeds, candidates, floor, wall, 20.0)[1].tolist() == [True]
 
 
 def test_no_seeds_no_surface() -> None:

@@ -382,7 +382,7 @@ def split(path: Path) -> None:
     """Cut a file into two, the points dealt out in turns."""
     las = laspy.read(path)
     for k in (0, 1):
-        part = laspy.LasData(las.header, las.points[k::2])
+        part = laspy.LasData(las.header, las.points[np.arange(k, len(las.points), 2)])
         part.write(path.with_name(f"{path.stem}_{k}.laz"))
     path.unlink()
 

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from spl_batch.api.events import Event, Listener, Note, PhaseStarted, TaskEnded, ignore
+from spl_batch.api.planning import fitting_cost
 from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
 from spl_batch.errors import WorkflowError
 from spl_batch.graph import Executor, executor, jobs_left
@@ -127,6 +128,7 @@ def run(
     if workers < 0:
         raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
+    fitting_cost(prepared)
     output = prepared.context.output
     with _locked(output):
         if fresh:
@@ -177,6 +179,8 @@ def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: 
             failures = [r.reason for _, r in progress.failures if r.kind == "trajectory"]
             if failures:
                 raise WorkflowError(f"survey.trajectory: {failures[-1]}")
+        if phase.kind == "heading" and survey.of("heading"):
+            progress.warn(_beams_without_trajectory(survey))
         for text in _warnings(survey.of(phase.kind)):
             progress.warn(text)
 
@@ -255,6 +259,17 @@ def _failures(survey: Survey, progress: _Progress) -> Iterator[Failure]:
         )
 
 
+def _beams_without_trajectory(survey: Survey) -> str:
+    """What beams are taken from where there is no trajectory."""
+    found = [r.facts["heading_rad"] is not None for r in survey.of("heading").values()]
+    angled, vertical = found.count(True), found.count(False)
+    return (
+        "no trajectory: beams are taken from scan_angle and the flight direction on "
+        f"{angled} flightlines and are vertical on {vertical}, whose scan_angle or course "
+        "does not tell them"
+    )
+
+
 def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
     """What tasks warn of; a warning that many share is given once."""
     sharing: dict[str, list[str]] = {}
@@ -268,9 +283,9 @@ def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
 
 
 def _make_rasters(prepared: Prepared) -> None:
-    workflow, store = prepared.context.workflow, prepared.context.store
+    workflow = prepared.context.workflow
     create_raster_store(
-        str(store.path("rasters.zarr")),
+        str(prepared.context.rasters),
         (*PRODUCTS, "noise"),
         ground_cell=quanta(workflow.ground.cell_m),
         raster_cell=quanta(workflow.products.cell_m),

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
+from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import PlanError
 from spl_batch.plan.cost import Cost, estimate
@@ -69,6 +69,27 @@ def plan(
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     survey = prepared.survey
+    tiles, points, cost = fitting_cost(prepared)
+    return PlanSummary(
+        len(survey.inputs.sources),
+        points,
+        tiles * survey.workflow.tiling.tile_m**2 / 1e6,
+        tiles,
+        cost,
+        tuple(str(b) for b in survey.inputs.bad),
+        survey.inputs.warnings,
+    )
+
+
+def fitting_cost(prepared: Prepared) -> tuple[int, int, Cost]:
+    """Tiles, points and cost of a run that fits into its memory limit.
+
+    Raises
+    ------
+    PlanError
+        If a task cannot; it names the heaviest one.
+    """
+    survey = prepared.survey
     tiles = _tiles(survey)
     points = sum(s.facts.n_points for s in survey.inputs.sources)
     cost = estimate(survey, points, tiles, prepared.context)
@@ -77,15 +98,7 @@ def plan(
             f"{cost.heaviest} needs {cost.memory_bytes / 2**20:.0f} MiB, more than --memory "
             f"{survey.memory_bytes / 2**20:.0f} MiB; raise it or lower {cost.remedy}"
         )
-    return PlanSummary(
-        len(survey.inputs.sources),
-        points,
-        len(tiles) * survey.workflow.tiling.tile_m**2 / 1e6,
-        len(tiles),
-        cost,
-        tuple(str(b) for b in survey.inputs.bad),
-        survey.inputs.warnings,
-    )
+    return len(tiles), points, cost
 
 
 def _tiles(survey: Survey) -> set[CellId]:

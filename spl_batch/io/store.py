@@ -11,7 +11,7 @@
     store/scatter/LINE/K.parquet       the stretch's points, a row group for each tile
     store/tiles/I_J.parquet            points of a tile, in canonical order
     store/{noise,ground,classes}/      labels by work unit, a row group for each tile
-    store/rasters.zarr                 raster cells
+    store/rasters_G_P.zarr             raster cells, for edges of ground and raster cells
 """
 
 import dataclasses
@@ -62,6 +62,16 @@ class Store:
         """Labels that a work unit gave."""
         return self.path(kind, f"{name}.parquet")
 
+    def rasters(self, ground_cell: int, raster_cell: int) -> Path:
+        """Raster cells; other cell sizes are kept apart, so that none spoils what is done.
+
+        Parameters
+        ----------
+        ground_cell, raster_cell : int
+            Edges of a ground cell and of a raster cell [quanta].
+        """
+        return self.path(f"rasters_{ground_cell}_{raster_cell}.zarr")
+
     def receipt(self, kind: str, name: str) -> Path:
         """Receipt of a task."""
         return self.path("receipts", kind, f"{name.replace('/', '~')}.json")
@@ -94,20 +104,26 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
     """Write a stretch's share of the noise model as a Zarr group, atomically."""
     shape = part.amount.shape
     chunks = (min(VOXEL_CHUNK, shape[0]), min(VOXEL_CHUNK, shape[1]), shape[2])
+    arrays = {"amount": part.amount, "shots": part.shots, "beamlets": part.beamlets}
     with replacing(path) as temporary:
-        array = zarr.create_array(
-            str(temporary),
-            shape=shape,
-            chunks=tuple(max(c, 1) for c in chunks),
-            dtype=np.int64,
-            serializer=BytesCodec(),
-            compressors=ZstdCodec(level=3),
-            attributes={"corner": list(part.corner)},
-        )
-        array[...] = part.amount
+        group = zarr.create_group(str(temporary), attributes={"corner": list(part.corner)})
+        for name, values in arrays.items():
+            if values is None:
+                continue
+            array = group.create_array(
+                name,
+                shape=shape,
+                chunks=tuple(max(c, 1) for c in chunks),
+                dtype=np.int64,
+                serializer=BytesCodec(),
+                compressors=ZstdCodec(level=3),
+            )
+            array[...] = values
 
 
-def add_voxels(path: Path, corner: tuple[int, int, int], total: NDArray[np.int64]) -> None:
+def add_voxels(
+    path: Path, corner: tuple[int, int, int], totals: Mapping[str, NDArray[np.int64]]
+) -> None:
     """Add one part's share to a box of voxels, in place.
 
     Parameters
@@ -116,8 +132,9 @@ def add_voxels(path: Path, corner: tuple[int, int, int], total: NDArray[np.int64
         Group written by :func:`write_voxels`.
     corner : (3,) int
         Absolute index of the box's first voxel.
-    total : (nx, ny, nz) int64
-        The box; the part is added where they overlap.
+    totals : mapping of str to (nx, ny, nz) int64
+        The box by the name of the sum (``amount``, ``shots``, ``beamlets``); the part is
+        added where they overlap.
 
     Raises
     ------
@@ -125,18 +142,20 @@ def add_voxels(path: Path, corner: tuple[int, int, int], total: NDArray[np.int64
         If the part is missing or damaged.
     """
     try:
-        array = zarr.open_array(str(path), mode="r")
-        first = tuple(int(c) for c in array.attrs["corner"])  # type: ignore[union-attr,arg-type]
-        low = [max(a, b) for a, b in zip(first, corner, strict=True)]
-        high = [
-            min(a + n, b + m)
-            for a, n, b, m in zip(first, array.shape, corner, total.shape, strict=True)
-        ]
-        if any(b <= a for a, b in zip(low, high, strict=True)):
-            return
-        of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
-        of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
-        total[of_box] += np.asarray(array[of_part], dtype=np.int64)
+        group: Any = zarr.open_group(str(path), mode="r")
+        first = [int(c) for c in group.attrs["corner"]]
+        for name, total in totals.items():
+            array = group[name]
+            low = [max(a, b) for a, b in zip(first, corner, strict=True)]
+            high = [
+                min(a + n, b + m)
+                for a, n, b, m in zip(first, array.shape, corner, total.shape, strict=True)
+            ]
+            if any(b <= a for a, b in zip(low, high, strict=True)):
+                return
+            of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
+            of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
+            total[of_box] += np.asarray(array[of_part], dtype=np.int64)
     except (OSError, KeyError, ValueError) as error:
         raise StoreError(f"{path}: damaged or missing ({error}); run again to rebuild") from error
 

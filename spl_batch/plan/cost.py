@@ -14,8 +14,8 @@ from spl_batch.runner.context import Context
 from spl_batch.stages import denoise, geometry, ground, surface
 from spl_batch.tiling import CellId
 
-WORKER_BASE_BYTES: Final = 350 * 2**20
-"""Resident memory of an idle worker with everything imported, rounded up [byte]."""
+WORKER_BASE_BYTES: Final = 600 * 2**20
+"""Resident memory of a worker that has compiled its kernels, rounded up [byte]."""
 
 STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""

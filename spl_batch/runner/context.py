@@ -8,6 +8,7 @@ from typing import Any
 from pyproj import CRS
 
 from spl_batch.io.store import Store
+from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow
 
 
@@ -44,6 +45,12 @@ class Context:
     def crs(self) -> CRS | None:
         """CRS of the survey."""
         return CRS.from_wkt(self.crs_wkt) if self.crs_wkt else None
+
+    @property
+    def rasters(self) -> Path:
+        """Raster cells of the working store."""
+        workflow = self.workflow
+        return self.store.rasters(quanta(workflow.ground.cell_m), quanta(workflow.products.cell_m))
 
     def resolve(self, name: str) -> Path:
         """Path of the workflow, seen from its folder."""

@@ -117,7 +117,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     edge, pixel = quanta(context.workflow.ground.cell_m), quanta(products.cell_m)
     cells = sorted((CellId(*ij) for ij in args["cells"]), key=lambda c: (-c.j, c.i))
     bounds = Bounds(*args["bounds"])
-    store = str(context.store.path("rasters.zarr"))
+    store = str(context.rasters)
     shape, origin_xy_m = frame(bounds, pixel)
     folder = context.output if args["delivered"] else context.store.root
     target = folder / f"{args['name']}.tif"

@@ -90,7 +90,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     arrays["noise"] = _mean_noise(table, core, quanta(workflow.products.cell_m))
-    write_cell(str(context.store.path("rasters.zarr")), CellId(*args["ij"]), arrays)
+    write_cell(str(context.rasters), CellId(*args["ij"]), arrays)
     classes = surfacing.classify(table, core, arrays["dtm"])
     owned = inside(table["x"], table["y"], core)
     path = context.store.labels("classes", args["cell"])
@@ -107,12 +107,19 @@ def _expected(table: PointTable, parts: Sequence[str], context: Context) -> NDAr
     index = [cell_index(table[axis].astype(np.int64), edge) for axis in "xyz"]
     corner = [int(i.min()) for i in index]
     shape = [int(i.max()) - c + 1 for i, c in zip(index, corner, strict=True)]
-    total = np.zeros(shape, dtype=np.int64)
+    settings = context.workflow.noise
+    sums = ("amount", "shots", "beamlets") if settings.correction == "published" else ("amount",)
+    totals = {name: np.zeros(shape, dtype=np.int64) for name in sums}
     for part in parts:
-        add_voxels(
-            context.store.path("voxels", f"{part}.zarr"), (corner[0], corner[1], corner[2]), total
-        )
-    density = voxel_noise.density(total, context.workflow.noise)
+        path = context.store.path("voxels", f"{part}.zarr")
+        add_voxels(path, (corner[0], corner[1], corner[2]), totals)
+    density = voxel_noise.density(
+        totals["amount"],
+        settings,
+        shots=totals.get("shots"),
+        beamlets=totals.get("beamlets"),
+        beamlets_per_shot=context.workflow.sensor.beamlets,
+    )
     at = tuple(i - c for i, c in zip(index, corner, strict=True))
     return np.asarray(density[at], dtype=np.float64)
 

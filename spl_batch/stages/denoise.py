@@ -39,7 +39,7 @@ from spl_batch.constants import (
 from spl_batch.kernels.ellipsoid import Shape, count_inside
 from spl_batch.kernels.kdtree import build, enough_within
 from spl_batch.kernels.poisson import noise_tail_probability
-from spl_batch.model import EXCLUDED, UNFILTERED, PointTable
+from spl_batch.model import EXCLUDED, UNFILTERED, PointFlag, PointTable
 from spl_batch.stages.followers import LAG_M, dependents, follow
 from spl_batch.tiling import quanta
 from spl_batch.workflow import FilterSettings
@@ -119,18 +119,24 @@ def denoise(
         if settings.test != "published":
             dependent = dependents(table) & ~excluded & ~echo
         active = np.flatnonzero(~excluded & ~echo & ~dependent)
-        asked = (_with_parents(table, query, dependent) & ~table.has(UNFILTERED))[active]
+        # A parent outside the area of interest is judged for the sake of who follows it.
+        beamless = table.has(EXCLUDED | PointFlag.NO_BEAM)
+        wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
+        asked = (wanted & ~beamless)[active]
         signal, tail = _assess(_relative(table, active), density[active], asked, settings, exact)
         rows = active[asked]
         noise_class[rows] = np.where(signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = tail
         noise_class[echo] = NOISE_AFTERPULSE
-        noise_class[dependent & ~table.has(UNFILTERED)] = NOISE_SIGNAL
+        noise_class[dependent & ~beamless] = NOISE_SIGNAL
         rows = np.flatnonzero(~excluded)
         kept = table.take(rows)
         noise_class[rows] = follow(kept, dependent[rows], noise_class[rows])
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
     noise_class[echo] = NOISE_AFTERPULSE
+    outside = table.has(PointFlag.OUTSIDE_AOI)
+    noise_class[outside] = NOISE_NOT_ASSESSED
+    p_value[outside] = np.nan
     return {"noise_class": noise_class[query], "p_value": p_value[query]}
 
 
