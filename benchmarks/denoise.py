@@ -54,17 +54,26 @@ def slow_labels(xyz: NDArray[np.int64], settings: FilterSettings) -> NDArray[np.
     """Signal or not by scipy's neighbours, numpy's eigenvectors and full counts."""
     points = xyz / 1000.0
     tree = cKDTree(points)
+    spacing = tree.query(points, k=settings.spacing_neighbours + 1)[0][:, -1]
+    spacing = np.minimum(spacing, settings.spacing_cap_m)
     tail = np.empty(len(points))
     for i, near in enumerate(tree.query(points, k=settings.neighbours + 1)[1]):
         values, vectors = np.linalg.eigh(np.cov(points[near[near != i]].T, bias=True))
         spread = np.maximum(values, settings.eigen_floor_m**2)
         axes = settings.radius_m * spread / np.cbrt(spread.prod())
         axes = np.minimum(axes, settings.axis_cap_m)
-        around = points[tree.query_ball_point(points[i], axes.max())] - points[i]
+        rows = np.array(tree.query_ball_point(points[i], axes.max()))
+        rows = rows[spacing[rows] * settings.peer_ratio >= spacing[i]]
+        around = points[rows] - points[i]
         count = (((around @ vectors / axes) ** 2).sum(axis=1) < 1).sum() - 1
         tail[i] = stats.poisson.sf(count - 1, DENSITY * 4 / 3 * np.pi * axes.prod())
     strong = tail <= settings.alpha / settings.selection
-    links = cKDTree(points[strong]).query_ball_point(points, settings.link_m, return_length=True)
+    passed = np.flatnonzero(strong)
+    linked = cKDTree(points[strong]).query_ball_point(points, settings.link_m)
+    links = np.array([
+        (spacing[passed[rows]] * settings.peer_ratio >= spacing[i]).sum()
+        for i, rows in enumerate(linked)
+    ])  # fmt: skip
     signal: NDArray[np.bool_] = strong | (
         (tail <= settings.weak_alpha) & (links >= settings.link_count)
     )

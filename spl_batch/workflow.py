@@ -108,8 +108,18 @@ class FilterSettings(Section):
     )
     link_m: float = Field(4.0, ge=0, le=40, description="Strong points are sought within [m].")
     link_count: int = Field(
-        6, ge=0, description="Strong points that let a weak one live [count]; 0 is no linking."
+        4, ge=0, description="Strong points that let a weak one live [count]; 0 is no linking."
     )
+    peer_ratio: float = Field(
+        2.0,
+        ge=1,
+        description="Neighbours whose spacing is smaller than the point's by more than this "
+        "factor are not counted.",
+    )
+    spacing_neighbours: int = Field(
+        6, ge=1, le=64, description="Spacing is the distance to this neighbour [count]."
+    )
+    spacing_cap_m: Positive = Field(3.0, le=40, description="Largest spacing told apart [m].")
     neighbours: int = Field(
         15, ge=4, le=64, description="Neighbours whose spread shapes the ellipsoid."
     )
@@ -194,12 +204,23 @@ class ProductSettings(Section):
     dsm_near_m: Positive = Field(
         0.5, description="Smallest sphere in which returns confirm a DSM cell [m]."
     )
-    dsm_support_m: Positive = Field(2.0, description="Largest such sphere, for thin crowns [m].")
+    dsm_support_m: Positive = Field(
+        1.5, le=20, description="Largest such sphere, for thin crowns [m]."
+    )
     dsm_support: int = Field(
         1, ge=0, description="Returns that confirm a DSM cell, at the least [count]."
     )
     dsm_false_alarm: Share = Field(
-        1e-4, description="Chance that noise alone confirms a noise return, by Poisson's law."
+        1e-7, description="Chance that noise alone confirms a noise return, by Poisson's law."
+    )
+    dsm_peer_ratio: float = Field(
+        1.5,
+        ge=1,
+        description="Returns whose spacing is smaller than a DSM cell's by more than this "
+        "factor do not confirm it.",
+    )
+    dsm_spacing_neighbours: int = Field(
+        3, ge=1, le=64, description="That spacing is the distance to this neighbour [count]."
     )
 
 
@@ -305,7 +326,9 @@ def _apply(content: dict[str, Any], override: str) -> None:
     try:
         node[last] = yaml.safe_load(text)
     except yaml.YAMLError:
-        raise WorkflowError(f"--set {override}: the value is not valid YAML") from None
+        raise WorkflowError(
+            f"--set {override}: the value is not valid YAML; quote it: key='*.laz'"
+        ) from None
 
 
 def _fault(error: Any) -> str:

@@ -26,5 +26,5 @@ def tiny_output(tiny_survey: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.fixture(scope="session")
 def small_lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Workflow of two short passes without a trajectory: 10 000 points."""
+    """Workflow of two short passes without a trajectory: 6 000 points."""
     return surveys.small_survey(tmp_path_factory.mktemp("small"))

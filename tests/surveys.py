@@ -110,9 +110,9 @@ def write_cloud(
     header = laspy.LasHeader(version=version, point_format=point_format)
     header.scales = np.full(3, scale)
     n = len(columns["x"])
-    header.offsets = np.array(
-        [np.floor(columns[a].min() / 1000) * 1000 if n else 0.0 for a in "xyz"]
-    )
+    # The same for every file of a survey, so that raw coordinates can be compared.
+    far_north = n > 0 and abs(columns["y"][0]) > 2e6
+    header.offsets = np.array([0.0, 3_000_000.0 if far_north else 0.0, 0.0])
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     if channel:
         header.add_extra_dim(laspy.ExtraBytesParams("channel", np.uint8))
@@ -135,7 +135,9 @@ def write_trajectory(
     """Positions ten times a second along the passes of :func:`flightline`."""
     time = np.arange(start_s, stop_s, 0.1)
     x = ORIGIN_M[0] + SPEED_M_S * (time - START_S) + shift_m
-    table = np.column_stack([time, x, np.full(len(time), ORIGIN_M[1]), np.full(len(time), HEIGHT_M)])
+    table = np.column_stack(
+        [time, x, np.full(len(time), ORIGIN_M[1]), np.full(len(time), HEIGHT_M)]
+    )
     np.savetxt(path, table, "%.4f", delimiter=",", header="gps_time,x,y,z", comments="")
     return path
 
@@ -159,9 +161,11 @@ def write_workflow(folder: Path, **sections: Any) -> Path:
 
 
 def small_survey(folder: Path, **sections: Any) -> Path:
-    """Two passes of about 4000 points each, their trajectory and workflow."""
+    """Two passes of about 3000 points each, and their workflow."""
     for k in (1, 2):
-        line = flightline(psid=k, start_s=START_S + 3 * (k - 1), seed=k, origin_m=ORIGIN_M)
+        line = flightline(
+            shots=120, psid=k, start_s=START_S + 3 * (k - 1), seed=k, origin_m=ORIGIN_M
+        )
         write_cloud(folder / "lines" / f"line_{k}.laz", line)
     return write_workflow(folder, **sections)
 

@@ -16,7 +16,10 @@ from spl_batch.workflow import FilterSettings
 from tests.test_ellipsoid import brute_counts, mixed_cloud
 
 DEFAULT = FilterSettings()
-CLOSE = FilterSettings(neighbour_cap_m=3.0, axis_cap_m=3.0, link_m=1.5, link_count=3)
+SHAPE = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)
+CLOSE = FilterSettings(
+    neighbour_cap_m=3.0, axis_cap_m=3.0, link_m=1.5, link_count=3, spacing_cap_m=1.0
+)
 """Short reaches, so that a small cloud has an inside and an outside."""
 
 
@@ -36,6 +39,15 @@ def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
     return PointTable(base).with_columns(**columns)
 
 
+def peers(xyz: NDArray[Any], filtering: FilterSettings) -> NDArray[np.bool_]:
+    """Whether column is a peer of row."""
+    d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
+    spacing = np.sort(d2, axis=1)[:, filtering.spacing_neighbours]
+    spacing = np.minimum(spacing, round(1000 * filtering.spacing_cap_m) ** 2)
+    own: NDArray[np.bool_] = spacing[None] * filtering.peer_ratio**2 >= spacing[:, None]
+    return own
+
+
 def everything(n: int) -> NDArray[np.bool_]:
     return np.ones(n, dtype=np.bool_)
 
@@ -52,7 +64,8 @@ def labels(
 def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
     filtering = FilterSettings(test=test, link_m=1.0, link_count=3)
     xyz = mixed_cloud(21, 500)
-    low, high, volume = brute_counts(xyz, Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0))
+    own = None if test == "published" else peers(xyz, filtering)
+    low, high, volume = brute_counts(xyz, SHAPE, own)
     assert (low == high).all()
     mean = density * volume * 1e-9
     if test == "published":
@@ -61,7 +74,7 @@ def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
         tail = stats.poisson.sf(low - 1, mean)
         signal = strong = tail <= filtering.alpha / filtering.selection
         d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
-        linked = ((d2 <= 1000**2) & strong).sum(axis=1) >= 3
+        linked = ((d2 <= 1000**2) & strong & own).sum(axis=1) >= 3
         signal = strong | ((tail <= filtering.weak_alpha) & linked)
         assert (signal != strong).any()
     found = labels(as_table(xyz), density, filtering)
@@ -71,7 +84,7 @@ def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
 
 def test_exact_p_value_goes_below_the_decision() -> None:
     xyz = mixed_cloud(22, 500)
-    low, _, volume = brute_counts(xyz, Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0))
+    low, _, volume = brute_counts(xyz, SHAPE, peers(xyz, DEFAULT))
     tail = stats.poisson.sf(low - 1, 0.13e-9 * volume)
     density = np.full(500, 0.13)
     exact = denoise(as_table(xyz), density, everything(500), DEFAULT, exact=True)
@@ -169,8 +182,8 @@ def test_every_point_twice_keeps_a_surface() -> None:
 
 
 def test_reach_is_the_sum_of_the_links() -> None:
-    assert reach_m(CLOSE) == 9.5
-    assert reach_m(FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0)) == 14.0
+    assert reach_m(CLOSE) == 10.5
+    assert reach_m(FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0)) == 15.0
     assert reach_m(FilterSettings(test="published", axis_cap_m=13.0)) == 13.0
 
 
@@ -227,3 +240,18 @@ def test_an_ordinary_scene_keeps_its_wires() -> None:
     assert kept[inner & (kind == 0)].mean() >= 0.995
     assert kept[inner & (kind == 1)].mean() <= 0.05
     assert kept[inner & (kind == 2)].mean() >= 0.95
+
+
+def test_noise_above_a_surface_does_not_live_on_the_surface() -> None:
+    rng = np.random.default_rng(42)
+    ground = rng.uniform(0, 40, (32_000, 3))
+    ground[:, 2] = rng.normal(0, 0.05, len(ground))
+    noise = rng.uniform(0, 40, (1600, 3))
+    xyz = np.rint(np.concatenate([ground, noise]) * 1000)
+    near = np.r_[np.zeros(len(ground), np.bool_), (noise[:, 2] > 1) & (noise[:, 2] < 4)]
+    near &= np.all(np.abs(xyz[:, :2] - 20_000) < 15_000, axis=1)
+    assert near.sum() > 50
+    kept = labels(as_table(xyz), 0.025) == 0
+    every = labels(as_table(xyz), 0.025, FilterSettings(peer_ratio=1e6)) == 0
+    assert kept[: len(ground)].mean() > 0.999
+    assert kept[near].mean() < 0.1 < 0.3 < every[near].mean()

@@ -29,7 +29,7 @@ def mixed_cloud(seed: int, n: int, *, step: int = 1) -> NDArray[np.int32]:
 
 
 def brute_counts(
-    xyz: NDArray[np.int32], shape: Shape
+    xyz: NDArray[np.int32], shape: Shape, peers: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Fewest and most inside (they differ where a point lies on the border), and volumes."""
     rows, found = brute_nearest(xyz, shape.neighbours, shape.neighbour_cap)
@@ -45,6 +45,8 @@ def brute_counts(
         volume[i] = 4 / 3 * np.pi * axes.prod()
         offsets = np.delete(xyz, i, axis=0).astype(np.float64) - xyz[i]
         flag = ((offsets @ vectors / axes) ** 2).sum(axis=1)
+        if peers is not None:
+            flag = flag[np.delete(peers[i], i)]
         low[i], high[i] = (flag < 1 - 1e-9).sum(), (flag < 1 + 1e-9).sum()
     return low, high, volume
 

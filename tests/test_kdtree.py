@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.kernels.kdtree import LEAF, build, enough_within, nearest
+from spl_batch.kernels.kdtree import LEAF, build, nearest
 
 
 def brute_nearest(
@@ -79,17 +79,6 @@ def test_tree_holds_every_point_once_inside_its_boxes(n: int) -> None:
             assert high > low
             np.testing.assert_array_equal(box, np.r_[held.min(axis=1), held.max(axis=1)])
     assert (n >> tree.depth) <= LEAF
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 9))
-@settings(max_examples=30, deadline=None)
-def test_enough_within_counts_all_pairs(seed: int, n: int, wanted: int) -> None:
-    rng = np.random.default_rng(seed)
-    xyz = rng.integers(0, 30, (n, 3)).astype(np.int32)
-    places = rng.integers(-5, 35, (40, 3)).astype(np.int32)
-    d2 = ((places[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
-    expected = (d2 <= 8 * 8).sum(axis=1) >= wanted
-    np.testing.assert_array_equal(enough_within(build(xyz), places, 8, wanted), expected)
 
 
 @pytest.mark.parametrize("cap", [0, -1, 46_341])

@@ -154,9 +154,7 @@ def test_units_own_everything_once_and_read_their_halo(unit: int, halo: int) -> 
     for u in found:
         wide = grow(u.core, halo)
         assert set(u.tiles) == {t for t in COUNTS if overlap(cell_bounds(t, 100), wide)}
-        assert u.points == sum(
-            n for t, n in COUNTS.items() if overlap(cell_bounds(t, 100), u.core)
-        )
+        assert u.points == sum(n for t, n in COUNTS.items() if overlap(cell_bounds(t, 100), u.core))
 
 
 def test_empty_tiles_make_no_units() -> None:

@@ -16,19 +16,9 @@ from spl_batch.kernels.raster import (
     robust_cell_means,
     sort_into_cells,
 )
-from spl_batch.kernels.tops import CellPoints, Support, supported_tops
+from spl_batch.kernels.tops import Support, confirmed_tops
 
 SIZE = 1000
-
-
-def points_in_cells(xyz, rows, cols, ground=None, level=None):
-    cell = xyz[:, 1] // SIZE * cols + xyz[:, 0] // SIZE
-    order, start = sort_into_cells(cell.astype(np.int64), xyz[:, 2].astype(np.int32), rows * cols)
-    n = len(xyz)
-    ground = np.zeros(n, bool) if ground is None else ground
-    level = np.zeros(n, np.uint8) if level is None else level
-    x, y, z = (np.ascontiguousarray(xyz[order, k], dtype=np.int32) for k in range(3))
-    return CellPoints(x, y, z, level[order], ground[order], start, rows, cols, SIZE)
 
 
 def test_sort_into_cells_puts_the_highest_of_each_cell_first():
@@ -64,9 +54,9 @@ def test_robust_cell_means_equal_the_plain_ones(seed, n):
         ],
         axis=1,
     ).astype(np.int64)
-    points = points_in_cells(xyz, 2, 3)
+    points, _, start = cells_of(xyz, 2, 3)
     means = np.empty((6, 3))
-    robust_cell_means((points.x, points.y, points.z), points.start, 150.0, means)
+    robust_cell_means(tuple(np.ascontiguousarray(points.T)), start, 150.0, means)
     cell = xyz[:, 1] // SIZE * 3 + xyz[:, 0] // SIZE
     for k in range(6):
         mine = xyz[cell == k]
@@ -85,34 +75,31 @@ def test_the_spread_is_the_lower_median_absolute_deviation(heights):
         assert deviations[n // 2] / 2 == median_abs_deviation(z.astype(float))
 
 
-def slow_tops(points, by, shape):
+def slow_tops(xyz, ground, start, by):
     """Tops by counting every pair."""
-    xyz = np.stack([points.x, points.y, points.z], axis=1).astype(float)
     n = len(xyz)
-    d = np.linalg.norm(xyz[:, None] - xyz[None], axis=2)
-    allowed = (
-        ~np.eye(n, dtype=bool)
-        & ~points.ground[None, :]
-        & (points.level[None, :] <= points.level[:, None])
-    )
-    free = np.ones(n, dtype=bool)
+    d = np.linalg.norm(xyz[:, None].astype(float) - xyz[None], axis=2)
+    spacing = np.minimum(np.sort(d, axis=1)[:, by.neighbours], by.radius.max())
+    peer = (spacing[None] * by.peer_ratio >= spacing[:, None]) & ~np.eye(n, dtype=bool)
+    accepted = ground.copy()
     for radius, count in zip(by.radius, by.needed, strict=True):
-        free = free & (((d <= radius) & allowed & free[None, :]).sum(axis=1) < count)
-    accepted = points.ground | ~free
-    tops = np.full(shape, np.nan)
-    for k in np.flatnonzero(accepted):
-        place = points.y[k] // SIZE, points.x[k] // SIZE
-        tops[place] = np.fmax(tops[place], points.z[k])
+        accepted |= ((d <= radius) & peer).sum(axis=1) >= count
+    tops = np.full(len(start) - 1, np.nan)
+    for cell in range(len(tops)):
+        mine = np.arange(start[cell], start[cell + 1])
+        tops[cell] = max(xyz[mine[accepted[mine]], 2], default=np.nan)
     return tops
 
 
-def spheres(radii, counts):
-    radii = np.array(radii)
-    return Support(radii, np.array(counts), -(-radii // SIZE))
+def cells_of(xyz, rows, cols):
+    cell = xyz[:, 1] // SIZE * cols + xyz[:, 0] // SIZE
+    order, start = sort_into_cells(cell.astype(np.int64), xyz[:, 2].astype(np.int32), rows * cols)
+    return xyz[order].astype(np.int32), order, start
 
 
 @pytest.mark.parametrize("counts", [(0, 0, 0), (2, 3, 4), (3, 6, 9), (99, 4, 7), (1, 99, 9)])
-def test_supported_tops_equal_the_count_of_every_pair(counts):
+@pytest.mark.parametrize("ratio", [1.0, 1.5])
+def test_confirmed_tops_equal_the_count_of_every_pair(counts, ratio):
     rng = np.random.default_rng(sum(counts))
     rows, cols, n = 7, 6, 260
     xyz = np.stack(
@@ -123,13 +110,12 @@ def test_supported_tops_equal_the_count_of_every_pair(counts):
         ],
         axis=1,
     ).astype(np.int64)
+    xyz, _, start = cells_of(xyz, rows, cols)
     ground = (rng.random(n) < 0.3) & (xyz[:, 2] < 100)
-    level = (rng.random(n) < 0.3).astype(np.uint8)
-    points = points_in_cells(xyz, rows, cols, ground, level)
-    by = spheres([600, 1100, 2300], counts)
-    tops = np.empty((rows, cols))
-    supported_tops(points, by, tops)
-    np.testing.assert_array_equal(tops, slow_tops(points, by, (rows, cols)))
+    by = Support(np.array([600, 1100, 2300]), np.array(counts), 3, ratio)
+    tops = np.empty(rows * cols)
+    confirmed_tops(xyz, ground, start, by, tops)
+    np.testing.assert_array_equal(tops, slow_tops(xyz, ground, start, by))
 
 
 def test_noise_above_a_dense_roof_stays_out_and_a_thin_crown_stays_in():
@@ -147,10 +133,11 @@ def test_noise_above_a_dense_roof_stays_out_and_a_thin_crown_stays_in():
         axis=1,
     )
     noise = np.array([[5500, 5500, 1500], [5600, 2500, 900]])
-    xyz = np.concatenate([roof, crown, noise]).astype(np.int64)
-    tops = np.empty((10, 20))
-    by = spheres([500, 1000, 2000], [3, 5, 13])
-    supported_tops(points_in_cells(xyz, 10, 20), by, tops)
+    xyz, _, start = cells_of(np.concatenate([roof, crown, noise]).astype(np.int64), 10, 20)
+    tops = np.empty(200)
+    by = Support(np.array([500, 1000, 1500]), np.array([3, 5, 8]), 3, 1.5)
+    confirmed_tops(xyz, np.zeros(len(xyz), bool), start, by, tops)
+    tops = tops.reshape(10, 20)
     assert tops[:, :10].max() < 300
     assert np.nanmedian(tops[:, 10:]) > 6000
     assert np.isnan(tops[:, 10:]).mean() < 0.1

@@ -1,8 +1,13 @@
 """A complete workflow: nothing lost, nothing done twice, and always the same result."""
 
+import errno
 import json
-import math
+import os
 import random
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,9 +21,11 @@ import shapely
 
 from spl_batch import api, graph
 from spl_batch.api.events import Note, PhaseStarted, TaskEnded
+from spl_batch.api.pipeline import _locked
 from spl_batch.constants import NODATA
 from spl_batch.plan import survey as survey_module
 from spl_batch.plan.flightlines import find_flightlines
+from spl_batch.runner import delivery
 from spl_batch.simulate.files import write_polygons
 from spl_batch.stages import denoise as denoise_stage
 from spl_batch.stages import ground as ground_stage
@@ -225,43 +232,41 @@ def test_fresh_does_everything_again_and_gives_the_same_bytes(small: Path) -> No
 def test_a_change_redoes_what_depends_on_it(
     small: Path, change: str, untouched: set[str], touched: str
 ) -> None:
-    surveys.run(small)
-    result, watcher = watched(small, change)
+    surveys.run(small, until="deliver")
+    result, watcher = watched(small, change, until="deliver")
     assert result.exit_status == 0
     assert not untouched & set(watcher.done)
     assert touched in watcher.done or not touched
-    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), change)
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), change, until="deliver")
     assert surveys.results(result.output) == surveys.results(clean.output), "nothing stale is left"
 
 
 def test_a_touched_file_is_read_again_and_a_changed_one_changes_the_rest(small: Path) -> None:
-    surveys.run(small)
+    surveys.run(small, until="deliver")
     path = small.parent / "lines/line_1.laz"
     stat = path.stat()
     path.write_bytes(path.read_bytes())
-    import os  # noqa: PLC0415
-
     os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns + 10**9))
-    _, watcher = watched(small)
+    _, watcher = watched(small, until="deliver")
     assert watcher.done == {"index_file": 1}, "its content is the same"
     line = surveys.flightline(psid=1, seed=77)
     surveys.write_cloud(path, line)
-    result, watcher = watched(small)
+    result, watcher = watched(small, until="deliver")
     assert watcher.done["index_file"] == 1
     assert watcher.done["gather"] == 1, "the other line stays"
-    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"))
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), until="deliver")
     assert surveys.results(result.output) == surveys.results(clean.output)
 
 
 def test_what_is_missing_from_the_store_is_made_again(small: Path) -> None:
-    result = surveys.run(small)
+    result = surveys.run(small, until="deliver")
     before = surveys.results(result.output)
     store = result.output / "store"
     next((store / "noise").glob("*.parquet")).unlink()
     next((store / "receipts/gather").rglob("*.json")).write_text("{half")
     (result.output / "dtm.tif").unlink()
     (result.output / "laz/lines/.line_1.laz.99.tmp").write_bytes(b"half a file")
-    again, watcher = watched(small)
+    again, watcher = watched(small, until="deliver")
     assert again.exit_status == 0
     assert (watcher.done["gather"], watcher.done["denoise"]) == (1, 1)
     assert surveys.results(again.output) == before
@@ -277,14 +282,12 @@ def test_until_stops_after_a_stage_and_continues(
     assert stages[-1] == stage
     assert not (result.output / "laz").exists()
     done = set(watcher.done)
-    result, watcher = watched(small)
+    result, watcher = watched(small, until="deliver")
     assert not done & set(watcher.done)
     assert surveys.results(result.output) == surveys.results(small_output)
 
 
 def test_no_two_runs_in_one_output(small: Path) -> None:
-    from spl_batch.api.pipeline import _locked  # noqa: PLC0415
-
     with _locked(small.parent / "out"):
         ended = surveys.command("run", small, "--workers", 0)
     assert ended.status == 2
@@ -353,9 +356,7 @@ def test_task_order_does_not_matter(
 
     monkeypatch.setattr(graph.InProcess, "run", shuffled)
     workflow = surveys.copy_of(tiny_survey, tmp_path)
-    result = surveys.run(
-        workflow, "outputs.diagnostics=true", "tiling.tile_m=60", until="deliver"
-    )
+    result = surveys.run(workflow, "outputs.diagnostics=true", "tiling.tile_m=60", until="deliver")
     same_as(result.output, tiny_output)
 
 
@@ -429,16 +430,18 @@ def test_an_area_of_interest_is_honoured(
     outside_points = 0
     for name, got in surveys.delivered(result.output).items():
         las = laspy.read(result.output / "laz" / name)
-        inside = (las.x >= west) & (las.x < east) & (las.y >= south) & (las.y < north)
+        x, y = np.asarray(las.x), np.asarray(las.y)
+        # Points on the very edge belong to whoever draws it.
+        inside = (x > west) & (x < east) & (y > south) & (y < north)
+        outside = (x < west) | (x > east) | (y < south) | (y > north)
+        assert np.count_nonzero(inside) > 5000
         full = surveys.delivered(tiny_output)[name]
         for label in ("noise_class", "p_value", "noise_density"):
             same = got[label][inside].tobytes() == full[label][inside].tobytes()
             assert same, f"{label}: points outside are still neighbours"
-        assert np.all(got["noise_class"][~inside] == 255)
-        assert np.array_equal(
-            got["classification"][~inside], got["input_classification"][~inside]
-        )
-        outside_points += int(np.count_nonzero(~inside))
+        assert np.all(got["noise_class"][outside] == 255)
+        assert np.array_equal(got["classification"][outside], got["input_classification"][outside])
+        outside_points += int(np.count_nonzero(got["noise_class"] == 255))
     assert result.report is not None
     assert result.report.counts.outside_aoi == outside_points
     assert result.report.counts.points_out == result.report.counts.points_in
@@ -500,7 +503,7 @@ def test_a_failing_task_is_isolated_and_tried_again(
     function: str,
     kind: str,
 ) -> None:
-    settings = ("tiling.tile_m=8", "tiling.block_tiles=1", "ground.cell_m=8", "ground.buffer_m=60")
+    settings = ("tiling.tile_m=10", "tiling.block_tiles=1", "ground.cell_m=10")
     with monkeypatch.context() as patch:
         patch.setattr(module, function, raising(getattr(module, function), 2))
         result, watcher = watched(small, *settings)
@@ -522,13 +525,11 @@ def test_a_failing_task_is_isolated_and_tried_again(
     assert second.report is not None
     assert second.report.failures == ()
     assert second.report.counts.not_assessed == 0
-    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), *settings)
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), *settings, until="deliver")
     assert surveys.results(second.output) == surveys.results(clean.output)
 
 
 def test_a_failed_delivery_is_counted(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from spl_batch.runner import delivery  # noqa: PLC0415
-
     with monkeypatch.context() as patch:
         patch.setattr(delivery, "write_classified", raising(delivery.write_classified, 1))
         result = surveys.run(small)
@@ -543,10 +544,6 @@ def test_a_failed_delivery_is_counted(small: Path, monkeypatch: pytest.MonkeyPat
 def test_a_full_disk_stops_everything_and_can_be_continued(
     small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import errno  # noqa: PLC0415
-
-    from spl_batch.runner import time_domain  # noqa: PLC0415
-
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -555,7 +552,6 @@ def test_a_full_disk_stops_everything_and_can_be_continued(
         ended = surveys.command("run", small, "--workers", 0)
     assert ended.status == 3
     assert "disk full" in ended.text
-    assert time_domain is not None
     result = surveys.run(small)
     assert surveys.results(result.output) == surveys.results(small_output)
 
@@ -566,15 +562,7 @@ def receipts(output: Path) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("after", [1, 6, 14, 22])
-def test_a_killed_run_continues(
-    small: Path, small_output: Path, after: int
-) -> None:
-    import os  # noqa: PLC0415
-    import signal  # noqa: PLC0415
-    import subprocess  # noqa: PLC0415, S404 - kills what it starts
-    import sys  # noqa: PLC0415
-    import time  # noqa: PLC0415
-
+def test_a_killed_run_continues(small: Path, small_output: Path, after: int) -> None:
     output = small.parent / "out"
     command = [sys.executable, "-m", "spl_batch", "run", str(small), "--workers", "1"]
     process = subprocess.Popen(  # noqa: S603
@@ -588,11 +576,10 @@ def test_a_killed_run_continues(
         time.sleep(0.002)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    left = receipts(output)
-    assert left >= after
+    assert receipts(output) >= after
     result, watcher = watched(small)
     assert result.exit_status == 0
     assert watcher.skipped >= after, "what was finished is not done again"
     assert surveys.results(result.output) == surveys.results(small_output)
-    assert not list(result.output.rglob("*.tmp")) or left >= 0
-    assert math.isfinite(json.loads((output / "report.json").read_text())["counts"]["points_out"])
+    counts = json.loads((output / "report.json").read_text())["counts"]
+    assert counts["points_in"] == counts["points_out"]

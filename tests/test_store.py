@@ -121,7 +121,12 @@ def test_a_file_in_place_of_a_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_checksums_see_names_and_bytes(tmp_path: Path) -> None:
-    for folder, name, content in (("a", "x", "1"), ("b", "x", "1"), ("c", "y", "1"), ("d", "x", "2")):
+    for folder, name, content in (
+        ("a", "x", "1"),
+        ("b", "x", "1"),
+        ("c", "y", "1"),
+        ("d", "x", "2"),
+    ):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / name).write_text(content)
     sums = [checksum(tmp_path / folder) for folder in "abcd"]
@@ -145,10 +150,10 @@ def test_voxel_parts_add_up_in_any_order(tmp_path: Path) -> None:
     for order in ((0, 1), (1, 0)):
         box = np.zeros((12, 30, 3), np.int64)
         for k in order:
-            add_voxels(tmp_path / f"{k}.zarr", (-3, 1, 1), box)
+            add_voxels(tmp_path / f"{k}.zarr", (-3, 1, 1), {"amount": box})
         assert np.array_equal(box, whole[7:19, 11:41, 11:14])
     far = np.zeros((2, 2, 2), np.int64)
-    add_voxels(tmp_path / "0.zarr", (100, 0, 0), far)
+    add_voxels(tmp_path / "0.zarr", (100, 0, 0), {"amount": far})
     assert not far.any()
 
 
@@ -157,12 +162,12 @@ def test_the_same_part_gives_the_same_bytes(tmp_path: Path) -> None:
         write_voxels(tmp_path / name, part((0, 0, 0), (40, 3, 2), 5))
     assert checksum(tmp_path / "a") == checksum(tmp_path / "b")
     write_voxels(tmp_path / "empty", part((0, 0, 0), (0, 0, 0), 5))
-    add_voxels(tmp_path / "empty", (0, 0, 0), np.zeros((2, 2, 2), np.int64))
+    add_voxels(tmp_path / "empty", (0, 0, 0), {"amount": np.zeros((2, 2, 2), np.int64)})
 
 
 def test_missing_voxels_are_named(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"none\.zarr"):
-        add_voxels(tmp_path / "none.zarr", (0, 0, 0), np.zeros((1, 1, 1), np.int64))
+        add_voxels(tmp_path / "none.zarr", (0, 0, 0), {"amount": np.zeros((1, 1, 1), np.int64)})
 
 
 def test_the_log_has_one_line_for_each_event(tmp_path: Path) -> None:

@@ -52,9 +52,7 @@ def merged(**sections: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("key", "info", "model"), ALL_FIELDS, ids=[f[0] for f in ALL_FIELDS])
-def test_every_key_is_explained_with_its_unit(
-    key: str, info: Any, model: type[BaseModel]
-) -> None:
+def test_every_key_is_explained_with_its_unit(key: str, info: Any, model: type[BaseModel]) -> None:
     parts = (info.annotation, *getattr(info.annotation, "__args__", ()))
     section = [p for p in parts if isinstance(p, type) and issubclass(p, BaseModel)]
     text = info.description or " ".join(p.__doc__ or "" for p in section)
@@ -106,7 +104,14 @@ def test_every_fault_in_one_line() -> None:
         "grund": {},
     }
     message = complaint(content)
-    for part in ("survey.gap_s", "tiling.tile_m", "filter.method", "filter.alpha", "grund", "output"):
+    for part in (
+        "survey.gap_s",
+        "tiling.tile_m",
+        "filter.method",
+        "filter.alpha",
+        "grund",
+        "output",
+    ):
         assert part in message, part
     for value in ("-1", "'wide'", "'magic'"):
         assert value in message, value

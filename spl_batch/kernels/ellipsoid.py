@@ -8,14 +8,15 @@ a, b, c      ``axes``: semi-axes r e_i / cbrt(e_1 e_2 e_3) [m]
 r            ``radius``: radius of the sphere of equal volume [m]
 P            ``vectors``: eigenvectors, as rows
 flag         ``_flag``: below 1 inside
-k            ``count``: points inside, the query point excluded
+k            ``count``: peers inside, the query point excluded
 rho v        ``expected``: noise density times volume
 ============ ================================================================
 
 Deviations: eigenvalues are floored (coincident and collinear neighbours have none);
 the long axis is capped, and the volume that is tested is that of the capped ellipsoid,
 the one that is counted in; with fewer than four neighbours within reach there is no
-shape to speak of, and the sphere is used.
+shape to speak of, and the sphere is used; where spacings are given, only peers count
+(:mod:`spl_batch.kernels.spacing`).
 
 Counting stops at the critical count. Most points never walk the tree: the critical
 count is reached among the neighbours that shaped the ellipsoid, or the ellipsoid
@@ -79,6 +80,8 @@ def count_inside(
     shape: Shape,
     *,
     alpha: float,
+    spacing: NDArray[np.float64] | None = None,
+    peer_ratio: float = 1.0,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
     """Count neighbours inside adaptive ellipsoids, up to the critical count.
 
@@ -96,6 +99,12 @@ def count_inside(
         How neighbours become an ellipsoid.
     alpha : float
         Counting stops at the smallest k with P(K >= k | lambda) <= alpha.
+    spacing : (n,) float64, optional
+        Squared spacing at each point [quanta2], from
+        :func:`spl_batch.kernels.spacing.spacings`; without it every neighbour is a peer.
+    peer_ratio : float
+        Only peers are counted: neighbours whose spacing is at least that of the point
+        divided by this; >= 1.
 
     Returns
     -------
@@ -111,8 +120,11 @@ def count_inside(
     count = np.zeros(len(xyz), dtype=np.int32)
     expected = np.zeros(len(xyz), dtype=np.float64)
     tail = np.ones(len(xyz), dtype=np.float64)
+    if spacing is None:
+        spacing = np.zeros(len(xyz), dtype=np.float64)
     if len(xyz):
-        _count_all(xyz, *tree, query, density, shape, alpha, count, expected, tail)
+        ratio2 = peer_ratio * peer_ratio
+        _count_all(xyz, *tree, query, density, shape, alpha, spacing, ratio2, count, expected, tail)
     return count, expected, tail
 
 
@@ -212,8 +224,8 @@ def _misses(boxes, node, x, y, z, vectors, axes, half):  # type: ignore[no-untyp
 
 
 @njit(nogil=True, cache=True)
-def _walk(points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack):  # type: ignore[no-untyped-def]
-    """Points inside the ellipsoid around a slot, up to ``stop``, from its leaf upwards."""
+def _walk(points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack, wide, least):  # type: ignore[no-untyped-def]
+    """Peers inside the ellipsoid around a slot, up to ``stop``, from its leaf upwards."""
     n = np.uint64(points.shape[1])
     first = U1 << depth
     x = np.float64(points[U0, slot])
@@ -239,7 +251,7 @@ def _walk(points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, 
                 dx = np.float64(points[U0, i]) - x
                 dy = np.float64(points[U1, i]) - y
                 dz = np.float64(points[U2, i]) - z
-                count += _flag(quadric, dx, dy, dz) < 1.0
+                count += (_flag(quadric, dx, dy, dz) < 1.0) & (wide[i] >= least)
             if count >= stop:
                 return stop
         if climb <= U1:
@@ -279,7 +291,9 @@ def _fit(xyz, row, keys, found, near, shape, moments, values, vectors, scratch, 
 
 
 @njit(nogil=True, cache=True)
-def _count_all(xyz, points, boxes, depth, query, density, shape, alpha, count, expected, tail):  # type: ignore[no-untyped-def]
+def _count_all(
+    xyz, points, boxes, depth, query, density, shape, alpha, spacing, ratio2, count, expected, tail
+):  # type: ignore[no-untyped-def]
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
     keys = np.empty(shape.neighbours, dtype=np.int64)
@@ -290,6 +304,9 @@ def _count_all(xyz, points, boxes, depth, query, density, shape, alpha, count, e
     values, axes, half = np.empty(3), np.empty(3), np.empty(3)
     vectors, scratch = np.empty((3, 3)), np.empty((2, 3))
     cap = shape.neighbour_cap
+    wide = np.empty(len(xyz), dtype=np.float64)
+    for i in range(n):
+        wide[i] = spacing[points[U3, i]] * ratio2
     known, stop, least = -1.0, 0, 1.0
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
@@ -311,14 +328,16 @@ def _count_all(xyz, points, boxes, depth, query, density, shape, alpha, count, e
             _quadric(vectors, axes, quadric)
             inside = 0
             for i in range(found):
-                inside += _flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0
+                peer = spacing[keys[i] & ROW_MASK] * ratio2 >= spacing[row]
+                inside += (_flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0) & peer
             reach = float(cap)
             if found == shape.neighbours:
                 reach = math.sqrt(np.float64(keys[found - 1] >> 32))
             if inside < stop and axes[0] > reach:
                 _reach(vectors, axes, half)
                 inside = _walk(
-                    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack
-                )
+                    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
+                    wide, spacing[row],
+                )  # fmt: skip
             count[row] = min(inside, stop)
             tail[row] = least if inside >= stop else poisson_tail(inside, mean)

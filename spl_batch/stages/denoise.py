@@ -5,15 +5,18 @@ noise explains. Domain: space. Columns needed: x, y, z, flags, and afterpulse wh
 the time domain ran; columns added: noise_class, p_value.
 
 Two tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 15-26 %
-of pure noise. ``tail`` deviates in three points:
+of pure noise. ``tail`` deviates in five points:
 
 - it uses P(K >= k), the probability of a count at least as large as the one found;
 - alpha is divided by ``selection``, because an ellipsoid is fitted to the very points
   that it counts. With 20 the share of pure noise kept stays below alpha = 0.001 from
   0.02 to 1 noise points per m3 (``benchmarks/denoise.py``; without it 0.04-0.62 %);
+- only peers are counted: neighbours whose own spacing is at least the point's divided by
+  ``peer_ratio`` (:mod:`~spl_batch.kernels.spacing`). Noise a few metres from a surface
+  lives on the surface's returns otherwise;
 - hysteresis: a point that passes at ``weak_alpha`` only lives if at least ``link_count``
-  points that pass by themselves lie within ``link_m``. Links are not chained, so the
-  reach is that of the ellipsoid plus one link;
+  peers that pass by themselves lie within ``link_m``. Links are not chained, so the
+  reach is that of the ellipsoid and the spacing in it, plus one link;
 - returns that depend on another one are no neighbours and share its label
   (:mod:`~spl_batch.stages.followers`).
 
@@ -37,8 +40,9 @@ from spl_batch.constants import (
     QUANTA_PER_M,
 )
 from spl_batch.kernels.ellipsoid import Shape, count_inside
-from spl_batch.kernels.kdtree import build, enough_within
+from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.poisson import noise_tail_probability
+from spl_batch.kernels.spacing import enough_peers, spacings
 from spl_batch.model import EXCLUDED, UNFILTERED, PointFlag, PointTable
 from spl_batch.stages.followers import LAG_M, dependents, follow
 from spl_batch.tiling import quanta
@@ -68,9 +72,9 @@ def reach_m(settings: FilterSettings) -> float:
     """Halo that the filter needs [m]."""
     if settings.method == "none":
         return 0.0
-    reach = max(settings.neighbour_cap_m, settings.axis_cap_m)
     if settings.test == "published":
-        return reach
+        return max(settings.neighbour_cap_m, settings.axis_cap_m)
+    reach = max(settings.neighbour_cap_m, settings.axis_cap_m + settings.spacing_cap_m)
     return reach + LAG_M + (settings.link_m if settings.link_count > 0 else 0.0)
 
 
@@ -188,19 +192,46 @@ def _assess(
     linked = settings.link_count > 0 and not published
     assessed = _around(xyz, asked, quanta(settings.link_m)) if linked else asked
     stop = min(alpha, EXACT_TO) if exact else alpha
+    tree = build(xyz)
+    spacing = np.zeros(len(xyz))
+    if not published:
+        spacing = spacings(tree, settings.spacing_neighbours, quanta(settings.spacing_cap_m))
     count, expected, tail = count_inside(
-        xyz, build(xyz), assessed, density / QUANTA_PER_M**3, shape, alpha=stop
+        xyz,
+        tree,
+        assessed,
+        density / QUANTA_PER_M**3,
+        shape,
+        alpha=stop,
+        spacing=spacing,
+        peer_ratio=settings.peer_ratio,
     )
     if published:
         return (noise_tail_probability(count + 1, expected) <= alpha)[asked], tail[asked]
     signal = tail <= alpha
     if linked:
-        strong = build(xyz[assessed & signal])
         weak = np.flatnonzero(asked & ~signal & (tail <= settings.weak_alpha))
-        signal[weak] = enough_within(
-            strong, xyz[weak], quanta(settings.link_m), settings.link_count
-        )
+        signal[weak] = _linked(xyz, spacing, assessed & signal, weak, settings)
     return signal[asked], tail[asked]
+
+
+def _linked(
+    xyz: NDArray[np.int32],
+    spacing: NDArray[np.float64],
+    strong: NDArray[np.bool_],
+    weak: NDArray[np.intp],
+    settings: FilterSettings,
+) -> NDArray[np.bool_]:
+    """Weak points with enough strong peers around them."""
+    return enough_peers(
+        build(xyz[strong]),
+        spacing[strong],
+        xyz[weak],
+        spacing[weak],
+        quanta(settings.link_m),
+        settings.link_count,
+        settings.peer_ratio,
+    )
 
 
 def _around(xyz: NDArray[np.int32], asked: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:

@@ -51,8 +51,9 @@ from spl_batch.kernels.raster import (
     robust_cell_means,
     sort_into_cells,
 )
-from spl_batch.kernels.tops import CellPoints, Support, supported_tops
+from spl_batch.kernels.tops import Support, confirmed_tops
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.stages.followers import dependents
 from spl_batch.tiling import Bounds, grow, inside, quanta
 from spl_batch.workflow import ProductSettings
 
@@ -69,7 +70,7 @@ COLUMNS_NEEDED: Final = (
     "return_number",
     "flags",
 )
-"""Columns that :func:`surfaces` reads."""
+"""Columns that :func:`surfaces` reads, and ``afterpulse`` where the time domain ran."""
 
 BYTES_PER_POINT: Final = 100
 """Peak of the working arrays per point of the table, the table itself not counted [bytes]."""
@@ -193,7 +194,8 @@ def _signal(
     usable = (noise_class == NOISE_SIGNAL) | (noise_class == NOISE_NOT_ASSESSED)
     usable &= ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
     usable &= inside(table["x"], table["y"], near)
-    signal = table.select(COLUMNS_NEEDED).take(usable)
+    known = (*COLUMNS_NEEDED, *(("afterpulse",) if "afterpulse" in table else ()))
+    signal = table.select(known).take(usable)
     level = (signal["noise_class"] == NOISE_NOT_ASSESSED).astype(np.uint8)
     rows, cols = _shape(near, size)
     number = _cell_number(signal, near, size)
@@ -220,8 +222,8 @@ def _scales_m(settings: ProductSettings) -> tuple[float, ...]:
 
 
 def _support_cells(settings: ProductSettings) -> int:
-    """Cells around a return that decide on it: its sphere, and the smaller ones of those in it."""
-    return sum(_cells(radius_m, settings) for radius_m in _scales_m(settings))
+    """Cells around a return that decide on it: its largest sphere, and the spacing of those in it."""
+    return _cells(2.0 * settings.dsm_support_m, settings)
 
 
 def _top_margin(settings: ProductSettings) -> int:
@@ -263,7 +265,8 @@ def _support(noise_density: float, settings: ProductSettings) -> Support:
     return Support(
         radius=np.array([quanta(radius_m) for radius_m in radii_m]),
         needed=np.array([_critical(count, settings) for count in expected]),
-        cells=np.array([_cells(radius_m, settings) for radius_m in radii_m]),
+        neighbours=settings.dsm_spacing_neighbours,
+        peer_ratio=settings.dsm_peer_ratio,
     )
 
 
@@ -278,18 +281,15 @@ def _top_surface(
     size = quanta(settings.cell_m)
     near = grow(cell, _top_margin(settings) * size)
     rows, cols = _shape(near, size)
-    order, start = sort_into_cells(_cell_number(signal, near, size), signal["z"], rows * cols)
-    points = CellPoints(
-        *_local(signal, order, near),
-        level=level[order],
-        ground=signal["ground"][order] == 1,
-        start=start,
-        rows=rows,
-        cols=cols,
-        size=size,
-    )
-    tops = np.empty((rows, cols))
-    supported_tops(points, support, tops)
+    # An afterpulse of noise must neither stand out nor confirm the noise in front of it.
+    own = ~dependents(signal) | (signal["ground"] == 1)
+    tops = _tops(signal.take(own & (level == 0)), near, size, support)
+    if (level > 0).any():
+        # A cell holds one level only; the better returns may confirm the others.
+        number = _cell_number(signal, near, size)[level > 0]
+        lesser = np.bincount(number, minlength=rows * cols) > 0
+        tops[lesser] = _tops(signal.take(own), near, size, support)[lesser]
+    tops = tops.reshape(rows, cols)
     # The outermost cells lack neighbours that could confirm them: they must lend nothing.
     edge = _support_cells(settings)
     tops = tops[edge : rows - edge, edge : cols - edge]
@@ -297,6 +297,16 @@ def _top_surface(
     fill_voids(tops, ring_offsets(settings.dsm_void_max_m / settings.cell_m), filled)
     void = _void_cells(settings)
     return filled[void : filled.shape[0] - void, void : filled.shape[1] - void]
+
+
+def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDArray[np.float64]:
+    """Highest confirmed return of each raster cell, row by row [quanta]; NaN without any."""
+    rows, cols = _shape(near, size)
+    order, start = sort_into_cells(_cell_number(signal, near, size), signal["z"], rows * cols)
+    xyz = np.stack(_local(signal, order, near), axis=1)
+    tops = np.empty(rows * cols)
+    confirmed_tops(xyz, signal["ground"][order] == 1, start, support, tops)
+    return tops
 
 
 def _counts(

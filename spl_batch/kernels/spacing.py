@@ -1,0 +1,184 @@
+r"""Spacing of the returns around a point, and neighbours that belong to as thin a structure.
+
+Noise just above a surface has that surface for its neighbourhood: an ellipsoid fitted to
+the neighbours reaches down and counts the surface. What gives it away is the spacing: the
+surface's returns lie close together, the noise lies far from all of them. A neighbour is
+a *peer* of a point when its own spacing is not much smaller than the point's,
+
+.. math:: s_q \ge s_p / c,
+
+and only peers speak for a point. In pure noise nearly all neighbours are peers, so the
+Poisson law of the counts [W18 Eq. 6-8] stays an upper bound.
+
+====== ==================================================================
+symbol name
+====== ==================================================================
+s      ``spacing``: distance to the n-th neighbour, capped [quanta, squared]
+c      ``peer_ratio``
+====== ==================================================================
+
+Deviation: the sources count every neighbour.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spl_batch.kernels.kdtree import (
+    CAP_MAX,
+    LEAF,
+    U0,
+    U1,
+    U3,
+    KdTree,
+    box_distance,
+    leaf_slots,
+    nearest_keys,
+)
+
+
+def spacings(tree: KdTree, neighbours: int, cap: int) -> NDArray[np.float64]:
+    """Squared distance of every point to its n-th neighbour.
+
+    Parameters
+    ----------
+    tree : KdTree
+        The points.
+    neighbours : int
+        Which neighbour [count], >= 1.
+    cap : int
+        Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
+
+    Returns
+    -------
+    (n,) float64
+        By row, at most ``cap`` squared [quanta2]; whole numbers.
+    """
+    if not 0 < cap <= CAP_MAX:
+        raise ValueError(f"spacing cap {cap} quanta: must lie in 1..{CAP_MAX}")
+    out = np.empty(tree.points.shape[1], dtype=np.float64)
+    if len(out):
+        _spacings(tree.points, tree.boxes, tree.depth, neighbours, cap, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _spacings(points, boxes, depth, neighbours, cap, out):  # type: ignore[no-untyped-def]
+    """Every point in tree order, so that the cache stays warm."""
+    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    keys = np.empty(neighbours, dtype=np.int64)
+    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
+    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    for leaf in range(U1 << depth, U1 << (depth + U1)):
+        low, high = leaf_slots(leaf, depth, n)
+        for slot in range(low, high):
+            found = nearest_keys(
+                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
+            )
+            squared = np.float64(cap) * np.float64(cap)
+            if found == neighbours:
+                squared = np.float64(keys[found - 1] >> 32)
+            out[points[U3, slot]] = squared
+
+
+def enough_peers(
+    tree: KdTree,
+    spacing: NDArray[np.float64],
+    places: NDArray[np.int32],
+    own: NDArray[np.float64],
+    radius: int,
+    wanted: int,
+    peer_ratio: float,
+) -> NDArray[np.bool_]:
+    """Which places have enough peers of theirs around them.
+
+    Parameters
+    ----------
+    tree : KdTree
+        Points to count.
+    spacing : (n,) float64
+        Their squared spacings, by row [quanta2].
+    places : (m, 3) int32
+        Coordinates relative to the tree's anchor [quanta].
+    own : (m,) float64
+        Squared spacings of the places [quanta2].
+    radius : int
+        Farthest point that counts, inclusive [quanta].
+    wanted : int
+        Points needed [count], >= 1.
+    peer_ratio : float
+        A peer's spacing is at least the place's divided by this.
+
+    Returns
+    -------
+    (m,) bool
+    """
+    out = np.zeros(len(places), dtype=np.bool_)
+    if tree.points.size:
+        wide = spacing[tree.points[3]] * (peer_ratio * peer_ratio)
+        _enough_all(tree.points, tree.boxes, tree.depth, wide, places, own, radius, wanted, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def peers_within(points, boxes, depth, wide, x, y, z, own, limit, wanted, stack):  # type: ignore[no-untyped-def]
+    """Peers within a distance of a place, nearer branch first; stops at ``wanted``.
+
+    Parameters
+    ----------
+    points, boxes, depth
+        The tree; the depth as uint64.
+    wide : (n,) float64
+        Squared spacing by slot, times the squared ratio [quanta2].
+    x, y, z : float
+        The place.
+    own : float
+        Its squared spacing [quanta2].
+    limit : float
+        Squared distance, inclusive [quanta2].
+    wanted : int
+        Count at which to stop.
+    stack : (64,) uint64
+        Scratch.
+
+    Returns
+    -------
+    int
+        Peers, a point at the place itself included; at most one leaf more than ``wanted``.
+    """
+    n = np.uint64(points.shape[1])
+    first = U1 << depth
+    count = 0
+    stack[0] = U1
+    top = U1
+    while top > U0 and count < wanted:
+        top -= U1
+        node = stack[top]
+        if box_distance(boxes, node, x, y, z) > limit:
+            continue
+        if node >= first:
+            low, high = leaf_slots(node, depth, n)
+            for slot in range(low, high):
+                dx, dy, dz = points[U0, slot] - x, points[1, slot] - y, points[2, slot] - z
+                near = dx * dx + dy * dy + dz * dz <= limit
+                count += near & (wide[slot] >= own)
+            continue
+        near_node, far = node + node, node + node + U1
+        if box_distance(boxes, far, x, y, z) < box_distance(boxes, near_node, x, y, z):
+            near_node, far = far, near_node
+        stack[top] = far
+        stack[top + U1] = near_node
+        top += U1 + U1
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _enough_all(points, boxes, depth, wide, places, own, radius, wanted, out):  # type: ignore[no-untyped-def]
+    limit = np.float64(radius) * np.float64(radius)
+    stack = np.empty(64, dtype=np.uint64)
+    depth = np.uint64(depth)
+    for i in range(len(places)):
+        x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
+        out[i] = wanted <= peers_within(
+            points, boxes, depth, wide, x, y, z, own[i], limit, wanted, stack
+        )
