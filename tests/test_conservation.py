@@ -1,5 +1,6 @@
 """Every point in is a point out, whatever the files look like."""
 
+import itertools
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,7 @@ def test_cut_shuffled_lifted_and_negative(
     clouds = {
         # Names are not in the order of the pieces.
         f"{'cab'[k % 3]}{k}": surveys.take(line, slice(a, b))
-        for k, (a, b) in enumerate(zip(edges, edges[1:], strict=False))
+        for k, (a, b) in enumerate(itertools.pairwise(edges))
     }
     _, found = run_clouds(clouds)
     assert unassessed(found) == 0

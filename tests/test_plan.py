@@ -1,5 +1,6 @@
 """From headers and receipts to tasks: flightlines, blocks, mosaics, sizes."""
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -137,7 +138,7 @@ def test_spans_join_in_any_order(spans: list[tuple[int, int]], random: Any) -> N
     random.shuffle(listed)
     assert merge_spans(listed, 5.0) == joined
     assert sum(s[2] for s in joined) == len(spans)
-    assert all(b[0] - a[1] > 5.0 for a, b in zip(joined, joined[1:], strict=False))
+    assert all(b[0] - a[1] > 5.0 for a, b in itertools.pairwise(joined))
 
 
 COUNTS = {CellId(i, j): 10 + i for i in range(-2, 3) for j in range(4)}

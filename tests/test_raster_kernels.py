@@ -81,6 +81,7 @@ def slow_tops(xyz, ground, start, by):
     d = np.linalg.norm(xyz[:, None].astype(float) - xyz[None], axis=2)
     spacing = np.minimum(np.sort(d, axis=1)[:, by.neighbours], by.radius.max())
     peer = (spacing[None] * by.peer_ratio >= spacing[:, None]) & ~np.eye(n, dtype=bool)
+    peer &= ~ground[None]
     accepted = ground.copy()
     for radius, count in zip(by.radius, by.needed, strict=True):
         accepted |= ((d <= radius) & peer).sum(axis=1) >= count

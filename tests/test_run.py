@@ -322,7 +322,7 @@ def test_tiles_and_blocks_do_not_matter(
 
 def test_memory_does_not_matter(tiny_survey: Path, tiny_output: Path, tmp_path: Path) -> None:
     workflow = surveys.copy_of(tiny_survey, tmp_path)
-    result = surveys.run(workflow, "outputs.diagnostics=true", until="deliver", memory="300MiB")
+    result = surveys.run(workflow, "outputs.diagnostics=true", until="deliver", memory="800MiB")
     same_as(result.output, tiny_output)
 
 
@@ -351,7 +351,7 @@ def test_task_order_does_not_matter(
 
     def shuffled(self: Any, jobs: Any, context: Any, on_receipt: Any) -> None:
         mixed = list(jobs)
-        random.Random(3).shuffle(mixed)
+        random.Random(3).shuffle(mixed)  # noqa: S311 - an order, no secret
         in_order(self, mixed, context, on_receipt)
 
     monkeypatch.setattr(graph.InProcess, "run", shuffled)
@@ -468,6 +468,14 @@ def test_points_by_tile_are_all_points_once(small: Path, small_output: Path) -> 
     assert rows(parts) == rows(list(surveys.delivered(small_output).values()))
 
 
+def test_too_little_memory_is_refused_before_any_work(tiny_survey: Path, tmp_path: Path) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    ended = surveys.command("run", workflow, "--workers", 0, "--memory", "300MiB")
+    assert ended.status == 2
+    assert "--memory 300 MiB; raise it or lower" in ended.err
+    assert not (tmp_path / "out/store/receipts").exists()
+
+
 # Failures
 
 
@@ -497,7 +505,6 @@ BREAKS = [
 @pytest.mark.parametrize(("module", "function", "kind"), BREAKS, ids=[b[2] for b in BREAKS])
 def test_a_failing_task_is_isolated_and_tried_again(
     small: Path,
-    small_output: Path,
     monkeypatch: pytest.MonkeyPatch,
     module: Any,
     function: str,

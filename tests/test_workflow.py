@@ -14,7 +14,20 @@ from spl_batch.workflow import Workflow, load_workflow, parse_workflow
 
 MINIMAL: dict[str, Any] = {"survey": {"flightlines": "*.laz"}, "output": "out"}
 
-UNITS = ("_m", "_s", "_hz", "_deg", "_nm", "_uj", "_urad", "_ns", "_shots", "_intervals", "_tiles")
+UNITS = (
+    "_m",
+    "_s",
+    "_hz",
+    "_deg",
+    "_nm",
+    "_uj",
+    "_urad",
+    "_ns",
+    "_shots",
+    "_intervals",
+    "_tiles",
+    "_ratio",
+)
 PURE_NUMBERS = {"alpha", "weak_alpha", "selection", "weight_min", "dsm_false_alarm", "neighbours"}
 PURE_NUMBERS |= {"quantum_efficiency", "receiver_efficiency", "hologram_efficiency"}
 PURE_NUMBERS |= {"afterpulse_probability"}

@@ -56,7 +56,8 @@ class View:
         """Show an event."""
         if isinstance(event, Note):
             style = {"warning": "yellow", "error": "red"}.get(event.level, "dim")
-            self._progress.console.print(Text(f"{event.level}: {event.text}", style=style))
+            line = Text(f"{event.level}: {event.text}", style=style)
+            self._progress.console.print(line, soft_wrap=True)
         elif isinstance(event, PhaseStarted):
             self._start(event)
         elif isinstance(event, TaskEnded):
@@ -77,7 +78,7 @@ class View:
         self._progress.update(bar, advance=1, points=points)
         if event.reason:
             text = f"failed: {event.kind} {event.name}: {event.reason}"
-            self._progress.console.print(Text(text, style="red"))
+            self._progress.console.print(Text(text, style="red"), soft_wrap=True)
 
 
 @contextmanager

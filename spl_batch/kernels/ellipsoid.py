@@ -291,9 +291,9 @@ def _fit(xyz, row, keys, found, near, shape, moments, values, vectors, scratch, 
 
 
 @njit(nogil=True, cache=True)
-def _count_all(
+def _count_all(  # type: ignore[no-untyped-def]
     xyz, points, boxes, depth, query, density, shape, alpha, spacing, ratio2, count, expected, tail
-):  # type: ignore[no-untyped-def]
+):
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
     keys = np.empty(shape.neighbours, dtype=np.int64)

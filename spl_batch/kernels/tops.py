@@ -7,7 +7,8 @@ is not much smaller. The top of a crown has the twigs around it; noise above a r
 only other noise. Spheres of several radii are tried: a roof is confirmed within half a
 metre, whatever its tilt, a thin crown within two.
 
-Ground returns need no confirmation.
+Ground returns need no confirmation and give none: noise just above sparse ground must not
+live on it.
 """
 
 from typing import NamedTuple
@@ -56,7 +57,7 @@ def confirmed_tops(
         Coordinates relative to any anchor [quanta], in the order of
         :func:`spl_batch.kernels.raster.sort_into_cells`: by cell, highest first.
     ground : (n,) bool
-        Returns that need no confirmation.
+        Returns that need no confirmation and give none.
     start : (cells + 1,) int64
         Where each cell begins.
     by : Support
@@ -69,7 +70,7 @@ def confirmed_tops(
         return
     tree = build(xyz)
     spacing = spacings(tree, by.neighbours, int(by.radius.max()))
-    wide = spacing[tree.points[3]] * by.peer_ratio**2
+    wide = np.where(ground, -1.0, spacing * by.peer_ratio**2)[tree.points[3]]
     _tops(
         tree.points, tree.boxes, tree.depth, wide, xyz, spacing, ground, start,
         by.radius.astype(np.float64) ** 2, by.needed, tops,

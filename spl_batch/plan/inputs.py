@@ -174,7 +174,7 @@ def _inspect(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
 def _survey_crs(
     workflow: Workflow, files: Sequence[LasFacts]
 ) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
-    """CRS of the survey: the setting, else what most files say; files that differ are bad."""
+    """CRS of the survey: the setting, else what most points say; files that differ are bad."""
     given = _parse_crs(workflow.survey.crs, "survey.crs")
     good: list[LasFacts] = []
     bad: list[InputError] = []
@@ -186,13 +186,16 @@ def _survey_crs(
         else:
             good.append(facts)
     if given is None:
-        votes = Counter(horizontal(f.crs).to_wkt() for f in good if f.crs is not None)
+        votes: Counter[str] = Counter()
+        for facts in good:
+            if facts.crs is not None and facts.n_points:
+                votes[horizontal(facts.crs).to_wkt()] += facts.n_points
         given = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
     if given is None:
         return None, good, bad
     agreeing: list[LasFacts] = []
     for facts in good:
-        if facts.crs is None or same_crs(facts.crs, given):
+        if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
             agreeing.append(facts)
         else:
             text = f"CRS {facts.crs.name!r} is not the survey's {given.name!r}; reproject the file"

@@ -9,8 +9,9 @@ of pure noise. ``tail`` deviates in five points:
 
 - it uses P(K >= k), the probability of a count at least as large as the one found;
 - alpha is divided by ``selection``, because an ellipsoid is fitted to the very points
-  that it counts. With 20 the share of pure noise kept stays below alpha = 0.001 from
-  0.02 to 1 noise points per m3 (``benchmarks/denoise.py``; without it 0.04-0.62 %);
+  that it counts. With 20 the share of pure noise kept is 0.00-0.12 % from 0.02 to 1 noise
+  points per m3 (``benchmarks/denoise.py``; one draw each, and what is kept comes in
+  clusters); without it 0.04-0.62 %;
 - only peers are counted: neighbours whose own spacing is at least the point's divided by
   ``peer_ratio`` (:mod:`~spl_batch.kernels.spacing`). Noise a few metres from a surface
   lives on the surface's returns otherwise;

@@ -9,7 +9,7 @@ DTM    TIN through one vertex per raster cell: the robust mean (x, y, z) of its
        ground returns, evaluated at cell centres. The spread of a single range
        (5 cm) stays in a TIN through single returns; averaging removes it, and
        averaging positions too keeps slopes unbiased.
-DSM    Highest return of the cell that is ground or that others confirm: more of
+DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
        ``dsm_support_m`` being tried in turn (:mod:`spl_batch.kernels.tops`).
        What noise puts there is measured by the returns that the filter refused;
@@ -222,7 +222,7 @@ def _scales_m(settings: ProductSettings) -> tuple[float, ...]:
 
 
 def _support_cells(settings: ProductSettings) -> int:
-    """Cells around a return that decide on it: its largest sphere, and the spacing of those in it."""
+    """Cells around a return that decide on it: its largest sphere, and the spacing in there."""
     return _cells(2.0 * settings.dsm_support_m, settings)
 
 
