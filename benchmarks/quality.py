@@ -109,7 +109,7 @@ def _terrain(folder: Path) -> dict[str, float]:
 
 
 def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
-    """Share of DSM cells above every true return within one cell."""
+    """Share of the scene's DSM cells that lie above every true return within one cell."""
     with rasterio.open(folder / "out" / "dsm.tif") as source:
         dsm, at = source.read(1).astype(np.float64), source.transform
     noise = np.isin(points["kind"], (KINDS.index("background"), KINDS.index("afterpulse")))
@@ -121,7 +121,12 @@ def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, f
     padded = np.pad(top, 1, constant_values=-np.inf)
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     near = windows.max(axis=(2, 3))
-    valid = (dsm > -9000) & np.isfinite(near)
+    with rasterio.open(folder / "truth" / "dtm.tif") as true:
+        r0, c0 = round((true.transform.f - at.f) / at.e), round((true.transform.c - at.c) / at.a)
+        rows, cols = true.shape
+    valid = np.zeros(dsm.shape, dtype=bool)
+    valid[max(r0, 0) : r0 + rows, max(c0, 0) : c0 + cols] = True
+    valid &= (dsm > -9000) & np.isfinite(near)
     spiked = valid & (dsm > near + SPIKE_M)
     return {"DSM cells set by noise per 10 000": 1e4 * float(spiked.sum() / valid.sum())}
 

@@ -106,7 +106,7 @@ class FilterSettings(Section):
     weak_alpha: Share = Field(
         0.05, description="Significance that suffices near strongly significant points."
     )
-    link_m: float = Field(4.0, ge=0, le=40, description="Strong points are sought within [m].")
+    link_m: float = Field(6.0, ge=0, le=40, description="Strong points are sought within [m].")
     link_count: int = Field(
         4, ge=0, description="Strong points that let a weak one live [count]; 0 is no linking."
     )

@@ -164,12 +164,21 @@ def test_method_none_keeps_all() -> None:
     [
         (np.zeros((0, 3)), 0.1, []),
         (np.zeros((1, 3)), 0.1, [1]),
-        (np.zeros((1, 3)), 0.0, [1]),
+        (np.zeros((1, 3)), 0.0, [0]),
         (np.zeros((2, 3)), 0.0, [0, 0]),
         (np.zeros((60, 3)), 0.1, [0] * 60),
-        (np.array([[0, 0, 0], [0, 0, 900], [0, 0, 50_000]]), 0.0, [0, 0, 1]),
+        (np.array([[0, 0, 0], [0, 0, 50_000]]), 6.8e-6, [0, 0]),
+        (np.array([[0, 0, 0], [0, 0, 50_000]]), 7.0e-6, [1, 1]),
     ],
-    ids=["none", "one", "one, no noise", "pair, no noise", "all in one place", "pair and a stray"],
+    ids=[
+        "none",
+        "one",
+        "one, no noise",
+        "pair, no noise",
+        "all in one place",
+        "hardly expected",
+        "expected",
+    ],
 )
 def test_odd_clouds(cloud: NDArray[Any], density: float, expected: list[int]) -> None:
     np.testing.assert_array_equal(labels(as_table(cloud), density), expected)

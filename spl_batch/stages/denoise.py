@@ -24,8 +24,10 @@ of pure noise. ``tail`` deviates in five points:
 Rules for the borders of the method: with fewer neighbours within the cap than the
 settings ask for, those there are shape the ellipsoid, and with fewer than four it is
 the sphere; with no noise expected a single neighbour inside makes a signal; under
-``tail`` a point with no neighbour inside is background. Coincident points are
-neighbours like any other.
+``tail`` a point with no neighbour inside is background, unless fewer than
+:data:`HARDLY_EXPECTED` noise points are expected within the neighbours' cap: clouds whose
+vendor has removed the noise, and linear-mode ones, keep their lone returns. Coincident
+points are neighbours like any other.
 """
 
 from typing import Final, TypedDict
@@ -57,6 +59,9 @@ AFTERPULSE_MIN: Final = 0.5
 
 EXACT_TO: Final = 1e-12
 """Tail down to which a diagnostic ``p_value`` is exact."""
+
+HARDLY_EXPECTED: Final = 0.05
+"""Noise within the neighbours' cap below which a lone return is a real one [points]."""
 
 PUBLISHED_ALPHA: Final = 0.05
 """[W18 2.2.3]: noise where the cumulative probability is below 95 %."""
@@ -130,6 +135,8 @@ def denoise(
         asked = (wanted & ~beamless)[active]
         signal, tail = _assess(_relative(table, active), density[active], asked, settings, exact)
         rows = active[asked]
+        if settings.test != "published":
+            signal |= _hardly_expected(density[rows], settings)
         noise_class[rows] = np.where(signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = tail
         noise_class[echo] = NOISE_AFTERPULSE
@@ -143,6 +150,13 @@ def denoise(
     noise_class[outside] = NOISE_NOT_ASSESSED
     p_value[outside] = np.nan
     return {"noise_class": noise_class[query], "p_value": p_value[query]}
+
+
+def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.bool_]:
+    """Places where noise is rarer than a lone echo: (n,) bool."""
+    ball_m3 = 4.0 / 3.0 * np.pi * settings.neighbour_cap_m**3
+    rare: NDArray[np.bool_] = density * ball_m3 < HARDLY_EXPECTED
+    return rare
 
 
 def _with_parents(
