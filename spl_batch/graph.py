@@ -161,7 +161,7 @@ def executor(
                     threads_per_worker=1,
                     processes=True,
                     memory_limit=memory_bytes,
-                    dashboard_address=None,
+                    dashboard_address=":0",
                     silence_logs=40,
                 )
             )

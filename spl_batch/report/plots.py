@@ -137,8 +137,8 @@ def draw_profile(profile: Profile) -> Figure:
             bottom.scatter(along[member], z[member], s=size, c=colour, alpha=alpha, linewidths=0)
         bottom.set_title("As classified")
         handles = [
-            Line2D([], [], linestyle="", marker="o", markersize=4, color=colour, label=name)
-            for name, member, colour, _ in sorted(layers)
+            Line2D([], [], ls="", marker="o", ms=4, color=colour, alpha=alpha, label=name, mew=0)
+            for name, member, colour, alpha in sorted(layers)
             if member.any()
         ]
         bottom.legend(
