@@ -47,12 +47,6 @@ class StoreError(SplBatchError):
     exit_status = 1
 
 
-class TaskError(SplBatchError):
-    """One task failed; the rest of the run goes on."""
-
-    exit_status = 1
-
-
 class StoppedError(SplBatchError):
     """Something that concerns everything: full disk, lost scheduler. Run again to continue."""
 

@@ -36,7 +36,6 @@ def test_without_trajectory_beams_are_vertical_and_ranges_order_heights() -> Non
     assert beams.known.all()
     assert beams.direction.tolist() == [[0, 0, -1], [0, 0, -1]]
     assert np.diff(beams.range_m) == pytest.approx(-2.0)
-    assert geometry.basis_of(None, None) == "vertical"
 
 
 def test_scan_angle_leans_to_starboard_of_the_heading() -> None:

@@ -5,6 +5,25 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
+class RunStarted:
+    """A run begins; what the log says before it belongs to earlier ones.
+
+    Parameters
+    ----------
+    workflow : str
+        Workflow file.
+    workers : int
+        Worker processes [count].
+    code : str
+        Version of the code.
+    """
+
+    workflow: str
+    workers: int
+    code: str
+
+
+@dataclass(frozen=True, slots=True)
 class PhaseStarted:
     """A phase knows its tasks.
 
@@ -67,7 +86,7 @@ class Note:
     text: str
 
 
-Event = PhaseStarted | TaskEnded | Note
+Event = RunStarted | PhaseStarted | TaskEnded | Note
 Listener = Callable[[Event], None]
 
 

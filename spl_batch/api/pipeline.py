@@ -9,10 +9,19 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from spl_batch.api.events import Event, Listener, Note, PhaseStarted, TaskEnded, ignore
+from spl_batch.api.events import (
+    Event,
+    Listener,
+    Note,
+    PhaseStarted,
+    RunStarted,
+    TaskEnded,
+    ignore,
+)
 from spl_batch.api.planning import fitting_cost
 from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
-from spl_batch.errors import WorkflowError
+from spl_batch.api.withdrawal import withdraw_stale
+from spl_batch.errors import StoreError, WorkflowError
 from spl_batch.graph import Executor, executor, jobs_left
 from spl_batch.io.rasters import create_raster_store
 from spl_batch.io.store import append_log
@@ -22,7 +31,7 @@ from spl_batch.plan.phases import PHASES, PRODUCTS, Phase
 from spl_batch.plan.survey import Survey, mosaic_parts, timeless_sources
 from spl_batch.report.model import Failure, Report
 from spl_batch.runner import KINDS, STAGES, finished, task_key
-from spl_batch.runner.summary import RunFacts, StageCost, summarise
+from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
 from spl_batch.tiling import quanta
 
 
@@ -134,6 +143,7 @@ def run(
         if fresh:
             _forget(output)
         progress = _Progress(output, listener)
+        progress.tell(RunStarted(str(workflow), workers, prepared.context.code))
         for warning in prepared.survey.inputs.warnings:
             progress.warn(warning)
         for bad in prepared.survey.inputs.bad:
@@ -144,16 +154,20 @@ def run(
             if dashboard:
                 progress.tell(Note("info", f"dask dashboard: {dashboard}"))
             _run_phases(prepared, pool, progress, until)
+        if until is None or STAGES.index(until) >= STAGES.index("deliver"):
+            for path in withdraw_stale(prepared.survey, output):
+                progress.tell(Note("info", f"taken away, as nothing in this run made it: {path}"))
         if until is not None and until != "report":
             failed = bool(progress.failures or prepared.survey.inputs.bad)
             return RunResult(int(failed), output, None)
         facts = RunFacts(
-            time.perf_counter() - start,
+            time.perf_counter() - start + _earlier_wall_s(output, progress),
             workers,
             progress.costs,
             tuple(_failures(prepared.survey, progress)),
             progress.notes,
             [str(p) for p in prepared.survey.inputs.reference],
+            _not_read(prepared.survey),
         )
         written = summarise(prepared.survey.done, prepared.context, facts)
     return RunResult(int(bool(written.failures)), output, written)
@@ -243,6 +257,22 @@ def _judge_index(survey: Survey, progress: _Progress) -> None:
         )
 
 
+def _earlier_wall_s(output: Path, progress: _Progress) -> float:
+    """Time that earlier runs took for what this one found finished [s]."""
+    if not any(cost.skipped for cost in progress.costs.values()):
+        return 0.0
+    try:
+        return float(recall(output)["wall_s"])
+    except StoreError:
+        return 0.0  # the earlier run was stopped before its report
+
+
+def _not_read(survey: Survey) -> int:
+    """Points that the headers of files promise which could not be read to their end."""
+    indexed = survey.of("index_file")
+    return sum(s.facts.n_points for s in survey.inputs.sources if str(s.key) not in indexed)
+
+
 def _failures(survey: Survey, progress: _Progress) -> Iterator[Failure]:
     """What did not make it, inputs first."""
     for bad in survey.inputs.bad:
@@ -314,5 +344,5 @@ def _forget(output: Path) -> None:
     for path in (output / "store").iterdir():
         if path.is_dir():
             shutil.rmtree(path)
-        elif path.name != "lock":
+        elif path.name not in {"lock", "delivered.json"}:
             path.unlink()

@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError
 from spl_batch.plan.inputs import gather_inputs
 from spl_batch.plan.survey import Survey
 from spl_batch.runner import code_version
 from spl_batch.runner.context import Context
+from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow, load_workflow
 
 DEFAULT_MEMORY = "4GiB"
@@ -81,10 +83,22 @@ def parse_bytes(text: str | int) -> int:
 
 
 def _check_cells(workflow: Workflow, path: Path) -> None:
-    """Raster cells must fill a ground cell, so that each unit writes whole raster cells."""
-    ground, pixel = workflow.ground.cell_m, workflow.products.cell_m
-    if abs(ground / pixel - round(ground / pixel)) > 1e-9:
-        raise WorkflowError(
-            f"{path}: ground.cell_m ({ground:g}) must be a whole multiple of "
-            f"products.cell_m ({pixel:g})"
+    """Edges are whole millimetres, and raster cells fill a ground cell."""
+    edges = {
+        "tiling.tile_m": workflow.tiling.tile_m,
+        "ground.cell_m": workflow.ground.cell_m,
+        "products.cell_m": workflow.products.cell_m,
+        "noise.voxel_m": workflow.noise.voxel_m,
+    }
+    faults = [
+        f"{key}: {edge:g} is not a whole number of millimetres"
+        for key, edge in edges.items()
+        if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
+    ]
+    if not faults and quanta(workflow.ground.cell_m) % quanta(workflow.products.cell_m):
+        faults.append(
+            f"ground.cell_m ({workflow.ground.cell_m:g}) must be a whole multiple of "
+            f"products.cell_m ({workflow.products.cell_m:g})"
         )
+    if faults:
+        raise WorkflowError(f"{path}: {'; '.join(faults)}")

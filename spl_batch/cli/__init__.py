@@ -1,5 +1,6 @@
 """The command line: parse, call the API, print, exit status."""
 
+import errno
 import sys
 from pathlib import Path
 from typing import Any
@@ -160,4 +161,9 @@ def main(arguments: list[str] | None = None) -> None:
     except SplBatchError as error:
         click.echo(f"spl-batch: {error}", err=True)
         sys.exit(error.exit_status if error.exit_status != 1 else 2)
+    except OSError as error:
+        full = error.errno in {errno.ENOSPC, errno.EDQUOT}
+        remedy = "free some space and run again" if full else "check the path and its rights"
+        click.echo(f"spl-batch: {error.filename}: {error.strerror}; {remedy}", err=True)
+        sys.exit(3 if full else 2)
     sys.exit(status if isinstance(status, int) else 0)

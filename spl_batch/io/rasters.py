@@ -275,6 +275,23 @@ def write_cell(path: str, cell: CellId, arrays: Mapping[str, NDArray[np.float32]
             raise StoppedError(f"{path}: cannot be written: {error.strerror}") from error
 
 
+def cell_files(path: Path, cell: CellId, names: Iterable[str]) -> list[Path]:
+    """Files of one ground cell's chunks; a chunk of nothing but nodata has none.
+
+    Parameters
+    ----------
+    path : Path
+        Store from :func:`create_raster_store`, a folder.
+    cell : CellId
+        Column and row of the ground cell.
+    names : iterable of str
+        Rasters.
+    """
+    row, col = HALF_CELLS - 1 - cell.j, HALF_CELLS + cell.i
+    files = [path / name / "c" / str(row) / str(col) for name in names]
+    return [file for file in files if file.exists()]
+
+
 def read_window(path: str, name: str, bounds: Bounds) -> NDArray[np.float32]:
     """Part of a stored raster.
 

@@ -25,8 +25,8 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BytesCodec, ZstdCodec
 
-from spl_batch.errors import StoreError
-from spl_batch.io.atomic import replacing, write_bytes
+from spl_batch.errors import StoppedError, StoreError
+from spl_batch.io.atomic import replacing, sync_folder, write_bytes
 from spl_batch.model import Receipt, VoxelPart
 
 VOXEL_CHUNK = 32
@@ -81,6 +81,14 @@ def write_receipt(store: Store, receipt: Receipt) -> None:
     """Leave a receipt; the last thing that a task does."""
     content = json.dumps(dataclasses.asdict(receipt), indent=1, sort_keys=True, allow_nan=False)
     write_bytes(store.receipt(receipt.kind, receipt.name), content.encode())
+
+
+def forget_receipt(store: Store, kind: str, name: str) -> None:
+    """Take a receipt away, so that nothing vouches for outputs about to be overwritten."""
+    path = store.receipt(kind, name)
+    if path.exists():
+        path.unlink()
+        sync_folder(path.parent)
 
 
 def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
@@ -161,6 +169,16 @@ def add_voxels(
 
 
 def append_log(output: Path, event: Mapping[str, Any]) -> None:
-    """Add one line to ``log.jsonl``."""
-    with (output / "log.jsonl").open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(event, allow_nan=False) + "\n")
+    """Add one line to ``log.jsonl``.
+
+    Raises
+    ------
+    StoppedError
+        If it cannot be written.
+    """
+    path = output / "log.jsonl"
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(event, allow_nan=False) + "\n")
+    except OSError as error:
+        raise StoppedError(f"{path}: cannot be written: {error.strerror}; run again") from error

@@ -61,6 +61,8 @@ class Inputs:
         The survey's CRS.
     warnings : tuple of str
         What a user should know before the work starts.
+    polygons : tuple of (str, int, int)
+        Key, size and time of writing of each polygon file.
     """
 
     sources: tuple[Source, ...]
@@ -69,6 +71,7 @@ class Inputs:
     reference: tuple[Path, ...]
     crs: CRS | None
     warnings: tuple[str, ...]
+    polygons: tuple[tuple[str, int, int], ...] = ()
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -126,7 +129,15 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         reference,
         crs,
         tuple(warnings),
+        tuple(_polygon_stamps(workflow, base)),
     )
+
+
+def _polygon_stamps(workflow: Workflow, base: Path) -> Iterable[tuple[str, int, int]]:
+    for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
+        if name is not None:
+            stat = (base / name).stat()
+            yield key, stat.st_size, stat.st_mtime_ns
 
 
 def source_key(name: str) -> int:

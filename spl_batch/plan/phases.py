@@ -132,10 +132,11 @@ def _scatter(survey: Survey) -> Iterator[Task]:
             receipt = survey.of("gather").get(name)
             if receipt and receipt.facts["points"]:
                 args = {**_line_args(survey, line), "stretch": name, "timeless": False}
+                args["polygons"] = list(survey.inputs.polygons)
                 needs = (("gather", name), ("fit_line", line.name))
                 yield Task("scatter", name, args, needs, receipt.points)
     for name, receipt in sorted(survey.of("gather_range").items()):
-        args = {"stretch": name, "timeless": True}
+        args = {"stretch": name, "timeless": True, "polygons": list(survey.inputs.polygons)}
         yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
 
 
@@ -163,6 +164,7 @@ def _denoise(survey: Survey) -> Iterator[Task]:
             "core": list(block.core),
             "tiles": [str(t) for t in block.tiles],
             "voxels": parts,
+            "beamlets": _beamlets(survey),
         }
         needs = (*_tile_needs(block), *(("scatter", p) for p in parts))
         yield Task("denoise", str(block.cell), args, needs, block.points)
@@ -188,6 +190,7 @@ def _surface(survey: Survey) -> Iterator[Task]:
             **_cell_args(cell),
             "noise": _named("noise", noise),
             "ground": _named("ground", ground),
+            "polygons": list(survey.inputs.polygons),
         }
         labels = (*_label_needs("denoise", noise), *_label_needs("ground", ground))
         yield Task("surface", str(cell.cell), args, (*_tile_needs(cell), *labels), cell.points)
@@ -267,15 +270,19 @@ def _stamp(source: Source) -> list[int]:
     return [stat.st_size, stat.st_mtime_ns]
 
 
+def _beamlets(survey: Survey) -> int:
+    """Beamlets of a shot; without a channel dimension a shot is one beamlet."""
+    return survey.workflow.sensor.beamlets if survey.workflow.survey.channel_dimension else 1
+
+
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
     heading = survey.of("heading").get(line.name)
-    beamlets = survey.workflow.sensor.beamlets if survey.workflow.survey.channel_dimension else 1
     return {
         "line": line.name,
         "psid": line.psid,
         "t0_s": line.clock.t0_s,
         "prf_hz": line.clock.prf_hz,
-        "beamlets": beamlets,
+        "beamlets": _beamlets(survey),
         "trajectory": bool(survey.of("trajectory")),
         "heading_rad": heading.facts["heading_rad"] if heading else None,
     }

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -19,7 +20,7 @@ from typing import Final
 from spl_batch import __version__
 from spl_batch.errors import SplBatchError, StoppedError
 from spl_batch.io.atomic import checksum
-from spl_batch.io.store import read_receipt, write_receipt
+from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
 from spl_batch.model import Receipt, Task
 from spl_batch.runner import delivery, index, space_domain, time_domain
 from spl_batch.runner.context import Context, TaskFunction
@@ -46,6 +47,9 @@ class Kind:
     settings: tuple[str, ...]
 
 
+LIBRARIES: Final = ("lazrs", "numba", "numpy", "pyproj", "scipy", "shapely", "zarr")
+"""Libraries whose versions can change a result."""
+
 _TIME: Final = ("noise", "afterpulse", "acquisition", "survey.sensor")
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
@@ -61,7 +65,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "build_tile": Kind("shuffle", time_domain.build_tile, ()),
         "denoise": Kind("denoise", space_domain.denoise, ("filter", "noise", "afterpulse.enabled")),
         "ground": Kind("ground", space_domain.ground, ("ground",)),
-        "surface": Kind("surfaces", space_domain.surface, ("ground.cell_m", "products")),
+        "surface": Kind("surfaces", space_domain.surface, ("ground.cell_m", "products", "aoi")),
         "deliver_file": Kind("deliver", delivery.deliver_file, ("outputs.diagnostics",)),
         "deliver_tile": Kind("deliver", delivery.deliver_tile, ("outputs.tiles",)),
         "mosaic": Kind("deliver", delivery.mosaic, ("ground.cell_m", "products.cell_m")),
@@ -71,13 +75,15 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
 
 @cache
 def code_version() -> str:
-    """Version of the project and hash of the modules that decide results."""
+    """Version of the project, hash of the modules and of the libraries that decide results."""
     root = Path(__file__).parent.parent
     digest = hashlib.blake2b(digest_size=8)
-    for folder in ("io", "kernels", "runner", "stages", "sensors"):
+    for folder in (".", "io", "kernels", "plan", "runner", "stages", "sensors"):
         for path in sorted((root / folder).glob("*")):
             if path.suffix in {".py", ".yaml"}:
                 digest.update(path.name.encode() + path.read_bytes())
+    for name in LIBRARIES:
+        digest.update(f"{name} {version(name)}".encode())
     return f"{__version__}+{digest.hexdigest()}"
 
 
@@ -133,6 +139,9 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
         If something concerns every task, such as a full disk.
     """
     start = time.perf_counter()
+    # From here on the outputs of an earlier receipt may be overwritten: it must not speak for
+    # them if this task is killed half-way.
+    forget_receipt(context.store, task.kind, task.name)
     try:
         produced = KINDS[task.kind].function(task.args, context)
         outputs = {p.relative_to(context.output).as_posix(): checksum(p) for p in produced.outputs}

@@ -18,6 +18,7 @@ from spl_batch.accuracy import (
     terrain_differences,
 )
 from spl_batch.constants import QUANTUM_M
+from spl_batch.errors import InputError
 from spl_batch.io.las import iter_points
 from spl_batch.io.raster_parts import Part, read_overview, read_part
 from spl_batch.runner.context import Context
@@ -40,12 +41,15 @@ class Comparison:
         Mean difference by cell [m].
     points : int
         Reference points read [count].
+    unreadable : list of InputError
+        Reference files that could not be read to their end.
     """
 
     statistics: dict[str, Any]
     differences_m: np.ndarray[Any, np.dtype[np.float32]]
     difference: Raster
     points: int
+    unreadable: list[InputError]
 
 
 def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
@@ -60,8 +64,13 @@ def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
     dtm: list[Differences] = []
     dsm: list[Differences] = []
     points = 0
+    unreadable: list[InputError] = []
     for path in paths:
-        known = _read(path)
+        try:
+            known = _read(path)
+        except InputError as error:
+            unreadable.append(error)
+            continue
         points += len(known.xyz_m)
         bounds = _bounds(known)
         rasters = [read_part(context.output / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm")]
@@ -82,6 +91,7 @@ def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
         every[:: max(1, len(every) // SAMPLE)],
         Raster(mean, overview.left_m, overview.top_m, overview.cell_m),
         points,
+        unreadable,
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
-from spl_batch.io.rasters import write_cell
+from spl_batch.io.rasters import cell_files, write_cell
 from spl_batch.io.store import add_voxels
 from spl_batch.model import TILE_COLUMNS, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
@@ -31,7 +31,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     region = grow(core, quanta(denoising.reach_m(workflow.filter)))
     table, tiles, rows = read_region(context.store, _cells(args["tiles"]), region, TILE_COLUMNS, {})
     owned = inside(table["x"], table["y"], core)
-    density = _expected(table, args["voxels"], context)
+    density = _expected(table, args["voxels"], args["beamlets"], context)
     decided = denoising.denoise(table, density, owned, workflow.filter)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {
@@ -96,10 +96,14 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     path = context.store.labels("classes", args["cell"])
     write_labels(path, tiles[owned], rows[owned], {"classification": classes[owned]})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
-    return Produced([path], {"core": list(core), "rasters": sums}, int(np.count_nonzero(owned)))
+    facts = {"core": list(core), "rasters": sums}
+    chunks = cell_files(context.rasters, CellId(*args["ij"]), arrays)
+    return Produced([path, *chunks], facts, int(np.count_nonzero(owned)))
 
 
-def _expected(table: PointTable, parts: Sequence[str], context: Context) -> NDArray[np.float64]:
+def _expected(
+    table: PointTable, parts: Sequence[str], beamlets: int, context: Context
+) -> NDArray[np.float64]:
     """Noise density expected in each point's voxel [1/m3]."""
     edge = quanta(context.workflow.noise.voxel_m)
     if not len(table) or not parts:
@@ -118,7 +122,7 @@ def _expected(table: PointTable, parts: Sequence[str], context: Context) -> NDAr
         settings,
         shots=totals.get("shots"),
         beamlets=totals.get("beamlets"),
-        beamlets_per_shot=context.workflow.sensor.beamlets,
+        beamlets_per_shot=beamlets,
     )
     at = tuple(i - c for i, c in zip(index, corner, strict=True))
     return np.asarray(density[at], dtype=np.float64)

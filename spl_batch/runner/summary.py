@@ -13,7 +13,7 @@ import numpy as np
 
 from spl_batch import __version__
 from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import StoreError
+from spl_batch.errors import InputError, StoreError
 from spl_batch.io.atomic import checksum, write_bytes
 from spl_batch.io.raster_parts import Part, read_overview
 from spl_batch.model import Receipt
@@ -116,6 +116,8 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         What the receipts do not say.
     """
     compared = compare([Path(p) for p in facts.reference], context)
+    unreadable = [] if compared is None else compared.unreadable
+    failures = (*facts.failures, *(_reference_failure(error) for error in unreadable))
     report = Report(
         survey=_survey(done, context),
         counts=_counts(done, facts),
@@ -123,13 +125,18 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         density=_density(context),
         noise=_noise(context),
         performance=_performance(done, facts),
-        failures=tuple(facts.failures),
+        failures=failures,
         warnings=(*facts.notes, *_uncovered(done)),
-        provenance=_provenance(done, context),
+        provenance=_provenance(done, context, facts.reference),
     )
     write_report(context.output, report, make_pictures(_pictures(done, context, compared), report))
     remember(done, context, facts)
     return report
+
+
+def _reference_failure(error: InputError) -> Failure:
+    reason = "; ".join(error.faults)
+    return Failure(stage="report", place=error.path, reason=reason, remedy="mend or remove it")
 
 
 def remember(done: Receipts, context: Context, facts: RunFacts) -> None:
@@ -295,7 +302,7 @@ def _uncovered(done: Receipts) -> Iterable[str]:
         )
 
 
-def _provenance(done: Receipts, context: Context) -> Provenance:
+def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> Provenance:
     inputs = [
         InputFile(
             path=r.facts["name"],
@@ -310,6 +317,7 @@ def _provenance(done: Receipts, context: Context) -> Provenance:
             _input_file(Path(item["path"]), "trajectory", item["hash"])
             for item in receipt.facts["inputs"]
         )
+    inputs.extend(_input_file(Path(path), "reference") for path in reference)
     for role in ("aoi", "water"):
         name = getattr(context.workflow, role)
         if name is not None:

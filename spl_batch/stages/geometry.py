@@ -10,7 +10,7 @@ a beam and a gate cut at a height stays one. Nothing depends on how a flightline
 """
 
 from collections.abc import Sequence
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,6 @@ STEP_BINS: Final = 100_000
 
 MIN_ANGLES: Final = 16
 """Fewer distinct scan angles than this are a label of the line, not a geometry."""
-
-Basis = Literal["trajectory", "scan_angle", "vertical"]
 
 
 def beams(
@@ -170,13 +168,6 @@ def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
     if travelled < 50.0 or float(np.median(spread)) > 0.1 * travelled:
         return None
     return float(np.arctan2(speed[0], speed[1]))
-
-
-def basis_of(trajectory: Trajectory | None, heading_rad: float | None) -> Basis:
-    """What :func:`beams` takes the beams from, for the report."""
-    if trajectory is not None:
-        return "trajectory"
-    return "vertical" if heading_rad is None else "scan_angle"
 
 
 def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:

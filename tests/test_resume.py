@@ -1,0 +1,102 @@
+"""What a later run may trust: a file that no longer fits its receipt is made again."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from spl_batch import api
+from spl_batch.errors import InputError, SplBatchError
+from spl_batch.model import PointTable
+from spl_batch.runner import index, space_domain
+from tests import surveys
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    for psid in (1, 2):
+        line = surveys.flightline(shots=60, psid=psid, seed=psid)
+        surveys.write_cloud(tmp_path / "lines" / f"{psid}.laz", line)
+    return surveys.write_workflow(tmp_path)
+
+
+def rasters(output: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(output.glob("*.tif"))}
+
+
+def test_a_task_killed_half_way_leaves_no_receipt_that_speaks_for_it(
+    survey: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = api.run(survey, workers=0).output
+    first = rasters(output)
+    receipts = set((output / "store" / "receipts" / "surface").glob("*.json"))
+
+    class Killed(BaseException):
+        pass
+
+    def write_labels(*_args: object) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(space_domain, "write_labels", write_labels)
+        with pytest.raises(Killed):
+            api.run(survey, workers=0, overrides=["products.void_max_m=1"])
+    left = set((output / "store" / "receipts" / "surface").glob("*.json"))
+    assert len(receipts - left) == 1, "the task that was killed, and no other"
+    (output / "dtm.tif").unlink()
+    assert rasters(api.run(survey, workers=0).output) == first
+
+
+def test_lost_raster_cells_are_made_again(survey: Path) -> None:
+    output = api.run(survey, workers=0).output
+    first = rasters(output)
+    for folder in (output / "store").glob("rasters_*.zarr"):
+        shutil.rmtree(folder)
+    (output / "dsm.tif").unlink()
+    assert rasters(api.run(survey, workers=0).output) == first
+
+
+def test_what_an_input_left_behind_goes_with_it(survey: Path) -> None:
+    output = api.run(survey, workers=0).output
+    assert (output / "laz" / "lines" / "2.laz").exists()
+    (survey.parent / "lines" / "2.laz").unlink()
+    api.run(survey, workers=0)
+    assert (output / "laz" / "lines" / "1.laz").exists()
+    assert not (output / "laz" / "lines" / "2.laz").exists()
+
+
+def test_points_of_a_file_that_breaks_off_are_counted(
+    survey: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = index.iter_points
+
+    def broken(path: Path, **options: Any) -> Iterator[PointTable]:
+        if path.name == "2.laz":
+            raise InputError(str(path), "point 17 cannot be decoded: copy the file again")
+        yield from read(path, **options)
+
+    monkeypatch.setattr(index, "iter_points", broken)
+    result = api.run(survey, workers=0)
+    assert result.exit_status == 1
+    assert result.report is not None
+    assert [f.stage for f in result.report.failures] == ["index"]
+    lost = len(surveys.flightline(shots=60, psid=2, seed=2)["x"])
+    assert result.report.counts.not_read == lost
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [("products.cell_m=0.0003", "millimetres"), ("products.cell_m=3", "multiple")],
+)
+def test_cells_that_cannot_be_are_refused(survey: Path, setting: str, said: str) -> None:
+    with pytest.raises(SplBatchError, match=said):
+        api.run(survey, workers=0, overrides=[setting])
+
+
+def test_status_tells_of_the_latest_run_alone(survey: Path) -> None:
+    output = api.run(survey, workers=0).output
+    first = {s.stage: s.total for s in api.status(output)}
+    api.run(survey, workers=0)
+    assert {s.stage: s.total for s in api.status(output)} == first
