@@ -5,6 +5,8 @@ time, and nothing but names and small facts travels in a message.
 """
 
 import contextlib
+import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -155,16 +157,17 @@ def executor(
         stack.enter_context(dask.config.set(settings))
         address: Any = scheduler
         if scheduler is None:
-            address = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    memory_limit=memory_bytes,
-                    dashboard_address=":0",
-                    silence_logs=40,
+            with _deaf_children():
+                address = stack.enter_context(
+                    LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        processes=True,
+                        memory_limit=memory_bytes,
+                        dashboard_address=":0",
+                        silence_logs=40,
+                    )
                 )
-            )
         try:
             client = stack.enter_context(Client(address, timeout="10s"))
         except (OSError, TimeoutError, ValueError) as error:
@@ -172,6 +175,19 @@ def executor(
                 f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
             ) from error
         yield OnDask(client), str(client.dashboard_link or "") if scheduler else ""
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Start processes that leave Ctrl-C to this one, which then ends them in order."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def jobs_left(

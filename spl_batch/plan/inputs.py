@@ -4,7 +4,7 @@ import glob
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pyproj import CRS
@@ -99,17 +99,19 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
         if name is not None and not (base / name).exists():
             faults.append(f"{key}: {base / name} does not exist")
-    faults += [
-        f"survey.flightlines: {path} lies in the output folder {output}; name the raw files, "
-        "or another output"
-        for path in paths
-        if output in path.parents
-    ]
+    own = [str(path) for path in paths if output in path.parents]
+    if own:
+        more = f" and {len(own) - 1} more" if len(own) > 1 else ""
+        faults.append(
+            f"survey.flightlines: {own[0]}{more} in the output folder {output}; name the raw "
+            "files, or another output"
+        )
     if faults:
         raise WorkflowError("; ".join(faults))
     good, bad = _inspect(paths)
-    warnings = [f"{facts.path}: {text}" for facts in good for text in facts.warnings]
+    good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = _survey_crs(workflow, good)
+    warnings = [f"{facts.path}: {text}" for facts in good for text in facts.warnings]
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none"
@@ -124,7 +126,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     _check_reference(reference, workflow, crs)
     return Inputs(
         tuple(sorted(sources, key=lambda s: s.name)),
-        (*bad, *mismatched),
+        (*bad, *without_channel, *mismatched),
         trajectory,
         reference,
         crs,
@@ -182,6 +184,24 @@ def _inspect(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
     return good, bad
 
 
+def _with_channel(
+    files: Sequence[LasFacts], dimension: str | None
+) -> tuple[list[LasFacts], list[InputError]]:
+    """Files that have the dimension with the beamlet number, and those that lack it."""
+    if dimension is None:
+        return list(files), []
+    bad = [
+        InputError(
+            str(facts.path),
+            f"no dimension {dimension!r} (survey.channel_dimension); it has "
+            f"{', '.join(facts.dimensions)}",
+        )
+        for facts in files
+        if dimension not in facts.dimensions
+    ]
+    return [facts for facts in files if dimension in facts.dimensions], bad
+
+
 def _survey_crs(
     workflow: Workflow, files: Sequence[LasFacts]
 ) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
@@ -189,7 +209,7 @@ def _survey_crs(
     given = _parse_crs(workflow.survey.crs, "survey.crs")
     good: list[LasFacts] = []
     bad: list[InputError] = []
-    for facts in files:
+    for facts in (_without_wrong_crs(f, given) for f in files):
         crs = facts.crs or given
         problems = _crs_problems(facts, crs)
         if problems:
@@ -212,6 +232,17 @@ def _survey_crs(
             text = f"CRS {facts.crs.name!r} is not the survey's {given.name!r}; reproject the file"
             bad.append(InputError(str(facts.path), text))
     return horizontal(given), agreeing, bad
+
+
+def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
+    """Header without its CRS where that is geocentric over projected coordinates.
+
+    Such a record is a mistake of the writer's; the user's word, if there is one, stands.
+    """
+    if given is None or facts.crs is None or not facts.crs.is_geocentric:
+        return facts
+    text = f"its CRS record is geocentric; survey.crs {given.name!r} is taken instead"
+    return replace(facts, crs=None, warnings=(*facts.warnings, text))
 
 
 def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
