@@ -1,16 +1,19 @@
 """What a later run may trust: a file that no longer fits its receipt is made again."""
 
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import shapely
+import shapely.geometry
 
 from spl_batch import api
 from spl_batch.errors import InputError, SplBatchError
 from spl_batch.model import PointTable
-from spl_batch.runner import index, space_domain
+from spl_batch.runner import accuracy, index, space_domain
 from tests import surveys
 
 
@@ -100,3 +103,36 @@ def test_status_tells_of_the_latest_run_alone(survey: Path) -> None:
     first = {s.stage: s.total for s in api.status(output)}
     api.run(survey, workers=0)
     assert {s.stage: s.total for s in api.status(output)} == first
+
+
+def test_polygons_edited_in_place_are_noticed(survey: Path) -> None:
+    west, south = surveys.ORIGIN_M
+    found = []
+    for radius_m in (0.5, 500.0):
+        circle = shapely.Point(west, south).buffer(radius_m)
+        water = {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(circle)}
+        crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32615"}}
+        content = {"type": "FeatureCollection", "crs": crs, "features": [water]}
+        (survey.parent / "water.geojson").write_text(json.dumps(content))
+        result = api.run(survey, workers=0, overrides=["water=water.geojson"])
+        assert result.report is not None
+        found.append(result.report.counts.water)
+    assert found[1] > 10 * found[0]
+
+
+def test_a_damaged_reference_costs_neither_the_report_nor_the_rest(survey: Path) -> None:
+    reference = survey.parent / "reference.laz"
+    surveys.write_cloud(reference, surveys.flightline(shots=60))
+    intact = api.run(survey, workers=0, overrides=["reference.points=reference.laz"])
+    assert intact.exit_status == 0
+
+    def broken(path: Path) -> None:
+        raise InputError(str(path), "point 17 cannot be decoded: copy the file again")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(accuracy, "_read", broken)
+        result = api.run(survey, workers=0, overrides=["reference.points=reference.laz"])
+    assert result.exit_status == 1
+    assert result.report is not None
+    assert [f.stage for f in result.report.failures] == ["report"]
+    assert (result.output / "report.html").exists()
