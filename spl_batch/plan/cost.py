@@ -25,13 +25,13 @@ DELIVERED_BYTES_PER_POINT: Final = 12
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
-        "index": 1.5e6,
-        "shots": 0.5e6,
-        "shuffle": 0.25e6,
-        "denoise": 0.3e6,
-        "ground": 0.4e6,
-        "surfaces": 0.5e6,
-        "deliver": 0.7e6,
+        "index": 1.25e6,
+        "shots": 0.54e6,
+        "shuffle": 0.30e6,
+        "denoise": 0.17e6,
+        "ground": 0.26e6,
+        "surfaces": 0.27e6,
+        "deliver": 0.93e6,
     }
 )
 """Points per second and worker until a store has measured its own; `benchmarks/stages.py`."""
