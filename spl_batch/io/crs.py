@@ -178,6 +178,6 @@ def _geocentric(crs: CRS, mins_m: Sequence[float] | None, maxs_m: Sequence[float
                 f"{sentence}, but the coordinates (x {mins_m[0]:.0f} to {maxs_m[0]:.0f},"
                 f" y {mins_m[1]:.0f} to {maxs_m[1]:.0f}, z {mins_m[2]:.0f} to {maxs_m[2]:.0f})"
                 f" lie {radius / 1000:.0f} km from the centre of the earth and look projected:"
-                " the CRS record is wrong, write the right one into the file"
+                " the CRS record is wrong, name the right one as survey.crs or write it there"
             )
     return f"{sentence}, coordinates must be projected: reproject the files, e.g. to UTM"
