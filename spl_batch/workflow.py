@@ -296,6 +296,27 @@ def load_workflow(path: Path, overrides: Sequence[str] = ()) -> Workflow:
     WorkflowError
         If the file cannot be read, is not YAML, or has a fault.
     """
+    content = read_mapping(path, "a workflow is a mapping with survey: and output:")
+    for override in overrides:
+        _apply(content, override)
+    return parse_workflow(content, str(path))
+
+
+def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
+    """Content of a YAML file that holds a mapping.
+
+    Parameters
+    ----------
+    path : Path
+        YAML file.
+    otherwise : str
+        What is said when it holds something else.
+
+    Raises
+    ------
+    WorkflowError
+        If the file cannot be read, is not YAML, or holds no mapping.
+    """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -304,10 +325,8 @@ def load_workflow(path: Path, overrides: Sequence[str] = ()) -> Workflow:
         reason = " ".join(str(error).split())
         raise WorkflowError(f"{path}: not valid YAML: {reason}") from None
     if not isinstance(content, dict):
-        raise WorkflowError(f"{path}: a workflow is a mapping with survey: and output:")
-    for override in overrides:
-        _apply(content, override)
-    return parse_workflow(content, str(path))
+        raise WorkflowError(f"{path}: {otherwise}")
+    return content
 
 
 def _apply(content: dict[str, Any], override: str) -> None:

@@ -206,23 +206,24 @@ def _deliver(survey: Survey) -> Iterator[Task]:
         receipt = survey.of("index_file").get(key)
         if receipt is None:
             continue
-        tiles = holders.get(key, [])
+        labels = _label_units(survey, holders.get(key, []))
         args = {
             **_source_args(source),
             "delivered": source.delivered,
             "points": receipt.points,
             "hash": receipt.facts["hash"],
-            "tiles": {str(t): u for t, u in _both(survey, tiles).items()},
+            "tiles": {str(tile): units_of for tile, units_of in labels.items()},
         }
-        yield Task("deliver_file", key, args, _delivery_needs(survey, tiles), receipt.points)
+        yield Task("deliver_file", key, args, _delivery_needs(labels), receipt.points)
 
 
 def _deliver_tiles(survey: Survey) -> Iterator[Task]:
     if survey.workflow.outputs.tiles == "none":
         return
     for tile, count in survey.counts.items():
-        args = {"tile": str(tile), "units": _both(survey, [tile])[tile]}
-        yield Task("deliver_tile", str(tile), args, _delivery_needs(survey, [tile]), count)
+        labels = _label_units(survey, [tile])
+        args = {"tile": str(tile), "units": labels[tile]}
+        yield Task("deliver_tile", str(tile), args, _delivery_needs(labels), count)
 
 
 def _mosaic(survey: Survey) -> Iterator[Task]:
@@ -308,14 +309,15 @@ def _label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[s
     return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
 
 
-def _both(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
+def _label_units(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
+    """Finished units that hold the delivered labels of each tile, by tile and label."""
     noise = owners(tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
     classes = owners(tiles, survey.tile_q, survey.cell_q, survey.of("surface"))
     return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
 
 
-def _delivery_needs(survey: Survey, tiles: list[CellId]) -> tuple[tuple[str, str], ...]:
-    noise = owners(tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
-    classes = owners(tiles, survey.tile_q, survey.cell_q, survey.of("surface"))
-    built = tuple(("build_tile", str(t)) for t in tiles)
+def _delivery_needs(labels: Mapping[CellId, dict[str, list[str]]]) -> tuple[tuple[str, str], ...]:
+    built = tuple(("build_tile", str(tile)) for tile in labels)
+    noise = {tile: units_of["noise"] for tile, units_of in labels.items()}
+    classes = {tile: units_of["classes"] for tile, units_of in labels.items()}
     return (*built, *_label_needs("denoise", noise), *_label_needs("surface", classes))

@@ -10,13 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from spl_batch.errors import WorkflowError
 from spl_batch.sensor import Sensor, load_preset
+from spl_batch.workflow import read_mapping
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -228,14 +228,7 @@ def load_scene(path: Path) -> Scene:
     WorkflowError
         If the file cannot be read, is not YAML, or has a fault.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise WorkflowError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise WorkflowError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
-        raise WorkflowError(f"{path}: a scene is a mapping with extent_m: and flights:")
+    content = read_mapping(path, "a scene is a mapping with extent_m: and flights:")
     return parse_scene(content, str(path))
 
 
