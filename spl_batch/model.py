@@ -83,6 +83,8 @@ class PointFlag(IntFlag):
     """Outside the area of interest: carried along, takes part as a neighbour only."""
     WATER = 16
     """Inside a water polygon."""
+    SHOT_NOISE = 32
+    """The filter of single shots (differential cell count), where it ran, calls it noise."""
 
 
 EXCLUDED: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE

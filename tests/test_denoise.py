@@ -11,7 +11,9 @@ from scipy import stats
 
 from spl_batch.kernels.ellipsoid import Shape
 from spl_batch.model import PointFlag, PointTable, canonical_order
+from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.denoise import denoise, reach_m
+from spl_batch.stages.ellipsoid_test import judge
 from spl_batch.workflow import FilterSettings
 from tests.test_ellipsoid import brute_counts, mixed_cloud
 
@@ -86,14 +88,20 @@ def test_exact_p_value_goes_below_the_decision() -> None:
     xyz = mixed_cloud(22, 500)
     low, _, volume = brute_counts(xyz, SHAPE, peers(xyz, DEFAULT))
     tail = stats.poisson.sf(low - 1, 0.13e-9 * volume)
-    density = np.full(500, 0.13)
-    exact = denoise(as_table(xyz), density, everything(500), DEFAULT, exact=True)
-    quick = denoise(as_table(xyz), density, everything(500), DEFAULT)
-    np.testing.assert_array_equal(exact["noise_class"], quick["noise_class"])
+    lowest = xyz.min(axis=0)
+    cloud = Cloud(
+        (xyz - lowest).astype(np.int32),
+        (int(lowest[0]), int(lowest[1]), int(lowest[2])),
+        np.full(500, 0.13),
+        everything(500),
+        ~everything(500),
+    )
+    exact, quick = judge(cloud, DEFAULT, exact=True), judge(cloud, DEFAULT)
+    np.testing.assert_array_equal(exact.signal, quick.signal)
     shown = tail > 1e-12
-    np.testing.assert_allclose(exact["p_value"][shown], tail[shown], rtol=1e-5)
-    assert (exact["p_value"][~shown] <= 1e-12).all()
-    assert (exact["p_value"] <= quick["p_value"]).all()
+    np.testing.assert_allclose(exact.p_value[shown], tail[shown], rtol=1e-5)
+    assert (exact.p_value[~shown] <= 1e-12).all()
+    assert (exact.p_value <= quick.p_value).all()
 
 
 def test_pure_noise_is_kept_at_no_more_than_alpha() -> None:
