@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
 from spl_batch.model import PointTable
+from spl_batch.settings import GroundSettings
 from spl_batch.stages.ground import ground_mask
 from spl_batch.tiling import Bounds, cell_bounds, cells_touching, grow, inside, quanta
-from spl_batch.workflow import GroundSettings
 
 PUBLISHED = {
     "ptd": {

@@ -14,7 +14,9 @@ import pyarrow.parquet as pq
 import rasterio
 from numpy.typing import NDArray
 
-KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other")
+KINDS = (
+    "background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other", "bottom",
+)  # fmt: skip
 SPIKE_M = 0.5
 """A DSM cell this much above every true return of it and its neighbours is set by noise [m]."""
 
@@ -65,7 +67,7 @@ def _kept(points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
     kind, signal = points["kind"], points["noise_class"] == 0
     shares = {
         f"{name} kept %": 100 * float(signal[kind == KINDS.index(name)].mean())
-        for name in ("ground", "roof", "vegetation", "wire", "water")
+        for name in ("ground", "roof", "vegetation", "wire", "water", "bottom")
         if np.any(kind == KINDS.index(name))
     }
     background = kind == KINDS.index("background")

@@ -36,6 +36,7 @@ CLASS_GROUND: Final = 2
 CLASS_BUILDING: Final = 6
 CLASS_LOW_NOISE: Final = 7
 CLASS_WATER: Final = 9
+CLASS_WIRE: Final = 14
 CLASS_HIGH_NOISE: Final = 18
 """ASPRS LAS 1.4 classes that the delivered clouds use."""
 

@@ -41,11 +41,15 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
         "shot": Column(np.int64, "", "shot number on the flightline's absolute grid"),
         "line_density": Column(np.float32, "1/m", "noise points per metre of this beamlet"),
         "afterpulse": Column(np.float32, "", "probability of being an afterpulse, 0..1"),
+        "afterpulse_rate": Column(
+            np.float32, "1/m", "afterpulses per metre of beamlet at its lags, 0 for no parent"
+        ),
         "noise_density": Column(np.float32, "1/m3", "expected noise points per cubic metre"),
         "p_value": Column(np.float32, "", "P(at least as many neighbours | noise)"),
         "noise_class": Column(
             np.uint8, "", "0 signal, 1 background, 2 afterpulse, 255 not assessed"
         ),
+        "wire": Column(np.uint8, "", "1 where the scan along lines is sure of a conductor"),
         "ground": Column(np.uint8, "", "1 where the ground filter accepts the point"),
         "classification": Column(np.uint8, "", "ASPRS class as delivered"),
     }
@@ -279,12 +283,16 @@ class VoxelPart:
     shots, beamlets : (nx, ny, nz) int64, optional
         Shots and beamlets that touch each sphere, for the published correction; they
         add up as well.
+    covered : (nx, ny, nz) uint16, optional
+        A bit for each square of a quarter of a voxel's edge that a beamlet crosses half-way
+        up the voxel, x * 4 + y; parts are joined by "or".
     """
 
     corner: tuple[int, int, int]
     amount: NDArray[np.int64]
     shots: NDArray[np.int64] | None = None
     beamlets: NDArray[np.int64] | None = None
+    covered: NDArray[np.uint16] | None = None
 
 
 VOXEL_FIXED_POINT: Final = 2.0**32
@@ -305,6 +313,7 @@ TILE_COLUMNS: Final = (
     "index",
     "line_density",
     "afterpulse",
+    "afterpulse_rate",
 )
 """Columns of a point tile."""
 

@@ -14,8 +14,8 @@ from spl_batch.kernels.robust_plane import (
 )
 from spl_batch.model import COLUMNS, PointTable, Trajectory
 from spl_batch.sensor import load_preset
+from spl_batch.settings import AfterpulseSettings
 from spl_batch.stages import afterpulse, geometry
-from spl_batch.workflow import AfterpulseSettings
 
 SETTINGS = AfterpulseSettings()
 SENSOR = load_preset("spl100")

@@ -11,16 +11,26 @@ from scipy import stats
 
 from spl_batch.kernels.ellipsoid import Shape
 from spl_batch.model import PointFlag, PointTable, canonical_order
+from spl_batch.settings import FilterSettings, WireSettings
+from spl_batch.stages import echoes
 from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.denoise import denoise, reach_m
 from spl_batch.stages.ellipsoid_test import judge
-from spl_batch.workflow import FilterSettings
 from tests.test_ellipsoid import brute_counts, mixed_cloud
 
 DEFAULT = FilterSettings()
 SHAPE = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)
+ALONE = WireSettings(enabled=False)
+TAIL = FilterSettings(test="tail", neighbours=15, wires=ALONE)
 CLOSE = FilterSettings(
-    neighbour_cap_m=3.0, axis_cap_m=3.0, link_m=1.5, link_count=3, spacing_cap_m=1.0
+    test="tail",
+    neighbours=15,
+    neighbour_cap_m=3.0,
+    axis_cap_m=3.0,
+    link_m=1.5,
+    link_count=3,
+    spacing_cap_m=1.0,
+    wires=ALONE,
 )
 """Short reaches, so that a small cloud has an inside and an outside."""
 
@@ -64,7 +74,7 @@ def labels(
 @pytest.mark.parametrize("test", ["tail", "published"])
 @pytest.mark.parametrize("density", [0.02, 0.13, 1.0])
 def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
-    filtering = FilterSettings(test=test, link_m=1.0, link_count=3)
+    filtering = FilterSettings(test=test, neighbours=15, link_m=1.0, link_count=3, wires=ALONE)
     xyz = mixed_cloud(21, 500)
     own = None if test == "published" else peers(xyz, filtering)
     low, high, volume = brute_counts(xyz, SHAPE, own)
@@ -86,7 +96,7 @@ def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
 
 def test_exact_p_value_goes_below_the_decision() -> None:
     xyz = mixed_cloud(22, 500)
-    low, _, volume = brute_counts(xyz, SHAPE, peers(xyz, DEFAULT))
+    low, _, volume = brute_counts(xyz, SHAPE, peers(xyz, TAIL))
     tail = stats.poisson.sf(low - 1, 0.13e-9 * volume)
     lowest = xyz.min(axis=0)
     cloud = Cloud(
@@ -96,7 +106,7 @@ def test_exact_p_value_goes_below_the_decision() -> None:
         everything(500),
         ~everything(500),
     )
-    exact, quick = judge(cloud, DEFAULT, exact=True), judge(cloud, DEFAULT)
+    exact, quick = judge(cloud, TAIL, exact=True), judge(cloud, TAIL)
     np.testing.assert_array_equal(exact.signal, quick.signal)
     shown = tail > 1e-12
     np.testing.assert_allclose(exact.p_value[shown], tail[shown], rtol=1e-5)
@@ -105,21 +115,42 @@ def test_exact_p_value_goes_below_the_decision() -> None:
 
 
 def test_pure_noise_is_kept_at_no_more_than_alpha() -> None:
-    n = 30_000
-    rng = np.random.default_rng(5)
     for density in (0.05, 0.4):
-        side = (n / density) ** (1 / 3) * 1000
-        table = as_table(rng.uniform(0, side, (n, 3)))
-        inner = np.all([np.abs(table[a] - side / 2) < 0.4 * side for a in "xyz"], axis=0)
+        table, inner = pure_noise(density)
         kept = {
             test: (
-                denoise(table, np.full(n, density), inner, FilterSettings(test=test))["noise_class"]
+                denoise(
+                    table,
+                    np.full(len(table), density),
+                    inner,
+                    FilterSettings(test=test, neighbours=15, wires=ALONE),
+                )["noise_class"]
                 == 0
             ).mean()
             for test in ("tail", "published")
         }
         assert kept["tail"] <= DEFAULT.alpha
         assert 0.11 < kept["published"] < 0.27
+
+
+@pytest.mark.parametrize(("alpha", "within"), [(0.05, 0.12), (0.01, 0.25)])
+def test_alpha_is_the_share_of_pure_noise_that_is_kept(alpha: float, within: float) -> None:
+    for density in (0.03, 0.2):
+        table, inner = pure_noise(density, 150_000)
+        found = denoise(
+            table, np.full(len(table), density), inner, FilterSettings(alpha=alpha, wires=ALONE)
+        )
+        kept = (found["noise_class"] == 0).mean()
+        assert kept == pytest.approx(alpha, rel=within)
+        # without links a part of alpha; p itself is uniform
+        assert (found["p_value"] <= alpha).mean() == pytest.approx(alpha, rel=1.3 * within)
+
+
+def pure_noise(density: float, n: int = 50_000) -> tuple[PointTable, NDArray[np.bool_]]:
+    """Uniform noise, and its points away from the borders."""
+    side = (n / density) ** (1 / 3) * 1000
+    table = as_table(np.random.default_rng(5).uniform(0, side, (n, 3)))
+    return table, np.all([np.abs(table[a] - side / 2) < side / 2 - 16_000 for a in "xyz"], axis=0)
 
 
 def test_flags_and_afterpulses() -> None:
@@ -199,9 +230,10 @@ def test_every_point_twice_keeps_a_surface() -> None:
 
 
 def test_reach_is_the_sum_of_the_links() -> None:
-    assert reach_m(CLOSE) == 10.5
-    assert reach_m(FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0)) == 15.0
-    assert reach_m(FilterSettings(test="published", axis_cap_m=13.0)) == 13.0
+    assert reach_m(CLOSE) == 10.5 + echoes.REACH_M
+    alone = FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0, wires=ALONE)
+    assert reach_m(alone) == 15.0 + echoes.REACH_M
+    assert reach_m(FilterSettings(test="published", axis_cap_m=13.0)) == 13.0 + echoes.REACH_M
 
 
 @given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(-(10**9), 10**9)] * 2))
@@ -241,6 +273,33 @@ def test_tiles_with_halo_give_the_whole(filtering: FilterSettings, step: int) ->
         np.testing.assert_array_equal(part["p_value"], whole["p_value"][own])
 
 
+def test_calibrated_labels_depend_on_neither_tiles_nor_order() -> None:
+    rng = np.random.default_rng(32)
+    size = np.array([120_000, 15_000, 15_000])
+    noise = rng.uniform(0, 1, (4000, 3)) * size
+    plane = rng.uniform(0, 1, (9000, 3)) * size
+    plane[:, 2] = 3000 + rng.normal(0, 50, 9000)
+    wire = rng.uniform(0, 1, (250, 3)) * [120_000, 0, 0] + [0, 7000, 11_000]
+    # a coarse lattice: ties are everywhere, and canonical order has to break them
+    xyz = np.rint(np.concatenate([noise, plane, wire]) / 50) * 50
+    table = as_table(xyz)
+    table = table.take(canonical_order(table))
+    density = 0.1 + 0.1 * (table["x"] > 60_000)
+    whole = denoise(table, density, everything(len(table)), DEFAULT)
+    assert 0.6 < (whole["noise_class"] == 0).mean() < 0.9
+    halo = round(reach_m(DEFAULT) * 1000)
+    for low in range(0, 120_000, 30_000):
+        own = (table["x"] >= low) & (table["x"] < low + 30_000)
+        read = np.flatnonzero((table["x"] >= low - halo) & (table["x"] < low + 30_000 + halo))
+        part = table.take(rng.permutation(read))
+        again = canonical_order(part)
+        part = part.take(again)
+        mine = (part["x"] >= low) & (part["x"] < low + 30_000)
+        found = denoise(part, 0.1 + 0.1 * (part["x"] > 60_000), mine, DEFAULT)
+        np.testing.assert_array_equal(found["noise_class"], whole["noise_class"][own])
+        np.testing.assert_array_equal(found["p_value"], whole["p_value"][own])
+
+
 def test_an_ordinary_scene_keeps_its_wires() -> None:
     rng = np.random.default_rng(41)
     side, gate = 40.0, 120.0
@@ -269,7 +328,7 @@ def test_noise_above_a_surface_does_not_live_on_the_surface() -> None:
     near &= np.all(np.abs(xyz[:, :2] - 20_000) < 15_000, axis=1)
     assert near.sum() > 50
     kept = labels(as_table(xyz), 0.025) == 0
-    every = labels(as_table(xyz), 0.025, FilterSettings(peer_ratio=1e6)) == 0
+    every = labels(as_table(xyz), 0.025, FilterSettings(test="tail", peer_ratio=1e6)) == 0
     assert kept[: len(ground)].mean() > 0.999
     assert kept[near].mean() < 0.1
     assert every[near].mean() > 0.3

@@ -85,6 +85,39 @@ def test_counts_and_labels_are_the_oracles(shape: Shape, step: int) -> None:
     )
 
 
+@pytest.mark.parametrize("power", [1.0, 0.5])
+def test_ties_are_broken_by_the_outermost_peer_inside(power: float) -> None:
+    xyz = mixed_cloud(8, 500)
+    shape = SHAPE._replace(power=power)
+    rng = np.random.default_rng(5)
+    density = rng.choice([2e-11, 1e-10, 1e-9], len(xyz))
+    spacing = rng.integers(1, 20, len(xyz)).astype(np.float64)
+    query = np.ones(len(xyz), dtype=bool)
+    tree = build(xyz)
+    stop = rng.choice([1e-12, 1e-3], len(xyz))
+    count, expected, score = count_inside(
+        xyz, tree, query, density, shape, alpha=stop, spacing=spacing, peer_ratio=2.0, tie=True
+    )
+    rows, found = brute_nearest(xyz, 15, 12_000)
+    for i in range(len(xyz)):
+        values, vectors = np.linalg.eigh(np.cov(xyz[rows[i, : found[i]]].T, bias=True))
+        spread = np.maximum(values, shape.floor**2) ** power
+        axes = np.minimum(shape.radius * spread / np.cbrt(spread.prod()), shape.axis_cap)
+        offsets = np.delete(xyz, i, axis=0).astype(np.float64) - xyz[i]
+        flag = ((offsets @ vectors / axes) ** 2).sum(axis=1)
+        flag = flag[(flag < 1) & (np.delete(spacing, i) * 4 >= spacing[i])]
+        k = len(flag)
+        tail, more = stats.poisson.sf([k - 1, k], expected[i])
+        if tail <= stop[i]:
+            assert score[i] <= stop[i]
+            assert count[i] <= k
+            continue
+        outermost = flag.max(initial=0.0) if k else 1.0
+        assert count[i] == k
+        assert score[i] == pytest.approx(more + outermost ** (1.5 * k) * (tail - more), rel=1e-6)
+    assert 0.1 < (score > stop).mean() < 0.9
+
+
 def test_labels_do_not_hang_on_far_points_anchor_or_tree() -> None:
     xyz = mixed_cloud(11, 900)
     rng = np.random.default_rng(12)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.model import PointTable
+from spl_batch.settings import GroundSettings
 from spl_batch.stages.ground import ground_mask, node_cell
-from spl_batch.workflow import GroundSettings
 
 METHODS = ("ptd", "smrf")
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 
 from spl_batch.model import PointTable
+from spl_batch.settings import GroundSettings
 from spl_batch.stages.ground import ground_mask
-from spl_batch.workflow import GroundSettings
 
 Float = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from spl_batch.kernels.intervals import densest_window
 from spl_batch.kernels.shots import lag_behind, run_starts
 from spl_batch.model import PointTable
 from spl_batch.sensor import load_preset
+from spl_batch.settings import NoiseSettings
 from spl_batch.stages import geometry, line_noise
 from spl_batch.stages.line_model import LineModel
-from spl_batch.workflow import NoiseSettings
 from tests.flightlines import ALTITUDE_M, Flight, cut, fly, relief
 
 SETTINGS = NoiseSettings()
@@ -42,6 +42,24 @@ def test_rate_and_gate(scene: dict[str, object], gate_m: float, tolerance: float
     truth = scene.get("noise_per_m", 1.3e-3)
     assert model.mean_rate == pytest.approx(truth, rel=tolerance)
     assert model.gate_m == pytest.approx(gate_m, rel=0.02)
+
+
+def test_steep_relief_stays_out_of_the_noise_region() -> None:
+    def steep(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 340.0 + 300.0 * np.sin(x / 80.0) * np.cos(y / 90.0)
+
+    flight = fly(surface=steep, gate_m=1000, scan_m=1200.0, shots=1200, noise_per_m=8e-4)
+    assert model_of(flight).mean_rate == pytest.approx(8e-4, rel=0.015)
+
+
+@pytest.mark.parametrize("noise_per_m", [3e-4, 1.5e-3])
+def test_rate_of_shots_without_channels(noise_per_m: float) -> None:
+    flight = fly(shots=1500, noise_per_m=noise_per_m)
+    table = flight.table.with_columns(channel=np.zeros(len(flight.table)))
+    beams = geometry.beams(table, flight.trajectory)
+    stats = line_noise.merge([line_noise.observe(table, beams, SETTINGS)])
+    model = line_noise.fit(stats, SETTINGS, SENSOR.model_copy(update={"beamlets": 1}))
+    assert model.mean_rate == pytest.approx(100 * noise_per_m, rel=0.02)
 
 
 def test_gate_cut_at_heights_is_told_from_one_in_range() -> None:

@@ -21,7 +21,7 @@ import shapely
 
 from spl_batch import api, graph
 from spl_batch.api.events import Note, PhaseStarted, TaskEnded
-from spl_batch.api.pipeline import _locked
+from spl_batch.api.pipeline import locked
 from spl_batch.constants import NODATA
 from spl_batch.plan import survey as survey_module
 from spl_batch.plan.flightlines import find_flightlines
@@ -288,7 +288,7 @@ def test_until_stops_after_a_stage_and_continues(
 
 
 def test_no_two_runs_in_one_output(small: Path) -> None:
-    with _locked(small.parent / "out"):
+    with locked(small.parent / "out"):
         ended = surveys.command("run", small, "--workers", 0)
     assert ended.status == 2
     assert "another run is working" in ended.text
@@ -496,7 +496,7 @@ def raising(function: Callable[..., Any], on_call: int) -> Callable[..., Any]:
 BREAKS = [
     (denoise_stage, "denoise", "denoise"),
     (ground_stage, "ground_mask", "ground"),
-    (line_noise_stage, "observe", "gather"),
+    (line_noise_stage, "observe", "observe"),
     (line_noise_stage, "fit", "fit_line"),
     (line_noise_stage, "line_density", "scatter"),
 ]

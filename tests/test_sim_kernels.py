@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from spl_batch.kernels import scene_trace, sim_detect, sim_link, sim_scan, sim_shots
+from spl_batch.kernels import (
+    scene_layers,
+    scene_trace,
+    sim_detect,
+    sim_link,
+    sim_scan,
+    sim_shots,
+)
 from spl_batch.simulate.objects import building_solid, catenary
 from spl_batch.simulate.scene import Building
 from spl_batch.simulate.terrain import Ground
@@ -338,3 +345,28 @@ def test_too_many_events_are_an_error_not_a_loss():
         sim_detect.add_event(ranges, facts, n, float(n), 1, sim_detect.NO_PARENT, -1)
     with pytest.raises(ValueError, match="room"):
         sim_detect.add_event(ranges, facts, 2, 2.0, 1, sim_detect.NO_PARENT, -1)
+
+
+def test_clear_water_is_a_surface_a_column_and_a_bottom():
+    ground = np.full((20, 20), 8.0)
+    kind = np.full((20, 20), scene_trace.KIND_BOTTOM, dtype=np.uint8)
+    empty = np.zeros((0, 8))
+    scene = scene_trace.SceneArrays(
+        ground, np.full((20, 20), 0.2), kind, np.zeros((20, 20), np.uint8),
+        np.array([[10.0, 0.3, 0.04]]), np.array([0.0, 0.0, 1.0]), np.zeros((0, 6, 4)),
+        np.zeros(0, np.int64), np.zeros((0, 4)), empty, np.zeros((0, 10)),
+        np.array([0.0, 0.0, 20.0]), np.zeros((1, 2), np.int64), np.zeros(0, np.int64),
+    )  # fmt: skip
+    d = np.array([math.sin(0.2), 0.0, -math.cos(0.2)])
+    o = origin_for([10.0, 10.0, 8.0], d, 500.0)
+    layers = sim_shots.empty_layers(scene)
+    n, hard, _, rho, what = scene_layers.look(scene, o, d, d, 1e-4, layers)
+    assert (n, what, rho) == (2, scene_trace.KIND_BOTTOM, pytest.approx(0.2))
+    assert hard == pytest.approx(500.0)
+    length = 2.0 / math.cos(0.2)
+    assert layers[:2, 0] == pytest.approx([500.0 - length] * 2)
+    assert layers[0, 2] * layers[0, 3] == pytest.approx(0.04), "the surface's reflectance"
+    assert 1 - layers[1, 2] == pytest.approx(math.exp(-2 * 0.3 * length)), "both ways"
+    assert layers[1, 3] == 0.0
+    kind[:] = scene_trace.KIND_WATER
+    assert scene_layers.look(scene, o, d, d, 1e-4, layers)[0] == 0, "opaque water is its surface"

@@ -17,6 +17,7 @@ from spl_batch.errors import WorkflowError
 from spl_batch.kernels.scene_trace import (
     KIND_AFTERPULSE,
     KIND_BACKGROUND,
+    KIND_BOTTOM,
     KIND_GROUND,
     KIND_ROOF,
     KIND_WATER,
@@ -24,6 +25,7 @@ from spl_batch.kernels.scene_trace import (
 )
 from spl_batch.simulate import load_scene, preset_scene, preset_scenes, simulate
 from spl_batch.simulate.scene import parse_scene
+from spl_batch.simulate.survey import KINDS
 from spl_batch.workflow import load_workflow
 
 DEAD_M = 0.2398
@@ -67,7 +69,8 @@ def test_the_summary_counts_what_is_in_the_files(survey, lines):
     summary, steps = survey
     assert summary.lines == tuple(len(las) for las, _ in lines)
     assert summary.points == sum(summary.lines) == sum(summary.kinds.values())
-    assert all(summary.kinds.values()), "every kind of return occurs"
+    seen = {name for name, count in summary.kinds.items() if count}
+    assert seen == set(KINDS) - {"bottom"}, "every kind of return but that of clear water"
     assert summary.points < 100_000
     assert steps == sorted(steps)
     assert steps[-1] == 1.0
@@ -346,3 +349,32 @@ def test_wires_that_cannot_return_so_often_are_an_error(tmp_path):
     scene = parse_scene({**MINIMAL, "wires": [wires]}, "s.yaml")
     with pytest.raises(WorkflowError, match=r"wires.0.returns_per_m: 1000"):
         simulate(scene, tmp_path)
+
+
+def test_clear_water_shows_its_bottom(tmp_path):
+    ring = [[8, 8], [32, 8], [32, 32], [8, 32]]
+    scene = parse_scene(
+        {
+            "extent_m": [40, 40],
+            "terrain": {"relief_m": 0.0, "roughness_m": 0.0},
+            "water": [{"ring_m": ring, "depth_m": 1.5, "bank_slope": 0.5}],
+            "flights": [{"heading_deg": 0, "speed_m_s": 100, "offset_m": 250}],
+            "acquisition": {"prf_hz": 25_000, "gate_m": 60},
+        },
+        "pond",
+    )
+    summary = simulate(scene, tmp_path)
+    las = laspy.read(tmp_path / "flightlines" / "line_01.laz")
+    kind = pq.read_table(tmp_path / "truth" / "line_01.parquet")["kind"].to_numpy()
+    z, level = np.asarray(las.z), np.median(las.z[kind == KIND_WATER])
+    assert summary.kinds["bottom"] == (kind == KIND_BOTTOM).sum() > 200
+    depth = level - z[kind == KIND_BOTTOM]
+    assert np.quantile(depth, 0.98) == pytest.approx(1.5, abs=0.15)
+    assert depth.min() > -0.3
+    with rasterio.open(tmp_path / "truth" / "dtm.tif") as source:
+        middle = source.read(1)[15:25, 15:25]
+    np.testing.assert_allclose(middle, level, atol=0.05)
+    reference = laspy.read(tmp_path / "reference_lml.laz")
+    wet = np.asarray(reference.classification) == 9
+    off = np.abs(np.asarray(reference.z)[wet] - level)
+    assert off.max() < 0.5, "infrared sees no bottom"

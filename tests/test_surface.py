@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from spl_batch.constants import NODATA
 from spl_batch.model import PointFlag, PointTable
+from spl_batch.settings import ProductSettings
 from spl_batch.stages.surface import PRODUCTS, classify, reach_m, surfaces
 from spl_batch.tiling import Bounds, inside
-from spl_batch.workflow import ProductSettings
 
 SETTINGS = ProductSettings(void_max_m=5.0)
 CELL = Bounds(-20_000, 40_000, 0, 60_000)

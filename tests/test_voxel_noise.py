@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from spl_batch.kernels.chords import chord_length
 from spl_batch.model import VOXEL_FIXED_POINT, PointTable, VoxelPart
 from spl_batch.sensor import load_preset
+from spl_batch.settings import NoiseSettings
 from spl_batch.stages import geometry, line_noise, voxel_noise
 from spl_batch.stages.line_model import LineModel
-from spl_batch.workflow import NoiseSettings
 from tests.flightlines import Flight, cut, fly, relief
 
 SEEN = NoiseSettings()
@@ -157,3 +157,12 @@ def test_parts_add_up_to_the_last_bit(intervals: int, published: bool) -> None: 
     if published:
         assert np.array_equal(sums["shots"], whole.shots)
         assert np.array_equal(sums["beamlets"], whole.beamlets)
+
+
+def test_voxels_at_the_ends_of_a_gate_take_their_neighbours_density() -> None:
+    per_m3 = np.random.default_rng(4).uniform(0.0, 1.0, (3, 2, 6))
+    found = voxel_noise.within_gate(per_m3)
+    for k in range(6):
+        near = per_m3[:, :, max(k - 1, 0) : k + 2]
+        np.testing.assert_array_equal(found[:, :, k], near.max(axis=2))
+    np.testing.assert_array_equal(voxel_noise.within_gate(per_m3[:, :, :1]), per_m3[:, :, :1])

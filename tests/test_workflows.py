@@ -9,8 +9,9 @@ import yaml
 from pydantic import BaseModel
 
 from spl_batch.runner import STAGES
+from spl_batch.settings import Section
 from spl_batch.simulate import load_scene
-from spl_batch.workflow import Section, Workflow, parse_workflow
+from spl_batch.workflow import Workflow, parse_workflow
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted((ROOT / "workflows").glob("*.yaml"))

@@ -1,5 +1,6 @@
 """The verbs of the project, usable from a notebook; the command line only calls these."""
 
+from spl_batch.api.comparison import ComparisonResult, compare
 from spl_batch.api.pipeline import RunResult, run
 from spl_batch.api.planning import PlanSummary, plan
 from spl_batch.api.reporting import report
@@ -7,9 +8,11 @@ from spl_batch.api.simulation import quickstart, simulate
 from spl_batch.api.status import StageStatus, status
 
 __all__ = [
+    "ComparisonResult",
     "PlanSummary",
     "RunResult",
     "StageStatus",
+    "compare",
     "plan",
     "quickstart",
     "report",

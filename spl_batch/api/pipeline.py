@@ -139,7 +139,7 @@ def run(
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     fitting_cost(prepared)
     output = prepared.context.output
-    with _locked(output):
+    with locked(output):
         if fresh:
             _forget(output)
         progress = _Progress(output, listener)
@@ -193,7 +193,7 @@ def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: 
             failures = [r.reason for _, r in progress.failures if r.kind == "trajectory"]
             if failures:
                 raise WorkflowError(f"survey.trajectory: {failures[-1]}")
-        if phase.kind == "heading" and survey.of("heading"):
+        if phase.kind == "sensor_path" and survey.of("sensor_path"):
             progress.warn(_beams_without_trajectory(survey))
         for text in _warnings(survey.of(phase.kind)):
             progress.warn(text)
@@ -291,12 +291,16 @@ def _failures(survey: Survey, progress: _Progress) -> Iterator[Failure]:
 
 def _beams_without_trajectory(survey: Survey) -> str:
     """What beams are taken from where there is no trajectory."""
-    found = [r.facts["heading_rad"] is not None for r in survey.of("heading").values()]
-    angled, vertical = found.count(True), found.count(False)
+    paths = survey.of("sensor_path")
+    found = [name for name, receipt in paths.items() if receipt.facts["found"]]
+    headings = survey.of("heading")
+    left = [headings[name] for name in paths if name not in found and name in headings]
+    angled = sum(r.facts["heading_rad"] is not None for r in left)
     return (
-        "no trajectory: beams are taken from scan_angle and the flight direction on "
-        f"{angled} flightlines and are vertical on {vertical}, whose scan_angle or course "
-        "does not tell them"
+        "no trajectory: the sensor is found where lines of sight through several returns meet "
+        f"on {len(found)} flightlines; beams are taken from scan_angle and the flight direction "
+        f"on {angled} and are vertical on {len(paths) - len(found) - angled}, whose returns, "
+        "scan_angle or course do not tell them"
     )
 
 
@@ -323,7 +327,7 @@ def _make_rasters(prepared: Prepared) -> None:
 
 
 @contextmanager
-def _locked(output: Path) -> Iterator[None]:
+def locked(output: Path) -> Iterator[None]:
     """Keep two runs out of one output; the system lets go of the lock when a run dies."""
     try:
         (output / "store").mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,18 @@ def report(output: Path | str) -> Report:
     StoreError
         If no run has finished there.
     """
-    folder = Path(output).resolve()
+    done, context, facts = recalled(Path(output).resolve())
+    return summarise(done, context, facts)
+
+
+def recalled(folder: Path) -> tuple[dict[str, dict[str, Receipt]], Context, RunFacts]:
+    """What the last run of an output folder did: finished tasks, settings, facts.
+
+    Raises
+    ------
+    StoreError
+        If no run has finished there.
+    """
     kept = recall(folder)
     context = Context(
         parse_workflow(kept["workflow"], str(folder / "store" / "run.json")),
@@ -41,7 +52,7 @@ def report(output: Path | str) -> Report:
         kept["reference"],
         kept["not_read"],
     )
-    return summarise(_receipts(Store(folder), kept["done"]), context, facts)
+    return _receipts(Store(folder), kept["done"]), context, facts
 
 
 def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, dict[str, Receipt]]:

@@ -127,6 +127,36 @@ def run(
 
 
 @cli.command()
+@_WORKFLOW
+@click.option(
+    "--methods",
+    required=True,
+    metavar="A,B[,...]",
+    help="Filters to compare, e.g. vsaes:published,vsaes:tail,voxel; the first is the yardstick.",
+)
+@_limits
+@_SETTINGS
+def compare(
+    workflow: Path, methods: str, workers: int, memory: str, overrides: tuple[str, ...]
+) -> int:
+    """Run several filters on the survey of WORKFLOW: a table, and profiles side by side."""
+    from spl_batch import api  # noqa: PLC0415
+    from spl_batch.cli import screen  # noqa: PLC0415
+
+    with screen.watching() as view:
+        result = api.compare(
+            workflow,
+            methods,
+            workers=workers,
+            memory=memory,
+            overrides=overrides,
+            listener=view.on_event,
+        )
+    screen.print_comparison(result)
+    return result.exit_status
+
+
+@cli.command()
 @_OUTPUT
 def status(output: Path) -> int:
     """Say what is done, failed and left in OUTPUT."""

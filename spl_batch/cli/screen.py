@@ -19,8 +19,9 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.api import PlanSummary, RunResult, StageStatus
+from spl_batch.api import ComparisonResult, PlanSummary, RunResult, StageStatus
 from spl_batch.api.events import Event, Note, PhaseStarted, TaskEnded
+from spl_batch.report.format import centimetres, number, percent, significant
 from spl_batch.report.model import Report
 from spl_batch.report.summary import screen_summary
 
@@ -110,6 +111,24 @@ def print_report(report: Report, output: Path) -> None:
     _path("report", output / "report.html")
     _path("rasters", output / "dtm.tif", output / "dsm.tif")
     _path("clouds", output / "laz")
+
+
+def print_comparison(result: ComparisonResult) -> None:
+    """Print how several filters did, and where the rest is."""
+    titles = ("filter", "kept", "removed", "far noise", "DTM RMSE", "DSM RMSE", "s per million")
+    table = Table(*titles, box=None)
+    for method in result.report.methods:
+        table.add_row(
+            method.name,
+            number(method.signal),
+            percent(method.removed_share),
+            percent(method.far_share, 3),
+            centimetres(method.dtm_rmse_m),
+            centimetres(method.dsm_rmse_m),
+            significant(method.denoise_s_per_million),
+        )
+    _OUT.print(table)
+    _path("comparison", result.output / "compare.html")
 
 
 def print_simulation(summary: Any, output: Path) -> None:

@@ -20,6 +20,7 @@ DEFAULTS: dict[str, float] = {
     "noise_class": 255,
     "p_value": float("nan"),
     "noise_density": float("nan"),
+    "wire": 0,
     "ground": 0,
     "classification": 255,
 }

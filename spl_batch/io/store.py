@@ -6,8 +6,11 @@
     store/trajectory.parquet           positions in the survey's CRS and the points' time
     store/index/SOURCE.npz             time range of each run of points of an input file
     store/stretches/LINE/K.parquet     whole shots in time order
+    store/sights/LINE/K.npz            lines of sight of a stretch, without a trajectory
+    store/paths/LINE.parquet           where they meet: the path of the sensor
     store/lines/LINE.npz               line noise model of a flightline
     store/voxels/LINE/K.zarr           a stretch's share of the expected noise
+    store/fired/LINE/K.npz             where a stretch's beamlets pointed, silent ones too
     store/scatter/LINE/K.parquet       the stretch's points, a row group for each tile
     store/tiles/I_J.parquet            points of a tile, in canonical order
     store/{noise,ground,classes}/      labels by work unit, a row group for each tile
@@ -112,7 +115,12 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
     """Write a stretch's share of the noise model as a Zarr group, atomically."""
     shape = part.amount.shape
     chunks = (min(VOXEL_CHUNK, shape[0]), min(VOXEL_CHUNK, shape[1]), shape[2])
-    arrays = {"amount": part.amount, "shots": part.shots, "beamlets": part.beamlets}
+    arrays: dict[str, NDArray[Any] | None] = {
+        "amount": part.amount,
+        "shots": part.shots,
+        "beamlets": part.beamlets,
+        "covered": part.covered,
+    }
     with replacing(path) as temporary:
         group = zarr.create_group(str(temporary), attributes={"corner": list(part.corner)})
         for name, values in arrays.items():
@@ -122,7 +130,7 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
                 name,
                 shape=shape,
                 chunks=tuple(max(c, 1) for c in chunks),
-                dtype=np.int64,
+                dtype=values.dtype,
                 serializer=BytesCodec(),
                 compressors=ZstdCodec(level=3),
             )
@@ -130,7 +138,7 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
 
 
 def add_voxels(
-    path: Path, corner: tuple[int, int, int], totals: Mapping[str, NDArray[np.int64]]
+    path: Path, corner: tuple[int, int, int], totals: Mapping[str, NDArray[Any]]
 ) -> None:
     """Add one part's share to a box of voxels, in place.
 
@@ -140,9 +148,9 @@ def add_voxels(
         Group written by :func:`write_voxels`.
     corner : (3,) int
         Absolute index of the box's first voxel.
-    totals : mapping of str to (nx, ny, nz) int64
-        The box by the name of the sum (``amount``, ``shots``, ``beamlets``); the part is
-        added where they overlap.
+    totals : mapping of str to (nx, ny, nz) int64, or uint16 for bits
+        The box by the name of the sum (``amount``, ``shots``, ``beamlets``) or of the bits
+        (``covered``); the part is added, or joined by "or", where they overlap.
 
     Raises
     ------
@@ -163,7 +171,11 @@ def add_voxels(
                 return
             of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
             of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
-            total[of_box] += np.asarray(array[of_part], dtype=np.int64)
+            values = np.asarray(array[of_part], dtype=total.dtype)
+            if name == "covered":
+                total[of_box] |= values
+            else:
+                total[of_box] += values
     except (OSError, KeyError, ValueError) as error:
         raise StoreError(f"{path}: damaged or missing ({error}); run again to rebuild") from error
 

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.kernels.afterpulse_law import beam_axes
 from spl_batch.kernels.dcc import dcc_keep
 from spl_batch.kernels.hard_surfaces import (
     NEAR_M,
@@ -243,17 +244,5 @@ def shot_probabilities(
     """
     for m in range(len(starts) - 1):
         rows = slice(starts[m], starts[m + 1])
-        dx, dy, dz = direction[starts[m]]
-        # Two axes across the beam: any will do, as long as they depend on the beam alone.
-        if abs(dx) < 0.7:
-            ux, uy, uz = 0.0, dz, -dy
-        else:
-            ux, uy, uz = -dz, 0.0, dx
-        norm = math.sqrt(ux * ux + uy * uy + uz * uz)
-        ux, uy, uz = ux / norm, uy / norm, uz / norm
-        vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
-        x, y, z = offset[rows, 0], offset[rows, 1], offset[rows, 2]
-        shot_probability(
-            ux * x + uy * y + uz * z, vx * x + vy * y + vz * z, range_m[rows],
-            channel[rows], lag[rows], rules, out[rows],
-        )  # fmt: skip
+        u, v = beam_axes(direction[starts[m]], offset[rows])
+        shot_probability(u, v, range_m[rows], channel[rows], lag[rows], rules, out[rows])

@@ -1,4 +1,4 @@
-"""Neighbours inside each point's adaptive ellipsoid [W18 Eq. 3-8; W17 Eq. 5.4-5.6, 6.3-6.5].
+r"""Neighbours inside each point's adaptive ellipsoid [W18 Eq. 3-8; W17 Eq. 5.4-5.6, 6.3-6.5].
 
 ============ ================================================================
 symbol       name
@@ -17,6 +17,13 @@ the long axis is capped, and the volume that is tested is that of the capped ell
 the one that is counted in; with fewer than four neighbours within reach there is no
 shape to speak of, and the sphere is used; where spacings are given, only peers count
 (:mod:`spl_batch.kernels.spacing`).
+
+A count is discrete. With ``tie`` the score puts a point between the tails of its count and of
+the next by where the outermost of the k inside lies: for k points strewn evenly in an ellipsoid
+
+.. math:: s = P(K > k) + u\,P(K = k), \quad u = (\max_i f_i)^{3 k / 2}
+
+is uniform, with f the flags of Eq. 5; a signal's are nearer the middle.
 
 Counting stops at the critical count. Most points never walk the tree: the critical
 count is reached among the neighbours that shaped the ellipsoid, or the ellipsoid
@@ -79,9 +86,10 @@ def count_inside(
     density: NDArray[np.float64],
     shape: Shape,
     *,
-    alpha: float,
+    alpha: float | NDArray[np.float64],
     spacing: NDArray[np.float64] | None = None,
     peer_ratio: float = 1.0,
+    tie: bool = False,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
     """Count neighbours inside adaptive ellipsoids, up to the critical count.
 
@@ -97,14 +105,16 @@ def count_inside(
         Expected noise at each point [1/quanta3].
     shape : Shape
         How neighbours become an ellipsoid.
-    alpha : float
-        Counting stops at the smallest k with P(K >= k | lambda) <= alpha.
+    alpha : float or (n,) float64
+        Counting stops at the smallest k with P(K >= k | lambda) <= alpha of the point.
     spacing : (n,) float64, optional
         Squared spacing at each point [quanta2], from
         :func:`spl_batch.kernels.spacing.spacings`; without it every neighbour is a peer.
     peer_ratio : float
         Only peers are counted: neighbours whose spacing is at least that of the point
         divided by this; >= 1.
+    tie : bool
+        Break the ties of counts.
 
     Returns
     -------
@@ -113,7 +123,8 @@ def count_inside(
     expected : (n,) float64
         Noise points expected inside [count].
     tail : (n,) float64
-        P(K >= count | expected) of query points, 1 for others.
+        P(K >= count | expected) of query points, 1 for others; with ``tie`` the score s
+        where the count is below the critical one.
     """
     if not 0 < shape.neighbour_cap <= CAP_MAX:
         raise ValueError(f"neighbour cap {shape.neighbour_cap} quanta: must lie in 1..{CAP_MAX}")
@@ -124,7 +135,11 @@ def count_inside(
         spacing = np.zeros(len(xyz), dtype=np.float64)
     if len(xyz):
         ratio2 = peer_ratio * peer_ratio
-        _count_all(xyz, *tree, query, density, shape, alpha, spacing, ratio2, count, expected, tail)
+        limit = np.broadcast_to(np.asarray(alpha, dtype=np.float64), (len(xyz),))
+        _count_all(
+            xyz, *tree, query, density, shape, np.ascontiguousarray(limit), spacing, ratio2, tie,
+            count, expected, tail,
+        )  # fmt: skip
     return count, expected, tail
 
 
@@ -224,7 +239,9 @@ def _misses(boxes, node, x, y, z, vectors, axes, half):  # type: ignore[no-untyp
 
 
 @njit(nogil=True, cache=True)
-def _walk(points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack, wide, least):  # type: ignore[no-untyped-def]
+def _walk(  # type: ignore[no-untyped-def]
+    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack, wide, least, outer
+):
     """Peers inside the ellipsoid around a slot, up to ``stop``, from its leaf upwards."""
     n = np.uint64(points.shape[1])
     first = U1 << depth
@@ -232,6 +249,7 @@ def _walk(points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, 
     y = np.float64(points[U1, slot])
     z = np.float64(points[U2, slot])
     count = -1
+    outer[0] = 0.0
     climb = leaf
     stack[0] = leaf
     while True:
@@ -251,7 +269,10 @@ def _walk(points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, 
                 dx = np.float64(points[U0, i]) - x
                 dy = np.float64(points[U1, i]) - y
                 dz = np.float64(points[U2, i]) - z
-                count += (_flag(quadric, dx, dy, dz) < 1.0) & (wide[i] >= least)
+                flag = _flag(quadric, dx, dy, dz)
+                if flag < 1.0 and wide[i] >= least:
+                    count += 1
+                    outer[0] = max(outer[0], flag)
             if count >= stop:
                 return stop
         if climb <= U1:
@@ -291,9 +312,33 @@ def _fit(xyz, row, keys, found, near, shape, moments, values, vectors, scratch, 
 
 
 @njit(nogil=True, cache=True)
+def _among(near, keys, found, quadric, spacing, ratio2, own, outer):  # type: ignore[no-untyped-def]
+    """Peers inside among the neighbours that shaped the ellipsoid."""
+    count = 0
+    outer[0] = 0.0
+    for i in range(found):
+        flag = _flag(quadric, near[0, i], near[1, i], near[2, i])
+        if flag < 1.0 and spacing[keys[i] & ROW_MASK] * ratio2 >= own:
+            count += 1
+            outer[0] = max(outer[0], flag)
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _score(inside, mean, outermost, tie):  # type: ignore[no-untyped-def]
+    """Tail of a count; with ``tie`` between it and the next by the outermost point inside."""
+    tail = poisson_tail(inside, mean)
+    if not tie or inside == 0:
+        return tail
+    more = poisson_tail(inside + 1, mean)
+    return more + outermost ** (1.5 * inside) * (tail - more)
+
+
+@njit(nogil=True, cache=True)
 def _count_all(  # type: ignore[no-untyped-def]
-    xyz, points, boxes, depth, query, density, shape, alpha, spacing, ratio2, count, expected, tail
-):
+    xyz, points, boxes, depth, query, density, shape, alpha, spacing, ratio2, tie,
+    count, expected, tail,
+):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
     keys = np.empty(shape.neighbours, dtype=np.int64)
@@ -301,13 +346,13 @@ def _count_all(  # type: ignore[no-untyped-def]
     distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
     stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
     moments, quadric = np.empty(6), np.empty(6)
-    values, axes, half = np.empty(3), np.empty(3), np.empty(3)
+    values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
     vectors, scratch = np.empty((3, 3)), np.empty((2, 3))
     cap = shape.neighbour_cap
     wide = np.empty(len(xyz), dtype=np.float64)
     for i in range(n):
         wide[i] = spacing[points[U3, i]] * ratio2
-    known, stop, least = -1.0, 0, 1.0
+    known, asked, stop, least = -1.0, -1.0, 0, 1.0
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
         for slot in range(low, high):
@@ -322,14 +367,12 @@ def _count_all(  # type: ignore[no-untyped-def]
             )
             mean = density[row] * volume
             expected[row] = mean
-            if mean != known:
-                known, stop = mean, poisson_critical(mean, alpha)
+            if mean != known or alpha[row] != asked:
+                known, asked = mean, alpha[row]
+                stop = poisson_critical(mean, asked)
                 least = poisson_tail(stop, mean)
             _quadric(vectors, axes, quadric)
-            inside = 0
-            for i in range(found):
-                peer = spacing[keys[i] & ROW_MASK] * ratio2 >= spacing[row]
-                inside += (_flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0) & peer
+            inside = _among(near, keys, found, quadric, spacing, ratio2, spacing[row], outer)
             reach = float(cap)
             if found == shape.neighbours:
                 reach = math.sqrt(np.float64(keys[found - 1] >> 32))
@@ -337,7 +380,9 @@ def _count_all(  # type: ignore[no-untyped-def]
                 _reach(vectors, axes, half)
                 inside = _walk(
                     points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
-                    wide, spacing[row],
+                    wide, spacing[row], outer,
                 )  # fmt: skip
             count[row] = min(inside, stop)
-            tail[row] = least if inside >= stop else poisson_tail(inside, mean)
+            tail[row] = least
+            if inside < stop:
+                tail[row] = _score(inside, mean, outer[0], tie)

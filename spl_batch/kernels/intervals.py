@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 GROUP_RETURNS = 100
 """Returns that a group should have, so that its own peak is sure [count]."""
 
-GROUPS_MAX = 6
-"""Most groups of an interval: its arc on the ground is cut in as many pieces."""
+GROUPS_MAX = 60
+"""Most groups of an interval: its arc on the ground, tens of metres long, is cut in as many
+pieces, so that on a slope each has its own signal."""
 
 
 @njit(nogil=True, cache=True)
@@ -152,11 +153,13 @@ def observe_intervals(
     offset: NDArray[np.int64],
     channel: NDArray[np.uint8],
     counts: NDArray[np.bool_],
+    blind_m: NDArray[np.float64],
     buffers: NDArray[np.float64],
     interval_shots: int,
     width: float,
     summary: NDArray[np.float64],
     outside: NDArray[np.int32],
+    blinded: NDArray[np.float64],
     by_channel: NDArray[np.int64],
     profile: NDArray[np.int64],
 ) -> None:
@@ -172,6 +175,8 @@ def observe_intervals(
         Beamlet numbers.
     counts : (n,) bool
         Rows that count as noise; the others follow a return of their own beamlet.
+    blind_m : (n,) float64
+        Length behind each return in which no return would have counted [m].
     buffers : (b,) float64
         Heights around the signal that are left out, descending [m].
     interval_shots, width
@@ -179,7 +184,9 @@ def observe_intervals(
     summary : (m, 10) float64
         Filled as in :func:`observe_interval`.
     outside : (m, 2, b) int32
-        Filled with the returns more than each buffer above and below the signal.
+        Filled with the returns that count, more than each buffer above and below the signal.
+    blinded : (m, 2, b) float64
+        Filled with what returns there, whether they count or not, have blinded [m].
     by_channel : (2, b, 256) int64
         The same summed by channel; added to.
     profile : (p,) int64
@@ -194,14 +201,17 @@ def observe_intervals(
             interval_shots, width, summary[m], below[rows],
         )  # fmt: skip
         for i in range(starts[m], starts[m + 1]):
-            if not counts[i]:
-                continue
             bin_ = int(np.floor(below[i])) + half
-            if 0 <= bin_ < len(profile):
+            if counts[i] and 0 <= bin_ < len(profile):
                 profile[bin_] += 1
             side = 0 if below[i] < 0 else 1
             b = len(buffers) - 1
             while b >= 0 and abs(below[i]) > buffers[b]:
-                outside[m, side, b] += 1
-                by_channel[side, b, channel[i]] += 1
+                # In front of the signal the region ends with the buffer; behind it, what a
+                # blinded piece loses beyond the gate comes in over the buffer's edge.
+                room = (abs(below[i]) - buffers[b]) / cosine[i] if side == 0 else np.inf
+                blinded[m, side, b] += min(blind_m[i], room)
+                if counts[i]:
+                    outside[m, side, b] += 1
+                    by_channel[side, b, channel[i]] += 1
                 b -= 1

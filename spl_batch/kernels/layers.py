@@ -18,6 +18,14 @@ SUPPORTED = 3
 _CROWDED = 10
 """Points in a cell above which a layer of one or two is doubtful [count]."""
 
+_SHEET_POINTS = 6
+_SHEET_M = 0.8
+_SHEET_SHARE = 0.75
+_CLEAR_M = 1.5
+"""A sheet is a hard surface, roof or bare ground: this many points in this thickness, as a
+tilt of 35 degrees gives it in a cell of 1 m, and this share of what lies between the node
+below it and this height above it. Leaves fill twice the thickness, and do not pass."""
+
 
 class Cells(NamedTuple):
     """Points grouped by the cells of a grid, row by row.
@@ -51,12 +59,16 @@ class Nodes(NamedTuple):
         Points in the layer [count].
     doubtful : (m,) bool
         One or two points below many others in the same cell.
+    buried : (m,) bool
+        One or two points below a hard surface in the same cell: not ground, as light does
+        not pass there, but what noise and afterpulses leave under meadows and roofs.
     """
 
     xyz: NDArray[np.float64]
     cell: NDArray[np.int64]
     points: NDArray[np.int64]
     doubtful: NDArray[np.bool_]
+    buried: NDArray[np.bool_]
 
 
 def group_by_cell(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> Cells:
@@ -117,10 +129,11 @@ def lowest_layers(
     most = 2 * len(cells.start)
     xyz, cell = np.empty((most, 3)), np.empty(most, dtype=np.int64)
     count, doubtful = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.bool_)
+    buried = np.empty(most, dtype=np.bool_)
     used = _lowest_layers(
-        x, y, z, cells.order, cells.start, thickness_m, xyz, cell, count, doubtful
+        x, y, z, cells.order, cells.start, thickness_m, xyz, cell, count, doubtful, buried
     )
-    return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used])
+    return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used], buried[:used])
 
 
 @njit(nogil=True, cache=True)
@@ -135,6 +148,7 @@ def _lowest_layers(
     cell: NDArray[np.int64],
     count: NDArray[np.int64],
     doubtful: NDArray[np.bool_],
+    buried: NDArray[np.bool_],
 ) -> int:
     used = 0
     for c in range(len(start) - 1):
@@ -150,6 +164,7 @@ def _lowest_layers(
             count[used] = _layer_mean(x, y, z, members, low, thickness, xyz[used])
             cell[used] = c
             doubtful[used] = len(members) >= _CROWDED and count[used] < SUPPORTED
+            buried[used] = count[used] < SUPPORTED and _below_sheet(heights, bottom + count[used])
             used += 1
     return used
 
@@ -163,6 +178,22 @@ def _two_layers(heights: NDArray[np.float64], thickness: float) -> tuple[int, in
         if heights[i + need - 1] - heights[i] <= thickness:
             return (0, i) if i > 0 else (0, -1)
     return 0, -1
+
+
+@njit(nogil=True, cache=True)
+def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
+    """Whether a hard surface stands in a cell above its lowest ``first`` points."""
+    end, clear = first, first
+    for i in range(first, len(heights) - _SHEET_POINTS + 1):
+        while end < len(heights) and heights[end] <= heights[i] + _SHEET_M:
+            end += 1
+        if end - i < _SHEET_POINTS:
+            continue
+        while clear < len(heights) and heights[clear] <= heights[i] + _SHEET_M + _CLEAR_M:
+            clear += 1
+        if end - i >= _SHEET_SHARE * (clear - first):
+            return True
+    return False
 
 
 @njit(nogil=True, cache=True)

@@ -8,7 +8,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.scene_trace import (
+    KIND_BOTTOM,
     KIND_VEGETATION,
+    KIND_WATER,
     KIND_WIRE,
     SceneArrays,
     bilinear,
@@ -21,6 +23,36 @@ from spl_batch.kernels.scene_trace import (
 
 LAYER_FIELDS = 5
 """Columns of a layer: enter, leave [m], share intercepted, reflectance, kind."""
+
+
+SURFACE_SHARE = 0.02
+"""Share of a beam that a clear water's surface turns back: Fresnel's, near the vertical."""
+
+
+@njit(nogil=True, cache=True)
+def nearest_node(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
+    """Row and column of the ground node nearest to a place."""
+    i = min(max(round((x - scene.grid[0]) / scene.grid[2]), 0), scene.ground_z.shape[1] - 1)
+    j = min(max(round((y - scene.grid[1]) / scene.grid[2]), 0), scene.ground_z.shape[0] - 1)
+    return j, i
+
+
+@njit(nogil=True, cache=True)
+def _add_water(
+    layers: NDArray[np.float64], n: int, pond: NDArray[np.float64], o: Any, d: Any, hard: float
+) -> int:
+    """Clear water over a bottom: a thin surface, then a column that only attenuates.
+
+    Rays go straight on and light is not slowed down: depths are apparent ones, as in files
+    whose maker has not corrected for refraction. Both ways are attenuated.
+    """
+    top = (pond[0] - o[2]) / d[2]
+    if top >= hard:
+        return n
+    rho = pond[2] / SURFACE_SHARE
+    n = _insert(layers, n, top, top, SURFACE_SHARE, rho, float(KIND_WATER))
+    share = 1.0 - math.exp(-2.0 * pond[1] * (hard - top))
+    return _insert(layers, n, top, hard, share, 0.0, float(KIND_WATER))
 
 
 @njit(nogil=True, cache=True)
@@ -102,8 +134,7 @@ def look(
     hard, cosine = hit_ground(scene.ground_z, scene.grid, o, d)
     x, y = o[0] + hard * d[0], o[1] + hard * d[1]
     rho = bilinear(scene.ground_rho, scene.grid, x, y)[0]
-    i = min(max(round((x - scene.grid[0]) / scene.grid[2]), 0), scene.ground_z.shape[1] - 1)
-    j = min(max(round((y - scene.grid[1]) / scene.grid[2]), 0), scene.ground_z.shape[0] - 1)
+    j, i = nearest_node(scene, x, y)
     kind = float(scene.ground_kind[j, i])
     first, last = cell_range(scene, x, y)
     solids, crowns = len(scene.solid), len(scene.crown)
@@ -140,4 +171,6 @@ def look(
                 n = _insert(layers, n, at, at, share, wire[9], float(KIND_WIRE))
     while n > 0 and layers[n - 1, 0] >= hard:
         n -= 1
+    if kind == KIND_BOTTOM:
+        n = _add_water(layers, n, scene.pond[scene.ground_pond[j, i]], o, d, hard)
     return n, hard, cosine, rho, kind

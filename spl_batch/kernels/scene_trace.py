@@ -4,7 +4,8 @@ A scene is a tuple of arrays (:class:`SceneArrays`) in metres relative to the sc
 origin; heights are absolute. A ray is ``origin + t * direction`` with a unit direction
 that points downwards, so ``t`` is the slant range [m].
 
-Ground is a grid of heights, bilinear between its nodes. A solid is the intersection of
+Ground is a grid of heights, bilinear between its nodes; clear water stands over parts of it.
+A solid is the intersection of
 half-spaces ``a x + b y + c z <= d``, without end downwards: opaque (a building; these
 come first) or turbid (a lattice tower). A
 crown is a turbid ellipsoid. A wire is a catenary of which a beam of Gaussian profile
@@ -27,6 +28,7 @@ KIND_WIRE: Final = 4
 KIND_WATER: Final = 5
 KIND_AFTERPULSE: Final = 6
 KIND_OTHER: Final = 7
+KIND_BOTTOM: Final = 8
 """What gave a simulated return."""
 
 GAP_CELL_M: Final = 0.5
@@ -43,7 +45,11 @@ class SceneArrays(NamedTuple):
     ground_rho : (ny, nx) float64
         Reflectance at the nodes.
     ground_kind : (ny, nx) uint8
-        ``KIND_GROUND`` or ``KIND_WATER`` at the nodes.
+        ``KIND_GROUND``, ``KIND_WATER`` or, under clear water, ``KIND_BOTTOM`` at the nodes.
+    ground_pond : (ny, nx) uint8
+        Row of ``pond`` at nodes of kind ``KIND_BOTTOM``.
+    pond : (p, 3) float64
+        Height of the water [m], its attenuation [1/m], reflectance of its surface.
     grid : (3,) float64
         x and y of the first node, and the step [m].
     planes : (s, f, 4) float64
@@ -69,6 +75,8 @@ class SceneArrays(NamedTuple):
     ground_z: NDArray[np.float64]
     ground_rho: NDArray[np.float64]
     ground_kind: NDArray[np.uint8]
+    ground_pond: NDArray[np.uint8]
+    pond: NDArray[np.float64]
     grid: NDArray[np.float64]
     planes: NDArray[np.float64]
     faces: NDArray[np.int64]

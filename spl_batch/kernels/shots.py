@@ -66,3 +66,36 @@ def lag_behind(
                 if lag > 0.0 and dead_m <= lag <= reach_m and (best == 0.0 or lag < best):
                     best = lag
             lag_m[i] = best
+
+
+@njit(nogil=True, cache=True)
+def blind_behind(
+    starts: NDArray[np.int64],
+    range_m: NDArray[np.float64],
+    reach_m: float,
+    blind_m: NDArray[np.float64],
+) -> None:
+    """Length behind each return, up to a reach, as far as no other return has taken it.
+
+    The lengths of a beamlet add up to that of everything within reach behind a return.
+
+    Parameters
+    ----------
+    starts : (m + 1,) int64
+        Rows where beamlets start, then n.
+    range_m : (n,) float64
+        Slant ranges [m], in any order within a beamlet.
+    reach_m : float
+        Longest length [m].
+    blind_m : (n,) float64
+        Filled [m].
+    """
+    for b in range(len(starts) - 1):
+        first, last = starts[b], starts[b + 1]
+        for i in range(first, last):
+            gap = reach_m
+            for j in range(first, last):
+                ahead = range_m[j] - range_m[i]
+                if 0.0 < ahead < gap or (ahead == 0.0 and j > i):
+                    gap = ahead
+            blind_m[i] = gap

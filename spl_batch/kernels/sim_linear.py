@@ -4,9 +4,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.scene_layers import cell_range, look
+from spl_batch.kernels.scene_layers import cell_range, look, nearest_node
 from spl_batch.kernels.scene_trace import (
+    KIND_BOTTOM,
     KIND_OTHER,
+    KIND_WATER,
     SceneArrays,
     bilinear,
     clip_convex,
@@ -31,6 +33,8 @@ def linear_returns(
     kind: NDArray[np.uint8],
 ) -> None:
     """Up to two returns of each vertical pulse: one of a layer, one of the hard surface.
+
+    The pulse is infrared: the surface of water is as far as it gets.
 
     Parameters
     ----------
@@ -58,6 +62,9 @@ def linear_returns(
         z[p, 0] = np.nan
         left = 1.0
         for k in range(n):
+            if layers[k, 4] == KIND_WATER:
+                hard, hard_kind = layers[k, 0], layers[k, 4]
+                break
             share = layers[k, 2]
             thin = layers[k, 1] == layers[k, 0]
             seen = share > WIRE_SHARE if thin else rng.random() < share
@@ -82,7 +89,7 @@ def surface_heights(
 ) -> None:
     """Bare ground, and the highest of ground, roofs and crown envelopes, at places.
 
-    Wires, towers and poles are no surface; gaps of crowns are closed.
+    Of water it is the surface. Wires, towers and poles are no surface; gaps of crowns are closed.
 
     Parameters
     ----------
@@ -97,6 +104,9 @@ def surface_heights(
     solids, crowns = len(scene.solid), len(scene.crown)
     for p in range(len(x)):
         ground[p] = bilinear(scene.ground_z, scene.grid, x[p], y[p])[0]
+        j, i = nearest_node(scene, x[p], y[p])
+        if scene.ground_kind[j, i] == KIND_BOTTOM:
+            ground[p] = max(ground[p], scene.pond[scene.ground_pond[j, i], 0])
         top = ground[p]
         origin[0], origin[1], origin[2] = x[p], y[p], 1e4
         first, last = cell_range(scene, x[p], y[p])

@@ -383,8 +383,8 @@ def event_room(background: float, signal: float, layers: int) -> int:
 
 
 def layer_room(scene: SceneArrays) -> int:
-    """Most objects listed for one cell, and one more."""
-    return 1 + int(np.diff(scene.cell_first, axis=1).max(initial=0))
+    """Most objects listed for one cell, one more, and a water's surface and column."""
+    return 3 + int(np.diff(scene.cell_first, axis=1).max(initial=0))
 
 
 def empty_layers(scene: SceneArrays) -> NDArray[np.float64]:

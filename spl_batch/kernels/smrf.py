@@ -22,6 +22,9 @@ from spl_batch.kernels.tin import interpolate, triangulate
 _LOW_SLOPE = 5.0
 """Slope of the opening that finds low outliers: 500 % in the source [rise/run]."""
 
+_JITTER_CELLS = 1e-5
+"""Twice the largest step aside of a grid node in a triangulation [cells]."""
+
 Grid = NDArray[np.float64]
 
 
@@ -143,13 +146,25 @@ def fill_gaps(surface: Grid) -> Grid:
     filled: Grid = surface[tuple(nearest)]
     rim = ~gaps & ndimage.binary_dilation(gaps, structure=np.ones((3, 3), dtype=np.bool_))
     row, column = np.nonzero(rim)
-    tin = triangulate(np.column_stack([column, row, surface[rim]]).astype(np.float64))
+    place = np.column_stack([column, row]) + _jitter(surface[rim])
+    tin = triangulate(np.column_stack([place, surface[rim]]))
     if tin is None:
         return filled
     row, column = np.nonzero(gaps)
     inside = interpolate(tin, column.astype(np.float64), row.astype(np.float64))
     filled[gaps] = np.where(np.isnan(inside), filled[gaps], inside)
     return filled
+
+
+def _jitter(height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Small steps aside that heights alone decide: (n, 2) [cells].
+
+    Four corners of a square have two Delaunay triangulations; which one Qhull takes may
+    depend on points far away. Steps aside leave one, in whatever cutout a place is seen.
+    """
+    turns = height[:, None] * np.array([1e3 * np.sqrt(2.0), 1e3 * np.sqrt(3.0)])
+    steps: NDArray[np.float64] = _JITTER_CELLS * (turns - np.floor(turns) - 0.5)
+    return steps
 
 
 def provisional_terrain(lowest: Grid, cell_m: float, slope: float, window_m: float) -> Grid:

@@ -86,7 +86,7 @@ def enough_peers(
     spacing: NDArray[np.float64],
     places: NDArray[np.int32],
     own: NDArray[np.float64],
-    radius: int,
+    radius: float | NDArray[np.float64],
     wanted: int,
     peer_ratio: float,
 ) -> NDArray[np.bool_]:
@@ -102,7 +102,7 @@ def enough_peers(
         Coordinates relative to the tree's anchor [quanta].
     own : (m,) float64
         Squared spacings of the places [quanta2].
-    radius : int
+    radius : float or (m,) float64
         Farthest point that counts, inclusive [quanta].
     wanted : int
         Points needed [count], >= 1.
@@ -116,8 +116,41 @@ def enough_peers(
     out = np.zeros(len(places), dtype=np.bool_)
     if tree.points.size:
         wide = spacing[tree.points[3]] * (peer_ratio * peer_ratio)
-        _enough_all(tree.points, tree.boxes, tree.depth, wide, places, own, radius, wanted, out)
+        limit = np.ascontiguousarray(np.broadcast_to(np.square(np.float64(radius)), (len(places),)))
+        _enough_all(tree.points, tree.boxes, tree.depth, wide, places, own, limit, wanted, out)
     return out
+
+
+def peer_distances(
+    tree: KdTree,
+    spacing: NDArray[np.float64],
+    places: NDArray[np.int32],
+    own: NDArray[np.float64],
+    radius: float,
+    wanted: int,
+    peer_ratio: float,
+) -> NDArray[np.float64]:
+    """Distance from places to their n-th nearest peer.
+
+    Parameters
+    ----------
+    tree, spacing, places, own, wanted, peer_ratio
+        As for :func:`enough_peers`.
+    radius : float
+        Farthest point looked at, inclusive [quanta].
+
+    Returns
+    -------
+    (m,) float64
+        Distance to peer number ``wanted`` [quanta]; infinite where there are fewer.
+    """
+    squared = np.full(len(places), np.inf)
+    if tree.points.size:
+        wide = spacing[tree.points[3]] * (peer_ratio * peer_ratio)
+        limit = float(radius) ** 2
+        _distances(tree.points, tree.boxes, tree.depth, wide, places, own, limit, wanted, squared)
+    distance: NDArray[np.float64] = np.sqrt(squared)
+    return distance
 
 
 @njit(nogil=True, cache=True)
@@ -173,12 +206,46 @@ def peers_within(points, boxes, depth, wide, x, y, z, own, limit, wanted, stack)
 
 
 @njit(nogil=True, cache=True)
-def _enough_all(points, boxes, depth, wide, places, own, radius, wanted, out):  # type: ignore[no-untyped-def]
-    limit = np.float64(radius) * np.float64(radius)
+def _enough_all(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
     stack = np.empty(64, dtype=np.uint64)
     depth = np.uint64(depth)
     for i in range(len(places)):
         x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
         out[i] = wanted <= peers_within(
-            points, boxes, depth, wide, x, y, z, own[i], limit, wanted, stack
+            points, boxes, depth, wide, x, y, z, own[i], limit[i], wanted, stack
         )
+
+
+@njit(nogil=True, cache=True)
+def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
+    """Squared distance to the n-th peer: branches beyond the n-th so far are left out."""
+    depth = np.uint64(depth)
+    n, first = np.uint64(points.shape[1]), U1 << depth
+    stack, best = np.empty(64, dtype=np.uint64), np.empty(wanted, dtype=np.float64)
+    for i in range(len(places)):
+        x, y, z = np.float64(places[i, 0]), np.float64(places[i, 1]), np.float64(places[i, 2])
+        best[:] = np.inf
+        stack[0] = U1
+        top = U1
+        while top > U0:
+            top -= U1
+            node = stack[top]
+            if box_distance(boxes, node, x, y, z) > min(limit, best[wanted - 1]):
+                continue
+            if node < first:
+                stack[top] = node + node
+                stack[top + U1] = node + node + U1
+                top += U1 + U1
+                continue
+            low, high = leaf_slots(node, depth, n)
+            for slot in range(low, high):
+                dx, dy, dz = points[U0, slot] - x, points[1, slot] - y, points[2, slot] - z
+                d2 = dx * dx + dy * dy + dz * dz
+                if d2 > limit or d2 >= best[wanted - 1] or wide[slot] < own[i]:
+                    continue
+                j = wanted - 1
+                while j > 0 and best[j - 1] > d2:
+                    best[j] = best[j - 1]
+                    j -= 1
+                best[j] = d2
+        out[i] = best[wanted - 1]

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from spl_batch.model import Task
 from spl_batch.plan.flightlines import Flightline
 from spl_batch.plan.inputs import Source
-from spl_batch.plan.space import Unit, owners, units, voxel_parts
+from spl_batch.plan.space import Unit, fired_parts, owners, units, voxel_parts
 from spl_batch.plan.survey import Survey, mosaic_parts
+from spl_batch.stages.local_noise import MARGIN_VOXELS
+from spl_batch.stages.reflectance import reach_m as fired_reach_m
 from spl_batch.stages.surface import reach_m as surface_reach_m
 from spl_batch.tiling import CellId, grow, quanta
 
@@ -20,6 +22,9 @@ RANGE_POINTS = 2_000_000
 
 PRODUCTS = ("dtm", "dsm", "chm", "density", "intensity")
 """Rasters that are delivered."""
+
+MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
+"""What the intensity raster holds, as its band is called."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +114,42 @@ def _gather_range(survey: Survey) -> Iterator[Task]:
             yield Task("gather_range", name, args, (("index_file", key),), stop - start)
 
 
-def _fit(survey: Survey) -> Iterator[Task]:
+def _gathered(survey: Survey, line: Flightline) -> list[str]:
+    """Stretches of a flightline that hold points."""
     gathered = survey.of("gather")
+    return [n for n, _ in line.stretches() if n in gathered and gathered[n].facts["points"]]
+
+
+def _sensor_path(survey: Survey) -> Iterator[Task]:
+    if survey.inputs.trajectory:
+        return
     for line in survey.flightlines:
-        names = [n for n, _ in line.stretches() if n in gathered and gathered[n].facts["points"]]
+        names = _gathered(survey, line)
+        if names:
+            args = {
+                "line": line.name,
+                "stretches": names,
+                "points": line.points,
+                "span_s": [line.first_s, line.last_s],
+            }
+            needs = tuple(("gather", n) for n in names)
+            yield Task("sensor_path", line.name, args, needs)
+
+
+def _observe(survey: Survey) -> Iterator[Task]:
+    if survey.inputs.trajectory:
+        return
+    for line in survey.flightlines:
+        for name in _gathered(survey, line):
+            args = {**_line_args(survey, line), "stretch": name}
+            needs = (("gather", name), *_path_needs(survey, line))
+            yield Task("observe", name, args, needs, survey.of("gather")[name].points)
+
+
+def _fit(survey: Survey) -> Iterator[Task]:
+    observing = "gather" if survey.inputs.trajectory else "observe"
+    for line in survey.flightlines:
+        names = [n for n in _gathered(survey, line) if n in survey.of(observing)]
         if names:
             args = {
                 **_line_args(survey, line),
@@ -121,10 +158,13 @@ def _fit(survey: Survey) -> Iterator[Task]:
                 "span_s": [line.first_s, line.last_s],
                 "prf_basis": line.prf_basis,
             }
-            yield Task("fit_line", line.name, args, tuple(("gather", n) for n in names))
+            yield Task("fit_line", line.name, args, tuple((observing, n) for n in names))
 
 
 def _scatter(survey: Survey) -> Iterator[Task]:
+    filtering = survey.workflow.filter
+    # Only that one filter reads what shots say: the others share the points as they are.
+    dcc = filtering.dcc.model_dump() if filtering.method == "dcc" else None
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
@@ -132,8 +172,9 @@ def _scatter(survey: Survey) -> Iterator[Task]:
             receipt = survey.of("gather").get(name)
             if receipt and receipt.facts["points"]:
                 args = {**_line_args(survey, line), "stretch": name, "timeless": False}
+                args["dcc"] = dcc
                 args["polygons"] = list(survey.inputs.polygons)
-                needs = (("gather", name), ("fit_line", line.name))
+                needs = (("gather", name), ("fit_line", line.name), *_path_needs(survey, line))
                 yield Task("scatter", name, args, needs, receipt.points)
     for name, receipt in sorted(survey.of("gather_range").items()):
         args = {"stretch": name, "timeless": True, "polygons": list(survey.inputs.polygons)}
@@ -158,7 +199,9 @@ def _denoise(survey: Survey) -> Iterator[Task]:
     }
     voxel_q = quanta(survey.workflow.noise.voxel_m)
     for block in survey.blocks:
-        parts = voxel_parts(boxes, grow(block.core, survey.halo_q), voxel_q)
+        # what a density depends on, whatever the halo of the points
+        margin = survey.halo_q + MARGIN_VOXELS * voxel_q
+        parts = voxel_parts(boxes, grow(block.core, margin), voxel_q)
         args = {
             "block": str(block.cell),
             "core": list(block.core),
@@ -180,20 +223,34 @@ def _ground(survey: Survey) -> Iterator[Task]:
 
 
 def _surface(survey: Survey) -> Iterator[Task]:
-    halo = quanta(surface_reach_m(survey.workflow.products))
+    halo = quanta(
+        max(reach(survey.workflow.products) for reach in (surface_reach_m, fired_reach_m))
+    )
+    fired = _fired(survey)
     for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
         if str(cell.cell) not in survey.of("ground"):
             continue
         noise = owners(cell.tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
         ground = owners(cell.tiles, survey.tile_q, survey.cell_q, survey.of("ground"))
+        parts = fired if fired is None else fired_parts(fired, grow(cell.core, halo))
         args = {
             **_cell_args(cell),
             "noise": _named("noise", noise),
             "ground": _named("ground", ground),
             "polygons": list(survey.inputs.polygons),
+            "fired": parts,
         }
         labels = (*_label_needs("denoise", noise), *_label_needs("ground", ground))
-        yield Task("surface", str(cell.cell), args, (*_tile_needs(cell), *labels), cell.points)
+        needs = (*_tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
+        yield Task("surface", str(cell.cell), args, needs, cell.points)
+
+
+def _fired(survey: Survey) -> dict[str, list[int]] | None:
+    """Rectangles that each stretch fired at; None where intensity is the input's."""
+    workflow = survey.workflow
+    boxes = {n: r.facts["fired"] for n, r in survey.of("scatter").items() if "fired" in r.facts}
+    known = workflow.filter.method != "none" and any(box[2] > box[0] for box in boxes.values())
+    return boxes if workflow.products.intensity == "detection" and known else None
 
 
 def _deliver(survey: Survey) -> Iterator[Task]:
@@ -238,6 +295,8 @@ def _mosaic(survey: Survey) -> Iterator[Task]:
                 "bounds": list(bounds),
                 "delivered": product in PRODUCTS,
             }
+            if product == "intensity":
+                args["meaning"] = MEANINGS[_fired(survey) is not None]
             yield Task("mosaic", name, args, needs)
 
 
@@ -248,6 +307,8 @@ PHASES = (
     Phase("sort_file", _sort),
     Phase("gather", _gather),
     Phase("gather_range", _gather_range),
+    Phase("sensor_path", _sensor_path),
+    Phase("observe", _observe),
     Phase("fit_line", _fit),
     Phase("scatter", _scatter),
     Phase("build_tile", _build),
@@ -278,6 +339,7 @@ def _beamlets(survey: Survey) -> int:
 
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
     heading = survey.of("heading").get(line.name)
+    path = survey.of("sensor_path").get(line.name)
     return {
         "line": line.name,
         "psid": line.psid,
@@ -285,8 +347,13 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
         "prf_hz": line.clock.prf_hz,
         "beamlets": _beamlets(survey),
         "trajectory": bool(survey.of("trajectory")),
+        "sensor_path": bool(path and path.facts["found"]),
         "heading_rad": heading.facts["heading_rad"] if heading else None,
     }
+
+
+def _path_needs(survey: Survey, line: Flightline) -> tuple[tuple[str, str], ...]:
+    return (("sensor_path", line.name),) if line.name in survey.of("sensor_path") else ()
 
 
 def _cell_args(cell: Unit) -> dict[str, object]:

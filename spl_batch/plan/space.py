@@ -101,6 +101,23 @@ def owners(
     }
 
 
+def fired_parts(boxes: Mapping[str, Sequence[int]], region: Bounds) -> list[str]:
+    """Stretches that may have fired at a region, by name.
+
+    Parameters
+    ----------
+    boxes : mapping of str to sequence of int
+        Rectangle of each stretch near the ground: xmin, ymin, xmax, ymax [m].
+    region : Bounds
+        The region [quanta].
+    """
+    return [
+        name
+        for name, box in sorted(boxes.items())
+        if overlap(Bounds(*(quanta(edge) for edge in box)), region)
+    ]
+
+
 def voxel_parts(boxes: Mapping[str, Sequence[int]], region: Bounds, voxel_q: int) -> list[str]:
     """Stretches whose voxel parts overlap a region, by name.
 

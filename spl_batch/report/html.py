@@ -3,6 +3,7 @@
 import datetime as dt
 import json
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -14,6 +15,33 @@ from spl_batch.report.summary import noise_removed, terrain_statistics, verdicts
 
 LONGEST_TABLE: Final = 200
 """More rows than this are in ``report.json`` only: a page is for reading."""
+
+
+HOW: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "vsaes": (
+            "Around each return an ellipsoid is fitted to its neighbours, so that it follows a "
+            "wire, a roof or the ground; the return is kept when background alone would hardly "
+            "give as many neighbours."
+        ),
+        "aes": (
+            "As many returns as background is expected, those with fewest neighbours for it, are "
+            "removed first; then those around which an ellipsoid fitted to the neighbours holds "
+            "far fewer returns than a sphere."
+        ),
+        "dcc": (
+            "Each shot is then judged by itself: returns are kept in the range bins that hold "
+            "more of them than its background explains."
+        ),
+        "voxel": "Returns are kept in flat voxels that hold at least the mean number of them.",
+        "multilevel": (
+            "Returns are kept near the fullest height of a place, where voxels and those around "
+            "them hold a fixed number, first in large voxels and then in small ones."
+        ),
+        "cylinder": "Returns are kept that have enough others in an upright cylinder around them.",
+    }
+)
+"""What each noise filter does, for a reader of the report."""
 
 
 def render(report: Report, pictures: Mapping[str, Picture]) -> str:
@@ -31,7 +59,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
     str
         HTML without any reference to another file; the same input gives the same text.
     """
-    template = _environment().get_template("template.html.j2")
+    template = environment().get_template("template.html.j2")
     return template.render(
         report=report,
         pictures=pictures,
@@ -41,13 +69,15 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         set_aside=_set_aside(report.counts),
         stages=_stages(report.performance.stages),
         survivors=_survivors(report),
+        how=HOW,
         written=_written(report.provenance.created),
         parameters=json.dumps(report.provenance.parameters, indent=2, ensure_ascii=False),
         longest=LONGEST_TABLE,
     )
 
 
-def _environment() -> Environment:
+def environment() -> Environment:
+    """Templates of this package, with the numbers' formats as filters."""
     environment = Environment(
         loader=PackageLoader("spl_batch.report", "."),
         autoescape=True,

@@ -75,8 +75,10 @@ class Flightline(Part):
     gate_basis: Literal["given", "estimated", "none"] = Field(
         "none", description="Where the length of the range gate comes from."
     )
-    beam_basis: Literal["trajectory", "scan_angle", "vertical", "none"] = Field(
-        "none", description="What the beam directions were taken from."
+    beam_basis: Literal["trajectory", "intersection", "scan_angle", "vertical", "none"] = Field(
+        "none",
+        description="What the beam directions were taken from; intersection: the sensor is "
+        "where lines through several returns of one beamlet meet.",
     )
     seen_fraction: Number = Field(
         None, description="Beamlets with at least one return / beamlets fired, 0..1."

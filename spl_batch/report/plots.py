@@ -1,5 +1,6 @@
 """Plots that are not maps: the histogram of differences and the vertical profile."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -159,6 +160,60 @@ def draw_profile(profile: Profile) -> Figure:
         bottom.set_ylim(*limits)
         bottom.set_xlim(float(along.min()), max(float(along.max()), float(along.min()) + 1.0))
     return drawn
+
+
+def draw_methods(profiles: Mapping[str, Profile]) -> Figure:
+    """The same strip as several filters see it, side by side, after what was recorded.
+
+    Parameters
+    ----------
+    profiles : mapping of str to Profile
+        The strip by the filter's name; at least one, each with at least one point.
+    """
+    first = next(iter(profiles.values()))
+    kept = ~np.isin(first.noise_class, (NOISE_BACKGROUND, NOISE_AFTERPULSE))
+    low, high = _height_limits(first.z_m, kept)
+    rows = -(-(len(profiles) + 1) // 2)
+    with style.type_context():
+        drawn = style.figure(WIDTH_IN, 0.5 + 2.5 * rows)
+        grid = drawn.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
+        panels = list(grid.ravel())
+        shown = _thinned(first)
+        size = float(np.clip(9e4 / max(shown.along_m.size, 1), 0.4, 4.0))
+        panels[0].scatter(shown.along_m, shown.z_m, s=size, c=style.RAW, alpha=0.55, linewidths=0)
+        panels[0].set_title("As recorded")
+        for axes, (name, profile) in zip(panels[1:], profiles.items(), strict=False):
+            _draw_kept(axes, _thinned(profile), size)
+            axes.set_title(name)
+        for axes in panels[len(profiles) + 1 :]:
+            axes.set_axis_off()
+        for axes in panels[: len(profiles) + 1]:
+            axes.spines[["top", "right"]].set_visible(False)
+            axes.grid(color=style.RULE, linewidth=0.4)
+            axes.set_axisbelow(True)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("height [m]")
+        for axes in grid[-1]:
+            axes.set_xlabel(f"distance [m]; strip {first.width_m:g} m wide")
+        grid[0, 0].set_ylim(low, high)
+        along = first.along_m
+        grid[0, 0].set_xlim(float(along.min()), max(float(along.max()), float(along.min()) + 1.0))
+    return drawn
+
+
+def _draw_kept(axes: Axes, profile: Profile, size: float) -> None:
+    """What a filter keeps, over a hint of what it removes."""
+    background = profile.noise_class == NOISE_BACKGROUND
+    afterpulse = profile.noise_class == NOISE_AFTERPULSE
+    for member, colour, alpha in (
+        (background, style.NOISE, 0.25),
+        (~(background | afterpulse), style.SIGNAL, 0.9),
+        (afterpulse, style.AFTERPULSE, 0.5),
+    ):
+        axes.scatter(
+            profile.along_m[member], profile.z_m[member], s=size, c=colour, alpha=alpha,
+            linewidths=0,
+        )  # fmt: skip
 
 
 def _height_limits(z_m: NDArray[Any], kept: NDArray[np.bool_]) -> tuple[float, float]:

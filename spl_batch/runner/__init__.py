@@ -22,7 +22,7 @@ from spl_batch.errors import SplBatchError, StoppedError
 from spl_batch.io.atomic import checksum
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
 from spl_batch.model import Receipt, Task
-from spl_batch.runner import delivery, index, space_domain, time_domain
+from spl_batch.runner import delivery, index, lines_of_sight, space_domain, time_domain
 from spl_batch.runner.context import Context, TaskFunction
 
 STAGES: Final = (
@@ -50,6 +50,7 @@ class Kind:
 LIBRARIES: Final = ("lazrs", "numba", "numpy", "pyproj", "scipy", "shapely", "zarr")
 """Libraries whose versions can change a result."""
 
+_OBSERVED: Final = ("noise", "acquisition", "survey.sensor")
 _TIME: Final = ("noise", "afterpulse", "acquisition", "survey.sensor")
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
@@ -58,12 +59,14 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "trajectory": Kind("index", index.gather_trajectory, ("survey.trajectory_crs",)),
         "heading": Kind("shots", index.find_heading, ()),
         "sort_file": Kind("shots", time_domain.sort_file, ("survey.channel_dimension",)),
-        "gather": Kind("shots", time_domain.gather, ("noise", "survey.channel_dimension")),
+        "gather": Kind("shots", time_domain.gather, (*_OBSERVED, "survey.channel_dimension")),
         "gather_range": Kind("shots", time_domain.gather_range, ("survey.channel_dimension",)),
+        "sensor_path": Kind("shots", lines_of_sight.find_path, ()),
+        "observe": Kind("shots", lines_of_sight.observe, _OBSERVED),
         "fit_line": Kind("shots", time_domain.fit_line, _TIME),
         "scatter": Kind("shuffle", time_domain.scatter, (*_TIME, "tiling.tile_m", "aoi", "water")),
         "build_tile": Kind("shuffle", time_domain.build_tile, ()),
-        "denoise": Kind("denoise", space_domain.denoise, ("filter", "noise", "afterpulse.enabled")),
+        "denoise": Kind("denoise", space_domain.denoise, ("filter", "noise", "afterpulse")),
         "ground": Kind("ground", space_domain.ground, ("ground",)),
         "surface": Kind("surfaces", space_domain.surface, ("ground.cell_m", "products", "aoi")),
         "deliver_file": Kind("deliver", delivery.deliver_file, ("outputs.diagnostics",)),

@@ -1,4 +1,4 @@
-"""The vertical strip that the report shows before and after."""
+"""Vertical strips that a report shows: where they lie, and their points."""
 
 from collections.abc import Mapping
 
@@ -32,13 +32,29 @@ def cut_profile(
     """
     if height is None:
         return None
-    strip = _tallest_strip(height)
+    return read_strip(tallest_strip(height), done, context)
+
+
+def read_strip(
+    strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
+) -> Profile | None:
+    """Points of a strip with what a run took them for; None without points.
+
+    Parameters
+    ----------
+    strip : Bounds
+        Where; the profile runs along its easting [quanta].
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    """
     tile_q = quanta(context.workflow.tiling.tile_m)
     built = done.get("build_tile", {})
     tiles = [t for t in cells_touching(strip, tile_q) if str(t) in built]
     labels = {
-        "noise_class": _holders(tiles, tile_q, "noise", done.get("denoise", {})),
-        "classification": _holders(tiles, tile_q, "classes", done.get("surface", {})),
+        "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
+        "classification": label_holders(tiles, tile_q, "classes", done.get("surface", {})),
     }
     table, _, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels)
     if not len(table):
@@ -48,11 +64,11 @@ def cut_profile(
         table["z"] * QUANTUM_M,
         table["noise_class"],
         table["classification"],
-        WIDTH_M,
+        (strip.ymax - strip.ymin) * QUANTUM_M,
     )
 
 
-def _tallest_strip(height: Part) -> Bounds:
+def tallest_strip(height: Part) -> Bounds:
     """Strip with the largest sum of heights above ground; the first of equals."""
     values = np.where(height.values > NODATA, height.values.astype(np.float64), 0.0)
     length = min(max(round(LENGTH_M / height.cell_m), 1), values.shape[1])
@@ -65,13 +81,25 @@ def _tallest_strip(height: Part) -> Bounds:
     return Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
 
 
-def _holders(
+def label_holders(
     tiles: list[CellId],
     tile_q: int,
     folder: str,
     units: Mapping[str, Receipt],
 ) -> dict[CellId, list[tuple[str, str]]]:
-    """Label files that may hold each tile's points."""
+    """Label files that may hold each tile's points, by tile.
+
+    Parameters
+    ----------
+    tiles : list of CellId
+        Tiles.
+    tile_q : int
+        Edge of a tile [quanta].
+    folder : str
+        Kind of the labels, as the store names it.
+    units : mapping of str to Receipt
+        Finished units that gave them, by name.
+    """
     holders: dict[CellId, list[tuple[str, str]]] = {t: [] for t in tiles}
     for name, receipt in units.items():
         core = Bounds(*receipt.facts["core"])

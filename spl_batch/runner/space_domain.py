@@ -12,12 +12,14 @@ from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
 from spl_batch.io.rasters import cell_files, write_cell
 from spl_batch.io.store import add_voxels
+from spl_batch.io.tables import read_arrays
 from spl_batch.model import TILE_COLUMNS, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.stages import denoise as denoising
 from spl_batch.stages import ground as grounding
+from spl_batch.stages import local_noise, reflectance, voxel_noise
 from spl_batch.stages import surface as surfacing
-from spl_batch.stages import voxel_noise
+from spl_batch.stages.fired import FiredPart
 from spl_batch.stages.water import submerged
 from spl_batch.tiling import Bounds, CellId, cell_bounds, cell_index, grow, inside, quanta
 
@@ -31,12 +33,13 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     region = grow(core, quanta(denoising.reach_m(workflow.filter)))
     table, tiles, rows = read_region(context.store, _cells(args["tiles"]), region, TILE_COLUMNS, {})
     owned = inside(table["x"], table["y"], core)
-    density = _expected(table, args["voxels"], args["beamlets"], context)
-    decided = denoising.denoise(table, density, owned, workflow.filter)
+    density, within = _expected(table, args["voxels"], args["beamlets"], context)
+    decided = denoising.denoise(table, within, owned, workflow.filter, workflow.afterpulse)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {
         "noise_class": decided["noise_class"],
         "p_value": decided["p_value"],
+        "wire": decided["wire"],
         "noise_density": density[owned],
     }
     write_labels(path, tiles[owned], rows[owned], labels)
@@ -71,22 +74,22 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell."""
     workflow = context.workflow
     core = _ground_cell(args, context)
-    reach = quanta(surfacing.reach_m(workflow.products))
+    reach = quanta(max(module.reach_m(workflow.products) for module in (surfacing, reflectance)))
+    noise = _units(args["noise"])
+    labels = {"noise_class": noise, "noise_density": noise, "ground": _units(args["ground"])}
+    if workflow.filter.wires.classify:
+        labels["wire"] = noise
     table, tiles, rows = read_region(
-        context.store,
-        _cells(args["tiles"]),
-        grow(core, reach),
-        TILE_COLUMNS,
-        {
-            "noise_class": _units(args["noise"]),
-            "noise_density": _units(args["noise"]),
-            "ground": _units(args["ground"]),
-        },
+        context.store, _cells(args["tiles"]), grow(core, reach), TILE_COLUMNS, labels
     )
     # A point that no unit has labelled, or that lies outside the area, makes no surface.
     known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
     shown = table.take(known & ~table.has(PointFlag.OUTSIDE_AOI))
     arrays = surfacing.surfaces(shown, core, workflow.products)
+    if args["fired"] is not None:
+        paths = [context.store.path("fired", f"{name}.npz") for name in args["fired"]]
+        parts = [FiredPart.from_arrays(read_arrays(path)) for path in paths]
+        arrays["intensity"] = reflectance.raster(table, parts, core, workflow.products)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     arrays["noise"] = _mean_noise(table, core, quanta(workflow.products.cell_m))
@@ -103,20 +106,39 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
 
 def _expected(
     table: PointTable, parts: Sequence[str], beamlets: int, context: Context
-) -> NDArray[np.float64]:
-    """Noise density expected in each point's voxel [1/m3]."""
-    edge = quanta(context.workflow.noise.voxel_m)
-    if not len(table) or not parts:
-        return np.zeros(len(table))
-    index = [cell_index(table[axis].astype(np.int64), edge) for axis in "xyz"]
-    corner = [int(i.min()) for i in index]
-    shape = [int(i.max()) - c + 1 for i, c in zip(index, corner, strict=True)]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise density expected in each point's voxel, and where it is listened to [1/m3]."""
     settings = context.workflow.noise
-    sums = ("amount", "shots", "beamlets") if settings.correction == "published" else ("amount",)
-    totals = {name: np.zeros(shape, dtype=np.int64) for name in sums}
-    for part in parts:
-        path = context.store.path("voxels", f"{part}.zarr")
-        add_voxels(path, (corner[0], corner[1], corner[2]), totals)
+    edge = quanta(settings.voxel_m)
+    if not len(table) or not parts:
+        return np.zeros(len(table)), np.zeros(len(table))
+    point = [table[axis].astype(np.int64) for axis in "xyz"]
+    index = [cell_index(p, edge) for p in point]
+    # The voxels around, too: whether an edge lies here does not show in one alone.
+    margin = local_noise.MARGIN_VOXELS
+    corner = [int(i.min()) - margin for i in index]
+    shape = [int(i.max()) - c + 1 + margin for i, c in zip(index, corner, strict=True)]
+    voxel = tuple(i - c for i, c in zip(index, corner, strict=True))
+    published = settings.correction == "published"
+    names = ("amount", "shots", "beamlets") if published else ("amount",)
+    totals = {name: np.zeros(shape, dtype=np.int64) for name in names}
+    listened = np.zeros(len(table))
+    square = tuple(
+        (p - c * edge) * local_noise.SQUARES // edge
+        for p, c in zip(point[:2], corner[:2], strict=True)
+    )
+    for line in _by_line(parts):
+        sums: dict[str, NDArray[Any]] = {k: np.zeros(shape, dtype=np.int64) for k in names}
+        if not published:
+            sums["covered"] = np.zeros(shape, dtype=np.uint16)
+        for part in line:
+            path = context.store.path("voxels", f"{part}.zarr")
+            add_voxels(path, (corner[0], corner[1], corner[2]), sums)
+        for name, total in totals.items():
+            total += sums[name]
+        if not published:
+            found = (sums["amount"], sums["covered"])
+            listened += local_noise.local_density([found], voxel, square, settings.voxel_m)
     density = voxel_noise.density(
         totals["amount"],
         settings,
@@ -124,8 +146,17 @@ def _expected(
         beamlets=totals.get("beamlets"),
         beamlets_per_shot=beamlets,
     )
-    at = tuple(i - c for i, c in zip(index, corner, strict=True))
-    return np.asarray(density[at], dtype=np.float64)
+    mean = np.asarray(density[voxel], np.float64)
+    within = np.asarray(voxel_noise.within_gate(density)[voxel], np.float64)
+    return mean, within if published else np.where(listened > 0.0, listened, within)
+
+
+def _by_line(parts: Sequence[str]) -> list[list[str]]:
+    """Names of stretches, a list for each flightline, in the order of names."""
+    lines: dict[str, list[str]] = {}
+    for part in sorted(parts):
+        lines.setdefault(part.rpartition("/")[0], []).append(part)
+    return list(lines.values())
 
 
 def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float32]:

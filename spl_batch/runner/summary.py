@@ -256,8 +256,8 @@ def _noise(context: Context) -> Noise:
     some = len(values) > 0
     return Noise(
         method=settings.method,
-        test=settings.test if settings.method != "none" else None,
-        alpha=settings.alpha if settings.method != "none" else None,
+        test=settings.test if settings.method == "vsaes" else None,
+        alpha=settings.alpha if settings.method == "vsaes" else None,
         mean_per_m3=float(values.mean()) if some else None,
         p05_per_m3=float(np.percentile(values, 5)) if some else None,
         p95_per_m3=float(np.percentile(values, 95)) if some else None,

@@ -22,7 +22,6 @@ from spl_batch.io.tables import (
     write_table,
     writing,
 )
-from spl_batch.io.trajectory import read_slice
 from spl_batch.model import (
     COLUMNS,
     EXCLUDED,
@@ -32,14 +31,16 @@ from spl_batch.model import (
     PointFlag,
     PointTable,
     ShotClock,
-    Trajectory,
     canonical_order,
     concat,
 )
+from spl_batch.runner import lines_of_sight
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.index import RUN_POINTS
+from spl_batch.runner.lines_of_sight import STRETCH_COLUMNS
 from spl_batch.sensor import Sensor
-from spl_batch.stages import afterpulse, geometry, line_noise, voxel_noise
+from spl_batch.settings import DccSettings
+from spl_batch.stages import afterpulse, afterpulse_law, fired, line_noise, shot_filter, voxel_noise
 from spl_batch.tiling import cell_index, quanta
 
 GROUP_POINTS = 16_384
@@ -48,7 +49,6 @@ GROUP_POINTS = 16_384
 CHUNK_POINTS = RUN_POINTS * 16
 """Points read at once from an input file [count]."""
 
-STRETCH_COLUMNS = (*SOURCE_COLUMNS, "shot")
 _TIME_ORDER = ("gps_time", "channel", "return_number", "x", "y", "z", "source", "index")
 
 
@@ -85,13 +85,10 @@ def gather(args: Mapping[str, Any], context: Context) -> Produced:
     outputs = [path]
     facts: dict[str, Any] = {"points": len(table), "uncovered": 0}
     if len(table):
-        beams = _beams(table, context, args)
-        facts["uncovered"] = int(np.count_nonzero(~beams.known))
-        facts["uncovered_span_s"] = _span(table["gps_time"][~beams.known])
-        observed = line_noise.observe(table, beams, context.workflow.noise)
-        stats = context.store.path("observed", f"{args['stretch']}.npz")
-        write_arrays(stats, observed)
-        outputs.append(stats)
+        look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
+        looked = look(table, args, context)
+        facts |= looked.facts
+        outputs.extend(looked.outputs)
     return Produced(outputs, facts, len(table))
 
 
@@ -113,14 +110,16 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     parts = [read_arrays(context.store.path("observed", f"{s}.npz")) for s in args["stretches"]]
     model = line_noise.fit(line_noise.merge(parts), context.workflow.noise, _sensor(args, context))
     path = context.store.path("lines", f"{args['line']}.npz")
-    write_arrays(path, model.to_arrays())
+    law = afterpulse_law.fit(parts, model.mean_rate, _sensor(args, context))
+    write_arrays(path, {**model.to_arrays(), "afterpulse_law": np.array(law)})
     seen = model.seen_fraction
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis")},
-        "basis": _basis(args),
+        "basis": lines_of_sight.basis(args),
         "gate_m": model.gate_m,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
+        "afterpulses": {"probability": law.probability, "scale_m": law.scale_m},
         "warnings": list(model.warnings),
     }
     return Produced([path], facts, args["points"])
@@ -134,10 +133,10 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
-    table = table.with_columns(line_density=zeros, afterpulse=zeros)
+    table = table.with_columns(line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros)
     if len(table) and not args["timeless"]:
-        table, part_path = _assess(table, args, context, facts)
-        outputs.append(part_path)
+        table, parts = _assess(table, args, context, facts)
+        outputs.extend(parts)
     table = _mark_places(table, context)
     tile_q = quanta(context.workflow.tiling.tile_m)
     i, j = cell_index(table["x"], tile_q), cell_index(table["y"], tile_q)
@@ -178,24 +177,30 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
 
 def _assess(
     table: PointTable, args: Mapping[str, Any], context: Context, facts: dict[str, Any]
-) -> tuple[PointTable, Path]:
-    """Add what the time domain knows about each point; write the voxel part."""
+) -> tuple[PointTable, list[Path]]:
+    """Add what the time domain knows about each point; write the parts of the stretch."""
     workflow = context.workflow
-    beams = _beams(table, context, args)
+    beams = lines_of_sight.beams(table, context.store, args)
     flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
     table = table.with_columns(flags=flags)
     known = np.flatnonzero(beams.known)
     subset, beams = table.take(known), _take_beams(beams, known)
-    model = line_noise.LineModel.from_arrays(
-        read_arrays(context.store.path("lines", f"{args['line']}.npz"))
-    )
+    line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
+    model = line_noise.LineModel.from_arrays(line)
     density = np.zeros(len(table), np.float32)
     density[known] = line_noise.line_density(subset, model)
-    chance = np.zeros(len(table), np.float32)
+    chance, rate = np.zeros((2, len(table)), np.float32)
     if workflow.afterpulse.enabled:
+        law = afterpulse_law.AfterpulseLaw(*line["afterpulse_law"].tolist())
         chance[known] = afterpulse.probability(
-            subset, beams, workflow.afterpulse, _sensor(args, context), gate_m=model.gate_m
-        )
+            subset, beams, workflow.afterpulse, _sensor(args, context),
+            gate_m=model.gate_m, law=law,
+        )  # fmt: skip
+        rate[known] = afterpulse_law.rate(subset, beams, law)
+    if args["dcc"] is not None:
+        noise = shot_filter.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
+        flags[known[noise]] |= np.uint8(PointFlag.SHOT_NOISE)
+        table = table.with_columns(flags=flags)
     part = voxel_noise.deposit(subset, beams, model, workflow.noise)
     path = context.store.path("voxels", f"{args['stretch']}.zarr")
     write_voxels(path, part)
@@ -203,7 +208,28 @@ def _assess(
         *part.corner,
         *(c + n for c, n in zip(part.corner, part.amount.shape, strict=True)),
     ]
-    return table.with_columns(line_density=density, afterpulse=chance), path
+    table = table.with_columns(line_density=density, afterpulse=chance, afterpulse_rate=rate)
+    return table, [path, *_write_fired(subset, beams, model, args, context, facts)]
+
+
+def _write_fired(
+    table: PointTable,
+    beams: BeamTable,
+    model: line_noise.LineModel,
+    args: Mapping[str, Any],
+    context: Context,
+    facts: dict[str, Any],
+) -> list[Path]:
+    """Write where the beamlets pointed, if the sensor's positions and the channels tell."""
+    if not (args["trajectory"] or args["sensor_path"]) or args["beamlets"] < 2:
+        return []
+    clock = ShotClock(args["t0_s"], args["prf_hz"])
+    part = fired.aim(table, beams, model, _sensor(args, context), clock)
+    facts["fired"] = part.reach()
+    facts["fired_blocks"] = [len(part.first), part.dropped]
+    path = context.store.path("fired", f"{args['stretch']}.npz")
+    write_arrays(path, part.to_arrays())
+    return [path]
 
 
 def _mark_places(table: PointTable, context: Context) -> PointTable:
@@ -224,16 +250,6 @@ def _time_order(table: PointTable) -> NDArray[np.intp]:
     return np.lexsort([table[k] for k in reversed(_TIME_ORDER)])
 
 
-def _beams(table: PointTable, context: Context, args: Mapping[str, Any]) -> BeamTable:
-    trajectory: Trajectory | None = None
-    if args["trajectory"]:
-        time = table["gps_time"]
-        trajectory = read_slice(
-            context.store.path("trajectory.parquet"), float(time.min()), float(time.max())
-        )
-    return geometry.beams(table, trajectory, heading_rad=args["heading_rad"])
-
-
 def _take_beams(beams: BeamTable, rows: NDArray[np.intp]) -> BeamTable:
     return BeamTable(
         beams.origin_m[rows],
@@ -246,16 +262,6 @@ def _take_beams(beams: BeamTable, rows: NDArray[np.intp]) -> BeamTable:
 def _sensor(args: Mapping[str, Any], context: Context) -> Sensor:
     """The instrument; without a channel dimension a shot is one beamlet."""
     return context.workflow.sensor.model_copy(update={"beamlets": args["beamlets"]})
-
-
-def _basis(args: Mapping[str, Any]) -> str:
-    if args["trajectory"]:
-        return "trajectory"
-    return "vertical" if args["heading_rad"] is None else "scan_angle"
-
-
-def _span(time: NDArray[np.float64]) -> list[float] | None:
-    return [float(time.min()), float(time.max())] if len(time) else None
 
 
 def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:

@@ -21,6 +21,7 @@ from spl_batch.kernels.scene_trace import (
     SceneArrays,
 )
 from spl_batch.kernels.sim_linear import linear_returns, surface_heights
+from spl_batch.kernels.sim_reflectance import mean_reflectance
 from spl_batch.kernels.sim_shots import NoiseGrid, empty_layers
 from spl_batch.simulate.files import (
     las_header,
@@ -37,6 +38,9 @@ from spl_batch.simulate.scene import Scene
 
 TRAJECTORY_HZ = 200.0
 """Records per second of the trajectory [Hz]."""
+
+REFLECTANCE_SAMPLES = 4
+"""Places along one side of a cell whose reflectance is averaged [count]."""
 
 LINEAR_SPOT_M = 0.1
 """Spread of the reference's footprint [m]."""
@@ -151,7 +155,7 @@ def _reference(scene: Scene, arrays: SceneArrays, out: Path) -> None:
 
 
 def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
-    """True ground and surface at the centres of 1 m cells on whole metres."""
+    """True ground, surface and reflectance of 1 m cells on whole metres."""
     west, south = (math.floor(v) for v in scene.origin_m[:2])
     east, north = (
         math.ceil(v + size) for v, size in zip(scene.origin_m, scene.extent_m, strict=False)
@@ -164,6 +168,10 @@ def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
     for name, values in (("dtm", ground), ("dsm", surface)):
         path = out / "truth" / f"{name}.tif"
         write_raster(path, values.reshape(xs.shape), float(west), float(north), scene.crs)
+    rho = np.empty(xs.shape)
+    corner = west - scene.origin_m[0], north - scene.origin_m[1]
+    mean_reflectance(arrays, corner[0], corner[1], 1.0, REFLECTANCE_SAMPLES, rho)
+    write_raster(out / "truth" / "reflectance.tif", rho, float(west), float(north), scene.crs)
 
 
 def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - one caller

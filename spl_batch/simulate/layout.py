@@ -104,6 +104,8 @@ def _arrays(
         ground.z,
         ground.rho,
         ground.kind,
+        ground.pond_at,
+        ground.ponds,
         ground.grid,
         planes,
         np.array([len(s.planes) for s in solids], dtype=np.int64),

@@ -92,11 +92,23 @@ class Wires(Section):
 
 
 class Water(Section):
-    """A pond or lake: flat and dark."""
+    """A pond or lake: flat and dark, opaque or clear.
+
+    Clear water has a depth: light that passes its surface meets the bottom, attenuated on
+    both ways. Refraction and the lower speed of light in water are left out, so the depth is
+    the apparent one.
+    """
 
     ring_m: tuple[Place, ...] = Field(min_length=3, description="Corners, east and north [m].")
     reflectance: Share = Field(0.03, description="Of the surface.")
     bank_slope: Positive = Field(0.3, description="Steepest ground beside it [rise/run].")
+    depth_m: NotNegative = Field(
+        0.0, description="Of clear water, reached at the bank's slope [m]; 0 is opaque."
+    )
+    attenuation_per_m: NotNegative = Field(
+        0.15, description="Diffuse attenuation of clear water, one way [1/m]."
+    )
+    bottom_reflectance: Share = Field(0.15, description="Of its bottom.")
 
 
 class Flight(Section):

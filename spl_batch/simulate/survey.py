@@ -60,6 +60,7 @@ KINDS = (
     "water",
     "afterpulse",
     "other",
+    "bottom",
 )
 """Names of the values of the truth column ``kind``."""
 
@@ -114,8 +115,9 @@ def simulate(
     there is water, ``workflow.yaml``, and ``truth/``: ``line_NN.parquet`` with a row for
     each point in the file's order (``kind``: index in :data:`KINDS`; ``parent``: kind of the
     surface behind an afterpulse, else 255; ``parent_row``: row of its parent, else -1),
-    ``dtm.tif``, ``dsm.tif`` (at cell centres), ``noise_density.npz`` (expected background
-    per cubic metre, lattice index of the first voxel, edge) and ``scene.json``.
+    ``dtm.tif``, ``dsm.tif`` (at cell centres), ``reflectance.tif`` (cell means),
+    ``noise_density.npz`` (expected background per cubic metre, lattice index of the first
+    voxel, edge) and ``scene.json``.
 
     Only shots whose footprint meets the extent are there, so a flightline's shots come in
     arcs with pauses of thousands of shots between them, as in a delivery cut to an area.

@@ -8,7 +8,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.kernels.scene_trace import KIND_GROUND, KIND_WATER
+from spl_batch.kernels.scene_trace import KIND_BOTTOM, KIND_GROUND, KIND_WATER
 from spl_batch.simulate.scene import Scene
 
 APRON_M = 60.0
@@ -22,6 +22,8 @@ class Ground(NamedTuple):
     rho: NDArray[np.float64]
     kind: NDArray[np.uint8]
     grid: NDArray[np.float64]
+    pond_at: NDArray[np.uint8] = np.zeros((0, 0), dtype=np.uint8)
+    ponds: NDArray[np.float64] = np.zeros((0, 3))
 
 
 def make_ground(scene: Scene, rng: np.random.Generator) -> Ground:
@@ -72,8 +74,13 @@ def _smooth_noise(
 
 
 def _flood(scene: Scene, ground: Ground) -> Ground:
-    """Lower the ground to each water level, with banks of the stated slope."""
+    """Lower the ground to each water level, with banks of the stated slope.
+
+    Clear water shows its bottom, which falls from the shore at the same slope.
+    """
     z, rho, kind = ground.z.copy(), ground.rho.copy(), ground.kind.copy()
+    pond_at = np.zeros(z.shape, dtype=np.uint8)
+    ponds: list[tuple[float, float, float]] = []
     points = shapely.points(*node_points(ground))
     for water in scene.water:
         polygon = shapely.Polygon(water.ring_m)
@@ -88,4 +95,13 @@ def _flood(scene: Scene, ground: Ground) -> Ground:
         z[wet] = level
         rho[wet] = water.reflectance
         kind[wet] = KIND_WATER
-    return Ground(z, rho, kind, ground.grid)
+        if water.depth_m > 0.0:
+            depth = water.bank_slope * shapely.distance(polygon.exterior, points)
+            deep = wet & (depth > 0.0)
+            z[deep] = level - np.minimum(depth, water.depth_m)[deep]
+            rho[deep], kind[deep] = water.bottom_reflectance, KIND_BOTTOM
+            pond_at[deep] = len(ponds)
+            ponds.append((level, water.attenuation_per_m, water.reflectance))
+    return Ground(
+        z, rho, kind, ground.grid, pond_at, np.array(ponds, dtype=np.float64).reshape(-1, 3)
+    )

@@ -8,8 +8,9 @@ needs a parent: an earlier return of its own beamlet, on that surface, at most
 roof's afterpulse. Returns that follow another one of their beamlet do not take part in
 the fit. Where one plane does not do, a shot may hold up to three surfaces. Distances to
 the threshold are taken along the beam, as an afterpulse lags along it. Away from hard
-surfaces the lag alone gives a probability below one half. Where a shot knows no
-channels, the published rule stands, but not deeper than ``lag_max_m``.
+surfaces the lag, by the flightline's own law (:mod:`~spl_batch.stages.afterpulse_law`), gives
+a probability below one half: the space domain decides (:mod:`~spl_batch.stages.echoes`).
+Where a shot knows no channels, the published rule stands, but not deeper than ``lag_max_m``.
 """
 
 from typing import Final
@@ -17,14 +18,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.constants import QUANTUM_M, SPEED_OF_LIGHT_M_S
 from spl_batch.kernels.afterpulses import shot_probabilities
 from spl_batch.kernels.hard_surfaces import Rules
 from spl_batch.kernels.shots import lag_behind, run_starts
 from spl_batch.model import BeamTable, PointTable
 from spl_batch.sensor import Sensor
+from spl_batch.settings import AfterpulseSettings
+from spl_batch.stages import afterpulse_law
+from spl_batch.stages.afterpulse_law import AfterpulseLaw, sensor_law, shot_offsets
 from spl_batch.stages.gate import GATE_ASSUMED_M
-from spl_batch.workflow import AfterpulseSettings
 
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
@@ -39,6 +41,7 @@ def probability(
     sensor: Sensor,
     *,
     gate_m: float | None = None,
+    law: AfterpulseLaw | None = None,
 ) -> NDArray[np.float32]:
     """Probability that each return is an afterpulse.
 
@@ -54,6 +57,8 @@ def probability(
         Dead time, ranging spread, afterpulse statistics.
     gate_m : float, optional
         Slant length of the gate as the flightline's noise model found it [m].
+    law : AfterpulseLaw, optional
+        Of the flightline; the sensor's by default.
 
     Returns
     -------
@@ -67,14 +72,36 @@ def probability(
     time, channel = table["gps_time"][rows], table["channel"][rows]
     range_m = beams.range_m[rows]
     shots = run_starts(time)
-    xyz = np.stack([table[k][rows].astype(np.int64) for k in ("x", "y", "z")], axis=1)
-    offset = (xyz - np.repeat(xyz[shots[:-1]], np.diff(shots), axis=0)) * np.float64(QUANTUM_M)
-    dead_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * sensor.dead_time_ns
-    # Both returns of a pair carry the ranging spread, so the measured lag may fall short.
-    least = max(dead_m - 5.0 * sensor.range_sigma_m, 1e-3)
+    law = law or sensor_law(sensor)
     lag = np.empty(len(rows), dtype=np.float32)
-    lag_behind(run_starts(time, channel), range_m, least, settings.lag_max_m, lag)
-    rules = Rules(
+    lag_behind(run_starts(time, channel), range_m, law.least_m, settings.lag_max_m, lag)
+    found = np.empty(len(rows), dtype=np.float32)
+    shot_probabilities(
+        shots, shot_offsets(table.take(rows), shots), np.ascontiguousarray(beams.direction[rows]),
+        range_m, channel, lag, hard_rules(settings, sensor, law, gate_m), found,
+    )  # fmt: skip
+    out[rows] = found
+    return out
+
+
+def observe(table: PointTable, beams: BeamTable, sensor: Sensor) -> dict[str, NDArray[np.int64]]:
+    """What the law of a flightline is fitted to, by the default idea of a hard surface.
+
+    See :func:`spl_batch.stages.afterpulse_law.observe`.
+    """
+    law = sensor_law(sensor)
+    rules = hard_rules(AfterpulseSettings(), sensor, law)
+    return afterpulse_law.observe(table, beams, rules, law.least_m)
+
+
+def hard_rules(
+    settings: AfterpulseSettings,
+    sensor: Sensor,
+    law: AfterpulseLaw,
+    gate_m: float | None = None,
+) -> Rules:
+    """Numbers of the method for the kernels."""
+    return Rules(
         gate_m=gate_m or sensor.gate_m or GATE_ASSUMED_M,
         coarse_m=settings.coarse_bin_m,
         fine_m=settings.fine_bin_m,
@@ -82,16 +109,9 @@ def probability(
         p68_max_m=settings.fit_p68_max_m,
         below_m=settings.below_plane_m,
         lag_max_m=settings.lag_max_m,
-        dead_m=dead_m,
+        dead_m=law.dead_m,
         sigma_m=sensor.range_sigma_m,
-        probability=sensor.afterpulse_probability,
-        scale_m=sensor.afterpulse_scale_m,
+        probability=law.probability,
+        scale_m=law.scale_m,
         beamlets=float(sensor.beamlets),
     )
-    found = np.empty(len(rows), dtype=np.float32)
-    shot_probabilities(
-        shots, offset, np.ascontiguousarray(beams.direction[rows]), range_m, channel, lag,
-        rules, found,
-    )  # fmt: skip
-    out[rows] = found
-    return out

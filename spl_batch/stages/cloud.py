@@ -48,3 +48,14 @@ class Verdict:
 
     signal: NDArray[np.bool_]
     p_value: NDArray[np.float32]
+
+
+def without_p(signal: NDArray[np.bool_]) -> Verdict:
+    """Verdict of a method that knows no probabilities.
+
+    Parameters
+    ----------
+    signal : (m,) bool
+        True where the point is a signal.
+    """
+    return Verdict(signal, np.full(len(signal), np.nan, dtype=np.float32))

@@ -1,12 +1,14 @@
 """Space-domain noise filter: which points are background [W18 2.2.3; W17 5.2.2, 6.2.3].
 
-Domain: space. Columns needed: x, y, z, flags, and afterpulse where the time domain ran;
-columns added: noise_class, p_value.
+Domain: space. Columns needed: x, y, z, flags, and those of
+:mod:`~spl_batch.stages.echoes` where the time domain ran; columns added: noise_class, p_value,
+wire.
 
 Every method decides about the same points: those that the survey may use, without the
-afterpulses that the time domain knows. For our own tests a return that depends on another
-one is no evidence either, and shares its label (:mod:`~spl_batch.stages.followers`); the
-sources' filters count every return. :data:`METHODS` names the module that judges.
+afterpulses, about which the time domain and the neighbourhood agree first. For our own tests
+a return that depends on another one is no evidence either, and shares its label
+(:mod:`~spl_batch.stages.followers`); the sources' filters count every return.
+:data:`METHODS` names the module that judges.
 """
 
 from collections.abc import Callable
@@ -23,17 +25,23 @@ from spl_batch.constants import (
     NOISE_SIGNAL,
 )
 from spl_batch.model import EXCLUDED, UNFILTERED, PointFlag, PointTable
-from spl_batch.stages import ellipsoid_test
+from spl_batch.settings import AfterpulseSettings, FilterSettings
+from spl_batch.stages import (
+    aes,
+    cylinder,
+    echoes,
+    ellipsoid_test,
+    multilevel,
+    shot_filter,
+    voxel_filter,
+    wire_scan,
+)
 from spl_batch.stages.cloud import Cloud, Verdict
-from spl_batch.stages.followers import LAG_M, dependents, follow
+from spl_batch.stages.followers import LAG_M, follow
 from spl_batch.tiling import quanta
-from spl_batch.workflow import FilterSettings
 
 BYTES_PER_POINT: Final = 100
 """Peak memory beside the table [bytes per point of block and halo]."""
-
-AFTERPULSE_MIN: Final = 0.5
-"""Probability from which the time domain's afterpulse flag is believed."""
 
 
 class Method(NamedTuple):
@@ -46,6 +54,11 @@ class Method(NamedTuple):
 METHODS: Final = MappingProxyType(
     {
         "vsaes": Method(ellipsoid_test.judge, ellipsoid_test.reach_m),
+        "aes": Method(aes.judge, aes.reach_m),
+        "dcc": Method(shot_filter.judge, shot_filter.reach_m),
+        "voxel": Method(voxel_filter.judge, voxel_filter.reach_m),
+        "multilevel": Method(multilevel.judge, multilevel.reach_m),
+        "cylinder": Method(cylinder.judge, cylinder.reach_m),
     }
 )
 """The filters of the space domain by the name that ``filter.method`` has."""
@@ -56,6 +69,7 @@ class NoiseColumns(TypedDict):
 
     noise_class: NDArray[np.uint8]
     p_value: NDArray[np.float32]
+    wire: NDArray[np.uint8]
 
 
 def reach_m(settings: FilterSettings) -> float:
@@ -63,7 +77,9 @@ def reach_m(settings: FilterSettings) -> float:
     if settings.method == "none":
         return 0.0
     reach = METHODS[settings.method].reach_m(settings)
-    return reach + (LAG_M if _independent(settings) else 0.0)
+    if _independent(settings):
+        reach = max(reach, wire_scan.reach_m(settings.wires))
+    return reach + echoes.REACH_M + (LAG_M if _independent(settings) else 0.0)
 
 
 def denoise(
@@ -71,6 +87,7 @@ def denoise(
     density: NDArray[np.float64],
     query: NDArray[np.bool_],
     settings: FilterSettings,
+    afterpulse: AfterpulseSettings = AfterpulseSettings(),  # noqa: B008 - frozen
 ) -> NoiseColumns:
     """Decide which points are noise.
 
@@ -85,25 +102,24 @@ def denoise(
         Points to decide.
     settings : FilterSettings
         Method and its parameters.
+    afterpulse : AfterpulseSettings
+        From which probability an afterpulse is believed.
 
     Returns
     -------
     NoiseColumns
         For the m query points: ``noise_class`` (m,) uint8 and ``p_value`` (m,)
-        float32, P(as much evidence | noise), NaN where not assessed.
+        float32, P(as much evidence | noise), NaN where not assessed; ``wire`` (m,) uint8,
+        1 for what is surely a conductor.
     """
     excluded = table.has(EXCLUDED)
-    echo = np.zeros(len(table), dtype=np.bool_)
-    if "afterpulse" in table:
-        echo = (table["afterpulse"] >= AFTERPULSE_MIN) & ~excluded
+    echo, dependent = _echoes(table, density, settings, afterpulse)
     noise_class = np.full(len(table), NOISE_NOT_ASSESSED, dtype=np.uint8)
     p_value = np.full(len(table), np.nan, dtype=np.float32)
+    wire = np.zeros(len(table), dtype=np.uint8)
     if settings.method == "none":
         noise_class[~excluded] = NOISE_SIGNAL
     else:
-        dependent = np.zeros(len(table), np.bool_)
-        if _independent(settings):
-            dependent = dependents(table) & ~excluded & ~echo
         active = np.flatnonzero(~excluded & ~echo & ~dependent)
         # A parent outside the area of interest is judged for the sake of who follows it.
         beamless = table.has(EXCLUDED | PointFlag.NO_BEAM)
@@ -111,6 +127,8 @@ def denoise(
         cloud = _cloud(table, active, density, wanted & ~beamless)
         verdict = METHODS[settings.method].judge(cloud, settings)
         rows = active[cloud.asked]
+        if settings.wires.enabled and _independent(settings):
+            verdict, wire[rows] = _with_wires(cloud, verdict, settings)
         noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
@@ -123,7 +141,32 @@ def denoise(
     outside = table.has(PointFlag.OUTSIDE_AOI)
     noise_class[outside] = NOISE_NOT_ASSESSED
     p_value[outside] = np.nan
-    return {"noise_class": noise_class[query], "p_value": p_value[query]}
+    wire[noise_class != NOISE_SIGNAL] = 0
+    return {"noise_class": noise_class[query], "p_value": p_value[query], "wire": wire[query]}
+
+
+def _with_wires(
+    cloud: Cloud, verdict: Verdict, settings: FilterSettings
+) -> tuple[Verdict, NDArray[np.bool_]]:
+    """Verdict with what the scan for conductors keeps, and the sure ones among them."""
+    found = wire_scan.scan(cloud, settings.wires)
+    p_value = np.fmin(verdict.p_value, found.p_value)
+    return Verdict(verdict.signal | found.signal, p_value), found.wire
+
+
+def _echoes(
+    table: PointTable,
+    density: NDArray[np.float64],
+    settings: FilterSettings,
+    afterpulse: AfterpulseSettings,
+) -> echoes.Echoes:
+    """What is an afterpulse, and what is no evidence of its own: two (n,) bool."""
+    if settings.method == "none":
+        return echoes.believed(table)
+    found = echoes.resolve(table, density, afterpulse)
+    if _independent(settings):
+        return found
+    return echoes.Echoes(found.echo, np.zeros(len(table), np.bool_))
 
 
 def _with_parents(

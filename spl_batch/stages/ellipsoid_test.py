@@ -1,13 +1,11 @@
 """Point-wise test of the adaptive ellipsoid [W18 2.2.3; W17 5.2.2, 6.2.3].
 
-Two tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 15-26 %
+Three tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 15-26 %
 of pure noise. ``tail`` deviates in four points:
 
 - it uses P(K >= k), the probability of a count at least as large as the one found;
 - alpha is divided by ``selection``, because an ellipsoid is fitted to the very points
-  that it counts. With 20 the share of pure noise kept is 0.00-0.12 % from 0.02 to 1 noise
-  points per m3 (``benchmarks/denoise.py``; one draw each, and what is kept comes in
-  clusters); without it 0.04-0.62 %;
+  that it counts (``benchmarks/denoise.py`` prints what is kept);
 - only peers are counted: neighbours whose own spacing is at least the point's divided by
   ``peer_ratio`` (:mod:`~spl_batch.kernels.spacing`). Noise a few metres from a surface
   lives on the surface's returns otherwise;
@@ -15,33 +13,37 @@ of pure noise. ``tail`` deviates in four points:
   peers that pass by themselves lie within ``link_m``. Links are not chained, so the
   reach is that of the ellipsoid and the spacing in it, plus one link.
 
+``calibrated``, the default, keeps peers and hysteresis, and replaces the division:
+
+- counts have their ties broken, and the score is compared with what pure noise of the
+  same density scores (:mod:`~spl_batch.stages.null_distribution`), so a share alpha of
+  noise is kept, whatever its density (``benchmarks/null_calibration.py``);
+- of alpha, ``link_share`` is what links may add: where noise is dense, links are shorter.
+
 Rules for the borders of the method: with fewer neighbours within the cap than the
 settings ask for, those there are shape the ellipsoid, and with fewer than four it is
-the sphere; with no noise expected a single neighbour inside makes a signal; under
-``tail`` a point with no neighbour inside is background, unless fewer than
+the sphere; with no noise expected a single neighbour inside makes a signal; but for the
+published test a point with no neighbour inside is background, unless fewer than
 :data:`HARDLY_EXPECTED` noise points are expected within the neighbours' cap: clouds whose
 vendor has removed the noise, and linear-mode ones, keep their lone returns. Coincident
 points are neighbours like any other.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.constants import QUANTA_PER_M
-from spl_batch.kernels.ellipsoid import Shape, count_inside
 from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.poisson import noise_tail_probability
-from spl_batch.kernels.spacing import enough_peers, spacings
+from spl_batch.kernels.spacing import enough_peers
+from spl_batch.settings import FilterSettings
 from spl_batch.stages.cloud import Cloud, Verdict
+from spl_batch.stages.evidence import evidence
+from spl_batch.stages.null_distribution import EXACT_TO, null_table
 from spl_batch.tiling import quanta
-from spl_batch.workflow import FilterSettings
 
 DOMAIN: Final = "space"
-
-EXACT_TO: Final = 1e-12
-"""Tail down to which a diagnostic ``p_value`` is exact."""
 
 HARDLY_EXPECTED: Final = 0.05
 """Noise within the neighbours' cap below which a lone return is a real one [points]."""
@@ -58,7 +60,9 @@ def reach_m(settings: FilterSettings) -> float:
     return reach + (settings.link_m if settings.link_count > 0 else 0.0)
 
 
-def judge(cloud: Cloud, settings: FilterSettings, *, exact: bool = False) -> Verdict:
+def judge(
+    cloud: Cloud, settings: FilterSettings, *, exact: bool = False, share: float = 1.0
+) -> Verdict:
     """Test the points asked for.
 
     Parameters
@@ -68,19 +72,77 @@ def judge(cloud: Cloud, settings: FilterSettings, *, exact: bool = False) -> Ver
     settings : FilterSettings
         Test and its parameters.
     exact : bool
-        Count on until P < 1e-12, so that p is exact down to there. Without it counting
-        stops once the decision stands, and p of a signal is the P of the critical count:
-        an upper bound, the same whatever the tiling.
+        Count on until the score is below 1e-12, so that p is exact down to there. Without
+        it counting stops once the decision stands, and p of a signal is the p of the
+        critical count: an upper bound, the same whatever the tiling.
+    share : float
+        Part of alpha that is spent here, where another test gets the rest.
 
     Returns
     -------
     Verdict
-        Of the points asked for, in their order.
+        Of the points asked for, in their order. ``p_value`` is the share of pure noise
+        that scores no more for the calibrated test, P(K >= k) for the others; a linked
+        point has that of its own neighbourhood.
     """
-    signal, tail = _assess(cloud.xyz, cloud.density, cloud.asked, settings, exact)
-    if settings.test != "published":
-        signal |= _hardly_expected(cloud.density[cloud.asked], settings)
-    return Verdict(signal, tail.astype(np.float32))
+    asked = cloud.asked
+    if settings.test == "published":
+        found = evidence(cloud.xyz, cloud.density, asked, settings, _stop(PUBLISHED_ALPHA, exact))
+        signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
+        return Verdict(signal[asked], found.score[asked].astype(np.float32))
+    rule = _rule(cloud.density, settings, settings.alpha * share)
+    linked = settings.link_count > 0
+    assessed = _around(cloud.xyz, asked, quanta(settings.link_m)) if linked else asked
+    stop = _stop(rule.strong, exact)
+    found = evidence(cloud.xyz, cloud.density, assessed, settings, stop)
+    signal = assessed & (found.score <= rule.strong)
+    if linked:
+        weak = np.flatnonzero(asked & ~signal & (found.score <= rule.weak))
+        signal[weak] = enough_peers(
+            build(cloud.xyz[signal]),
+            found.spacing[signal],
+            cloud.xyz[weak],
+            found.spacing[weak],
+            rule.link[weak],
+            settings.link_count,
+            settings.peer_ratio,
+        )
+    p_value = found.score[asked]
+    if settings.test == "calibrated":
+        p_value = null_table(settings).p_value(cloud.density[asked], p_value)
+    kept = signal[asked] | _hardly_expected(cloud.density[asked], settings)
+    return Verdict(kept, p_value.astype(np.float32))
+
+
+class _Rule(NamedTuple):
+    """Limits at each point: scores that pass alone and with links, longest link [quanta]."""
+
+    strong: NDArray[np.float64]
+    weak: NDArray[np.float64]
+    link: NDArray[np.float64]
+
+
+def _rule(density: NDArray[np.float64], settings: FilterSettings, alpha: float) -> _Rule:
+    """Limits that keep a share ``alpha`` of noise."""
+    if settings.test == "tail":
+        ones = np.ones(len(density))
+        link = float(quanta(settings.link_m))
+        return _Rule(ones * alpha / settings.selection, ones * settings.weak_alpha, ones * link)
+    table = null_table(settings)
+    # One value for each density: the voxels of a block have far fewer than it has points.
+    values, row = np.unique(density, return_inverse=True)
+    limits = (
+        table.critical(values, table.alone(values, alpha) if settings.link_count > 0 else alpha),
+        table.critical(values, settings.weak_alpha),
+        # no longer than the halo was made for
+        np.minimum(table.link(values, alpha), settings.link_m) * quanta(1.0),
+    )
+    return _Rule(*(limit[row] for limit in limits))
+
+
+def _stop(limit: float | NDArray[np.float64], exact: bool) -> float | NDArray[np.float64]:  # noqa: FBT001
+    """Score at which counting stops."""
+    return np.minimum(limit, EXACT_TO) if exact else limit
 
 
 def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.bool_]:
@@ -88,69 +150,6 @@ def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> 
     ball_m3 = 4.0 / 3.0 * np.pi * settings.neighbour_cap_m**3
     rare: NDArray[np.bool_] = density * ball_m3 < HARDLY_EXPECTED
     return rare
-
-
-def _assess(
-    xyz: NDArray[np.int32],
-    density: NDArray[np.float64],
-    asked: NDArray[np.bool_],
-    settings: FilterSettings,
-    exact: bool,  # noqa: FBT001
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Signal or not, and P(K >= k), of the points asked for."""
-    shape = Shape(
-        neighbours=settings.neighbours,
-        radius=float(quanta(settings.radius_m)),
-        floor=float(quanta(settings.eigen_floor_m)),
-        axis_cap=float(quanta(settings.axis_cap_m)),
-        neighbour_cap=quanta(settings.neighbour_cap_m),
-        power=1.0 if settings.axis_power == "eigenvalue" else 0.5,
-    )
-    published = settings.test == "published"
-    alpha = PUBLISHED_ALPHA if published else settings.alpha / settings.selection
-    linked = settings.link_count > 0 and not published
-    assessed = _around(xyz, asked, quanta(settings.link_m)) if linked else asked
-    stop = min(alpha, EXACT_TO) if exact else alpha
-    tree = build(xyz)
-    spacing = np.zeros(len(xyz))
-    if not published:
-        spacing = spacings(tree, settings.spacing_neighbours, quanta(settings.spacing_cap_m))
-    count, expected, tail = count_inside(
-        xyz,
-        tree,
-        assessed,
-        density / QUANTA_PER_M**3,
-        shape,
-        alpha=stop,
-        spacing=spacing,
-        peer_ratio=settings.peer_ratio,
-    )
-    if published:
-        return (noise_tail_probability(count + 1, expected) <= alpha)[asked], tail[asked]
-    signal = tail <= alpha
-    if linked:
-        weak = np.flatnonzero(asked & ~signal & (tail <= settings.weak_alpha))
-        signal[weak] = _linked(xyz, spacing, assessed & signal, weak, settings)
-    return signal[asked], tail[asked]
-
-
-def _linked(
-    xyz: NDArray[np.int32],
-    spacing: NDArray[np.float64],
-    strong: NDArray[np.bool_],
-    weak: NDArray[np.intp],
-    settings: FilterSettings,
-) -> NDArray[np.bool_]:
-    """Weak points with enough strong peers around them."""
-    return enough_peers(
-        build(xyz[strong]),
-        spacing[strong],
-        xyz[weak],
-        spacing[weak],
-        quanta(settings.link_m),
-        settings.link_count,
-        settings.peer_ratio,
-    )
 
 
 def _around(xyz: NDArray[np.int32], asked: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:

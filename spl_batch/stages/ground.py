@@ -5,6 +5,7 @@ it runs on squares of ``ground.cell_m`` on the absolute grid with ``ground.buffe
 points around them, always the same ones, and its caller keeps what the square owns.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -12,17 +13,28 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.constants import QUANTUM_M
-from spl_batch.kernels.layers import Cells, Nodes, count_support, group_by_cell, lowest_layers
+from spl_batch.kernels.layers import (
+    SUPPORTED,
+    Cells,
+    Nodes,
+    count_support,
+    group_by_cell,
+    lowest_layers,
+)
+from spl_batch.kernels.pits import REACH_M, in_pits
 from spl_batch.kernels.ptd import Limits, densify, heights_above
 from spl_batch.kernels.smrf import fill_gaps, low_outliers, object_cells, provisional_terrain
 from spl_batch.model import PointTable
-from spl_batch.workflow import GroundSettings, PtdSettings, SmrfSettings
+from spl_batch.settings import GroundSettings, PtdSettings, SmrfSettings
+from spl_batch.stages.followers import dependents
 
 DOMAIN: Final = "space"
 BYTES_PER_POINT: Final = 160
 """Peak of temporary arrays for each point of cell and buffer [bytes]."""
 
 NEEDS: Final = ("x", "y", "z")
+"""And ``afterpulse`` where the time domain ran."""
+
 ADDS: Final = ("ground",)
 
 _INSERT_M = 0.05
@@ -34,6 +46,10 @@ _FILLED = 2.0
 
 _WIDE_M = 16.0
 """Cells that tell the occupied area from voids [m]."""
+
+_GAP_SPACINGS = 6.0
+"""Edges longer than this many mean spacings of the points, these rounded up to a power of
+two, cross a gap of the ground [count]."""
 
 _SUPPORT = 2
 _SUPPORT_STEP_M = 0.25
@@ -48,6 +64,10 @@ def ground_mask(
     table: PointTable, usable: NDArray[np.bool_], settings: GroundSettings
 ) -> NDArray[np.bool_]:
     """Which points are ground.
+
+    Returns that are probably afterpulses are no evidence: behind a bright meadow they lie
+    so close together that they hold each other up, a metre below it. The surface is found
+    without them; those that lie on it are ground like any other point.
 
     Parameters
     ----------
@@ -68,26 +88,34 @@ def ground_mask(
     if len(chosen) == 0:
         return mask
     x, y, z = (table[name][chosen] * QUANTUM_M for name in ("x", "y", "z"))
+    own = ~dependents(table)[chosen]
+    if not own.any():
+        own[:] = True
     if settings.method == "smrf":
-        mask[chosen] = smrf_mask(x, y, z, settings.smrf)
+        mask[chosen] = smrf_mask(x, y, z, own, settings.smrf)
     else:
-        mask[chosen] = ptd_mask(x, y, z, settings.ptd)
+        mask[chosen] = ptd_mask(x, y, z, own, settings.ptd)
     return mask
 
 
-def ptd_mask(x: Float, y: Float, z: Float, settings: PtdSettings) -> NDArray[np.bool_]:
+def ptd_mask(
+    x: Float, y: Float, z: Float, own: NDArray[np.bool_], settings: PtdSettings
+) -> NDArray[np.bool_]:
     """Ground points by progressive TIN densification.
 
     Seeds are the lowest nodes that survive a progressive opening, so that neither a wide
     hall nor an embankment needs a seed grid of its own size; the source's iteration
     parameters then take in what the opening cut off. Points are ground in a band on both
     sides of the surface, so that their mean is not biased low; the band widens with the
-    facets, over which the surface is known less well.
+    facets, over which the surface is known less well, but not over gaps: under a roof it
+    would take in what noise and walls leave there.
 
     Parameters
     ----------
     x, y, z : (n,) float64
         Points [m], on the absolute lattice; n > 0.
+    own : (n,) bool
+        Points that are evidence; at least one.
     settings : PtdSettings
         Parameters.
 
@@ -95,13 +123,12 @@ def ptd_mask(x: Float, y: Float, z: Float, settings: PtdSettings) -> NDArray[np.
     -------
     (n,) bool
     """
-    cell_m = node_cell(x, y, settings.node_m)
-    cells = group_by_cell(x, y, cell_m)
-    nodes = lowest_layers(x, y, z, cells, settings.layer_m)
-    trusted = _supported(nodes, cells, cell_m) & ~nodes.doubtful
+    nodes, cells, cell_m = _candidates(x[own], y[own], z[own], settings)
+    sunk = _sunk(nodes, cells, cell_m)
+    trusted = _supported(nodes, cells, cell_m) & ~nodes.doubtful & ~sunk
     eligible = trusted & ~_on_objects(nodes, trusted, cells, cell_m, settings)
     seed = _seeds(nodes.xyz, _first_true((eligible, trusted)), settings.seed_cell_m)
-    others = np.flatnonzero(~seed)
+    others = np.flatnonzero(~seed & ~sunk)
     tin, _ = densify(
         nodes.xyz[seed],
         nodes.xyz[others],
@@ -112,11 +139,24 @@ def ptd_mask(x: Float, y: Float, z: Float, settings: PtdSettings) -> NDArray[np.
     mask = np.zeros(len(x), dtype=np.bool_)
     if tin is None:
         return mask
-    order = cells.order
+    order = group_by_cell(x, y, cell_m).order
     height, edge = heights_above(tin, x[order], y[order], z[order])
+    edge = np.minimum(edge, _gap_m(x[own], y[own]))
     allowed = settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge
     mask[order] = np.abs(height) <= np.minimum(allowed, settings.iteration_distance_m)
     return mask
+
+
+def _candidates(x: Float, y: Float, z: Float, settings: PtdSettings) -> tuple[Nodes, Cells, float]:
+    """Nodes, the cells that they are taken from, and the edge of these [m]."""
+    cell_m = node_cell(x, y, settings.node_m)
+    cells = group_by_cell(x, y, cell_m)
+    return lowest_layers(x, y, z, cells, settings.layer_m), cells, cell_m
+
+
+def _gap_m(x: Float, y: Float) -> float:
+    """Longest edge that does not cross a gap [m]; in steps of 2, so that cells agree on it."""
+    return float(_GAP_SPACINGS * 2.0 ** math.ceil(math.log2(max(spacing_m(x, y), QUANTUM_M))))
 
 
 def _limits(settings: PtdSettings) -> Limits:
@@ -147,15 +187,32 @@ def node_cell(x: Float, y: Float, smallest_m: float) -> float:
     smallest_m : float
         Edge for dense data [m].
     """
-    area_m2 = _WIDE_M**2 * _occupied(x, y, _WIDE_M)
-    return smallest_m * (1 if len(x) * smallest_m**2 >= _FILLED * area_m2 else 2)
+    return smallest_m * (1 if smallest_m**2 >= _FILLED * spacing_m(x, y) ** 2 else 2)
 
 
-def _occupied(x: Float, y: Float, cell_m: float) -> int:
-    column, row = np.floor(x / cell_m), np.floor(y / cell_m)
+def spacing_m(x: Float, y: Float) -> float:
+    """Mean spacing of points where there are any, voids of :data:`_WIDE_M` left out [m].
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m]; n > 0.
+    """
+    column, row = (np.floor(v / _WIDE_M).astype(np.int64) for v in (x, y))
     column -= column.min()
     row -= row.min()
-    return len(np.unique(row * (column.max() + 1) + column))
+    held = np.zeros((int(row.max()) + 1, int(column.max()) + 1), dtype=np.bool_)
+    held[row, column] = True
+    return _WIDE_M * math.sqrt(np.count_nonzero(held) / len(x))
+
+
+def _sunk(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
+    """Nodes below a hard surface in their cell, or in a pit of a smooth one around it."""
+    sunk = np.empty(len(nodes.cell), dtype=np.bool_)
+    reach = max(round(REACH_M / cell_m), 1)
+    asked = nodes.points < SUPPORTED
+    in_pits(nodes.xyz, nodes.cell, asked, cells.rows, cells.columns, reach, sunk)
+    return sunk | nodes.buried
 
 
 def _supported(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
@@ -220,13 +277,17 @@ def _cell_of(cells: Cells) -> NDArray[np.int64]:
     return cell
 
 
-def smrf_mask(x: Float, y: Float, z: Float, settings: SmrfSettings) -> NDArray[np.bool_]:
+def smrf_mask(
+    x: Float, y: Float, z: Float, own: NDArray[np.bool_], settings: SmrfSettings
+) -> NDArray[np.bool_]:
     """Ground points by the simple morphological filter.
 
     Parameters
     ----------
     x, y, z : (n,) float64
         Points [m], on the absolute lattice; n > 0.
+    own : (n,) bool
+        Points that are evidence; at least one.
     settings : SmrfSettings
         Parameters.
 
@@ -234,13 +295,14 @@ def smrf_mask(x: Float, y: Float, z: Float, settings: SmrfSettings) -> NDArray[n
     -------
     (n,) bool
     """
-    cells = group_by_cell(x, y, settings.cell_m)
-    nodes = lowest_layers(x, y, z, cells, settings.layer_m)
-    trusted = _first_true((~nodes.doubtful,))
+    x0, y0 = x[own], y[own]
+    cells = group_by_cell(x0, y0, settings.cell_m)
+    nodes = lowest_layers(x0, y0, z[own], cells, settings.layer_m)
+    trusted = _first_true((~nodes.doubtful & ~_sunk(nodes, cells, settings.cell_m),))
     lowest = _lowest_grid(nodes, trusted, cells)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
-    column = x / settings.cell_m - np.floor(x.min() / settings.cell_m) - 0.5
-    row = y / settings.cell_m - np.floor(y.min() / settings.cell_m) - 0.5
+    column = x / settings.cell_m - np.floor(x0.min() / settings.cell_m) - 0.5
+    row = y / settings.cell_m - np.floor(y0.min() / settings.cell_m) - 0.5
     steepness = _steepness(terrain, settings.cell_m)
     surface = ndimage.map_coordinates(terrain, [row, column], order=1, mode="nearest")
     slope = ndimage.map_coordinates(steepness, [row, column], order=1, mode="nearest")

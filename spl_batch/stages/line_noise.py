@@ -22,15 +22,11 @@ from numpy.typing import NDArray
 
 from spl_batch.model import BeamTable, PointTable
 from spl_batch.sensor import Sensor
+from spl_batch.settings import NoiseSettings
 from spl_batch.stages.gate import fit_gate
 from spl_batch.stages.line_model import LineModel
-from spl_batch.stages.line_observe import (
-    FOLLOWER_M,
-    merge,
-    observe,
-)
+from spl_batch.stages.line_observe import merge, observe
 from spl_batch.stages.noise_region import choose_region, offered_lengths, profile_rate
-from spl_batch.workflow import NoiseSettings
 
 __all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
 
@@ -81,10 +77,14 @@ def fit(
         sides = np.array(use[region.side])
         counted = (outside[:, :, region.buffer] @ sides).astype(np.int64)
         exposure = fired * (length[:, :, region.buffer] @ sides)
-        rate = _smooth(interval, counted, exposure, settings.smooth_intervals)
+        blinded = np.where(present, merged["blinded"][rows, :, region.buffer] @ sides, 0.0)
+        heard = np.maximum(exposure - blinded, 0.0)
+        rate = _smooth(interval, counted, heard, settings.smooth_intervals)
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
         gain = _gains(by_channel, gain_active)
     seen = np.where(present, merged["beamlets"][rows], 0)
+    # Where channels are not told apart every return is a beamlet's, as far as anyone knows.
+    looks = seen if beamlets > 1 else np.where(present, merged["returns"][rows], 0)
     return LineModel(
         interval=interval,
         rate=rate,
@@ -99,7 +99,7 @@ def fit(
         mean_rate=float(np.average(rate, weights=fired)),
         beamlets=beamlets,
         interval_shots=settings.interval_shots,
-        seen_shots=_seen_window(seen, last - first + 1, settings.interval_shots),
+        seen_shots=_seen_window(looks, last - first + 1, settings.interval_shots),
         warnings=(*warnings, *gate.warnings, *region.warnings, *_few(merged)),
     )
 
@@ -209,8 +209,6 @@ def _smooth(
     half: int,
 ) -> NDArray[np.float64]:
     """Rate of each interval [1/m], shrunk towards that of its wider neighbourhood."""
-    # A counted return blinds the length behind it for the next one.
-    exposure = np.maximum(exposure - FOLLOWER_M * counted, 0.0)
     total = (counted.sum() + 0.5) / max(exposure.sum(), 1.0)
     wide_n, wide_e = (_moving(interval, v, half) for v in (counted, exposure))
     wide = (wide_n + 1.0) / (wide_e + 1.0 / total)

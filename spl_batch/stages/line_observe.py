@@ -3,11 +3,11 @@
 Source: [W17] 5.2.1. Everything is keyed on absolute interval numbers,
 ``shot // interval_shots``, or is an integer count, so that parts merge in any order.
 
-Deviations: the peak is sought per sixth of an interval where there are returns enough
+Deviations: the peak is sought in pieces of an interval as short as its returns allow
 (relief), in a sliding window instead of the source's 1 m bins; several buffers are
 counted side by side, because how much the gate leaves is known only at the end; a
 return that follows another of its own beamlet within :data:`FOLLOWER_M` may be its
-afterpulse and is not counted (the length that this blinds is taken off the exposure).
+afterpulse and is not counted (the length that returns blind is taken off the exposure).
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
 from spl_batch.kernels.intervals import observe_intervals
-from spl_batch.kernels.shots import lag_behind, run_starts
+from spl_batch.kernels.shots import blind_behind, lag_behind, run_starts
 from spl_batch.model import BeamTable, PointTable
-from spl_batch.workflow import NoiseSettings
+from spl_batch.settings import NoiseSettings
 
 BUFFER_LADDER: Final = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 """Buffers that are counted, as shares of ``noise.buffer_m``."""
@@ -37,7 +37,9 @@ SUMMARY: Final = (
 )  # fmt: skip
 """Columns of ``summary``, all in metres but the cosine."""
 
-_BY_INTERVAL: Final = ("interval", "summary", "outside", "beamlets", "shots", "first", "last")
+_BY_INTERVAL: Final = (
+    "interval", "summary", "outside", "blinded", "returns", "beamlets", "shots", "first", "last",
+)  # fmt: skip
 
 
 def observe(
@@ -58,8 +60,9 @@ def observe(
     -------
     dict
         ``interval`` (m,) int64; ``summary`` (m, 10) float64, see :data:`SUMMARY`;
-        ``outside`` (m, 2, b) int32, noise returns above and below each buffer;
-        ``beamlets``, ``shots`` (m,) int64 seen; ``first``, ``last`` (m,) int64, shots
+        ``outside`` (m, 2, b) int32, noise returns above and below each buffer, and
+        ``blinded`` (m, 2, b) float64 [m], the length in which none would have counted;
+        ``returns``, ``beamlets``, ``shots`` (m,) int64 seen; ``first``, ``last`` (m,) int64, shots
         within the interval; ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
         ``profile`` (:data:`PROFILE_BINS`,) int64.
     """
@@ -73,11 +76,15 @@ def observe(
     starts = run_starts(interval)
     m, b = len(starts) - 1, len(BUFFER_LADDER)
     lag = np.empty(len(table), dtype=np.float32)
+    blind = np.empty(len(table), dtype=np.float64)
     lag_behind(beamlet, range_m, 0.0, FOLLOWER_M, lag)
+    blind_behind(beamlet, range_m, FOLLOWER_M, blind)
     out: dict[str, NDArray[Any]] = {
         "interval": interval[starts[:-1]],
         "summary": np.zeros((m, len(SUMMARY))),
         "outside": np.zeros((m, 2, b), dtype=np.int32),
+        "blinded": np.zeros((m, 2, b)),
+        "returns": np.diff(starts),
         "by_channel": np.zeros((2, b, 256), dtype=np.int64),
         "profile": np.zeros(PROFILE_BINS, dtype=np.int64),
         "seen_channel": np.bincount(channel[beamlet[:-1]], minlength=256).astype(np.int64),
@@ -88,8 +95,9 @@ def observe(
     }
     observe_intervals(
         starts, table["z"] * QUANTUM_M, range_m, np.maximum(cosine, 0.1), offset, channel,
-        lag == 0, settings.buffer_m * np.array(BUFFER_LADDER), settings.interval_shots,
-        settings.peak_m, out["summary"], out["outside"], out["by_channel"], out["profile"],
+        lag == 0, blind, settings.buffer_m * np.array(BUFFER_LADDER), settings.interval_shots,
+        settings.peak_m, out["summary"], out["outside"], out["blinded"], out["by_channel"],
+        out["profile"],
     )  # fmt: skip
     return out
 

@@ -37,6 +37,7 @@ from spl_batch.constants import (
     CLASS_LOW_NOISE,
     CLASS_UNCLASSIFIED,
     CLASS_WATER,
+    CLASS_WIRE,
     NODATA,
     NOISE_AFTERPULSE,
     NOISE_BACKGROUND,
@@ -53,9 +54,9 @@ from spl_batch.kernels.raster import (
 )
 from spl_batch.kernels.tops import Support, confirmed_tops
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.settings import ProductSettings
 from spl_batch.stages.followers import dependents
 from spl_batch.tiling import Bounds, grow, inside, quanta
-from spl_batch.workflow import ProductSettings
 
 DOMAIN: Final = "space"
 """Needs every flightline of a place."""
@@ -80,6 +81,9 @@ PRODUCTS: Final = ("dtm", "dsm", "chm", "intensity", "density")
 
 GROUND_FLOOR_M: Final = 0.15
 """Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
+
+WIRE_ABOVE_M: Final = 3.0
+"""Conductors hang at least so high [m]."""
 
 WATER_ABOVE_M: Final = 1.0
 """Returns in a water polygon up to this high above the DTM are water: waves and spread [m]."""
@@ -345,8 +349,9 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     (n,) uint8
         2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
         water polygon and not more than :data:`WATER_ABOVE_M` above the DTM, or above none; 6
-        where the input says building; 1 the rest. Points that nothing assessed keep the input's
-        class, except that class 2 is this project's ground only.
+        where the input says building; 14 where ``wire`` is given and 1, at least
+        :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that nothing assessed keep
+        the input's class, except that class 2 is this project's ground only.
 
     Notes
     -----
@@ -365,6 +370,9 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     result[result == CLASS_GROUND] = CLASS_UNCLASSIFIED
     result[ground] = CLASS_GROUND
     result[water] = CLASS_WATER
+    if "wire" in table:
+        clear = (table["wire"] == 1) & (height >= WIRE_ABOVE_M)
+        result[clear & (result == CLASS_UNCLASSIFIED)] = CLASS_WIRE
     noise = (noise_class == NOISE_BACKGROUND) | (noise_class == NOISE_AFTERPULSE)
     result[noise] = np.where(height[noise] < 0, CLASS_LOW_NOISE, CLASS_HIGH_NOISE)
     untouched = ~assessed & table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)

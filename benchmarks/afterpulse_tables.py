@@ -1,0 +1,220 @@
+"""Surveys as the space domain sees them, with truth and the true rates of the simulation.
+
+For :mod:`benchmarks.afterpulses`. The stages run on whole flightlines, without a graph, so
+that a scene takes seconds.
+"""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+from numba import njit
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from spl_batch.io.las import iter_points
+from spl_batch.io.polygons import contains, read_polygons
+from spl_batch.kernels.scene_layers import look
+from spl_batch.kernels.scene_trace import SceneArrays
+from spl_batch.kernels.sim_shots import Optics, empty_layers
+from spl_batch.model import (
+    SOURCE_COLUMNS,
+    PointFlag,
+    PointTable,
+    ShotClock,
+    Trajectory,
+    VoxelPart,
+    canonical_order,
+    concat,
+)
+from spl_batch.sensor import load_preset
+from spl_batch.simulate import simulate
+from spl_batch.simulate.budget import make_optics
+from spl_batch.simulate.layout import lay_out
+from spl_batch.simulate.scene import Scene, parse_scene
+from spl_batch.stages import afterpulse, afterpulse_law, geometry, line_noise, voxel_noise
+from spl_batch.tiling import cell_index, quanta
+from spl_batch.workflow import Workflow, load_workflow
+
+COLUMNS = (*SOURCE_COLUMNS, "line_density", "afterpulse", "afterpulse_rate")
+EDGE_M = 0.001
+"""Least true rate, for what the ranging spread puts outside everything [1/m]."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A survey before the space domain.
+
+    Parameters
+    ----------
+    table : PointTable
+        All flightlines in canonical order.
+    density : (n,) float64
+        Expected noise [1/m3].
+    kind, parent : (n,) uint8
+        Truth.
+    bound : (n,) float64
+        Probability of an afterpulse by the simulation's own laws; 0 without a parent.
+    laws : list of AfterpulseLaw
+        Fitted, by flightline.
+    """
+
+    table: PointTable
+    density: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+    parent: NDArray[np.uint8]
+    bound: NDArray[np.float64]
+    laws: list[afterpulse_law.AfterpulseLaw]
+
+
+def prepare(content: dict[str, Any], folder: Path, *, polygons: bool = True) -> Prepared:
+    """Simulate a scene unless the folder holds it, and run the time domain on it."""
+    scene = parse_scene(content, content["name"])
+    if not (folder / "workflow.yaml").exists():
+        simulate(scene, folder)
+    workflow = load_workflow(folder / "workflow.yaml")
+    record = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1)
+    trajectory = Trajectory(record[:, 0], record[:, 1:4])
+    lines = [
+        _line(path, k, trajectory, workflow, scene)
+        for k, path in enumerate(sorted((folder / "flightlines").glob("*.laz")))
+    ]
+    table = concat([line.table for line in lines], COLUMNS)
+    order = canonical_order(table)
+    table = table.take(order)
+    if polygons and (folder / "water.gpkg").exists():
+        water = contains(
+            read_polygons(folder / "water.gpkg", CRS(scene.crs)), table["x"], table["y"]
+        )
+        flags = table["flags"] | np.where(water, np.uint8(PointFlag.WATER), np.uint8(0))
+        table = table.with_columns(flags=flags)
+    truth = [np.concatenate([getattr(line, name) for line in lines])[order]
+             for name in ("kind", "parent", "bound")]  # fmt: skip
+    density = _density(table, [line.part for line in lines], workflow)
+    return Prepared(table, density, truth[0], truth[1], truth[2], [line.law for line in lines])
+
+
+@dataclass(frozen=True)
+class _Line:
+    table: PointTable
+    kind: NDArray[np.uint8]
+    parent: NDArray[np.uint8]
+    bound: NDArray[np.float64]
+    part: VoxelPart
+    law: afterpulse_law.AfterpulseLaw
+
+
+def _line(
+    path: Path, number: int, trajectory: Trajectory, workflow: Workflow, scene: Scene
+) -> _Line:
+    """One flightline through the time domain; it knows the preset, not the scene's sensor."""
+    sensor = load_preset("spl100").model_copy(
+        update={"prf_hz": workflow.acquisition.prf_hz, "gate_m": workflow.acquisition.gate_m}
+    )
+    table = concat(
+        list(iter_points(path, channel_dimension="channel", source=number)), SOURCE_COLUMNS
+    )
+    order = np.lexsort([table[k] for k in ("index", "return_number", "channel", "gps_time")])
+    table = table.take(order)
+    clock = ShotClock(math.floor(table["gps_time"][0]), scene.acquisition.prf_hz)
+    table = table.with_columns(shot=clock.shot(table["gps_time"]))
+    beams = geometry.beams(table, trajectory)
+    observed = line_noise.observe(table, beams, workflow.noise)
+    model = line_noise.fit(line_noise.merge([observed]), workflow.noise, sensor)
+    law = afterpulse_law.fit([afterpulse.observe(table, beams, sensor)], model.mean_rate, sensor)
+    chance = afterpulse.probability(
+        table, beams, workflow.afterpulse, sensor, gate_m=model.gate_m, law=law
+    )
+    true_law = afterpulse_law.sensor_law(scene.instrument)
+    echoes = afterpulse_law.rate(table, beams, true_law).astype(np.float64)
+    real = _true_rates(scene, beams.origin_m, beams.direction, beams.range_m, table["channel"])
+    truth = pq.read_table(path.parents[1] / "truth" / f"{path.stem}.parquet")
+    return _Line(
+        table.with_columns(
+            line_density=line_noise.line_density(table, model),
+            afterpulse=chance,
+            afterpulse_rate=afterpulse_law.rate(table, beams, law),
+        ),
+        truth["kind"].to_numpy()[order],
+        truth["parent"].to_numpy()[order],
+        echoes / (echoes + real + EDGE_M),
+        voxel_noise.deposit(table, beams, model, workflow.noise),
+        law,
+    )
+
+
+def _density(table: PointTable, parts: list[VoxelPart], workflow: Workflow) -> NDArray[np.float64]:
+    """Expected noise density in each point's voxel [1/m3]."""
+    edge = quanta(workflow.noise.voxel_m)
+    index = np.stack([cell_index(table[axis].astype(np.int64), edge) for axis in "xyz"])
+    low = np.minimum(index.min(axis=1), np.min([p.corner for p in parts], axis=0))
+    ends = [np.add(p.corner, p.amount.shape) for p in parts]
+    high = np.maximum(index.max(axis=1) + 1, np.max(ends, axis=0))
+    total = np.zeros(tuple(high - low), dtype=np.int64)
+    for part, end in zip(parts, ends, strict=True):
+        start = np.subtract(part.corner, low)
+        total[tuple(slice(a, b) for a, b in zip(start, end - low, strict=True))] += part.amount
+    density = voxel_noise.density(
+        total, workflow.noise, shots=None, beamlets=None, beamlets_per_shot=100
+    )
+    return np.asarray(density[tuple(index - low[:, None])], dtype=np.float64)
+
+
+def _true_rates(
+    scene: Scene,
+    origin: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    range_m: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+) -> NDArray[np.float64]:
+    """Real photo-electrons per metre that the simulation expects at each return [1/m]."""
+    arrays, optics = lay_out(scene).arrays, make_optics(scene)
+    rate = np.empty(len(range_m))
+    local = origin - np.array([*scene.origin_m[:2], 0.0])
+    gain = optics.gain[channel.astype(np.int64) - 1]
+    _rates(
+        arrays, empty_layers(arrays), local, np.ascontiguousarray(direction), range_m, gain,
+        optics, rate,
+    )  # fmt: skip
+    return rate
+
+
+@njit(nogil=True)
+def _rates(
+    arrays: SceneArrays, layers: NDArray[np.float64], origin: NDArray[np.float64],
+    direction: NDArray[np.float64], range_m: NDArray[np.float64], gain: NDArray[np.float64],
+    optics: Optics, rate: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Beer-Lambert densities of layers, and the hard surface, spread by the ranging."""
+    spread = optics.range_sigma_m
+    for i in range(len(range_m)):
+        d, at = direction[i], range_m[i]
+        n, hard, cosine, rho, _ = look(arrays, origin[i], d, d, optics.sigma_rad, layers)
+        full = optics.signal_m2 * gain[i] / hard**2 * math.exp(-2 * optics.extinction_per_m * hard)
+        left, total = 1.0, 0.0
+        for k in range(n):
+            near, far, share = layers[k, 0], layers[k, 1], layers[k, 2]
+            if far > near and share > 0.0:
+                per_m = -math.log(1.0 - share) / (far - near)
+                edge = math.erf((at - near) / (1.414214 * spread)) - math.erf(
+                    (at - far) / (1.414214 * spread)
+                )
+                depth = min(max(at - near, 0.0), far - near)
+                total += left * layers[k, 3] * per_m * math.exp(-per_m * depth) * 0.5 * edge
+            elif share > 0.0:
+                z = (at - near) / spread
+                total += left * share * layers[k, 3] * math.exp(-0.5 * z * z) / (2.506628 * spread)
+            left *= 1.0 - share
+        z = (at - hard) / spread
+        total += left * rho * cosine * math.exp(-0.5 * z * z) / (2.506628 * spread)
+        rate[i] = full * total
+
+
+def scene_of(folder: Path) -> Scene:
+    """Scene that a survey was simulated from."""
+    content = json.loads((folder / "truth" / "scene.json").read_text(encoding="utf-8"))
+    return parse_scene(content["scene"], str(folder))

@@ -1,0 +1,209 @@
+"""Afterpulses everywhere: removed and lost, against the best that the physics allows.
+
+``python -m benchmarks.afterpulses [FOLDER]`` simulates canopies that differ in afterpulse law,
+extinction, brightness and ground occupancy, roofs, and clear water with a bottom, into FOLDER (a
+temporary one by default). The method is told the preset's law only (p 0.15, scale 0.7 m): what
+it uses is fitted. Lags beyond the dead time are exponential and end 3 m behind the parent; 0.1-0.2
+afterpulses follow a detection ([W17] 7.5: 10-20 on 80-100 signal returns, within 2-3 m).
+
+In crowns a true second return has the same signature. The *bound* orders followers by the
+probability that the simulation's own laws give them: no filter that knows lags and places can
+remove more at the same loss. Lost are vegetation returns, in percent of all of them.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.afterpulse_tables import Prepared, prepare
+from spl_batch.constants import NOISE_AFTERPULSE, NOISE_SIGNAL
+from spl_batch.settings import AfterpulseSettings, FilterSettings
+from spl_batch.simulate.survey import KINDS
+from spl_batch.stages import echoes
+from spl_batch.stages.denoise import denoise
+
+GROUND, ROOF, VEGETATION, WATER, AFTERPULSE, BOTTOM = (
+    KINDS.index(name) for name in ("ground", "roof", "vegetation", "water", "afterpulse", "bottom")
+)
+PUBLISHED = 90.6
+"""Share of afterpulses removed on roofs, [W17] Table 7-1 [%]."""
+
+LOST_MAX = 0.02
+"""Share of vegetation returns that may go."""
+
+THRESHOLDS = (0.5, 0.6, 0.7, 0.75, 0.8, 0.82, 0.85, 0.9, 0.95)
+RING = [[20, 20], [80, 25], [85, 75], [30, 80]]
+FLIGHTS = [
+    {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110},
+    {"heading_deg": 90, "offset_m": -280, "speed_m_s": 110},
+    {"heading_deg": 200, "offset_m": 350, "speed_m_s": 110, "sky": 1.3},
+]
+
+
+def scene(name: str, seed: int, law: tuple[float, float], **parts: Any) -> dict[str, Any]:
+    """Content of a scene file; ``law`` is afterpulses per detection and their scale [m]."""
+    return {
+        "name": name,
+        "extent_m": [100, 100],
+        "seed": seed,
+        "terrain": {"relief_m": 8},
+        "flights": FLIGHTS,
+        "sky": {"background_per_m3": 0.08},
+        "acquisition": {"prf_hz": 30_000, "gate_m": 150},
+        "sensor_overrides": {"afterpulse_probability": law[0], "afterpulse_scale_m": law[1]},
+        **parts,
+    }
+
+
+def trees(**keys: float) -> dict[str, float]:
+    """A canopy of 60 % cover."""
+    return {"cover": 0.6, **keys}
+
+
+CANOPIES = (
+    scene("canopy", 1, (0.15, 0.7), trees=trees()),
+    scene("canopy, another seed", 21, (0.15, 0.7), trees=trees()),
+    scene("open crowns", 2, (0.15, 0.7), trees=trees(extinction_per_m=0.2)),
+    scene("dense crowns, p 0.2, 0.4 m", 3, (0.2, 0.4), trees=trees(extinction_per_m=0.6)),
+    scene("p 0.1, 1.0 m", 11, (0.1, 1.0), trees=trees()),
+    scene("p 0.2, 0.3 m", 14, (0.2, 0.3), trees=trees()),
+    scene("dim leaves", 12, (0.15, 0.7), trees=trees(reflectance=0.12)),
+    scene("dark ground", 15, (0.15, 0.7), trees=trees(), terrain={"reflectance": 0.08}),
+    scene("one flightline", 13, (0.15, 0.7), trees=trees(), flights=FLIGHTS[:1]),
+)  # fmt: skip
+
+WATERS = (
+    scene("lake of 2 m", 5, (0.15, 0.7), trees={"cover": 0.1}, water=[
+        {"ring_m": RING, "depth_m": 2.0, "bank_slope": 0.15, "bottom_reflectance": 0.2}]),
+    scene("bright surface, 1.2 m", 6, (0.15, 0.7), trees={"cover": 0.1}, water=[
+        {"ring_m": RING, "depth_m": 1.2, "reflectance": 0.15, "bottom_reflectance": 0.1}]),
+    scene("brighter, 3 m, turbid", 7, (0.2, 0.5), trees={"cover": 0.1}, water=[
+        {"ring_m": RING, "depth_m": 3.0, "reflectance": 0.2, "bottom_reflectance": 0.15,
+         "attenuation_per_m": 0.25}]),
+)  # fmt: skip
+
+ROOFS = scene("roofs", 4, (0.15, 0.7), buildings={"count": 8}, trees={"cover": 0.15},
+              extent_m=[120, 120])  # fmt: skip
+
+
+def main(folder: Path) -> dict[str, dict[str, float]]:
+    """Print the tables; figures by scene."""
+    found = {}
+    print("Vegetation: afterpulses removed [%] where 2 % of vegetation is lost, and by default")
+    names = ("p", "scale m", "bound", "ours", "shot", "default", "lost", "bound 80", "ground-")
+    print(f"{'':28s}" + "".join(f"{n:>9s}" for n in names))
+    curve = ""
+    for content in CANOPIES:
+        name = content["name"]
+        survey = prepare(content, folder / name.replace(" ", "_"))
+        found[name] = vegetation(survey)
+        print(f"{name:28s}" + "".join(f"{v:9.3f}" for v in found[name].values()), flush=True)
+        curve = curve or curves(survey)
+    print("p and scale are fitted; bound 80: lost where the bound removes 80 %; ground-: lost\n")
+    print(f"Removed / lost [%] by threshold, {CANOPIES[0]['name']}\n{curve}")
+    print("Labels of the whole filter [%]: kept and removed; published is for roofs")
+    for content, polygons in [(ROOFS, True), *((w, p) for w in WATERS for p in (True, False))]:
+        name = content["name"]
+        survey = prepare(content, folder / name.replace(" ", "_"), polygons=polygons)
+        title = name + ("" if polygons else ", no polygon")
+        found[title] = labels(survey)
+        for key, value in found[title].items():
+            print(f"{title:34s} {key:42s} {value:8.2f}", flush=True)
+    print(f"{'':34s} {'published, roofs':42s} {PUBLISHED:8.2f}")
+    return found
+
+
+def scores(survey: Prepared) -> NDArray[np.float64]:
+    """Probability of each return, 2 where it is an afterpulse at any threshold."""
+    rows, chance, hard = echoes.probability(survey.table, survey.density)
+    echo = echoes.resolve(survey.table, survey.density, AfterpulseSettings()).echo
+    score = np.zeros(len(survey.table))
+    score[rows] = np.where(hard, np.where(echo[rows], 2.0, 0.0), chance)
+    return score
+
+
+def vegetation(survey: Prepared) -> dict[str, float]:
+    """One row of the first table."""
+    true = survey.kind == VEGETATION
+    false = (survey.kind == AFTERPULSE) & (survey.parent == VEGETATION)
+    echo = echoes.resolve(survey.table, survey.density, AfterpulseSettings()).echo
+    return {
+        "p": float(np.mean([law.probability for law in survey.laws])),
+        "scale": float(np.mean([law.scale_m for law in survey.laws])),
+        "bound": removed_at(survey.bound, true, false, LOST_MAX),
+        "ours": removed_at(scores(survey), true, false, LOST_MAX),
+        "shot": removed_at(survey.table["afterpulse"], true, false, LOST_MAX),
+        "default": 100 * float(echo[false].mean()),
+        "lost": 100 * float(echo[true].mean()),
+        "bound 80": lost_at(survey.bound, true, false, 0.8),
+        "ground": 100 * float(echo[survey.kind == GROUND].mean()),
+    }
+
+
+def removed_at(
+    score: NDArray[np.floating], true: NDArray[np.bool_], false: NDArray[np.bool_], lost: float
+) -> float:
+    """Share of the false ones above the threshold that loses a share of the true ones [%]."""
+    limit = np.sort(score[true])[::-1][int(lost * true.sum())]
+    return 100 * float((score[false] > limit).mean())
+
+
+def lost_at(
+    score: NDArray[np.floating], true: NDArray[np.bool_], false: NDArray[np.bool_], removed: float
+) -> float:
+    """Share of the true ones above the threshold that removes a share of the false ones [%]."""
+    limit = np.sort(score[false])[::-1][int(removed * false.sum())]
+    return 100 * float((score[true] > limit).mean())
+
+
+def curves(survey: Prepared) -> str:
+    """Removed and lost by threshold: the bound, ours, and the ground beside it."""
+    true = survey.kind == VEGETATION
+    false = (survey.kind == AFTERPULSE) & (survey.parent == VEGETATION)
+    hard = (survey.kind == AFTERPULSE) & (survey.parent == GROUND)
+    score = scores(survey)
+    lines = [
+        f"{'threshold':>10s}{'bound':>18s}{'ours':>18s}{'under ground':>14s}{'ground lost':>13s}"
+    ]
+    for limit in THRESHOLDS:
+        shares = [100 * float((s[m] >= limit).mean())
+                  for s in (survey.bound, score) for m in (false, true)]  # fmt: skip
+        under, ground = (100 * float((score[m] >= limit).mean())
+                         for m in (hard, survey.kind == GROUND))  # fmt: skip
+        lines.append(
+            f"{limit:10.2f}" + "".join(f"{a:10.1f} /{b:6.2f}" for a, b in (shares[:2], shares[2:]))
+            + f"{under:14.2f}{ground:13.3f}"
+        )  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def labels(survey: Prepared) -> dict[str, float]:
+    """Shares by the labels that the whole filter gives."""
+    everything = np.ones(len(survey.table), np.bool_)
+    found = denoise(survey.table, survey.density, everything, FilterSettings())["noise_class"]
+    kind, parent = survey.kind, survey.parent
+    out = {}
+    for name, number in (("roof", ROOF), ("ground", GROUND), ("bottom", BOTTOM)):
+        mine = kind == number
+        if mine.any():
+            echo = (kind == AFTERPULSE) & (parent == number)
+            out[f"{name} kept"] = 100 * float((found[mine] == NOISE_SIGNAL).mean())
+            out[f"{name} taken for afterpulses"] = 100 * float(
+                (found[mine] == NOISE_AFTERPULSE).mean()
+            )
+            out[f"afterpulses of {name} removed"] = 100 * float(
+                (found[echo] != NOISE_SIGNAL).mean()
+            )
+    return out
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        main(Path(sys.argv[1]))
+    else:
+        with tempfile.TemporaryDirectory() as temporary:
+            main(Path(temporary))

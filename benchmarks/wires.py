@@ -1,0 +1,128 @@
+"""Weak and ordinary wires: what each filter keeps, against point truth.
+
+``python -m benchmarks.wires [--folder FOLDER] [--seeds 1 2 3] [--scenes weak ordinary]
+[--methods published tail ours]`` simulates the scenes of :mod:`benchmarks.twins` for each seed
+(into FOLDER, where what is there is used again), runs each filter and prints percentages: wire
+returns kept, of each line and of all; background returns kept, all of them and those farther than
+5 m from anything else (the filter's false alarms where nothing vouches for them); roofs, ground,
+vegetation and poles kept. A last line of each method pools the seeds.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from benchmarks import corridors, methods
+from benchmarks.methods import BACKGROUND, GROUND, OTHER, ROOF, VEGETATION, WIRE, Columns, Method
+from benchmarks.twins import TWINS
+
+FAR_M = 5.0
+"""Background farther than this from every other return is pure noise [m]."""
+
+THIN_M = 0.5
+"""Returns are thinned to cells of this size before distances to them are taken [m]."""
+
+BARS = {"weak": (75.0, 0.5), "ordinary": (98.0, 0.5)}
+"""Wire returns kept at least, pure noise kept at most [%]."""
+
+NEAR_M = 1.0
+"""A wire return belongs to the line with a strand within this distance of it [m]."""
+
+Tally = dict[str, tuple[int, int]]
+
+
+def main(folder: Path, scenes: Sequence[str], seeds: Sequence[int], names: Sequence[str]) -> None:
+    """Print one table for each scene."""
+    known = methods.known_methods()
+    for scene in scenes:
+        tallies: dict[str, list[Tally]] = {name: [] for name in names}
+        for seed in seeds:
+            survey = methods.make_survey(TWINS[scene](seed), folder / f"{scene}_{seed}")
+            groups = strata(survey, methods.load_truth(survey))
+            if seed == seeds[0]:
+                _head(scene, list(groups))
+            for name in names:
+                kept = methods.judge(survey, known[name]) == 0
+                tally = {g: (int((kept & m).sum()), int(m.sum())) for g, m in groups.items()}
+                tallies[name].append(tally)
+                _row(known[name], f"seed {seed}", [tally])
+        for name in names:
+            if len(seeds) > 1:
+                _row(known[name], "pooled", tallies[name])
+
+
+def strata(survey: Path, points: Columns) -> dict[str, NDArray[np.bool_]]:
+    """Returns that are counted together, by name: each (n,) bool."""
+    kind = points["kind"]
+    groups = {"wires": kind == WIRE}
+    groups |= {f"line {k + 1}": m for k, m in enumerate(_by_line(survey, points))}
+    noise = kind == BACKGROUND
+    groups |= {"noise": noise, "far noise": noise & _far(points)}
+    groups |= {"ground": kind == GROUND, "roofs": kind == ROOF, "trees": kind == VEGETATION}
+    groups["poles"] = kind == OTHER
+    return groups
+
+
+def _far(points: Columns) -> NDArray[np.bool_]:
+    """Which returns are farther than :data:`FAR_M` from all that is not background."""
+    xyz = np.column_stack([points[axis] for axis in "xyz"])
+    low = xyz.min(axis=0)
+    rest = xyz[points["kind"] != BACKGROUND] - low
+    _, first = np.unique(np.floor(rest / THIN_M).astype(np.int64), axis=0, return_index=True)
+    noise = np.flatnonzero(points["kind"] == BACKGROUND)
+    distance = cKDTree(rest[first]).query(xyz[noise] - low, distance_upper_bound=FAR_M)[0]
+    far = np.zeros(len(xyz), dtype=np.bool_)
+    far[noise[np.isinf(distance)]] = True
+    return far
+
+
+def _by_line(survey: Path, points: Columns) -> list[NDArray[np.bool_]]:
+    """Wire returns of each line, by the distance to its strands."""
+    rows = np.flatnonzero(points["kind"] == WIRE)
+    wires = {axis: points[axis][rows] for axis in "xyz"}
+    found = []
+    for _, spans in corridors.lines(survey):
+        mask = np.zeros(len(points["kind"]), dtype=np.bool_)
+        near = corridors.nearest_m(spans, wires)
+        mask[rows[near <= NEAR_M]] = True
+        found.append(mask)
+    return found
+
+
+def _head(scene: str, groups: Sequence[str]) -> None:
+    least, most = BARS[scene]
+    print(f"\n{scene} wires, kept [%]; asked: wires >= {least:g}, noise <= {most:g}")
+    print(f"{'':32s}" + "".join(f"{g:>10s}" for g in groups))
+
+
+def _row(method: Method, which: str, tallies: Sequence[Tally]) -> None:
+    shares = [methods.pooled([t[g] for t in tallies if g in t]) for g in tallies[0]]
+    digits = [3 if "noise" in g else 2 for g in tallies[0]]
+    print(
+        f"{method.label:24s}{which:8s}"
+        + "".join(f"{s:10.{d}f}" for s, d in zip(shares, digits, strict=True)),
+        flush=True,
+    )
+
+
+def parse() -> argparse.Namespace:
+    """Arguments of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    known = [name for name in ("published", "tail", "ours") if name in methods.known_methods()]
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--scenes", nargs="+", choices=list(BARS), default=list(BARS))
+    parser.add_argument("--methods", nargs="+", choices=list(methods.known_methods()),
+                        default=known)  # fmt: skip
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    given = parse()
+    with tempfile.TemporaryDirectory() as temporary:
+        main(given.folder or Path(temporary), given.scenes, given.seeds, given.methods)

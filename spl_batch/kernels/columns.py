@@ -1,0 +1,175 @@
+"""Points by square columns of the absolute lattice, each column sorted by height.
+
+A search that is wide but flat - along a wire, around a small cube - looks at a few columns and
+walks one stretch of each. Columns lie on the absolute lattice and ties are broken by row,
+so the order in which points come does not depend on what else the table holds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+class Columns(NamedTuple):
+    """Points in column order.
+
+    Parameters
+    ----------
+    points : (4, n) int32
+        x, y, z [quanta] and row of each slot, each contiguous.
+    start : (nx * ny + 1,) int64
+        First slot of each column, y fastest.
+    corner : (2,) int64
+        Lower corner of the first column, relative to the anchor [quanta].
+    shape : tuple of int
+        Columns along x and y.
+    edge : int
+        Edge of a column [quanta].
+    """
+
+    points: NDArray[np.int32]
+    start: NDArray[np.int64]
+    corner: NDArray[np.int64]
+    shape: tuple[int, int]
+    edge: int
+
+
+def columns(
+    xyz: NDArray[np.int32], rows: NDArray[np.intp], anchor: tuple[int, int, int], edge: int
+) -> Columns:
+    """Put some points into columns.
+
+    Parameters
+    ----------
+    xyz : (m, 3) int32
+        Coordinates relative to the anchor [quanta].
+    rows : (n,) intp
+        Points to take, ascending.
+    anchor : tuple of int
+        Where xyz counts from, on the absolute lattice [quanta].
+    edge : int
+        Edge of a column [quanta].
+
+    Returns
+    -------
+    Columns
+    """
+    points = np.empty((4, len(rows)), dtype=np.int32)
+    if not len(rows):
+        return Columns(points, np.zeros(2, np.int64), np.zeros(2, np.int64), (1, 1), edge)
+    taken = xyz[rows]
+    cell = [(taken[:, a].astype(np.int64) + anchor[a]) // edge for a in (0, 1)]
+    first = [int(c.min()) for c in cell]
+    shape = (int(cell[0].max()) - first[0] + 1, int(cell[1].max()) - first[1] + 1)
+    column = (cell[0] - first[0]) * shape[1] + (cell[1] - first[1])
+    start = np.zeros(shape[0] * shape[1] + 1, dtype=np.int64)
+    np.cumsum(np.bincount(column, minlength=len(start) - 1), out=start[1:])
+    _fill(taken, rows, column, start, points)
+    corner = np.array([first[a] * edge - anchor[a] for a in (0, 1)], dtype=np.int64)
+    return Columns(points, start, corner, shape, edge)
+
+
+@njit(nogil=True, cache=True)
+def _fill(taken, rows, column, start, points):  # type: ignore[no-untyped-def]
+    """Counting sort by column, then by height; rows ascend within equal heights."""
+    after = start[:-1].copy()
+    place = np.empty(len(rows), np.int64)
+    for i in range(len(rows)):
+        place[after[column[i]]] = i
+        after[column[i]] += 1
+    for c in range(len(start) - 1):
+        low, high = start[c], start[c + 1]
+        if low == high:
+            continue
+        keys = np.empty(high - low, np.int64)
+        for s in range(low, high):
+            keys[s - low] = (np.int64(taken[place[s], 2]) << 32) | np.int64(s)
+        keys.sort()
+        for k in range(high - low):
+            i = place[keys[k] & 0xFFFF_FFFF]
+            slot = low + k
+            points[0, slot], points[1, slot], points[2, slot] = (
+                taken[i, 0],
+                taken[i, 1],
+                taken[i, 2],
+            )
+            points[3, slot] = rows[i]
+
+
+def cube_counts(
+    xyz: NDArray[np.int32], anchor: tuple[int, int, int], edge: int
+) -> NDArray[np.int32]:
+    """Points in the 3 x 3 x 3 cells around each point's own cell.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates relative to the anchor [quanta].
+    anchor : tuple of int
+        Where they count from, on the absolute lattice [quanta].
+    edge : int
+        Edge of a cell [quanta].
+
+    Returns
+    -------
+    (n,) int32
+        Points [count], each one itself included.
+    """
+    made = columns(xyz, np.arange(len(xyz)), anchor, edge)
+    out = np.zeros(len(xyz), dtype=np.int32)
+    if len(xyz):
+        _cubes(made.points, made.start, made.shape[0], made.shape[1], anchor[2], edge, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _cubes(points, start, nx, ny, base, edge, out):  # type: ignore[no-untyped-def]
+    """Sweep of each column against itself and its eight neighbours, both by height."""
+    level = np.empty(points.shape[1], np.int64)
+    for i in range(points.shape[1]):
+        level[i] = (np.int64(points[2, i]) + base) // edge
+    for a in range(nx):
+        for b in range(ny):
+            own = a * ny + b
+            if start[own] == start[own + 1]:
+                continue
+            for i in range(max(a - 1, 0), min(a + 2, nx)):
+                for j in range(max(b - 1, 0), min(b + 2, ny)):
+                    other = i * ny + j
+                    low = high = start[other]
+                    end = start[other + 1]
+                    for slot in range(start[own], start[own + 1]):
+                        while low < end and level[low] < level[slot] - 1:
+                            low += 1
+                        while high < end and level[high] <= level[slot] + 1:
+                            high += 1
+                        out[points[3, slot]] += high - low
+
+
+@njit(nogil=True, cache=True)
+def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
+    """First slot of a column's stretch [low, high) whose height is at least ``z``."""
+    while low < high:
+        middle = (low + high) // 2
+        if points[2, middle] < z:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(nogil=True, cache=True, inline="always")
+def stretch_of(place, reach, edge, n):  # type: ignore[no-untyped-def]
+    """First column within ``reach`` of a place along one axis, and the one after the last."""
+    low = np.int64(math.floor((place - reach) / edge))
+    high = np.int64(math.floor((place + reach) / edge))
+    return max(low, 0), min(high + 1, n)
+
+
+@njit(nogil=True, cache=True, inline="always")
+def columns_around(column, span, n):  # type: ignore[no-untyped-def]
+    """First column within ``span`` columns of one, and the one after the last."""
+    return max(column - span, 0), min(column + span + 1, n)

@@ -1,0 +1,102 @@
+"""Count in the adaptive ellipsoid over the count in the sphere of its volume [W17 5.2.2].
+
+With n_s other points nearer than the radius and n_e of them all inside the ellipsoid, a
+point stays if n_e >= ratio n_s, and there is one at all. The count in the ellipsoid
+stops where that is decided.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spl_batch.kernels.ellipsoid import Shape, _fit, _flag, _quadric, _reach, _walk
+from spl_batch.kernels.kdtree import (
+    CAP_MAX,
+    LEAF,
+    U0,
+    U1,
+    U2,
+    U3,
+    KdTree,
+    leaf_slots,
+    nearest_keys,
+)
+from spl_batch.kernels.volumes import within
+
+
+def passes_ratio(
+    xyz: NDArray[np.int32], tree: KdTree, query: NDArray[np.bool_], shape: Shape, ratio: float
+) -> NDArray[np.bool_]:
+    """Which points have a large enough share of their sphere's count in their ellipsoid.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates relative to any anchor [quanta], rows in canonical order.
+    tree : KdTree
+        The same points.
+    query : (n,) bool
+        Points to decide.
+    shape : Shape
+        How neighbours become an ellipsoid.
+    ratio : float
+        Least n_e / n_s.
+
+    Returns
+    -------
+    (n,) bool
+        False for points that were not asked for.
+    """
+    if not 0 < shape.neighbour_cap <= CAP_MAX:
+        raise ValueError(f"neighbour cap {shape.neighbour_cap} quanta: must lie in 1..{CAP_MAX}")
+    keep = np.zeros(len(xyz), dtype=np.bool_)
+    if len(xyz):
+        _ratios(xyz, tree.points, tree.boxes, tree.depth, query, shape, ratio, keep)
+    return keep
+
+
+@njit(nogil=True, cache=True)
+def _ratios(xyz, points, boxes, depth, query, shape, ratio, keep):  # type: ignore[no-untyped-def]
+    """Every query point in tree order, so that the cache stays warm."""
+    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    keys = np.empty(shape.neighbours, dtype=np.int64)
+    near = np.empty((3, shape.neighbours), dtype=np.float64)
+    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
+    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    levels = np.empty(64, dtype=np.uint64)
+    moments, quadric = np.empty(6), np.empty(6)
+    values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
+    vectors, scratch = np.empty((3, 3)), np.empty((2, 3))
+    wide = np.ones(len(xyz), dtype=np.float64)
+    limit = shape.radius * shape.radius
+    for leaf in range(U1 << depth, U1 << (depth + U1)):
+        low, high = leaf_slots(leaf, depth, n)
+        for slot in range(low, high):
+            row = points[U3, slot]
+            if not query[row]:
+                continue
+            x = np.float64(points[U0, slot])
+            y = np.float64(points[U1, slot])
+            z = np.float64(points[U2, slot])
+            sphere = within(points, boxes, depth, x, y, z, limit, stack, levels) - 1
+            if sphere == 0:
+                continue
+            stop = np.int64(math.ceil(ratio * sphere))
+            found = nearest_keys(
+                points, boxes, depth, leaf, slot, shape.neighbour_cap, keys, distance, fresh,
+                stack, bound,
+            )  # fmt: skip
+            _fit(xyz, row, keys, found, near, shape, moments, values, vectors, scratch, axes)
+            _quadric(vectors, axes, quadric)
+            inside = 0
+            for i in range(found):
+                inside += _flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0
+            if inside < stop:
+                _reach(vectors, axes, half)
+                inside = _walk(
+                    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
+                    wide, 0.0, outer,
+                )  # fmt: skip
+            keep[row] = inside >= stop

@@ -1,0 +1,126 @@
+"""Nodes in pits: single low returns below a smooth surface of their neighbours.
+
+Noise and afterpulses under a meadow make a lowest layer of their own, metre deep, and
+adaptive triangulations start from the lowest. What tells such a pit from ground seen
+through leaves is what stands around it: leaves are rough, the meadow is smooth. Two
+neighbours on opposite sides of a node give a height at its place by linear interpolation,
+which no tilt of the ground changes. Where most of these heights agree with each other and
+lie above the node, it is in a pit; where they scatter, nothing is said.
+
+After the low-point tests of ground filters (isolated points below all neighbours
+[Axelsson 2000 uses them before the seeds]); the comparison of opposite pairs is our own.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+REACH_M = 2.0
+"""Neighbours up to this far on each side, but in cells next to it at least [m]."""
+
+_AGREE_M = 0.4
+"""Heights of pairs agree within this: ranging spread and roughness of a meadow [m]."""
+
+_DEPTH_M = 0.25
+"""A pit is deeper than this below the lowest of the agreeing heights [m]."""
+
+_OWN_M = 0.2
+"""Pairs within this of the node's height speak for it [m]."""
+
+_OUTVOTE = 6
+"""Agreeing pairs for each that speaks for the node: along a ditch, two do [count]."""
+
+_ENOUGH = 4
+"""Agreeing pairs that make a surface: at least these, and half of all pairs [count]."""
+
+
+@njit(nogil=True, cache=True)
+def in_pits(
+    xyz: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    asked: NDArray[np.bool_],
+    rows: int,
+    columns: int,
+    reach: int,
+    out: NDArray[np.bool_],
+) -> None:
+    """Which nodes lie in a pit.
+
+    Parameters
+    ----------
+    xyz : (m, 3) float64
+        Nodes [m], in order of their cells, the lowest of a cell first.
+    cell : (m,) int64
+        Cell of each node, row by row.
+    asked : (m,) bool
+        Nodes to be judged; the others are surroundings only.
+    rows, columns : int
+        Shape of the grid.
+    reach : int
+        Cells to look at on each side [count].
+    out : (m,) bool, written
+        True for a node in a pit.
+    """
+    lowest = np.full(rows * columns, -1, dtype=np.int64)
+    for i in range(len(cell) - 1, -1, -1):
+        lowest[cell[i]] = i
+    height = np.empty(((2 * reach + 1) ** 2 - 1) // 2)
+    for i in range(len(cell)):
+        out[i] = False
+        if not asked[i]:
+            continue
+        pairs = _pair_heights(xyz, lowest, i, cell[i], rows, columns, reach, height)
+        out[i] = _below(height[:pairs], xyz[i, 2])
+
+
+@njit(nogil=True, cache=True)
+def _pair_heights(
+    xyz: NDArray[np.float64],
+    lowest: NDArray[np.int64],
+    node: int,
+    cell: int,
+    rows: int,
+    columns: int,
+    reach: int,
+    height: NDArray[np.float64],
+) -> int:
+    """Heights that opposite neighbours give at a node's place; how many."""
+    row, column = cell // columns, cell % columns
+    pairs = 0
+    for dr in range(reach + 1):
+        for dc in range(-reach, reach + 1):
+            if dr == 0 and dc <= 0:
+                continue
+            r0, r1, c0, c1 = row - dr, row + dr, column - dc, column + dc
+            if r0 < 0 or r1 >= rows or min(c0, c1) < 0 or max(c0, c1) >= columns:
+                continue
+            a, b = lowest[r0 * columns + c0], lowest[r1 * columns + c1]
+            if a < 0 or b < 0:
+                continue
+            ux, uy = xyz[b, 0] - xyz[a, 0], xyz[b, 1] - xyz[a, 1]
+            length2 = ux * ux + uy * uy
+            along = (xyz[node, 0] - xyz[a, 0]) * ux + (xyz[node, 1] - xyz[a, 1]) * uy
+            height[pairs] = xyz[a, 2] + (along / length2) * (xyz[b, 2] - xyz[a, 2])
+            pairs += 1
+    return pairs
+
+
+@njit(nogil=True, cache=True)
+def _below(height: NDArray[np.float64], z: float) -> bool:
+    """Whether most heights agree with each other above ``z`` and few with ``z``."""
+    pairs = len(height)
+    if pairs < _ENOUGH:
+        return False
+    ordered = np.sort(height)
+    own = 0
+    for h in ordered:
+        own += abs(h - z) <= _OWN_M
+    end = 0
+    for first in range(pairs):
+        while end < pairs and ordered[end] <= ordered[first] + _AGREE_M:
+            end += 1
+        agreeing = end - first
+        enough = agreeing >= max(_ENOUGH, _OUTVOTE * own) and 2 * agreeing >= pairs
+        if enough and ordered[first] > z + _DEPTH_M:
+            return True
+    return False

@@ -1,0 +1,192 @@
+r"""Least-squares fit of where the beamlets of a few shots point.
+
+Within a few milliseconds the place where a beamlet meets a reference plane is a smooth
+function of the shot and an affine one of the beamlet's place in the array, which turns:
+
+.. math:: p = \sum_{k<4} a_k \tau^k + (b_0 + b_1 \tau) g_x + (c_0 + c_1 \tau) g_y
+
+with :math:`\tau` from -1 to 1 over the block of shots and :math:`g` the place in the array.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+TERMS = 8
+"""Coefficients of each coordinate."""
+
+
+@njit(nogil=True, cache=True)
+def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
+    """Value of each term.
+
+    Parameters
+    ----------
+    tau : float
+        Time within the block, -1 to 1.
+    gx, gy : float
+        Place in the array.
+    out : (TERMS,) float64
+        Filled.
+    """
+    out[0] = 1.0
+    out[1] = tau
+    out[2] = tau * tau
+    out[3] = tau * tau * tau
+    out[4] = gx
+    out[5] = gx * tau
+    out[6] = gy
+    out[7] = gy * tau
+
+
+@njit(nogil=True, cache=True)
+def normal_equations(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    pattern: NDArray[np.float64],
+    matrix: NDArray[np.float64],
+    right: NDArray[np.float64],
+) -> None:
+    """Sums that the coefficients of each block follow from.
+
+    Parameters
+    ----------
+    start : (m + 1,) int64
+        First row of each block, and the number of rows.
+    tau : (n,) float64
+        Time of each row within its block, -1 to 1.
+    channel : (n,) uint8
+        Beamlet of each row.
+    place : (n, 2) float64
+        Where it meets the reference plane, relative to the block's anchor [m].
+    pattern : (m, c, 2) float64
+        Place of each channel in the array; rows of a channel without one (NaN) are left out.
+    matrix : (m, TERMS, TERMS) float64
+        Filled, but for what lies above the diagonal.
+    right : (m, TERMS, 2) float64
+        Filled.
+    """
+    term = np.empty(TERMS)
+    matrix[:] = 0.0
+    right[:] = 0.0
+    for b in range(len(start) - 1):
+        for row in range(start[b], start[b + 1]):
+            gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
+            if np.isnan(gx):
+                continue
+            basis(tau[row], gx, gy, term)
+            for i in range(TERMS):
+                for j in range(i + 1):
+                    matrix[b, i, j] += term[i] * term[j]
+                right[b, i, 0] += term[i] * place[row, 0]
+                right[b, i, 1] += term[i] * place[row, 1]
+
+
+@njit(nogil=True, cache=True)
+def predict(
+    coefficient: NDArray[np.float64],
+    tau: float,
+    gx: float,
+    gy: float,
+    term: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Where a beamlet meets the reference plane, relative to the block's anchor [m].
+
+    Parameters
+    ----------
+    coefficient : (TERMS, 2) float64
+        Of the block.
+    tau, gx, gy : float
+        As in :func:`basis`.
+    term : (TERMS,) float64
+        Room.
+    """
+    basis(tau, gx, gy, term)
+    x = y = 0.0
+    for i in range(TERMS):
+        x += coefficient[i, 0] * term[i]
+        y += coefficient[i, 1] * term[i]
+    return x, y
+
+
+@njit(nogil=True, cache=True)
+def misfit(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    pattern: NDArray[np.float64],
+    coefficient: NDArray[np.float64],
+    rms: NDArray[np.float64],
+) -> None:
+    """Root mean square distance of the rows of each block from its fit.
+
+    Parameters
+    ----------
+    start, tau, channel, place, pattern
+        As in :func:`normal_equations`.
+    coefficient : (m, TERMS, 2) float64
+        Fit of each block.
+    rms : (m,) float64
+        Filled; NaN for a block without rows [m].
+    """
+    term = np.empty(TERMS)
+    for b in range(len(start) - 1):
+        total, count = 0.0, 0
+        for row in range(start[b], start[b + 1]):
+            gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
+            if np.isnan(gx):
+                continue
+            x, y = predict(coefficient[b], tau[row], gx, gy, term)
+            total += (place[row, 0] - x) ** 2 + (place[row, 1] - y) ** 2
+            count += 1
+        rms[b] = np.sqrt(total / count) if count else np.nan
+
+
+@njit(nogil=True, cache=True)
+def learn_pattern(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    coefficient: NDArray[np.float64],
+    pattern: NDArray[np.float64],
+) -> None:
+    """Mean place of each channel in the array, given how the array turns.
+
+    Parameters
+    ----------
+    start, tau, channel, place
+        As in :func:`normal_equations`.
+    coefficient : (m, TERMS, 2) float64
+        Fit of each block; one whose array is a point takes the ground's own axes.
+    pattern : (m, c, 2) float64
+        Filled; NaN for a channel without rows in the block.
+    """
+    channels = pattern.shape[1]
+    count = np.empty(channels)
+    for b in range(len(start) - 1):
+        count[:] = 0.0
+        pattern[b] = 0.0
+        a = coefficient[b]
+        for row in range(start[b], start[b + 1]):
+            t = tau[row]
+            x = place[row, 0] - (a[0, 0] + t * (a[1, 0] + t * (a[2, 0] + t * a[3, 0])))
+            y = place[row, 1] - (a[0, 1] + t * (a[1, 1] + t * (a[2, 1] + t * a[3, 1])))
+            xx, xy = a[4, 0] + t * a[5, 0], a[6, 0] + t * a[7, 0]
+            yx, yy = a[4, 1] + t * a[5, 1], a[6, 1] + t * a[7, 1]
+            turn = xx * yy - xy * yx
+            if turn != 0.0:
+                x, y = (yy * x - xy * y) / turn, (xx * y - yx * x) / turn
+            c = channel[row]
+            pattern[b, c, 0] += x
+            pattern[b, c, 1] += y
+            count[c] += 1.0
+        for c in range(channels):
+            if count[c] > 0.0:
+                pattern[b, c, 0] /= count[c]
+                pattern[b, c, 1] /= count[c]
+            else:
+                pattern[b, c] = np.nan

@@ -1,0 +1,256 @@
+r"""Fullest straight tube through each point among nearly horizontal directions.
+
+Every neighbour within the half-length L adds one to the directions that pass it closely: a
+Hough transform of one point, over cells of azimuth and slope. A conductor hangs: a typical
+parabola is taken away first, and what is left of others stays below the tube's width.
+
+A tube is a window of (2 w + 1)^2 cells, with w = 1 in the outer half of its length, 3 in the
+next quarter and 7 within. So it is as wide as stated on average, and a neighbour costs 9
+additions in 7 cases of 8.
+
+====== ==========================================================================
+symbol name
+====== ==========================================================================
+L, l   ``length``, ``least``: half-length of a tube, nearest neighbour that counts [quanta]
+r      ``radius``: half-width of a tube [quanta]; a cell is ``CELL`` r / L
+K      ``count``: returns in the fullest tube, the point itself excluded
+lambda ``expected``: background in one tube, its density times the volume of the windows.
+       The density is the expected one, or that of the double cone of all directions
+       without the tube, whichever is larger
+====== ==========================================================================
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from spl_batch.kernels.columns import columns_around, first_above
+from spl_batch.kernels.kdtree import U0, U1, U2
+
+CELL: Final = 0.83
+"""Edge of a cell of direction [r / L]: windows are 2 r wide, each weighted by its volume."""
+
+TURNS, LEVELS = 400, 160
+"""Most cells of azimuth and of slope [count]; longer tubes get coarser cells."""
+
+PAD: Final = 8
+"""Cells beyond the steepest slope at either side [count]."""
+
+
+@njit(nogil=True, cache=True, inline="always")
+def half_turn(x, y):  # type: ignore[no-untyped-def]
+    """Azimuth of a direction without sense, in [0, pi], to 0.0016 rad.
+
+    A polynomial (Rajan et al., "Efficient approximations for the arctangent function",
+    IEEE Signal Processing Magazine 23, 2006): cells of direction are 15 times as wide.
+    """
+    ax, ay = abs(x), abs(y)
+    t = min(ax, ay) / max(ax, ay)
+    angle = t * (0.25 * math.pi + (1.0 - t) * (0.2447 + 0.0663 * t))
+    if ay > ax:
+        angle = 0.5 * math.pi - angle
+    if (x < 0.0) != (y < 0.0):
+        angle = math.pi - angle
+    return angle
+
+
+@njit(nogil=True, cache=True, inline="always")
+def grid(reach, radius, slope_max):  # type: ignore[no-untyped-def]
+    """Edge of a cell of direction [rad], cells of azimuth, and of slope without the rim."""
+    step = CELL * radius / reach
+    step = max(step, math.pi / TURNS, 2.0 * slope_max / (LEVELS - 2 * PAD - 1))
+    turns = np.int64(math.pi / step)
+    step = math.pi / turns
+    return step, turns, np.int64(2.0 * slope_max / step) + 1
+
+
+@njit(nogil=True, cache=True, inline="always")
+def window(flat, reach):  # type: ignore[no-untyped-def]
+    """Half-width of a neighbour's window [cells], by its squared distance."""
+    share = flat / (reach * reach)
+    return 1 if share >= 0.25 else (3 if share >= 0.0625 else 7)
+
+
+@njit(nogil=True, cache=True)
+def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
+    """Volume of all windows along one direction [quanta3]."""
+    volume = 0.0
+    far = reach
+    for half in (1.5, 3.5, 7.5):
+        near = max(least, 0.5 * far if half < 7.0 else 0.0)
+        if near < far:
+            volume += 8.0 / 3.0 * (half * step) ** 2 * (far**3 - near**3)
+        far = near
+    return volume
+
+
+@njit(nogil=True, cache=True)
+def _middle(cells, most, turns, rows):  # type: ignore[no-untyped-def]
+    """Centre of the first cell with the largest count and of its equals beside it [cells]."""
+    for a in range(turns):
+        for b in range(rows):
+            if cells[a, b] == most:
+                total_a = total_b = equal = 0
+                for i in range(a, min(a + 3, turns)):
+                    for j in range(max(b - 2, 0), min(b + 3, rows)):
+                        if cells[i, j] == most:
+                            total_a += i
+                            total_b += j
+                            equal += 1
+                return total_a / equal + 0.5, total_b / equal + 0.5
+    return 0.5, 0.5
+
+
+@njit(nogil=True, cache=True)
+def _vote(cells, turn, rise, flat, near, reach, scale, slope_max, turns, levels):  # type: ignore[no-untyped-def]
+    """Add every neighbour to the directions that pass it; returns the largest count."""
+    most = np.uint16(0)
+    one = np.uint16(1)
+    for k in range(near):
+        half = window(flat[k], reach)
+        a = min(np.int64(turn[k] * scale), turns - 1)
+        b = min(np.int64((rise[k] + slope_max) * scale), levels - 1)
+        if half == 1 and 0 < a < turns - 1:
+            # Seven neighbours of eight: nine cells, written out for the compiler's sake.
+            left = np.uint64(b - 1 + PAD)
+            for i in range(np.uint64(a - 1), np.uint64(a + 2)):
+                first = cells[i, left] + one
+                second = cells[i, left + U1] + one
+                third = cells[i, left + U2] + one
+                cells[i, left], cells[i, left + U1], cells[i, left + U2] = first, second, third
+                most = max(most, np.uint16(first), np.uint16(second), np.uint16(third))
+            continue
+        for i in range(a - half, a + half + 1):
+            at, low = i, b - half + PAD
+            if i < 0 or i >= turns:
+                at = i + turns if i < 0 else i - turns
+                low = levels - 1 - b - half + PAD
+            for j in range(np.uint64(low), np.uint64(low + 2 * half + 1)):
+                count = np.uint16(cells[np.uint64(at), j] + one)
+                cells[np.uint64(at), j] = count
+                most = max(most, count)
+    return np.int64(most)
+
+
+@njit(nogil=True, cache=True)
+def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
+    points, start, nx, ny, edge, seed, length, density, largest,
+    radius, least, slope_max, bend, count, azimuth, slope, expected,
+):  # fmt: skip
+    """Fullest tube of every seed, column by column, each column from below.
+
+    Parameters
+    ----------
+    points, start, nx, ny, edge
+        The columns.
+    seed : (n,) bool
+        Points asked for, by row.
+    length, density : (n,) float64
+        Half-length [quanta] and background [1/quanta3], by row.
+    largest : (k,) float64
+        Largest lambda at which so many returns make a tube worth keeping.
+    radius, least : float
+        Half-width of a tube; nearest neighbour that tells a direction [quanta].
+    slope_max, bend : float
+        Steepest tube [rise/run]; parabola z = bend h^2 [1/quanta].
+    count, azimuth, slope, expected
+        (n,) by row, out: K, or 0 where the tube is not worth keeping; direction [rad, rise/run];
+        lambda. Only seeds are written.
+    """
+    longest = 0.0
+    for slot in range(points.shape[1]):
+        if seed[points[3, slot]]:
+            longest = max(longest, length[points[3, slot]])
+    span = np.int64(longest / edge) + 1
+    steep, sag = slope_max * slope_max, bend * longest * longest
+    # Neighbour columns within reach: the slots in their windows, and those windows' depth.
+    first = np.empty((2 * span + 1) ** 2, np.int64)
+    last, stop = np.empty_like(first), np.empty_like(first)
+    depth = np.empty(len(first))
+    room = 1024
+    work = np.empty((5, room))
+    dx, dy, flat, turn, rise = work[0], work[1], work[2], work[3], work[4]
+    cells = np.zeros((TURNS, LEVELS), np.uint16)
+    for a in range(nx):
+        for b in range(ny):
+            own = a * ny + b
+            if start[own] == start[own + 1]:
+                continue
+            beside = -1
+            for slot in range(start[own], start[own + 1]):
+                row = points[3, slot]
+                if not seed[row]:
+                    continue
+                if beside < 0:
+                    beside = 0
+                    i0, i1 = columns_around(a, span, nx)
+                    j0, j1 = columns_around(b, span, ny)
+                    for i in range(i0, i1):
+                        for j in range(j0, j1):
+                            gap = math.hypot(max(abs(i - a) - 1, 0), max(abs(j - b) - 1, 0))
+                            if gap * edge > longest:
+                                continue
+                            far = math.hypot(abs(i - a) + 1, abs(j - b) + 1) * edge
+                            depth[beside] = slope_max * min(far, longest)
+                            stop[beside] = start[i * ny + j + 1]
+                            first[beside] = first_above(
+                                points, start[i * ny + j], stop[beside],
+                                points[2, slot] - depth[beside],
+                            )  # fmt: skip
+                            last[beside] = first[beside]
+                            beside += 1
+                x, y, z = points[0, slot], points[1, slot], points[2, slot]
+                reach = length[row]
+                outer, inner = reach * reach, least * least
+                near = U0
+                for k in range(beside):
+                    low, high, end = first[k], last[k], stop[k]
+                    bottom, top = z - depth[k], z + depth[k] + sag
+                    while low < end and points[2, low] < bottom:
+                        low += 1
+                    high = max(low, high)
+                    while high < end and points[2, high] <= top:
+                        high += 1
+                    first[k], last[k] = low, high
+                    if np.int64(near) + high - low > room:
+                        room = 2 * (np.int64(near) + high - low)
+                        work = _grown(work, room)
+                        dx, dy, flat, turn, rise = work[0], work[1], work[2], work[3], work[4]
+                    # Without a branch: four candidates of ten are neighbours.
+                    for j in range(np.uint64(low), np.uint64(high)):
+                        across = np.float64(points[U0, j] - x)
+                        up = np.float64(points[U1, j] - y)
+                        apart = across * across + up * up
+                        dz = np.float64(points[U2, j] - z) - bend * apart
+                        dx[near], dy[near], flat[near], rise[near] = across, up, apart, dz
+                        near += np.uint64(
+                            (dz * dz <= steep * apart) & (apart <= outer) & (apart >= inner)
+                        )
+                step, turns, levels = grid(reach, radius, slope_max)
+                for k in range(near):
+                    turn[k] = half_turn(dx[k], dy[k])
+                    up = rise[k] / math.sqrt(flat[k])
+                    rise[k] = -up if dy[k] < 0.0 else up
+                cells[:turns, : levels + 2 * PAD] = 0
+                most = _vote(
+                    cells, turn, rise, flat, near, reach, 1.0 / step, slope_max, turns, levels
+                )
+                cone = 4.0 / 3.0 * math.pi * slope_max * (reach**3 - least**3)
+                crowd = max(density[row], max(np.int64(near) - most, 0) / cone)
+                expected[row] = crowd * tube_volume(reach, least, step)
+                if expected[row] > largest[min(most, len(largest) - 1)]:
+                    continue
+                count[row] = most
+                at, level = _middle(cells, most, turns, levels + 2 * PAD)
+                azimuth[row] = at * step
+                slope[row] = (level - PAD) * step - slope_max
+
+
+@njit(nogil=True, cache=True)
+def _grown(values, room):  # type: ignore[no-untyped-def]
+    """The same values with more room behind."""
+    out = np.empty((values.shape[0], room))
+    out[:, : values.shape[1]] = values
+    return out

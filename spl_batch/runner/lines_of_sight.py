@@ -1,0 +1,97 @@
+"""Beams of a stretch, and the sensor's path where the survey brings no trajectory.
+
+Without a trajectory a stretch leaves its best lines of sight; a flightline's path is the
+place where they meet, and only then can the stretches be observed.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from spl_batch.io.store import Store
+from spl_batch.io.tables import read_arrays, read_table, write_arrays
+from spl_batch.io.trajectory import read_slice, write_trajectory
+from spl_batch.model import SOURCE_COLUMNS, BeamTable, PointTable, Trajectory
+from spl_batch.runner.context import Context, Produced
+from spl_batch.stages import afterpulse, geometry, line_noise, sight
+
+STRETCH_COLUMNS = (*SOURCE_COLUMNS, "shot")
+"""Columns of a stretch."""
+
+
+def beams(table: PointTable, store: Store, args: Mapping[str, Any]) -> BeamTable:
+    """Line of sight of each point of a stretch: by trajectory, found path, or scan angle.
+
+    Parameters
+    ----------
+    table : PointTable
+        At least one point of a stretch.
+    store : Store
+        Holds the positions.
+    args : mapping
+        ``line``, ``trajectory``, ``sensor_path`` and ``heading_rad`` of the task.
+    """
+    trajectory: Trajectory | None = None
+    if args["trajectory"] or args["sensor_path"]:
+        path = store.path("trajectory.parquet")
+        if not args["trajectory"]:
+            path = store.path("paths", f"{args['line']}.parquet")
+        time = table["gps_time"]
+        trajectory = read_slice(path, float(time.min()), float(time.max()))
+    return geometry.beams(table, trajectory, heading_rad=args["heading_rad"])
+
+
+def basis(args: Mapping[str, Any]) -> str:
+    """What :func:`beams` takes them from, as the report calls it."""
+    if args["trajectory"]:
+        return "trajectory"
+    if args["sensor_path"]:
+        return "intersection"
+    return "vertical" if args["heading_rad"] is None else "scan_angle"
+
+
+def find_path(args: Mapping[str, Any], context: Context) -> Produced:
+    """Path of the sensor over a flightline, from the lines of sight of its stretches."""
+    parts = [read_arrays(context.store.path("sights", f"{s}.npz")) for s in args["stretches"]]
+    first, last = args["span_s"]
+    found = sight.find_path(sight.merge(parts), (first, last))
+    facts = {
+        "found": found.trajectory is not None,
+        "lines": found.lines,
+        "error_mrad": None if found.error_rad is None else 1000.0 * found.error_rad,
+    }
+    if found.trajectory is None:
+        return Produced((), facts, args["points"])
+    path = context.store.path("paths", f"{args['line']}.parquet")
+    write_trajectory(path, found.trajectory)
+    return Produced([path], facts, args["points"])
+
+
+def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
+    """Leave the best lines of sight of a gathered stretch; its beams are not known yet."""
+    lines = sight.collect(table, args["beamlets"], context.workflow.noise.interval_shots)
+    path = context.store.path("sights", f"{args['stretch']}.npz")
+    write_arrays(path, lines)
+    return Produced([path], {"uncovered": 0}, len(table))
+
+
+def observe(args: Mapping[str, Any], context: Context) -> Produced:
+    """Noise statistics of a stretch that was gathered before its beams were known."""
+    path = context.store.path("stretches", f"{args['stretch']}.parquet")
+    return observe_table(read_table(path, STRETCH_COLUMNS), args, context)
+
+
+def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
+    """Noise and afterpulses of a stretch, at least one point, with what its beams leave out."""
+    known = beams(table, context.store, args)
+    unknown = table["gps_time"][~known.known]
+    facts: dict[str, Any] = {
+        "uncovered": len(unknown),
+        "uncovered_span_s": [float(unknown.min()), float(unknown.max())] if len(unknown) else None,
+    }
+    observed = line_noise.observe(table, known, context.workflow.noise)
+    observed |= afterpulse.observe(table, known, context.workflow.sensor)
+    stats = context.store.path("observed", f"{args['stretch']}.npz")
+    write_arrays(stats, observed)
+    return Produced([stats], facts, int(np.count_nonzero(known.known)))

@@ -1,0 +1,60 @@
+"""The sections of the workflow file, each default written here and nowhere else.
+
+Each key has its unit in its name or in its description.
+"""
+
+from spl_batch.settings.base import (
+    Positive,
+    Section,
+    Share,
+)
+from spl_batch.settings.filters import (
+    AesSettings,
+    CylinderSettings,
+    DccSettings,
+    FilterSettings,
+    MultilevelSettings,
+    VoxelSettings,
+    WireSettings,
+)
+from spl_batch.settings.noise import (
+    AfterpulseSettings,
+    NoiseSettings,
+)
+from spl_batch.settings.surfaces import (
+    GroundSettings,
+    ProductSettings,
+    PtdSettings,
+    SmrfSettings,
+)
+from spl_batch.settings.survey import (
+    AcquisitionSettings,
+    OutputSettings,
+    ReferenceSettings,
+    SurveySettings,
+    TilingSettings,
+)
+
+__all__ = [
+    "AcquisitionSettings",
+    "AesSettings",
+    "AfterpulseSettings",
+    "CylinderSettings",
+    "DccSettings",
+    "FilterSettings",
+    "GroundSettings",
+    "MultilevelSettings",
+    "NoiseSettings",
+    "OutputSettings",
+    "Positive",
+    "ProductSettings",
+    "PtdSettings",
+    "ReferenceSettings",
+    "Section",
+    "Share",
+    "SmrfSettings",
+    "SurveySettings",
+    "TilingSettings",
+    "VoxelSettings",
+    "WireSettings",
+]

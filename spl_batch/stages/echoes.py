@@ -1,0 +1,222 @@
+r"""Which afterpulse candidates are afterpulses: the neighbourhood disposes.
+
+Domain: space. The source gives up on vegetation and takes the bottom of water away [W17 7.6].
+There a true second return has the same signature as an afterpulse: an earlier return of its
+beamlet, a short way in front. What differs is what *other* beamlets see at the place. For a
+candidate at lag :math:`l` behind its parents, two rates per metre of beamlet compete:
+
+- :math:`\lambda_a = p \sum f(l)`, column ``afterpulse_rate``, from the law that was fitted to the
+  flightline (:mod:`~spl_batch.stages.afterpulse_law`);
+- :math:`\lambda_t = \rho\, r / n`, true returns: :math:`\rho` is the density of returns of other
+  beamlets around it [1/m3], and :math:`n / r`, expected noise density over the beamlet's own
+  noise rate [m/m3], is the length of beamlets per volume that listened, silent ones included.
+
+The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in :math:`\rho` by
+their own probability of being true, which takes a second round (expectation maximisation).
+
+:math:`\rho` comes from an ellipsoid wide enough for crowns; where returns are denser or rarer in
+a thin one, at the candidate's own level, that takes over: its prior is one return at the wide
+one's density. A candidate whose parent lies on a plane of parentless returns, of all flightlines,
+with next to nothing at the candidate's depth, is behind a hard surface as one that the time
+domain is sure of.
+Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
+beamlets' returns make a surface there: the bottom of water, within polygons more readily.
+
+What can be had is bounded: in crowns the two rates are of one size. ``benchmarks/afterpulses.py``
+prints the curve of removed against lost beside the best that the simulation's laws allow.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.kernels.surroundings import MASS, UNIT, behind_plane, columns, weigh_around
+from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.settings import AfterpulseSettings
+from spl_batch.stages.followers import LAG_M, dependents
+from spl_batch.tiling import quanta
+
+DOMAIN: Final = "space"
+COLUMNS_NEEDED: Final = (
+    "x", "y", "z", "gps_time", "channel", "flags", "line_density", "afterpulse", "afterpulse_rate",
+)  # fmt: skip
+
+WIDE_M: Final = (1.5, 1.0)
+THIN_M: Final = (1.5, 0.3)
+FLAT_M: Final = (1.5, 0.2)
+"""Horizontal and vertical radii of the ellipsoids: of crowns, of what is thin in them, of what
+lies behind a hard surface [m]."""
+
+VOLUME_M3: Final = tuple(
+    MASS * 4.0 / 3.0 * math.pi * a * a * b for a, b in (WIDE_M, THIN_M, FLAT_M)
+)
+"""What the kernels of the three hold [m3]."""
+
+REACH_M: Final = 2 * WIDE_M[0]
+"""How far the decision about a point looks: two rounds of the wide ellipsoid [m]."""
+
+AFTERPULSE_MIN: Final = 0.5
+"""Probability from which the time domain's word is believed: behind hard surfaces."""
+
+RESOLVED_MIN: Final = 0.6
+"""Probability here from which a return is no evidence of its own."""
+
+SURFACE_MAX: Final = 0.25
+WATER_MAX: Final = 0.5
+"""Below it a candidate behind a hard surface is a surface itself: on land, in water polygons."""
+
+PLANE_M: Final = (0.8, 1.0, 0.15)
+"""Cylinder around a parent in which such a plane is sought, radius and half-height, and its
+half-thickness, three ranging spreads [m]."""
+
+PLANE_SHARE: Final = 0.7
+PLANE_LEAST: Final = 8
+"""Share of the returns in it that lie on the plane, and their least number [count]."""
+
+PSEUDO: Final = 1.0
+"""Returns that the wide ellipsoid's density is worth in the thin one."""
+
+LEAST: Final = 0.1
+"""Returns that a place without any has in the wide one."""
+
+
+class Echoes(NamedTuple):
+    """What is an afterpulse, and what depends on another return: two (n,) bool."""
+
+    echo: NDArray[np.bool_]
+    dependent: NDArray[np.bool_]
+
+
+def resolve(
+    table: PointTable, density: NDArray[np.float64], settings: AfterpulseSettings
+) -> Echoes:
+    """Decide about the time domain's candidates.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of a block and its halo. Without ``afterpulse`` there are no candidates;
+        without ``afterpulse_rate`` the time domain decides alone.
+    density : (n,) float64
+        Expected noise at each point [1/m3].
+    settings : AfterpulseSettings
+        ``believe_min``.
+    """
+    found = believed(table)
+    if "afterpulse" not in table:
+        return found
+    dependent = dependents(table)
+    rows, chance, hard = probability(table, density)
+    spared = np.where(table.has(PointFlag.WATER)[rows], WATER_MAX, SURFACE_MAX)
+    found.echo[rows] = chance >= np.where(hard, spared, settings.believe_min)
+    dependent[rows] = chance >= RESOLVED_MIN
+    return Echoes(found.echo, dependent & ~found.echo & ~table.has(EXCLUDED))
+
+
+def believed(table: PointTable) -> Echoes:
+    """The time domain's word alone, for clouds that are not filtered."""
+    echo = np.zeros(len(table), np.bool_)
+    if "afterpulse" in table:
+        echo = (table["afterpulse"] >= AFTERPULSE_MIN) & ~table.has(EXCLUDED)
+    return Echoes(echo, np.zeros(len(table), np.bool_))
+
+
+def probability(
+    table: PointTable, density: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
+    """Probability that each candidate is an afterpulse, by its neighbourhood.
+
+    Parameters
+    ----------
+    table, density
+        As in :func:`resolve`.
+
+    Returns
+    -------
+    rows : (m,) intp
+        Candidates about which something can be said: those where noise is expected, so
+        that the beamlets that listened are known.
+    chance : (m,) float64
+        Their probabilities.
+    hard : (m,) bool
+        Whether they lie behind a hard surface, of their shot or of all flightlines.
+    """
+    if "afterpulse_rate" not in table or not len(table):
+        return np.empty(0, np.intp), np.empty(0), np.empty(0, np.bool_)
+    usable = ~table.has(EXCLUDED)
+    known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
+    rows = np.flatnonzero(known)
+    sure = table["afterpulse"] >= AFTERPULSE_MIN
+    true = np.where(sure | ~usable, 0.0, 1.0)
+    hard = sure[rows]
+    open_ = np.flatnonzero(~hard)
+    true[rows[open_]] = 1.0 - _from_shot(table["afterpulse"][rows[open_]])
+    per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
+    rate = table["afterpulse_rate"][rows].astype(np.float64)
+    places = _Places(table)
+    hard[open_] = places.behind_plane(rows[open_], usable & (table["afterpulse_rate"] == 0))
+    chance = np.empty(len(rows))
+    for last in (False, True):
+        if last:
+            # The wide ellipsoid would hold the surface itself.
+            flat = places.around(rows[hard], true, (FLAT_M,))[:, 0]
+            returns = (flat + LEAST) / VOLUME_M3[2] * per_metre[hard]
+            chance[hard] = rate[hard] / (rate[hard] + returns)
+            open_ = np.flatnonzero(~hard)
+        found = places.around(rows[open_], true, (WIDE_M, THIN_M))
+        wide = (found[:, 0] + LEAST) / VOLUME_M3[0]
+        returns = (found[:, 1] + PSEUDO) / (VOLUME_M3[1] + PSEUDO / wide) * per_metre[open_]
+        chance[open_] = rate[open_] / (rate[open_] + returns)
+        true[rows[open_]] = 1.0 - chance[open_]
+    return rows, chance, hard
+
+
+class _Places:
+    """Points of a table, listed so that weighted counts around them are quick."""
+
+    def __init__(self, table: PointTable) -> None:
+        xyz = np.stack([table[name].astype(np.int64) for name in "xyz"], axis=1)
+        xyz -= xyz.min(axis=0)
+        self._listed = columns(xyz, quanta(WIDE_M[0]))
+        order = self._listed.order
+        self._xyz, self._time, self._channel = (
+            xyz[order], table["gps_time"][order], table["channel"][order],
+        )  # fmt: skip
+        self._place = np.empty(len(order), np.int64)
+        self._place[order] = np.arange(len(order))
+
+    def around(
+        self,
+        rows: NDArray[np.intp],
+        true: NDArray[np.float64],
+        radii_m: tuple[tuple[float, float], ...],
+    ) -> NDArray[np.float64]:
+        """True returns of other beamlets around rows, by kernel: (m, k) float64 [count]."""
+        listed = self._listed
+        sums = np.empty((len(rows), len(radii_m)), dtype=np.int64)
+        weigh_around(
+            self._xyz, self._time, self._channel,
+            np.rint(true[listed.order] * UNIT).astype(np.int64), listed.starts, listed.shape,
+            listed.edge, self._place[rows],
+            np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64), sums,
+        )  # fmt: skip
+        return sums / float(UNIT * UNIT)
+
+    def behind_plane(self, rows: NDArray[np.intp], alone: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which rows lie behind a hard surface of returns without a parent: (m,) bool."""
+        listed = self._listed
+        out = np.empty(len(rows), dtype=np.bool_)
+        wide, high, thick = (quanta(m) for m in PLANE_M)
+        behind_plane(
+            self._xyz, self._time, self._channel, alone[listed.order], listed.starts,
+            listed.shape, listed.edge, self._place[rows], quanta(LAG_M), wide, high, thick,
+            PLANE_SHARE, PLANE_LEAST, out,
+        )  # fmt: skip
+        return out
+
+
+def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Probability that the time domain gives a candidate, free of its cap: (m,) float64."""
+    return np.minimum(afterpulse.astype(np.float64) / AFTERPULSE_MIN, 1.0)

@@ -1,0 +1,98 @@
+"""How strongly each return's neighbourhood speaks against noise: scores of adaptive ellipsoids.
+
+Domain: space. What :mod:`~spl_batch.stages.ellipsoid_test` decides by and what
+:mod:`~spl_batch.stages.null_distribution` draws under the null is computed here, once.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.kernels.ellipsoid import Shape, count_inside
+from spl_batch.kernels.kdtree import build
+from spl_batch.kernels.spacing import spacings
+from spl_batch.settings import FilterSettings
+from spl_batch.tiling import quanta
+
+DOMAIN: Final = "space"
+
+
+class Evidence(NamedTuple):
+    """What is known about n points.
+
+    Parameters
+    ----------
+    score : (n,) float64
+        Small means unlikely to be noise; 1 where not asked. See
+        :func:`~spl_batch.kernels.ellipsoid.count_inside`.
+    inside : (n,) int32
+        Neighbours counted, at most the critical count [count].
+    expected : (n,) float64
+        Noise points expected inside the ellipsoid [count].
+    spacing : (n,) float64
+        Squared spacing, all zero for the published test [quanta2].
+    """
+
+    score: NDArray[np.float64]
+    inside: NDArray[np.int32]
+    expected: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+
+
+def shape_of(settings: FilterSettings) -> Shape:
+    """How neighbours become an ellipsoid, in quanta."""
+    return Shape(
+        neighbours=settings.neighbours,
+        radius=float(quanta(settings.radius_m)),
+        floor=float(quanta(settings.eigen_floor_m)),
+        axis_cap=float(quanta(settings.axis_cap_m)),
+        neighbour_cap=quanta(settings.neighbour_cap_m),
+        power=1.0 if settings.axis_power == "eigenvalue" else 0.5,
+    )
+
+
+def evidence(
+    xyz: NDArray[np.int32],
+    density: NDArray[np.float64],
+    asked: NDArray[np.bool_],
+    settings: FilterSettings,
+    stop: float | NDArray[np.float64],
+) -> Evidence:
+    """Scores of the points asked for.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates in canonical order [quanta].
+    density : (n,) float64
+        Expected noise [1/m3].
+    asked : (n,) bool
+        Points to score.
+    settings : FilterSettings
+        The test: the published one counts every neighbour, the others peers only;
+        the calibrated one breaks the ties of counts.
+    stop : float or (n,) float64
+        Counting stops once the score is no larger.
+
+    Returns
+    -------
+    Evidence
+    """
+    tree = build(xyz)
+    spacing = np.zeros(len(xyz))
+    if settings.test != "published":
+        spacing = spacings(tree, settings.spacing_neighbours, quanta(settings.spacing_cap_m))
+    count, expected, score = count_inside(
+        xyz,
+        tree,
+        asked,
+        density / QUANTA_PER_M**3,
+        shape_of(settings),
+        alpha=stop,
+        spacing=spacing,
+        peer_ratio=settings.peer_ratio,
+        tie=settings.test == "calibrated",
+    )
+    return Evidence(score, count, expected, spacing)

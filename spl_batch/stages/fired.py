@@ -1,0 +1,282 @@
+"""Where every fired beamlet pointed, silent ones and silent shots included.
+
+Source: [W17] Eq. 2.8-2.15 for the geometry (a rigid array behind a scanner), 8.2.2 for its
+use. A delivery holds detections only; but each detection, noise too, lies on the axis of
+its beamlet, so that a block of a few shots shows the path of the array and its turn
+exactly, and where it points in the shots and channels between them.
+
+Blocks lie on the absolute grid of shots: parts of the intervals of the noise model, at
+most :data:`BLOCK_SHOTS` long. A block looks at no other, so a part does not depend on
+where its flightline is cut. Which shots were fired, and how sensitive a channel is, the
+line model says.
+
+Deviations: the place of a channel in the array is that of Eq. 2.9 where the returns agree
+with it; else it is learnt from the block's own returns, and a channel that has none there
+counts as not fired. A block that neither describes is left out.
+"""
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTUM_M
+from spl_batch.kernels.shot_pattern import (
+    TERMS,
+    learn_pattern,
+    misfit,
+    normal_equations,
+)
+from spl_batch.kernels.sim_link import signal_constant
+from spl_batch.model import BeamTable, PointTable, ShotClock
+from spl_batch.sensor import Sensor
+from spl_batch.stages.line_model import LineModel
+
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("z", "channel", "shot")
+COLUMNS_ADDED: Final = ()
+BYTES_PER_POINT: Final = 80
+
+BLOCK_SHOTS: Final = 60
+"""Longest block: within 2 ms a scan of 25 Hz turns by 18 degrees, a cubic to millimetres."""
+
+MISFIT_MAX_M: Final = 0.3
+"""Spread about the fit, on the ground, beyond which it is not believed [m]."""
+
+LEARNING_ROUNDS: Final = 4
+"""Rounds in which an unknown array and its turn are fitted in alternation [count]."""
+
+_RIDGE: Final = 1e-7
+"""Weight of "zero" for coefficients that a block's few shots do not determine."""
+
+
+@dataclass(frozen=True, slots=True)
+class FiredPart:
+    """Beamlets fired during one stretch.
+
+    Parameters
+    ----------
+    first, last : (m,) int64
+        First and last shot fired of each block.
+    middle, half : (m,) float64
+        A shot's time within its block is ``(shot - middle) / half``.
+    anchor : (m, 3) float64
+        Place on the reference plane that the fit is relative to, and its height [m].
+    coefficient : (m, TERMS, 2) float64
+        Where the beamlets meet that plane, see :mod:`~spl_batch.kernels.shot_pattern` [m].
+    origin : (m, 2, 3) float64
+        Sensor relative to the anchor at the middle, and its motion per unit of time [m].
+    pattern : (m, c, 2) float64
+        Place of each channel in the array; NaN where not known.
+    gain : (c,) float64
+        Sensitivity of each channel, median of the live ones one; 0 is dead.
+    constant_m2 : float
+        Photo-electrons of a beamlet per reflectance, times square of range [m2].
+    t0_s, prf_hz : float
+        Clock of the shots.
+    dropped : int
+        Blocks with returns that no fit describes.
+    """
+
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    middle: NDArray[np.float64]
+    half: NDArray[np.float64]
+    anchor: NDArray[np.float64]
+    coefficient: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    pattern: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    constant_m2: float
+    t0_s: float
+    prf_hz: float
+    dropped: int
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays without Python objects, as npz files hold them."""
+        return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "FiredPart":
+        """Part that :meth:`to_arrays` gave."""
+        content: dict[str, Any] = {
+            f.name: arrays[f.name] if arrays[f.name].ndim else arrays[f.name].item()
+            for f in fields(cls)
+        }
+        return cls(**content)
+
+    def reach(self) -> list[int]:
+        """Rectangle that the beamlets can meet near their reference planes [m]."""
+        if not len(self.first):
+            return [0, 0, 0, 0]
+        a = self.coefficient
+        spread = np.abs(a[:, 1:]).sum(axis=1)
+        centre = self.anchor[:, :2] + a[:, 0]
+        low, high = np.floor((centre - spread).min(axis=0)), np.ceil((centre + spread).max(axis=0))
+        return [int(low[0]), int(low[1]), int(high[0]), int(high[1])]
+
+
+def aim(
+    table: PointTable, beams: BeamTable, model: LineModel, sensor: Sensor, clock: ShotClock
+) -> FiredPart:
+    """Beamlets fired during a stretch.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by (gps_time, channel, ...).
+    beams : BeamTable
+        Their beams from true sensor positions; rows without a known beam take no part.
+    model : LineModel
+        Which shots were fired, and the gain of each channel.
+    sensor : Sensor
+        Array and link budget [W17 Eq. 2.1].
+    clock : ShotClock
+        Of the flightline.
+
+    Returns
+    -------
+    FiredPart
+    """
+    table = table.select(COLUMNS_NEEDED)
+    origin, direction = beams.origin_m, beams.direction
+    usable = beams.known & (direction[:, 2] < -0.1)
+    if not usable.all():
+        table, origin, direction = table.take(usable), origin[usable], direction[usable]
+    start, first, last = _blocks(table["shot"], model)
+    z = table["z"] * QUANTUM_M
+    level = np.array([np.median(z[a:b]) for a, b in pairwise(start)])
+    size = np.diff(start)
+    away = (np.repeat(level, size) - origin[:, 2]) / direction[:, 2]
+    place = origin[:, :2] + away[:, None] * direction[:, :2]
+    anchor = np.column_stack([np.rint(place[start[:-1]]), level])
+    place -= np.repeat(anchor[:, :2], size, axis=0)
+    middle: NDArray[np.float64] = (first + last).astype(np.float64) / 2
+    half = np.maximum(0.5 * (last - first), 0.5)
+    tau = (table["shot"] - np.repeat(middle, size)) / np.repeat(half, size)
+    channels = int(max(table["channel"].max(initial=0), sensor.beamlets)) + 1
+    data = (start, tau, table["channel"], place)
+    pattern = np.repeat(_grid(sensor, channels)[None], len(size), axis=0)
+    coefficient, rms = _fit(data, pattern)
+    wrong = np.flatnonzero(~(rms <= MISFIT_MAX_M))
+    if len(wrong):
+        learnt = _learn(_only(data, wrong), channels)
+        pattern[wrong], coefficient[wrong], rms[wrong] = learnt
+    good = rms <= MISFIT_MAX_M
+    moving = _motion(origin - np.repeat(anchor, size, axis=0), tau, start)
+    return FiredPart(
+        first[good], last[good], middle[good], half[good], anchor[good], coefficient[good],
+        moving[good], pattern[good], _sensitivity(model, channels), link_constant(sensor),
+        clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)),
+    )  # fmt: skip
+
+
+def link_constant(sensor: Sensor) -> float:
+    """Photo-electrons of a beamlet per reflectance, times square of range [m2; W17 Eq. 2.1]."""
+    return signal_constant(
+        sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency,
+        sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
+        sensor.wavelength_nm,
+        sensor.aperture_m,
+    )
+
+
+def _blocks(
+    shot: NDArray[np.int64], model: LineModel
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Blocks with returns: first rows (m + 1,), first and last shot fired (m,) each."""
+    length = model.interval_shots
+    parts = -(-length // BLOCK_SHOTS)
+    interval = np.floor_divide(shot, length)
+    part = (shot - interval * length) * parts // length
+    block = interval * parts + part
+    start = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
+    row = model.row(shot[start])
+    base = interval[start] * length
+    # part = offset * parts // length, solved for the first and the last offset
+    low = -(-part[start] * length // parts)
+    high = -(-(part[start] + 1) * length // parts) - 1
+    first = base + np.maximum(low, model.first[row])
+    last = base + np.minimum(high, model.last[row])
+    return np.append(start, len(shot)).astype(np.int64), first, last
+
+
+def _grid(sensor: Sensor, channels: int) -> NDArray[np.float64]:
+    """Place of each channel in the array, -1 to 1 [W17 Eq. 2.9]; NaN for others: (c, 2)."""
+    columns = sensor.array_columns
+    place = np.full((channels, 2), np.nan)
+    used = np.arange(1, min(columns * columns, channels - 1) + 1)
+    scale = max((columns - 1) / 2, 0.5)
+    for axis, number in enumerate(np.divmod(used - 1, columns)):
+        place[used, axis] = (number - (columns - 1) / 2) / scale
+    return place
+
+
+def _fit(
+    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    pattern: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Coefficients of each block, and the root mean square distance from them [m]."""
+    m = len(data[0]) - 1
+    matrix, right = np.empty((m, TERMS, TERMS)), np.empty((m, TERMS, 2))
+    normal_equations(*data, pattern, matrix, right)
+    below = np.tril(matrix, -1)
+    matrix += np.swapaxes(below, 1, 2)
+    diagonal = np.arange(TERMS)
+    matrix[:, diagonal, diagonal] += _RIDGE * np.maximum(np.diff(data[0]), 1)[:, None]
+    coefficient: NDArray[np.float64] = np.linalg.solve(matrix, right).astype(np.float64)
+    rms = np.empty(m)
+    misfit(*data, pattern, coefficient, rms)
+    return coefficient, rms
+
+
+def _learn(
+    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    channels: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Array, coefficients and misfit of blocks whose channels are numbered otherwise."""
+    pattern = np.zeros((len(data[0]) - 1, channels, 2))
+    coefficient, rms = _fit(data, pattern)
+    for _ in range(LEARNING_ROUNDS):
+        learn_pattern(*data, coefficient, pattern)
+        scale = np.nanmax(np.abs(pattern), axis=(1, 2), initial=0.0, keepdims=True)
+        pattern /= np.where(scale > 0, scale, 1.0)
+        coefficient, rms = _fit(data, pattern)
+    return pattern, coefficient, rms
+
+
+def _only(
+    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    blocks: NDArray[np.intp],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]:
+    """Rows of some blocks."""
+    start, tau, channel, place = data
+    rows = np.concatenate([np.arange(start[b], start[b + 1]) for b in blocks])
+    size = np.diff(start)[blocks]
+    begin = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+    return begin, tau[rows], channel[rows], place[rows]
+
+
+def _motion(
+    origin: NDArray[np.float64], tau: NDArray[np.float64], start: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Sensor at the middle of each block and its motion, by least squares: (m, 2, 3) [m]."""
+    out = np.zeros((len(start) - 1, 2, 3))
+    for b, (low, high) in enumerate(pairwise(start)):
+        t, o = tau[low:high], origin[low:high]
+        mean_t, mean_o = t.mean(), o.mean(axis=0)
+        spread = float(((t - mean_t) ** 2).sum())
+        if spread > 0.0:
+            out[b, 1] = ((t - mean_t)[:, None] * (o - mean_o)).sum(axis=0) / spread
+        out[b, 0] = mean_o - mean_t * out[b, 1]
+    return out
+
+
+def _sensitivity(model: LineModel, channels: int) -> NDArray[np.float64]:
+    """Gain of each channel relative to the ordinary one: (c,) float64."""
+    gain = model.gain[:channels].copy()
+    gain[0] = 0.0
+    live = gain[gain > 0]
+    return gain / np.median(live) if len(live) else gain

@@ -1,0 +1,324 @@
+"""What pure noise scores in the adaptive-ellipsoid test: the null distribution, drawn once.
+
+Domain: space. An ellipsoid is fitted to the very points that it counts, so its count is not
+Poisson under the null [W18 Eq. 6-8 take it for that]; how far off it is depends on the density
+of the noise and on the fixed settings of the test alone. So it is drawn: uniform noise in
+periodic boxes, scored by the code that scores surveys, for densities from 1e-4 to 10 per m3.
+Two things are tabulated by density:
+
+==================== ===================================================================
+``NullTable.score``  the score that a share p of pure noise does not exceed
+``NullTable.link_m`` how near the ``link_count``-th strong peer of a weak point of pure noise
+                     comes for a share ``link_share`` x alpha of all points, or ``link_m``
+``NullTable.own``    the rest of alpha
+==================== ===================================================================
+
+The table of the default settings ships with the package (``null_table.json``, written by
+``python -m benchmarks.null_table``); for others a coarser one is drawn on first use, in each
+process. Between densities and levels interpolation is linear in logarithms; beyond the last
+level p falls with the score as it does on average over the last decade.
+
+Accuracy: ``python -m benchmarks.null_calibration``.
+"""
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from spl_batch.kernels.kdtree import build
+from spl_batch.kernels.null_table import level_of, value_of
+from spl_batch.kernels.spacing import peer_distances
+from spl_batch.settings import FilterSettings
+from spl_batch.stages.evidence import Evidence, evidence
+from spl_batch.tiling import quanta
+
+DOMAIN: Final = "space"
+
+FILE: Final = "null_table.json"
+
+SCORE_KEYS: Final = (
+    "neighbours", "radius_m", "axis_power", "eigen_floor_m", "axis_cap_m", "neighbour_cap_m",
+    "peer_ratio", "spacing_neighbours", "spacing_cap_m",
+)  # fmt: skip
+LINK_KEYS: Final = ("weak_alpha", "link_m", "link_count", "link_share")
+KEYS: Final = (*SCORE_KEYS, *LINK_KEYS)
+"""Settings that the null distribution depends on."""
+
+DENSITIES: Final = 10.0 ** np.linspace(-4, 1, 51)
+"""Noise densities of the table [1/m3]."""
+
+LEVELS: Final = 10.0 ** -np.linspace(0, 4.5, 46)
+"""Shares of pure noise, from all to 3e-5."""
+
+ALPHAS: Final = 10.0 ** -np.linspace(1, 4, 13)
+"""Levels that links are tabulated for."""
+
+POINTS: Final = 60_000
+"""Noise points drawn per density where no shipped table fits [count]."""
+
+SMOOTH: Final = 5
+"""Neighbouring densities that smooth each other's drawn quantiles, by a parabola."""
+
+ROUNDS: Final = 3
+"""Times that the share of links is balanced with that of the points that pass alone."""
+
+SHORTEST_M: Final = 1e-3
+"""A link [m]."""
+
+EXACT_TO: Final = 1e-12
+"""Score below which counting stops."""
+
+_LOCK = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class NullTable:
+    """Null distribution for fixed settings; logarithms are natural.
+
+    Parameters
+    ----------
+    density : (d,) float64
+        Log noise density [1/m3], ascending.
+    level : (p,) float64
+        Log share of pure noise, descending from 0.
+    score : (d, p) float64
+        Log score that this share does not exceed, descending along each row.
+    alpha : (a,) float64
+        Log level of the whole decision, descending.
+    own : (d, a) float64
+        Log share of noise that may pass alone, so that with links alpha do.
+    link_m : (d, a) float64
+        Log of the longest link [m].
+    """
+
+    density: NDArray[np.float64]
+    level: NDArray[np.float64]
+    score: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    own: NDArray[np.float64]
+    link_m: NDArray[np.float64]
+
+    def critical(
+        self, density: NDArray[np.float64], share: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Score that a share of noise of these densities does not exceed: (n,)."""
+        wanted = np.log(np.broadcast_to(share, density.shape))
+        return np.exp(value_of(self._row(density), wanted, self.score, self.level, self._slope()))
+
+    def p_value(
+        self, density: NDArray[np.float64], score: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Share of noise of these densities that scores no more: (n,), 0 without noise."""
+        log_score = np.log(np.maximum(score, np.finfo(np.float64).tiny))
+        log_p = level_of(self._row(density), log_score, self.score, self.level, self._slope())
+        return np.where(density > 0, np.exp(log_p), 0.0)
+
+    def alone(self, density: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:
+        """Share of noise that may pass alone at level ``alpha``: (n,)."""
+        return self._by_alpha(density, alpha, self.own - self.alpha) * alpha
+
+    def link(self, density: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:
+        """Longest link at level ``alpha``: (n,) [m]."""
+        return self._by_alpha(density, alpha, self.link_m)
+
+    def _by_alpha(
+        self, density: NDArray[np.float64], alpha: float, table: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        column = [np.interp(-np.log(alpha), -self.alpha, row) for row in table]
+        found: NDArray[np.float64] = np.exp(
+            np.interp(self._row(density), np.arange(len(column)), column)
+        )
+        return found
+
+    def _row(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Row of the table, with its fraction; its ends beyond them."""
+        log_density = np.log(np.maximum(density, np.finfo(np.float64).tiny))
+        return np.interp(log_density, self.density, np.arange(len(self.density)))
+
+    def _slope(self) -> float:
+        """Change of log p with log score over the last decade of the table, mean over densities."""
+        first = int(np.searchsorted(-self.level, -self.level[-1] - np.log(10.0)))
+        rise = self.score[:, first] - self.score[:, -1]
+        return float(np.mean((self.level[first] - self.level[-1]) / rise))
+
+
+def settings_key(settings: FilterSettings) -> dict[str, Any]:
+    """Settings that a table belongs to."""
+    return settings.model_dump(mode="json", include=set(KEYS))
+
+
+def null_table(settings: FilterSettings) -> NullTable:
+    """The shipped table, or for other settings one that is drawn now and kept in memory."""
+    key = json.dumps(settings_key(settings), sort_keys=True)
+    with _LOCK:
+        return _table(key)
+
+
+@lru_cache(maxsize=8)
+def _table(key: str) -> NullTable:
+    text = resources.files("spl_batch.stages").joinpath(FILE).read_text(encoding="utf-8")
+    shipped = json.loads(text)
+    if shipped["settings"] == json.loads(key):
+        return parse_table(shipped)
+    return draw_table(FilterSettings(test="calibrated", **json.loads(key)), POINTS, DENSITIES[::2])
+
+
+def parse_table(content: Mapping[str, Any]) -> NullTable:
+    """Table of a JSON file's content."""
+    names = ("density", "level", "score", "alpha", "own", "link_m")
+    return NullTable(*(np.array(content[name], dtype=np.float64) for name in names))
+
+
+def draw_table(
+    settings: FilterSettings,
+    points: int,
+    densities: NDArray[np.float64] = DENSITIES,
+    tell: Callable[[float], None] = lambda _: None,
+) -> NullTable:
+    """Draw the null distribution.
+
+    Parameters
+    ----------
+    settings : FilterSettings
+        Those named in :data:`KEYS` matter.
+    points : int
+        Noise points per density [count].
+    densities : (d,) float64
+        [1/m3], evenly spaced in logarithm.
+    tell : callable
+        Called with each density before it is drawn.
+
+    Returns
+    -------
+    NullTable
+        The same for the same settings, points and densities.
+    """
+    settings = settings.model_copy(update={"test": "calibrated"})
+    score, links = [], []
+    for i, density in enumerate(densities):
+        tell(float(density))
+        rng = np.random.default_rng([i, points])
+        xyz, source, core = periodic_noise(rng, float(density), points, settings)
+        found = evidence(xyz, np.full(len(xyz), density), core, settings, EXACT_TO)
+        ordered = np.sort(found.score[core])
+        score.append(np.log(np.quantile(ordered, LEVELS, method="inverted_cdf")))
+        whole = found._replace(score=found.score[source], spacing=found.spacing[source])
+        links.append([_links(xyz, core, whole, ordered, a, settings) for a in ALPHAS])
+    smooth = _smooth(np.array(score))
+    own, link = np.moveaxis(np.log(np.array(links)), 2, 0)
+    return NullTable(
+        np.log(densities),
+        np.log(LEVELS),
+        np.minimum.accumulate(np.minimum(smooth, 0.0), axis=1),
+        np.log(ALPHAS),
+        np.minimum(_smooth(own), np.log(ALPHAS)),
+        np.minimum(_smooth(link), np.log(max(settings.link_m, SHORTEST_M))),
+    )
+
+
+def _smooth(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows smoothed by a parabola through each and its neighbours."""
+    smooth: NDArray[np.float64] = savgol_filter(drawn, SMOOTH, 2, axis=0)
+    return smooth
+
+
+def periodic_noise(
+    rng: np.random.Generator, density: float, points: int, settings: FilterSettings
+) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
+    """Uniform noise in a box that repeats itself, as far as the test looks.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of chance.
+    density : float
+        [1/m3].
+    points : int
+        Points wanted in the box [count]; it is no narrower than the test's reach.
+    settings : FilterSettings
+        Test.
+
+    Returns
+    -------
+    xyz : (n, 3) int32
+        Points of the box, then their images around it [quanta].
+    source : (n,) intp
+        Row of the point in the box.
+    core : (n,) bool
+        Points of the box.
+    """
+    around = max(settings.neighbour_cap_m, settings.axis_cap_m + settings.spacing_cap_m)
+    around = quanta(max(around, settings.link_m))
+    side = max(quanta((points / density) ** (1.0 / 3.0)), around)
+    number = rng.poisson(density * (side / quanta(1.0)) ** 3)
+    xyz = rng.integers(0, side, (number, 3))
+    source = np.arange(number)
+    for axis in range(3):
+        low, high = xyz[:, axis] < around, xyz[:, axis] >= side - around
+        shift = side * (np.arange(3) == axis)
+        xyz = np.concatenate([xyz, xyz[low] + shift, xyz[high] - shift])
+        source = np.concatenate([source, source[low], source[high]])
+    return (xyz + around).astype(np.int32), source, np.arange(len(xyz)) < number
+
+
+class _Links(NamedTuple):
+    """Share of noise that passes alone, and the longest link of the rest [m]."""
+
+    own: float
+    link_m: float
+
+
+def _links(
+    xyz: NDArray[np.int32],
+    core: NDArray[np.bool_],
+    found: Evidence,
+    ordered: NDArray[np.float64],
+    alpha: float,
+    settings: FilterSettings,
+) -> _Links:
+    """How alpha is shared between points that pass alone and linked ones.
+
+    Links get ``link_share`` of it or what they use, if that is less; fewer strong points
+    make fewer links, so the rest is found in two rounds.
+    """
+    if settings.link_count == 0:
+        return _Links(alpha, max(settings.link_m, SHORTEST_M))
+    number = len(ordered)
+    weakest = _at(ordered, settings.weak_alpha)
+    own = alpha * (1.0 - settings.link_share)
+    link = settings.link_m
+    for _ in range(ROUNDS):
+        critical = _at(ordered, own)
+        strong = found.score <= critical
+        weak = core & ~strong & (found.score <= weakest)
+        distance = np.sort(
+            peer_distances(
+                build(xyz[strong]),
+                found.spacing[strong],
+                xyz[weak],
+                found.spacing[weak],
+                quanta(settings.link_m),
+                settings.link_count,
+                settings.peer_ratio,
+            )
+        )
+        wanted = round((alpha - own) * number)
+        linked = min(wanted, int(np.isfinite(distance).sum()))
+        link = settings.link_m
+        if linked == wanted and wanted > 0:
+            link = min(float(distance[wanted - 1]) / quanta(1.0), link)
+        own = alpha - linked / number
+    return _Links(max(own, alpha * (1.0 - settings.link_share)), max(link, SHORTEST_M))
+
+
+def _at(ordered: NDArray[np.float64], share: float) -> float:
+    """Score that a share of the points does not exceed."""
+    return float(ordered[max(round(share * len(ordered)) - 1, 0)])

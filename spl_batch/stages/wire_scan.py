@@ -1,0 +1,300 @@
+r"""Directional scan with voting: conductors too thin for a test of single points.
+
+Domain: space. A conductor with 0.1-0.3 returns per metre and flightline has no neighbourhood of
+its own: most of the 15 nearest neighbours are noise. What it has is length. The scan
+
+1. leaves out what a surface explains: returns of which the 3 m cube around them holds
+   ``surface_returns`` and twice the noise expected there;
+2. looks through each remaining point for the fullest tube among all nearly horizontal
+   directions (:mod:`~spl_batch.kernels.tubes`), briefly for all and half as long again for
+   those in which enough was found: p = directions tried x P(K >= k | lambda of the tube);
+3. counts the tubes that agree: those that prolong it over ``stretch`` times its half-length
+   and those of the conductors beside it (:mod:`~spl_batch.kernels.alignment`). Each is one
+   more piece of evidence, worth :data:`INLINE` or :data:`ABREAST` powers of ten;
+4. drops the tubes that cross others on their line, or lie in a sheet of returns;
+5. keeps the points that at least ``votes`` tubes hold that are significant with all of this.
+   A chance tube keeps :data:`MEMBERS` points at once, so alpha is divided by that.
+
+Tubes and stretches shrink where noise is so dense that :data:`CROWD` noise points would be
+met, so the cost of a point and its chance alignments stay the same. Of the points to start
+from a share is drawn by a hash of their coordinates; all others are still counted, and
+voted for.
+
+Nothing here needs the verdict of the ellipsoid test, so the reaches of the two do not add.
+``benchmarks/wire_scan.py`` prints what is kept of pure noise, by density.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.kernels.alignment import agreeing, refine, vote
+from spl_batch.kernels.columns import Columns, columns, cube_counts
+from spl_batch.kernels.poisson import noise_tail_probability
+from spl_batch.kernels.tubes import fullest
+from spl_batch.settings import WireSettings
+from spl_batch.stages.cloud import Cloud
+from spl_batch.tiling import quanta
+
+DOMAIN: Final = "space"
+
+CELL_M: Final = 1.0
+"""Cell of the density that tells a surface [m]; 27 of them are counted."""
+
+COLUMN_M: Final = 4.0
+"""Edge of the columns in which tubes are counted [m]; speed only."""
+
+CROWD: Final = 100.0
+"""Noise points in the double cone of the first look beyond which tubes get shorter [count]."""
+
+SCREEN: Final = (0.1, 0.1)
+"""Share of pure noise that may pass the first, and the second, look."""
+
+DIRECTIONS: Final = 0.16
+"""Independent directions per (r/L)^2 of azimuth times slope, from uniform noise."""
+
+LEAST_M: Final = 1.5
+"""Nearest neighbour that tells a direction [m]."""
+
+INLINE: Final = 1.3
+ABREAST: Final = 0.6
+"""Powers of ten that one agreeing tube is worth: in line, and beside."""
+
+REFINEMENTS: Final = 2
+"""Times that a line is laid through the returns of its tube [count]."""
+
+TURN_MAX: Final = 0.05
+"""Largest difference of agreeing directions [rad, rise/run]."""
+
+BESIDE_M: Final = 6.0
+ABOVE_M: Final = 2.0
+"""Farthest conductor of the same line, across and upwards [m]."""
+
+SPREAD: Final = 0.01
+"""Widening of a tube drawn out beyond the returns that shape it [rise/run]."""
+
+MEMBERS: Final = 8.0
+"""Points that a chance tube keeps per point started from: divides alpha."""
+
+SURE: Final = 1e-3
+SURE_VOTES: Final = 3
+"""A class is given to what so many tubes hold that are significant at this part of alpha."""
+
+
+class Found(NamedTuple):
+    """What the scan says of the m points asked for.
+
+    Parameters
+    ----------
+    signal : (m,) bool
+        Kept by the scan.
+    wire : (m,) bool
+        Sure enough to be classified as a conductor.
+    p_value : (m,) float32
+        Of the point's own tube and its agreeing ones, alpha for points voted for; NaN
+        where there is none.
+    """
+
+    signal: NDArray[np.bool_]
+    wire: NDArray[np.bool_]
+    p_value: NDArray[np.float32]
+
+
+class Tubes(NamedTuple):
+    """Tubes worth keeping: m of them.
+
+    Parameters
+    ----------
+    row : (m,) intp
+        Point that each goes through.
+    middle : (m, 3) float64
+        Point of its line beside that one [quanta].
+    azimuth, slope, length : (m,) float64
+        Direction [rad, rise/run] and half-length [quanta].
+    p : (m,) float64
+        Directions tried x P(K >= k), at most 1.
+    """
+
+    row: NDArray[np.intp]
+    middle: NDArray[np.float64]
+    azimuth: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    length: NDArray[np.float64]
+    p: NDArray[np.float64]
+
+
+def reach_m(settings: WireSettings) -> float:
+    """How far the scan of a point looks [m]."""
+    if not settings.enabled:
+        return 0.0
+    # Twice its line may move by a half-width, and its flanks are three half-widths wide.
+    tube = settings.half_length_m + 6.0 * settings.radius_m
+    agreeing_m = math.hypot(settings.stretch * settings.half_length_m, BESIDE_M)
+    # A voting tube, one that agrees with it, the returns of that one, their cubes.
+    return 2.0 * tube + agreeing_m + 2.0 * CELL_M
+
+
+def scan(cloud: Cloud, settings: WireSettings) -> Found:
+    """Look for conductors among the points that no surface explains.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Independent returns of a block and its halo; right in the halo as far as
+        :func:`reach_m`.
+    settings : WireSettings
+        The scan.
+
+    Returns
+    -------
+    Found
+        Of the points asked for, in their order.
+    """
+    n = len(cloud.xyz)
+    signal, wire = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    p_value = np.full(n, np.nan, dtype=np.float32)
+    free = np.flatnonzero(~_explained(cloud, settings))
+    if settings.enabled and cloud.asked.any() and len(free):
+        made = columns(cloud.xyz, free, cloud.anchor, quanta(COLUMN_M))
+        tubes = _tubes(cloud, made, free, settings)
+        score = MEMBERS * _score(tubes, cloud.anchor, settings)
+        strong = score <= settings.alpha
+        votes = _votes(made, tubes, strong, n, settings)
+        signal = votes >= settings.votes
+        p_value[signal] = settings.alpha
+        own = tubes.row[strong]
+        p_value[own] = np.where(signal[own], score[strong], np.nan)
+        sure = _votes(made, tubes, score <= settings.alpha * SURE, n, settings)
+        wire = sure >= SURE_VOTES
+    return Found(signal[cloud.asked], wire[cloud.asked], p_value[cloud.asked])
+
+
+def _explained(cloud: Cloud, settings: WireSettings) -> NDArray[np.bool_]:
+    """Points of dense surfaces: (n,) bool."""
+    count = cube_counts(cloud.xyz, cloud.anchor, quanta(CELL_M))
+    noise = 27.0 * CELL_M**3 * cloud.density
+    dense: NDArray[np.bool_] = count >= settings.surface_returns + 2.0 * noise
+    return dense
+
+
+def _tubes(cloud: Cloud, made: Columns, free: NDArray[np.intp], settings: WireSettings) -> Tubes:
+    """Fullest tubes of the points to start from, those worth keeping."""
+    n = len(cloud.xyz)
+    margin = quanta((1.0 + settings.stretch) * settings.half_length_m + BESIDE_M + 2.0)
+    seed = np.zeros(n, np.bool_)
+    seed[free] = _drawn(cloud, free, settings.seed_share)
+    seed &= _around(cloud.xyz, cloud.asked, margin)
+    cone = 4.0 / 3.0 * np.pi * settings.slope_max
+    short_m = np.minimum(
+        settings.half_length_m / 1.5,
+        np.cbrt(CROWD / (cone * np.maximum(cloud.density, 1e-9))),
+    )
+    short_m = np.maximum(short_m, 2.0 * LEAST_M)
+    count = np.zeros(n, np.int32)
+    azimuth, slope, expected = np.zeros(n), np.zeros(n), np.zeros(n)
+    factor = 1.0
+    for step, screen in enumerate(SCREEN):
+        factor = (1.0, 1.5)[step]
+        look = np.zeros(n, np.int32)
+        tried = _directions(settings, factor * settings.half_length_m / 1.5)
+        fullest(
+            made.points, made.start, *made.shape, made.edge, seed,
+            short_m * factor * QUANTA_PER_M, cloud.density / QUANTA_PER_M**3,
+            _largest_expected(tried, screen), settings.radius_m * QUANTA_PER_M,
+            LEAST_M * QUANTA_PER_M, settings.slope_max, _bend(settings),
+            look, azimuth, slope, expected,
+        )  # fmt: skip
+        count, seed = look, look > 0
+    row = np.flatnonzero(seed)
+    length = short_m[row] * factor * QUANTA_PER_M
+    tried = _directions(settings, settings.half_length_m)
+    p = np.minimum(1.0, tried * noise_tail_probability(count[row], expected[row]))
+    return _refined(cloud, made, Tubes(row, np.zeros((len(row), 3)), azimuth[row], slope[row],
+                                       length, p), settings)  # fmt: skip
+
+
+def _refined(cloud: Cloud, made: Columns, tubes: Tubes, settings: WireSettings) -> Tubes:
+    """Tubes with their lines laid through the returns inside."""
+    tubes.middle[:] = cloud.xyz[tubes.row]
+    flank = np.zeros(len(tubes.row), np.int32)
+    for _ in range(REFINEMENTS):
+        refine(
+            made.points, made.start, *made.shape, made.edge, made.corner, tubes.length,
+            settings.radius_m * QUANTA_PER_M, _bend(settings), tubes.azimuth, tubes.slope,
+            tubes.middle, flank,
+        )  # fmt: skip
+    return tubes._replace(p=np.where(flank > 0, 1.0, tubes.p))
+
+
+def _score(
+    tubes: Tubes, anchor: tuple[int, int, int], settings: WireSettings
+) -> NDArray[np.float64]:
+    """Probability of each tube with those that agree with it, if all is noise: (m,) float64."""
+    inline, abreast, against = (np.zeros(len(tubes.row), np.int32) for _ in range(3))
+    if len(tubes.row):
+        places = np.rint(tubes.middle).astype(np.int32)
+        made = columns(places, np.arange(len(places)), anchor, quanta(2 * COLUMN_M))
+        agreeing(
+            made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle,
+            tubes.azimuth, tubes.slope, tubes.length, settings.stretch * tubes.length,
+            settings.radius_m * QUANTA_PER_M, SPREAD, BESIDE_M * QUANTA_PER_M,
+            ABOVE_M * QUANTA_PER_M, TURN_MAX, TURN_MAX, _bend(settings), inline, abreast,
+            against,
+        )  # fmt: skip
+    score = tubes.p * 10.0 ** (-INLINE * inline - ABREAST * abreast)
+    return np.where(against > 0, 1.0, score)
+
+
+def _votes(
+    made: Columns, tubes: Tubes, chosen: NDArray[np.bool_], n: int, settings: WireSettings
+) -> NDArray[np.int32]:
+    """Chosen tubes that hold each point: (n,) int32."""
+    votes = np.zeros(n, np.int32)
+    vote(
+        made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle[chosen],
+        tubes.azimuth[chosen], tubes.slope[chosen], tubes.length[chosen],
+        settings.radius_m * QUANTA_PER_M, SPREAD, _bend(settings), votes,
+    )  # fmt: skip
+    return votes
+
+
+def _bend(settings: WireSettings) -> float:
+    """Parabola of the typical conductor, z = x^2 / (2 c), in 1/quanta."""
+    return 0.5 / (settings.catenary_m * QUANTA_PER_M)
+
+
+def _directions(settings: WireSettings, length_m: float) -> float:
+    """Independent directions that are tried."""
+    solid = np.pi * 2.0 * settings.slope_max
+    return float(max(1.0, DIRECTIONS * solid * (length_m / settings.radius_m) ** 2))
+
+
+def _largest_expected(tried: float, screen: float) -> NDArray[np.float64]:
+    """Largest lambda at which k returns still pass: tried x P(K >= k) = screen; by k."""
+    count = np.arange(1, 256)
+    return np.concatenate([[-1.0], gammaincinv(count, min(screen / tried, 1.0))])
+
+
+def _drawn(cloud: Cloud, rows: NDArray[np.intp], share: float) -> NDArray[np.bool_]:
+    """Points to start from, by a hash of the absolute coordinates: (m,) bool."""
+    mixed = np.zeros(len(rows), dtype=np.uint64)
+    for axis in range(3):
+        absolute = cloud.xyz[rows, axis].astype(np.int64) + cloud.anchor[axis]
+        mixed = (mixed ^ absolute.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    drawn: NDArray[np.bool_] = (mixed >> np.uint64(32)) < share * 2.0**32
+    return drawn
+
+
+def _around(xyz: NDArray[np.int32], asked: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
+    """Points within ``margin`` of the plan view's box of all that are asked for: (n,) bool."""
+    around = np.ones(len(xyz), np.bool_)
+    for axis in (0, 1):
+        values = xyz[:, axis]
+        chosen = values[asked]
+        around &= (values >= int(chosen.min()) - margin) & (values <= int(chosen.max()) + margin)
+    return around

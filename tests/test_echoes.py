@@ -1,0 +1,207 @@
+"""Neighbourhoods decide about afterpulse candidates: kernels against loops, and scenes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.kernels.surroundings import UNIT, behind_plane, columns, weigh_around
+from spl_batch.model import PointFlag, PointTable, canonical_order
+from spl_batch.settings import AfterpulseSettings
+from spl_batch.stages import echoes
+from tests.test_denoise import as_table
+
+DEFAULT = AfterpulseSettings()
+BEAMLETS_PER_M2 = 20.0
+NOISE_PER_M = 1e-3
+
+
+def survey(
+    first: NDArray[np.float64],
+    second: NDArray[np.float64] | None = None,
+    rate: float = 0.15,
+    afterpulse: float = 0.2,
+) -> tuple[PointTable, NDArray[np.float64]]:
+    """First returns, each of its own beamlet, and followers of some of them [m]."""
+    second = np.empty((0, 4)) if second is None else second
+    n, m = len(first), len(second)
+    xyz = np.rint(1000 * np.concatenate([first, second[:, 1:]]))
+    parent = second[:, 0].astype(np.int64)
+    table = as_table(
+        xyz,
+        gps_time=np.concatenate([np.arange(n), parent]).astype(np.float64),
+        afterpulse=np.concatenate([np.zeros(n), np.full(m, afterpulse)]).astype(np.float32),
+    ).with_columns(
+        afterpulse_rate=np.concatenate([np.zeros(n), np.full(m, rate)]),
+        line_density=np.full(n + m, NOISE_PER_M),
+    )
+    return table, np.full(n + m, NOISE_PER_M * BEAMLETS_PER_M2)
+
+
+def plate(per_m2: float, z: float, slope: float, seed: int) -> NDArray[np.float64]:
+    """Returns of a plane with 5 cm spread, 8 m x 8 m."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, 8, (int(64 * per_m2), 2))
+    return np.column_stack([xy, z + slope * xy[:, 0] + rng.normal(0, 0.05, len(xy))])
+
+
+def followers(
+    first: NDArray[np.float64], rows: NDArray[np.intp], lag: float, spread: float = 0.0
+) -> NDArray[np.float64]:
+    """Returns straight below some of the first ones, with the rows of their parents."""
+    below = first[rows].copy()
+    below[:, 2] -= lag + spread * np.random.default_rng(9).random(len(rows))
+    return np.column_stack([rows, below])
+
+
+def inner(first: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """Rows well inside the plate."""
+    within = np.all((first[:, :2] > 2.5) & (first[:, :2] < 5.5), axis=1)
+    return np.flatnonzero(within)[:count]
+
+
+def echo_of(
+    table: PointTable, density: NDArray[np.float64], given: AfterpulseSettings = DEFAULT
+) -> NDArray[np.bool_]:
+    return echoes.resolve(table, density, given).echo
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 120))
+@settings(max_examples=40, deadline=None)
+def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.integers(0, [5000, 3000, 4000], (n, 3)).astype(np.int64)
+    time, channel = rng.integers(0, 4, n).astype(np.float64), rng.integers(0, 3, n).astype(np.uint8)
+    weight = rng.integers(0, UNIT + 1, n)
+    radii = np.array([[1500, 1000], [700, 300]])
+    listed = columns(xyz, 1500)
+    o = listed.order
+    out = np.empty((n, 2), np.int64)
+    weigh_around(
+        xyz[o], time[o], channel[o], weight[o], listed.starts, listed.shape, listed.edge,
+        np.arange(n), radii, out,
+    )  # fmt: skip
+    for q, row in enumerate(o):
+        d = (xyz - xyz[row]).astype(np.float64)
+        other = (time != time[row]) | (channel != channel[row])
+        for k, (a, b) in enumerate(radii):
+            left = np.maximum(1 - (d[:, 0] ** 2 + d[:, 1] ** 2) / a**2 - (d[:, 2] / b) ** 2, 0)
+            expected = (weight * left**2 * UNIT)[other].sum()
+            assert out[q, k] == pytest.approx(expected, abs=UNIT * n)  # kernels are rounded down
+
+
+def test_a_plane_is_found_whatever_its_tilt_and_only_where_it_is_alone() -> None:
+    rng = np.random.default_rng(3)
+    surface = plate(20, 10.0, 0.6, 3)
+    crown = np.column_stack([rng.uniform(0, 8, (900, 2)), rng.uniform(6, 14, 900)])
+    bed = plate(20, 9.0, 0.6, 4)
+    for first, expected in (
+        (surface, True),
+        (crown, False),
+        (np.concatenate([surface, bed]), False),
+    ):
+        rows = inner(first[: len(surface)], 15)
+        table, _ = survey(first, followers(first, rows, 0.9))
+        xyz = np.stack([table[a].astype(np.int64) for a in "xyz"], axis=1)
+        listed = columns(xyz, 1500)
+        o, place = listed.order, np.empty(len(xyz), np.int64)
+        place[o] = np.arange(len(o))
+        out = np.empty(len(rows), np.bool_)
+        behind_plane(
+            xyz[o], table["gps_time"][o], table["channel"][o], (table["afterpulse"] == 0)[o],
+            listed.starts, listed.shape, 1500, place[len(first) :], 5000, 800, 1000, 150, 0.7, 8,
+            out,
+        )  # fmt: skip
+        assert out.mean() > 0.9 if expected else out.mean() < 0.1
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 0.7])
+def test_what_follows_a_surface_is_an_afterpulse(slope: float) -> None:
+    first = plate(15, 20.0, slope, 1)
+    rows = inner(first, 60)
+    for lag in (0.35, 0.8, 2.0):
+        table, density = survey(first, followers(first, rows, lag, spread=1.0))
+        assert echo_of(table, density)[len(first) :].mean() > 0.85
+        assert not echo_of(table, density)[: len(first)].any()
+
+
+def test_ground_below_a_shrub_stays() -> None:
+    ground = plate(15, 20.0, 0.1, 1)
+    shrub = ground[inner(ground, 40)] + [0.0, 0.0, 1.2]
+    first = np.concatenate([ground, shrub])
+    rows = np.arange(len(ground), len(first))
+    table, density = survey(first, followers(first, rows, 1.2))
+    assert not echo_of(table, density)[len(first) :].any()
+
+
+def test_in_crowns_the_ratio_of_rates_decides() -> None:
+    rng = np.random.default_rng(2)
+    first = np.column_stack([rng.uniform(0, 8, (3000, 2)), rng.uniform(10, 18, 3000)])
+    rows = np.flatnonzero(np.all(np.abs(first - [4, 4, 14]) < [2, 2, 2], axis=1))[::6]
+    true_rate = 3000 / 8**3 / BEAMLETS_PER_M2
+    for odds in (0.2, 1.0, 30.0):
+        table, density = survey(first, followers(first, rows, 0.6), rate=odds * true_rate)
+        _, chance, hard = echoes.probability(table, density)
+        assert not hard.any()
+        assert float(np.median(chance)) == pytest.approx(odds / (1 + odds), abs=0.08)
+        assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)
+
+
+def test_a_bed_lives_although_the_time_domain_takes_it_for_echoes() -> None:
+    surface, bed = plate(6, 10.0, 0.0, 5), plate(12, 8.8, 0.0, 6)
+    first = np.concatenate([surface, bed])
+    rows = inner(surface, 30)
+    table, density = survey(first, followers(first, rows, 1.2), rate=0.06, afterpulse=0.95)
+    late = slice(len(first), None)
+    assert not echo_of(table, density)[late].any()
+    bare, density = survey(surface, followers(surface, rows, 1.2), rate=0.06, afterpulse=0.95)
+    assert echo_of(bare, density)[len(surface) :].all()
+    # A faint bed needs a polygon that says it is water.
+    first = np.concatenate([surface, plate(1.5, 8.8, 0.0, 6)])
+    late = slice(len(first), None)
+    table, density = survey(first, followers(first, rows, 1.2), rate=0.06, afterpulse=0.95)
+    water = table.with_columns(flags=np.full(len(table), PointFlag.WATER))
+    assert echo_of(water, density)[late].mean() < echo_of(table, density)[late].mean()
+
+
+def test_without_rates_or_noise_the_time_domain_decides() -> None:
+    first = plate(10, 5.0, 0.0, 1)
+    rows = inner(first, 20)
+    for share, expected in ((0.2, False), (0.6, True)):
+        table, density = survey(first, followers(first, rows, 0.8), afterpulse=share)
+        assert (echo_of(table, 0 * density)[len(first) :] == expected).all()
+        columns_ = {k: v for k, v in table.columns.items() if k != "afterpulse_rate"}
+        assert (echo_of(PointTable(columns_), density)[len(first) :] == expected).all()
+    bare = PointTable({k: v for k, v in columns_.items() if k != "afterpulse"})
+    assert not echo_of(bare, density).any()
+    gone = table.with_columns(flags=np.full(len(table), PointFlag.WITHHELD))
+    assert not echo_of(gone, density).any()
+
+
+def test_halo_and_order_do_not_matter() -> None:
+    rng = np.random.default_rng(8)
+    crown = np.column_stack([rng.uniform(0, 24, 4000), rng.uniform(0, 6, 4000),
+                             rng.uniform(10, 15, 4000)])  # fmt: skip
+    floor = np.column_stack([rng.uniform(0, 24, 2500), rng.uniform(0, 6, 2500),
+                             rng.normal(9, 0.05, 2500)])  # fmt: skip
+    first = np.concatenate([crown, floor])
+    rows = rng.choice(len(first), 1500, replace=False)
+    lag = 0.3 + rng.exponential(0.7, len(rows))
+    second = np.column_stack([rows, first[rows] - np.column_stack([0 * lag, 0 * lag, lag])])
+    table, density = survey(first, second)
+    order = canonical_order(table)
+    table = table.take(order)
+    whole = echoes.resolve(table, density, DEFAULT)
+    assert 0.05 < whole.echo[table["afterpulse"] > 0].mean() < 0.95
+    shuffled = rng.permutation(len(table))
+    np.testing.assert_array_equal(
+        echo_of(table.take(shuffled), density[shuffled]), whole.echo[shuffled]
+    )
+    halo = round(1000 * echoes.REACH_M)
+    for low in range(0, 24_000, 3000):
+        near = (table["x"] >= low - halo) & (table["x"] < low + 3000 + halo)
+        own = ((table["x"] >= low) & (table["x"] < low + 3000))[near]
+        part = echoes.resolve(table.take(near), density[near], DEFAULT)
+        for got, want in zip(part, whole, strict=True):
+            np.testing.assert_array_equal(got[own], want[near][own])

@@ -1,0 +1,185 @@
+"""Pits below smooth ground, what is buried below hard surfaces, and cuts that must not show."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.kernels.layers import group_by_cell, lowest_layers
+from spl_batch.kernels.pits import in_pits
+from spl_batch.kernels.smrf import fill_gaps
+from spl_batch.model import PointTable
+from spl_batch.settings import GroundSettings
+from spl_batch.stages.ground import ground_mask, spacing_m
+from spl_batch.tiling import Bounds, grow, inside, quanta
+
+
+def pits(xyz: np.ndarray, cell: np.ndarray, shape: tuple[int, int], reach: int = 2) -> np.ndarray:
+    out = np.empty(len(cell), dtype=np.bool_)
+    in_pits(xyz, cell, np.ones(len(cell), dtype=np.bool_), *shape, reach, out)
+    return out
+
+
+def plain_pit(xyz: np.ndarray, cell: np.ndarray, shape: tuple[int, int], i: int) -> bool:
+    """The rule once more, pair by pair, with dictionaries and no sorting tricks."""
+    lowest: dict[tuple[int, int], int] = {}
+    for j, c in enumerate(cell):
+        lowest.setdefault((int(c) // shape[1], int(c) % shape[1]), j)
+    row, column = int(cell[i]) // shape[1], int(cell[i]) % shape[1]
+    heights = []
+    for dr in range(-2, 3):
+        for dc in range(-2, 3):
+            a, b = lowest.get((row - dr, column - dc)), lowest.get((row + dr, column + dc))
+            if (dr, dc) <= (0, 0) or a is None or b is None:
+                continue
+            u = xyz[b, :2] - xyz[a, :2]
+            t = (xyz[i, :2] - xyz[a, :2]) @ u / (u @ u)
+            heights.append(xyz[a, 2] + t * (xyz[b, 2] - xyz[a, 2]))
+    h = np.array(heights)
+    own = np.sum(np.abs(h - xyz[i, 2]) <= 0.2) if len(h) else 0
+    for low in h[h > xyz[i, 2] + 0.25]:
+        agreeing = np.sum((h >= low) & (h <= low + 0.4))
+        if agreeing >= max(4, 6 * own) and 2 * agreeing >= len(h):
+            return True
+    return False
+
+
+def sparse_grid(seed: int, rough_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes in most cells of a 9 x 9 grid on a tilted plane, some of them low."""
+    rng = np.random.default_rng(seed)
+    cell = np.flatnonzero(rng.random(81) < 0.8)
+    x, y = cell % 9 + rng.uniform(0, 1, len(cell)), cell // 9 + rng.uniform(0, 1, len(cell))
+    z = 0.6 * x - 0.3 * y + rng.normal(0, rough_m, len(cell))
+    z[rng.random(len(cell)) < 0.15] -= rng.uniform(0.2, 3)
+    return np.column_stack([x, y, z]), cell
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.03, 0.3, 2.0]))
+def test_pits_agree_with_a_plain_twin(seed: int, rough_m: float) -> None:
+    xyz, cell = sparse_grid(seed, rough_m)
+    expected = [plain_pit(xyz, cell, (9, 9), i) for i in range(len(cell))]
+    assert pits(xyz, cell, (9, 9)).tolist() == expected
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 2.0])
+def test_a_low_node_of_a_smooth_slope_is_a_pit_and_its_neighbours_are_none(slope: float) -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = slope * x
+    z[40] -= 0.6
+    found = pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))
+    assert np.flatnonzero(found).tolist() == [40]
+
+
+def test_ground_below_rough_leaves_is_no_pit() -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.random.default_rng(3).uniform(2, 12, 81)
+    z[40] = 0.0
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9)).any()
+
+
+def test_the_bottom_of_a_ditch_is_no_pit() -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.where(np.abs(x - 4.5) < 0.6, -1.0, 0.0)
+    bottom = np.abs(x - 4.5) < 0.6
+    inner = (y > 2) & (y < 7)
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[bottom & inner].any()
+
+
+@pytest.mark.parametrize(
+    ("above", "buried"),
+    [
+        (np.linspace(1.0, 1.5, 8), True),  # a meadow on a slope
+        (np.linspace(7.0, 7.6, 8), True),  # a roof
+        (np.linspace(1.0, 5.0, 8), False),  # leaves
+        (np.linspace(1.0, 1.5, 5), False),  # too few to tell
+    ],
+)
+def test_a_single_return_is_buried_by_a_sheet_only(above: np.ndarray, *, buried: bool) -> None:
+    z = np.concatenate([[0.0], above])
+    x = np.linspace(0.1, 0.9, len(z))
+    nodes = lowest_layers(x, x, z, group_by_cell(x, x, 1.0), 0.3)
+    assert nodes.xyz[0, 2] == 0.0
+    assert nodes.buried[0] == buried
+    assert not nodes.buried[1:].any()
+
+
+def survey(seed: int = 5, edge_m: float = 70.0, density: float = 8.0) -> dict[str, np.ndarray]:
+    """Rolling meadow with a roof and trees; returns behind it that follow its own."""
+    rng = np.random.default_rng(seed)
+    n = int(density * edge_m**2)
+    x, y = rng.uniform(0, edge_m, (2, n))
+    base = 50 + 0.3 * x + 2 * np.sin(x / 9) * np.cos(y / 11)
+    z = base + rng.normal(0, 0.04, n)
+    roof = (np.abs(x - 20) < 7) & (np.abs(y - 30) < 5)
+    z[roof] = 62 + rng.normal(0, 0.04, int(roof.sum()))
+    wood = (x > 45) & (rng.random(n) < 0.8)
+    z[wood] = base[wood] + rng.uniform(2, 15, int(wood.sum()))
+    late = rng.random(n) < 0.2
+    z[late] = base[late] - 0.3 - rng.exponential(0.7, int(late.sum()))
+    ground = ~(roof | wood | late)
+    afterpulse = np.where(late, 0.4, 0.0).astype(np.float32)
+    return {"x": x, "y": y, "z": z, "base": base, "ground": ground, "afterpulse": afterpulse}
+
+
+def table_of(points: dict[str, np.ndarray], *, probability: bool) -> PointTable:
+    columns = {
+        "x": np.rint(points["x"] * 1000).astype(np.int64),
+        "y": np.rint(points["y"] * 1000).astype(np.int64),
+        "z": np.rint(points["z"] * 1000).astype(np.int32),
+    }
+    if probability:
+        columns["afterpulse"] = points["afterpulse"]
+    return PointTable(columns)
+
+
+@pytest.mark.parametrize("method", ["ptd", "smrf"])
+def test_followers_hold_each_other_up_but_pull_no_ground_down(method: str) -> None:
+    points = survey()
+    low = points["z"] < points["base"] - 1.5
+    usable = np.ones(len(low), dtype=np.bool_)
+    chosen = GroundSettings(method=method)
+    told = ground_mask(table_of(points, probability=True), usable, chosen)
+    untold = ground_mask(table_of(points, probability=False), usable, chosen)
+    assert told[points["ground"]].mean() > 0.995
+    assert told[low].mean() < 0.01
+    assert untold[low].mean() > 2 * told[low].mean()
+
+
+def test_where_every_return_follows_another_they_are_all_there_is() -> None:
+    points = survey(edge_m=30.0)
+    points["afterpulse"][:] = 0.9
+    usable = np.ones(len(points["x"]), dtype=np.bool_)
+    told = ground_mask(table_of(points, probability=True), usable, GroundSettings())
+    untold = ground_mask(table_of(points, probability=False), usable, GroundSettings())
+    assert np.array_equal(told, untold)
+
+
+def test_the_cuts_between_ground_cells_change_no_label() -> None:
+    points = survey(seed=6, edge_m=150.0, density=5.0)
+    table = table_of(points, probability=True)
+    usable = np.ones(len(table), dtype=np.bool_)
+    chosen = GroundSettings()
+    whole = ground_mask(table, usable, chosen)
+    owned = Bounds(0, 0, quanta(75.0), quanta(75.0))
+    part = np.flatnonzero(inside(table["x"], table["y"], grow(owned, quanta(chosen.buffer_m))))
+    assert len(part) < len(table)
+    found = ground_mask(table.take(part), usable[part], chosen)
+    mine = inside(table["x"][part], table["y"][part], owned)
+    assert np.mean(found[mine] != whole[part][mine]) < 1e-4
+
+
+def test_filled_gaps_do_not_depend_on_what_else_is_in_sight() -> None:
+    rng = np.random.default_rng(8)
+    surface = rng.normal(0, 5, (80, 80))
+    surface[rng.random((80, 80)) < 0.4] = np.nan
+    cutout = fill_gaps(surface[20:, 10:])
+    whole = fill_gaps(surface)[40:-10, 30:-10]
+    np.testing.assert_allclose(cutout[20:-10, 20:-10], whole, atol=1e-9)
+
+
+def test_mean_spacing_leaves_voids_out() -> None:
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.25, 32, 0.5), np.arange(0.25, 32, 0.5)))
+    assert spacing_m(x, y) == pytest.approx(0.5)
+    far = np.concatenate([x, x + 1600]), np.concatenate([y, y])
+    assert spacing_m(*far) == pytest.approx(0.5)
