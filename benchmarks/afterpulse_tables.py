@@ -40,7 +40,7 @@ from spl_batch.stages import afterpulse, afterpulse_law, geometry, line_noise, v
 from spl_batch.tiling import cell_index, quanta
 from spl_batch.workflow import Workflow, load_workflow
 
-COLUMNS = (*SOURCE_COLUMNS, "line_density", "afterpulse", "afterpulse_rate")
+COLUMNS = (*SOURCE_COLUMNS, "line_density", "afterpulse", "afterpulse_rate", "afterpulse_share")
 EDGE_M = 0.001
 """Least true rate, for what the ranging spread puts outside everything [1/m]."""
 
@@ -138,6 +138,7 @@ def _line(
             line_density=line_noise.line_density(table, model),
             afterpulse=chance,
             afterpulse_rate=afterpulse_law.rate(table, beams, law),
+            afterpulse_share=np.full(len(table), law.probability, np.float32),
         ),
         truth["kind"].to_numpy()[order],
         truth["parent"].to_numpy()[order],

@@ -35,7 +35,7 @@ PUBLISHED = 90.6
 LOST_MAX = 0.02
 """Share of vegetation returns that may go."""
 
-THRESHOLDS = (0.5, 0.6, 0.7, 0.75, 0.8, 0.82, 0.85, 0.9, 0.95)
+THRESHOLDS = (0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 RING = [[20, 20], [80, 25], [85, 75], [30, 80]]
 FLIGHTS = [
     {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110},

@@ -61,7 +61,10 @@ throw half of the signal away."""
 
 def known_methods() -> dict[str, Method]:
     """Every filter of this installation by name; the sources' with the sources' steps before."""
-    rule = ("filter.method=vsaes", "filter.test=published")
+    rule = (
+        "filter.method=vsaes", "filter.test=published", "filter.neighbours=15",
+        "filter.radius_m=1.5",
+    )  # fmt: skip
     found = {"published": Method("VSAES, as published", rule, PUBLISHED_NOISE)}
     for name in _choices("method"):
         if name not in {"vsaes", "none"}:

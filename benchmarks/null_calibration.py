@@ -1,33 +1,45 @@
 """Is alpha the share of pure noise that is kept? ``python -m benchmarks.null_calibration``.
 
-Options: ``--points N`` noise points per draw, ``--draws N``, ``--survey FOLDER``.
+Options: ``--points N`` noise points per draw, ``--draws N``, ``--only density`` for the first
+part, ``--survey FOLDER``.
 
-Prints kept share over alpha, with the standard error over independent draws, for the calibrated
-test with its links: by density of the noise; along a gate whose ends cut voxels; across the edge
-of a flightline, where the density doubles. The density handed to the test is that of a perfect
-voxel model: the true mean of each 10 m cube, and at the gate's ends what the chain makes of it
+Prints kept share over alpha, with the standard error over independent draws: of the whole default
+filter, with its links and the scan for conductors, by density of the noise, and what the scan
+alone keeps at the least alpha; of the point-wise test with its links along a gate whose ends cut
+voxels, and across the edge of a flightline, where the density doubles. There the density handed
+to the test is that of a perfect voxel model: the true mean of each 10 m cube, and at the gate's
+ends what the chain makes of it
 (:func:`~spl_batch.stages.voxel_noise.within_gate`).
-``--survey`` adds the noise high above everything in a simulated survey that ``spl-batch run``
-has processed with ``outputs.diagnostics: true``, where the density is estimated; its share is
-that of p <= alpha, without links.
+``--survey`` adds the noise far from everything in a simulated survey that ``spl-batch run`` has
+processed with ``outputs.diagnostics: true``, where the density is estimated: what is kept at its
+alpha, and the shares of p <= alpha, without links.
 """
 
 import argparse
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods import AFTERPULSE, BACKGROUND, flightlines, load_truth
+from spl_batch.constants import NOISE_SIGNAL
 from spl_batch.settings import FilterSettings
+from spl_batch.stages import wire_null
 from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.ellipsoid_test import judge, reach_m
+from spl_batch.stages.null_distribution import repeated
 from spl_batch.stages.voxel_noise import within_gate
+from spl_batch.stages.wire_scan import scan
 
 ALPHAS = (0.05, 0.01, 0.001)
 DENSITIES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 VOXEL_M = 10.0
+HEIGHT_M = 60.0
+AROUND_M, ABOVE_M = 28.0, 20.0
+"""Box of uniform noise, and as far as it is repeated around itself: beyond the reach of the test
+and its links, and two tubes of the scan [m]."""
 HIGH_M = 15.0
 """Noise this far above everything else is pure [m]; reaches of test and links add up."""
 
@@ -64,21 +76,31 @@ def line(label: str, shares: Sequence[Sequence[float]], alphas: Sequence[float] 
 
 
 def by_density(points: int, draws: int) -> None:
-    """Interior of boxes of uniform noise."""
-    print("kept / alpha in uniform noise    " + "".join(f"{a:<16g}" for a in ALPHAS))
+    """Whole default filter in the interior of uniform noise."""
+    columns = "".join(f"{alpha:<18g}" for alpha in ALPHAS)
+    print(f"kept / alpha in uniform noise    {columns}scan alone")
     for density in DENSITIES:
-        shares: list[list[float]] = [[] for _ in ALPHAS]
-        for k in range(draws):
-            margin = reach_m(FilterSettings())
-            side = max((points / density) ** (1 / 3), 30.0)
-            rng = np.random.default_rng([1, k, round(1000 * density)])
-            cloud = draw(rng, density, np.full(3, -margin), np.full(3, side + margin))
-            asked = np.all((cloud >= 0) & (cloud < side), axis=1)
-            rho = np.full(len(cloud), density)
-            for column, alpha in zip(shares, ALPHAS, strict=True):
-                kept = decide(cloud, rho, asked, FilterSettings(alpha=alpha))
-                column.append(float(kept.mean()))
-        line(f"{density:g} per m3", shares)
+        with ThreadPoolExecutor(2) as pool:
+            shares = list(pool.map(lambda k: whole(k, density, points), range(draws)))  # noqa: B023
+        line(f"{density:g} per m3", list(zip(*shares, strict=True)), (*ALPHAS, ALPHAS[-1]))
+
+
+def whole(seed: int, density: float, points: int) -> list[float]:
+    """Share of one draw of noise that is kept, by alpha, and by the scan alone."""
+    rng = np.random.default_rng([1, seed, round(1000 * density)])
+    side = (points / density / HEIGHT_M) ** 0.5
+    size, margin = (side, side, HEIGHT_M), (min(AROUND_M, side), min(AROUND_M, side), ABOVE_M)
+    xyz, _, core = repeated(rng, density, *(np.rint(1000 * np.array(v)).astype(int)
+                                            for v in (size, margin)))  # fmt: skip
+    rho, nothing = np.full(len(xyz), density), np.zeros(len(xyz), dtype=np.bool_)
+    cloud = Cloud(xyz, (0, 0, 0), rho, core, nothing)
+    shares = []
+    for alpha in ALPHAS:
+        settings = FilterSettings(alpha=alpha)
+        alone = judge(cloud, settings, spent=wire_null.spent(rho, settings)).signal
+        found = scan(cloud, wire_null.fitted(settings)).signal
+        shares.append(float((alone | found).mean()))
+    return [*shares, float(found.mean())]
 
 
 def cubed(points: Places, values: Places, *, gate: bool, cells: int = 40) -> Places:
@@ -165,14 +187,16 @@ def _by_bins(
 
 
 def high_gate(folder: Path) -> None:
-    """Noise high above everything in a processed survey: share with p <= alpha."""
+    """Noise high above everything in a processed survey: kept, and share with p <= alpha."""
     import laspy  # noqa: PLC0415 - only this part reads files
 
     truth = load_truth(folder)
     name = folder / "out" / "laz" / "flightlines"
-    p_value = np.concatenate([
-        np.asarray(laspy.read(name / f"{path.stem}.laz")["p_value"]) for path in flightlines(folder)
-    ])  # fmt: skip
+    files = [laspy.read(name / f"{path.stem}.laz") for path in flightlines(folder)]
+    p_value, label = (
+        np.concatenate([np.asarray(las[key]) for las in files])
+        for key in ("p_value", "noise_class")
+    )
     noise = np.isin(truth["kind"], (BACKGROUND, AFTERPULSE))
     cell = [np.floor(truth[a] / VOXEL_M).astype(int) for a in "xy"]
     cell = [c - c.min() + 2 for c in cell]
@@ -183,12 +207,15 @@ def high_gate(folder: Path) -> None:
     )
     highest = around.max(axis=(2, 3))[cell[0], cell[1]]
     above = truth["z"] - highest
-    print("\nsimulated survey, p <= alpha / alpha by height above everything within 20 m")
+    default = FilterSettings().alpha
+    print("\nsimulated survey, by height above everything within 20 m: p <= alpha / alpha,")
+    print(f"and kept / alpha of the whole filter at alpha {default:g}")
     for low, high in ((HIGH_M, 30), (30, 60), (60, 90), (90, 400)):
         mine = (truth["kind"] == BACKGROUND) & (above >= low) & (above < high) & ~np.isnan(p_value)
         shares = [[float((p_value[mine] <= alpha).mean())] for alpha in ALPHAS]
         if mine.any():
-            line(f"{low:g}-{high:g} m, n = {mine.sum()}", shares)
+            shares.append([float((label[mine] == NOISE_SIGNAL).mean())])
+            line(f"{low:g}-{high:g} m, n = {mine.sum()}", shares, (*ALPHAS, default))
 
 
 def main() -> None:
@@ -196,11 +223,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--points", type=int, default=100_000)
     parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--only", choices=("density",))
     parser.add_argument("--survey", type=Path)
     options = parser.parse_args()
     by_density(options.points, options.draws)
-    along_gate(options.points, options.draws, 0.1)
-    across_overlap(options.points, options.draws, 0.1)
+    if options.only is None:
+        along_gate(options.points, options.draws, 0.1)
+        across_overlap(options.points, options.draws, 0.1)
     if options.survey:
         high_gate(options.survey)
 

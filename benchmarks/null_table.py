@@ -1,30 +1,52 @@
-"""Draw the null distribution that ships: ``python -m benchmarks.null_table [POINTS]``.
+"""Draw what ships of the noise test's null distribution: ``python -m benchmarks.null_table``.
 
-Writes ``spl_batch/stages/null_table.json`` for the default settings of the filter; POINTS
-noise points are drawn for each density.
+Options: ``--points N`` noise points per density where noise is usual, 0.01-2 per m3, a fourth of
+it elsewhere; ``--only score`` or ``wires`` for one of the two files.
+
+Writes ``spl_batch/stages/null_table.json`` and ``wire_null.json`` for the default settings of the
+filter and of its scan for conductors, whose share of pure noise by density it prints.
 """
 
+import argparse
 import json
-import sys
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from spl_batch.settings import FilterSettings
-from spl_batch.stages.null_distribution import FILE, draw_table, settings_key
+from spl_batch.stages import null_distribution as null
+from spl_batch.stages import wire_null
+
+USUAL = (0.01, 2.0)
+"""Noise densities where more is drawn [1/m3]."""
 
 
-def main(points: int) -> None:
-    """Draw and write."""
+def tell(density: float) -> None:
+    """Say what is drawn now."""
+    print(f"{density:9.5f} /m3", flush=True)
+
+
+def write(name: str, content: Mapping[str, Any]) -> None:
+    """Write one file of the package, a row of numbers a line."""
+    path = Path(str(resources.files("spl_batch.stages").joinpath(name)))
+    rows = ",\n".join(f'"{key}": {json.dumps(value)}' for key, value in content.items())
+    path.write_text("{\n" + rows.replace("], [", "],\n[") + "\n}\n", encoding="utf-8")
+    print(f"{path}: {path.stat().st_size} bytes")
+
+
+def scores(points: int) -> None:
+    """Table of the point-wise test."""
     settings = FilterSettings()
-    table = draw_table(
-        settings, points, tell=lambda density: print(f"{density:9.5f} /m3", flush=True)
-    )
+    densities = null.DENSITIES
+    usual = (densities > USUAL[0]) & (densities < USUAL[1])
+    table = null.draw_table(settings, np.where(usual, points, points // 4), tell=tell, workers=2)
     content = {
-        "about": f"null distribution of the noise test; {points} noise points per density; "
-        "made by python -m benchmarks.null_table",
-        "settings": settings_key(settings),
+        "about": f"null distribution of the noise test; {points} noise points per density, a "
+        f"fourth beyond {USUAL[0]:g}-{USUAL[1]:g} per m3; made by python -m benchmarks.null_table",
+        "settings": null.settings_key(settings),
         "density": table.density.round(5).tolist(),
         "level": table.level.round(5).tolist(),
         "alpha": table.alpha.round(5).tolist(),
@@ -32,11 +54,44 @@ def main(points: int) -> None:
         "own": np.minimum(table.own, table.alpha.round(5)).round(5).tolist(),
         "link_m": table.link_m.round(3).tolist(),
     }
-    path = Path(str(resources.files("spl_batch.stages").joinpath(FILE)))
-    rows = ",\n".join(f'"{name}": {json.dumps(value)}' for name, value in content.items())
-    path.write_text("{\n" + rows.replace("], [", "],\n[") + "\n}\n", encoding="utf-8")
-    print(f"{path}: {path.stat().st_size} bytes")
+    write(null.FILE, content)
+
+
+def wires(points: int) -> None:
+    """Table of the scan for conductors."""
+    settings = FilterSettings().wires
+    stricter = settings.model_copy(update={"alpha": settings.alpha * wire_null.STRICTER})
+    share, less = (wire_null.draw_shares(w, points, tell=tell) for w in (settings, stricter))
+    power = float(np.log(share.sum() / less.sum()) / -np.log(wire_null.STRICTER))
+    smooth = wire_null.smoothed(share)
+    print(
+        f"the scan keeps of pure noise, at its alpha of {settings.alpha:g} and {stricter.alpha:g}"
+    )
+    for row in zip(wire_null.DENSITIES, share, less, smooth, strict=True):
+        print("{:9.4f} /m3   {:8.4%}   {:8.4%}   smoothed {:8.4%}".format(*row))
+    print(f"power of alpha {power:.2f}")
+    content = {
+        "about": f"pure noise kept by the scan for conductors; {points} noise points per density; "
+        "made by python -m benchmarks.null_table",
+        "settings": wire_null.settings_key(settings),
+        "density": np.log(wire_null.DENSITIES).round(5).tolist(),
+        "share": [float(f"{s:.4g}") for s in smooth],
+        "power": round(power, 3),
+    }
+    write(wire_null.FILE, content)
+
+
+def main() -> None:
+    """Draw and write."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--points", type=int, default=2_000_000)
+    parser.add_argument("--only", choices=("score", "wires"))
+    options = parser.parse_args()
+    if options.only != "score":
+        wires(options.points)
+    if options.only != "wires":
+        scores(options.points)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500_000)
+    main()

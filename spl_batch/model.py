@@ -44,6 +44,7 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
         "afterpulse_rate": Column(
             np.float32, "1/m", "afterpulses per metre of beamlet at its lags, 0 for no parent"
         ),
+        "afterpulse_share": Column(np.float32, "", "afterpulses per detection of its flightline"),
         "noise_density": Column(np.float32, "1/m3", "expected noise points per cubic metre"),
         "p_value": Column(np.float32, "", "P(at least as many neighbours | noise)"),
         "noise_class": Column(
@@ -314,6 +315,7 @@ TILE_COLUMNS: Final = (
     "line_density",
     "afterpulse",
     "afterpulse_rate",
+    "afterpulse_share",
 )
 """Columns of a point tile."""
 

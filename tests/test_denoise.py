@@ -12,10 +12,11 @@ from scipy import stats
 from spl_batch.kernels.ellipsoid import Shape
 from spl_batch.model import PointFlag, PointTable, canonical_order
 from spl_batch.settings import FilterSettings, WireSettings
-from spl_batch.stages import echoes
+from spl_batch.stages import echoes, wire_null, wire_scan
 from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.denoise import denoise, reach_m
 from spl_batch.stages.ellipsoid_test import judge
+from spl_batch.stages.null_distribution import periodic_noise
 from tests.test_ellipsoid import brute_counts, mixed_cloud
 
 DEFAULT = FilterSettings()
@@ -94,6 +95,50 @@ def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
     assert 0 < signal.mean() < 1
 
 
+def test_the_scan_and_the_test_share_alpha(monkeypatch: pytest.MonkeyPatch) -> None:
+    xyz, _, core = periodic_noise(np.random.default_rng(7), 0.2, 9000, DEFAULT)
+    n = len(xyz)
+    cloud = Cloud(xyz, (0, 0, 0), np.full(n, 0.2), core, ~everything(n))
+    half = FilterSettings(alpha=0.025, wires=ALONE)
+    with_half = judge(cloud, half).signal
+    whole = DEFAULT.model_copy(update={"alpha": 0.05})
+    rng = np.random.default_rng(1)
+    # at each point what is spent there; never more than half of alpha
+    np.testing.assert_array_equal(judge(cloud, whole, spent=0.025).signal, with_half)
+    np.testing.assert_array_equal(judge(cloud, whole, spent=0.2).signal, with_half)
+    without = judge(cloud, whole).signal
+    middle, link = xyz[:, 0].mean(), 1000 * DEFAULT.link_m
+    mixed = judge(cloud, whole, spent=np.where(xyz[:, 0] < middle, 0.025, 0.0)).signal
+    x = xyz[core, 0]
+    # away from the images of the other half too, by a link
+    left = (x < middle - link) & (x > x.min() + link)
+    right = (x > middle + link) & (x < x.max() - link)
+    np.testing.assert_array_equal(mixed[left], with_half[left])
+    np.testing.assert_array_equal(mixed[right], without[right])
+    assert with_half.sum() < without.sum()
+    # the filter gives the test what the scan leaves
+    drawn = rng.uniform(size=int(core.sum())) < 0.01
+    found = wire_scan.Found(drawn, drawn, np.where(drawn, 0.01, np.nan).astype(np.float32))
+    monkeypatch.setattr(wire_null, "spent", lambda density, _: np.full(len(density), 0.01))
+    monkeypatch.setattr(wire_scan, "scan", lambda *_: found)
+    label = denoise(as_table(xyz), np.full(n, 0.2), core, whole)["noise_class"]
+    assert (label[drawn] == 0).all()
+    rest = judge(cloud, whole, spent=0.01).signal
+    np.testing.assert_array_equal(label == 0, drawn | rest)
+    assert with_half.sum() < rest.sum() < without.sum()
+
+
+def test_labels_are_the_same_where_p_is_exact() -> None:
+    xyz = mixed_cloud(22, 500)
+    for filtering in (DEFAULT, TAIL, FilterSettings(test="published")):
+        args = as_table(xyz), np.full(500, 0.13), everything(500), filtering
+        exact, quick = denoise(*args, exact=True), denoise(*args)
+        np.testing.assert_array_equal(exact["noise_class"], quick["noise_class"])
+        if filtering.test != "published":
+            assert (exact["p_value"] <= quick["p_value"]).all()
+        assert (exact["p_value"] != quick["p_value"]).any()
+
+
 def test_exact_p_value_goes_below_the_decision() -> None:
     xyz = mixed_cloud(22, 500)
     low, _, volume = brute_counts(xyz, SHAPE, peers(xyz, TAIL))
@@ -136,10 +181,9 @@ def test_pure_noise_is_kept_at_no_more_than_alpha() -> None:
 @pytest.mark.parametrize(("alpha", "within"), [(0.05, 0.12), (0.01, 0.25)])
 def test_alpha_is_the_share_of_pure_noise_that_is_kept(alpha: float, within: float) -> None:
     for density in (0.03, 0.2):
-        table, inner = pure_noise(density, 150_000)
-        found = denoise(
-            table, np.full(len(table), density), inner, FilterSettings(alpha=alpha, wires=ALONE)
-        )
+        filtering = FilterSettings(alpha=alpha, wires=ALONE)
+        xyz, _, core = periodic_noise(np.random.default_rng(6), density, 120_000, filtering)
+        found = denoise(as_table(xyz), np.full(len(xyz), density), core, filtering)
         kept = (found["noise_class"] == 0).mean()
         assert kept == pytest.approx(alpha, rel=within)
         # without links a part of alpha; p itself is uniform

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.surroundings import UNIT, behind_plane, columns, weigh_around
 from spl_batch.model import PointFlag, PointTable, canonical_order
+from spl_batch.runner import KINDS
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.stages import echoes
 from tests.test_denoise import as_table
@@ -146,6 +147,45 @@ def test_in_crowns_the_ratio_of_rates_decides() -> None:
         assert not hard.any()
         assert float(np.median(chance)) == pytest.approx(odds / (1 + odds), abs=0.08)
         assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)
+
+
+@pytest.mark.parametrize("budget", [0.005, 0.016, 0.05])
+def test_the_budget_holds_in_any_foliage_and_is_reached_in_some(budget: float) -> None:
+    given = AfterpulseSettings(vegetation_loss=budget)
+    table, _ = survey(plate(1, 5.0, 0.0, 1))
+    rows = np.arange(1)
+    for share, scale in ((0.1, 1.0), (0.15, 0.6), (0.2, 0.3)):
+        known = table.with_columns(afterpulse_share=np.full(len(table), share, np.float32))
+        limit = echoes._enough(known, rows, given)[0]
+        lost = []
+        for true_rate in np.geomspace(1e-4, 100, 400):
+            lag = np.linspace(0, 10 * scale, 4001)[1:]
+            rate = share / scale * np.exp(-lag / scale)
+            believed = rate / (rate + true_rate) >= limit
+            lost.append(true_rate * lag[believed].max(initial=0.0))
+        assert max(lost) == pytest.approx(budget, rel=0.02)
+    by_default = echoes._enough(table, rows, given)[0]
+    assert by_default == pytest.approx(1 / (1 + np.e * budget / 0.15))
+
+
+def test_a_larger_budget_takes_more() -> None:
+    rng = np.random.default_rng(4)
+    first = np.column_stack([rng.uniform(0, 8, (3000, 2)), rng.uniform(10, 18, 3000)])
+    rows = np.flatnonzero(np.all(np.abs(first - [4, 4, 14]) < [2, 2, 2], axis=1))[::6]
+    table, density = survey(first, followers(first, rows, 0.6), rate=0.9)
+    taken = [
+        echo_of(table, density, AfterpulseSettings(vegetation_loss=b)).sum()
+        for b in (0.002, 0.016, 0.2)
+    ]
+    assert taken[0] < taken[1] < taken[2]
+
+
+def test_another_budget_leaves_the_time_domain_as_it_is() -> None:
+    used = {name for kind in ("fit_line", "scatter") for name in KINDS[kind].settings}
+    ours = {f"afterpulse.{key}" for key in AfterpulseSettings.model_fields}
+    assert ours - used == {"afterpulse.vegetation_loss"}
+    assert "afterpulse" not in used
+    assert "afterpulse" in KINDS["denoise"].settings
 
 
 def test_a_bed_lives_although_the_time_domain_takes_it_for_echoes() -> None:

@@ -30,7 +30,7 @@ UNITS = (
 )
 PURE_NUMBERS = {"alpha", "weak_alpha", "selection", "weight_min", "dsm_false_alarm", "neighbours"}
 PURE_NUMBERS |= {"quantum_efficiency", "receiver_efficiency", "hologram_efficiency"}
-PURE_NUMBERS |= {"afterpulse_probability", "believe_min"}
+PURE_NUMBERS |= {"afterpulse_probability", "vegetation_loss"}
 
 
 def fields(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, Any, type[BaseModel]]]:

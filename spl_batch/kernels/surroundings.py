@@ -133,20 +133,23 @@ def weigh_around(
 @njit(nogil=True, cache=True)
 def _parent(
     row: int, xyz: NDArray[np.int64], time: NDArray[np.float64], channel: NDArray[np.uint8],
-    starts: NDArray[np.int64], shape: tuple[int, int], edge: int, lag: int,
+    starts: NDArray[np.int64], shape: tuple[int, int], edge: int, lag: int, aside: int,
 ) -> int:  # fmt: skip
-    """The lowest return of the beamlet above one of it, at most ``lag`` higher; -1 for none."""
+    """The lowest return of the beamlet above one of it; -1 for none.
+
+    It is at most ``lag`` higher and ``aside`` <= ``edge`` away.
+    """
     nx, ny = shape
     x0, y0, z0 = xyz[row]
     found = -1
-    for i in range(max(x0 // edge - 1, 0), min(x0 // edge + 2, nx)):
-        for j in range(max(y0 // edge - 1, 0), min(y0 // edge + 2, ny)):
+    for i in range(max((x0 - aside) // edge, 0), min((x0 + aside) // edge + 1, nx)):
+        for j in range(max((y0 - aside) // edge, 0), min((y0 + aside) // edge + 1, ny)):
             stop = starts[i * ny + j + 1]
             for p in range(_first_from(xyz[:, 2], starts[i * ny + j], stop, z0 + 1), stop):
                 if xyz[p, 2] > z0 + lag or (found >= 0 and xyz[p, 2] >= xyz[found, 2]):
                     break
                 flat = (xyz[p, 0] - x0) ** 2 + (xyz[p, 1] - y0) ** 2
-                if time[p] == time[row] and channel[p] == channel[row] and flat <= edge * edge:
+                if time[p] == time[row] and channel[p] == channel[row] and flat <= aside * aside:
                     found = p
     return found
 
@@ -167,8 +170,8 @@ def _sum_around(
     nx, ny = shape
     x0, y0, z0 = xyz[row]
     sums[:] = 0
-    for i in range(max(x0 // edge - 1, 0), min(x0 // edge + 2, nx)):
-        for j in range(max(y0 // edge - 1, 0), min(y0 // edge + 2, ny)):
+    for i in range(max((x0 - wide) // edge, 0), min((x0 + wide) // edge + 1, nx)):
+        for j in range(max((y0 - wide) // edge, 0), min((y0 + wide) // edge + 1, ny)):
             stop = starts[i * ny + j + 1]
             for p in range(_first_from(xyz[:, 2], starts[i * ny + j], stop, z0 - high), stop):
                 u, v, w = xyz[p, 0] - x0, xyz[p, 1] - y0, xyz[p, 2] - z0
@@ -241,9 +244,10 @@ def behind_plane(
     for q in range(len(rows)):
         out[q] = False
         # Most parents are near; a short search first spares a long one in crowns.
-        parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag // 5)
+        near = min(lag // 10, edge)
+        parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag // 5, near)
         if parent < 0:
-            parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag)
+            parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag, edge)
         if parent < 0:
             continue
         for _ in range(2):

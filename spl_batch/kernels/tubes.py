@@ -6,7 +6,7 @@ parabola is taken away first, and what is left of others stays below the tube's 
 
 A tube is a window of (2 w + 1)^2 cells, with w = 1 in the outer half of its length, 3 in the
 next quarter and 7 within. So it is as wide as stated on average, and a neighbour costs 9
-additions in 7 cases of 8.
+additions in 7 cases of 8; four cells of 16 bits share a word, so they are made two to a row.
 
 ====== ==========================================================================
 symbol name
@@ -37,6 +37,9 @@ TURNS, LEVELS = 400, 160
 
 PAD: Final = 8
 """Cells beyond the steepest slope at either side [count]."""
+
+WORDS: Final = 5
+"""Words of four cells that the widest window may touch [count]."""
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -104,46 +107,73 @@ def _middle(cells, most, turns, rows):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _vote(cells, turn, rise, flat, near, reach, scale, slope_max, turns, levels):  # type: ignore[no-untyped-def]
-    """Add every neighbour to the directions that pass it; returns the largest count."""
-    most = np.uint16(0)
-    one = np.uint16(1)
+def _masks():  # type: ignore[no-untyped-def]
+    """Ones in the lanes of a window, by its size and first lane, over as many words."""
+    masks = np.zeros((3, 4, WORDS), np.uint64)
+    for size in range(3):
+        for first in range(4):
+            for lane in range(first, first + 2 * (2 << size) - 1):
+                masks[size, first, lane >> 2] |= np.uint64(1) << np.uint64(16 * (lane & 3))
+    return masks
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _directions(dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level, size):  # type: ignore[no-untyped-def]
+    """Cells of azimuth and slope, and size of the window, of every neighbour."""
+    scale = 1.0 / step
+    outer, inner = 0.25 * reach * reach, 0.0625 * reach * reach
     for k in range(near):
-        half = window(flat[k], reach)
-        a = min(np.int64(turn[k] * scale), turns - 1)
-        b = min(np.int64((rise[k] + slope_max) * scale), levels - 1)
-        if half == 1 and 0 < a < turns - 1:
-            # Seven neighbours of eight: nine cells, written out for the compiler's sake.
-            left = np.uint64(b - 1 + PAD)
+        up = rise[k] / math.sqrt(flat[k])
+        up = -up if dy[k] < 0.0 else up
+        turn[k] = min(np.int32(half_turn(dx[k], dy[k]) * scale), turns - 1)
+        level[k] = min(np.int32((up + slope_max) * scale), levels - 1)
+        size[k] = np.int32(flat[k] < outer) + np.int32(flat[k] < inner)
+
+
+@njit(nogil=True, cache=True)
+def _vote(words, masks, turn, level, size, near, turns, levels):  # type: ignore[no-untyped-def]
+    """Add every neighbour to the directions that pass it: four cells to a word."""
+    for k in range(near):
+        half = (2 << size[k]) - 1
+        a, b = turn[k], level[k]
+        left = b - half + PAD
+        if size[k] == 0 and 0 < a < turns - 1:
+            # Seven neighbours of eight, written out for the compiler's sake.
+            at, lane = np.uint64(left >> 2), np.uint64(left & 3)
+            low, high = masks[U0, lane, U0], masks[U0, lane, U1]
             for i in range(np.uint64(a - 1), np.uint64(a + 2)):
-                first = cells[i, left] + one
-                second = cells[i, left + U1] + one
-                third = cells[i, left + U2] + one
-                cells[i, left], cells[i, left + U1], cells[i, left + U2] = first, second, third
-                most = max(most, np.uint16(first), np.uint16(second), np.uint16(third))
+                words[i, at] += low
+                words[i, at + U1] += high
             continue
         for i in range(a - half, a + half + 1):
-            at, low = i, b - half + PAD
+            row, left = i, b - half + PAD
             if i < 0 or i >= turns:
-                at = i + turns if i < 0 else i - turns
-                low = levels - 1 - b - half + PAD
-            for j in range(np.uint64(low), np.uint64(low + 2 * half + 1)):
-                count = np.uint16(cells[np.uint64(at), j] + one)
-                cells[np.uint64(at), j] = count
-                most = max(most, count)
+                row = i + turns if i < 0 else i - turns
+                left = levels - 1 - b - half + PAD
+            at, lane = left >> 2, left & 3
+            for j in range((lane + 2 * half) // 4 + 1):
+                words[row, at + j] += masks[size[k], lane, j]
+
+
+@njit(nogil=True, cache=True)
+def _largest_count(cells):  # type: ignore[no-untyped-def]
+    """Largest of some cells (n,)."""
+    most = np.uint16(0)
+    for i in range(len(cells)):
+        most = max(most, cells[i])
     return np.int64(most)
 
 
 @njit(nogil=True, cache=True)
 def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
-    points, start, nx, ny, edge, seed, length, density, largest,
+    points, start, nx, ny, edge, corner, seed, length, density, largest,
     radius, least, slope_max, bend, count, azimuth, slope, expected,
 ):  # fmt: skip
     """Fullest tube of every seed, column by column, each column from below.
 
     Parameters
     ----------
-    points, start, nx, ny, edge
+    points, start, nx, ny, edge, corner
         The columns.
     seed : (n,) bool
         Points asked for, by row.
@@ -164,15 +194,15 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
         if seed[points[3, slot]]:
             longest = max(longest, length[points[3, slot]])
     span = np.int64(longest / edge) + 1
-    steep, sag = slope_max * slope_max, bend * longest * longest
-    # Neighbour columns within reach: the slots in their windows, and those windows' depth.
+    steep = slope_max * slope_max
+    # Neighbour columns: their slots between floor and stop in the window, their lower corners.
     first = np.empty((2 * span + 1) ** 2, np.int64)
-    last, stop = np.empty_like(first), np.empty_like(first)
-    depth = np.empty(len(first))
+    last, floor, stop = np.empty_like(first), np.empty_like(first), np.empty_like(first)
+    place = np.empty((2, len(first)))
     room = 1024
-    work = np.empty((5, room))
-    dx, dy, flat, turn, rise = work[0], work[1], work[2], work[3], work[4]
-    cells = np.zeros((TURNS, LEVELS), np.uint16)
+    work, found = np.empty((4, room)), np.empty((3, room), np.int32)
+    masks = _masks()
+    cells = np.zeros(TURNS * LEVELS, np.uint16)
     for a in range(nx):
         for b in range(ny):
             own = a * ny + b
@@ -190,34 +220,47 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                     for i in range(i0, i1):
                         for j in range(j0, j1):
                             gap = math.hypot(max(abs(i - a) - 1, 0), max(abs(j - b) - 1, 0))
-                            if gap * edge > longest:
+                            column = i * ny + j
+                            if gap * edge > longest or start[column] == start[column + 1]:
                                 continue
-                            far = math.hypot(abs(i - a) + 1, abs(j - b) + 1) * edge
-                            depth[beside] = slope_max * min(far, longest)
-                            stop[beside] = start[i * ny + j + 1]
+                            floor[beside], stop[beside] = start[column], start[column + 1]
                             first[beside] = first_above(
-                                points, start[i * ny + j], stop[beside],
-                                points[2, slot] - depth[beside],
-                            )  # fmt: skip
+                                points, start[column], stop[beside], points[2, slot]
+                            )
                             last[beside] = first[beside]
+                            place[0, beside] = corner[0] + i * edge
+                            place[1, beside] = corner[1] + j * edge
                             beside += 1
                 x, y, z = points[0, slot], points[1, slot], points[2, slot]
                 reach = length[row]
                 outer, inner = reach * reach, least * least
                 near = U0
+                dx, dy, flat, rise = work[0], work[1], work[2], work[3]
                 for k in range(beside):
+                    # The near and the far corner of the column bound what of it may count.
+                    ahead, aside = place[0, k] - x, place[1, k] - y
+                    gap_x, gap_y = max(ahead, -ahead - edge, 0.0), max(aside, -aside - edge, 0.0)
+                    if gap_x * gap_x + gap_y * gap_y > outer:
+                        continue
+                    far_x, far_y = max(-ahead, ahead + edge), max(-aside, aside + edge)
+                    far = min(far_x * far_x + far_y * far_y, outer)
+                    depth = slope_max * math.sqrt(far) + 1.0
                     low, high, end = first[k], last[k], stop[k]
-                    bottom, top = z - depth[k], z + depth[k] + sag
+                    bottom, top = np.int64(z - depth), np.int64(z + depth + bend * far)
                     while low < end and points[2, low] < bottom:
                         low += 1
+                    while low > floor[k] and points[2, low - 1] >= bottom:
+                        low -= 1
                     high = max(low, high)
                     while high < end and points[2, high] <= top:
                         high += 1
+                    while high > low and points[2, high - 1] > top:
+                        high -= 1
                     first[k], last[k] = low, high
                     if np.int64(near) + high - low > room:
                         room = 2 * (np.int64(near) + high - low)
-                        work = _grown(work, room)
-                        dx, dy, flat, turn, rise = work[0], work[1], work[2], work[3], work[4]
+                        work, found = _grown(work, room), np.empty((3, room), np.int32)
+                        dx, dy, flat, rise = work[0], work[1], work[2], work[3]
                     # Without a branch: four candidates of ten are neighbours.
                     for j in range(np.uint64(low), np.uint64(high)):
                         across = np.float64(points[U0, j] - x)
@@ -229,21 +272,23 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                             (dz * dz <= steep * apart) & (apart <= outer) & (apart >= inner)
                         )
                 step, turns, levels = grid(reach, radius, slope_max)
-                for k in range(near):
-                    turn[k] = half_turn(dx[k], dy[k])
-                    up = rise[k] / math.sqrt(flat[k])
-                    rise[k] = -up if dy[k] < 0.0 else up
-                cells[:turns, : levels + 2 * PAD] = 0
-                most = _vote(
-                    cells, turn, rise, flat, near, reach, 1.0 / step, slope_max, turns, levels
-                )
+                _directions(
+                    dx, dy, flat, rise, near, reach, step, slope_max, turns, levels,
+                    found[0], found[1], found[2],
+                )  # fmt: skip
+                lanes = (levels + 2 * PAD + 7) // 4 * 4
+                used = cells[: turns * lanes]
+                used[:] = 0
+                words = used.view(np.uint64).reshape(turns, lanes // 4)
+                _vote(words, masks, found[0], found[1], found[2], near, turns, levels)
+                most = _largest_count(used)
                 cone = 4.0 / 3.0 * math.pi * slope_max * (reach**3 - least**3)
                 crowd = max(density[row], max(np.int64(near) - most, 0) / cone)
                 expected[row] = crowd * tube_volume(reach, least, step)
                 if expected[row] > largest[min(most, len(largest) - 1)]:
                     continue
                 count[row] = most
-                at, level = _middle(cells, most, turns, levels + 2 * PAD)
+                at, level = _middle(used.reshape(turns, lanes), most, turns, levels + 2 * PAD)
                 azimuth[row] = at * step
                 slope[row] = (level - PAD) * step - slope_max
 
@@ -251,6 +296,6 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
 @njit(nogil=True, cache=True)
 def _grown(values, room):  # type: ignore[no-untyped-def]
     """The same values with more room behind."""
-    out = np.empty((values.shape[0], room))
+    out = np.empty((values.shape[0], room), values.dtype)
     out[:, : values.shape[1]] = values
     return out

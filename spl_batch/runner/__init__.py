@@ -24,6 +24,7 @@ from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
 from spl_batch.model import Receipt, Task
 from spl_batch.runner import delivery, index, lines_of_sight, space_domain, time_domain
 from spl_batch.runner.context import Context, TaskFunction
+from spl_batch.settings import AfterpulseSettings
 
 STAGES: Final = (
     "index",
@@ -51,7 +52,11 @@ LIBRARIES: Final = ("lazrs", "numba", "numpy", "pyproj", "scipy", "shapely", "za
 """Libraries whose versions can change a result."""
 
 _OBSERVED: Final = ("noise", "acquisition", "survey.sensor")
-_TIME: Final = ("noise", "afterpulse", "acquisition", "survey.sensor")
+_TIME: Final = (
+    *("noise", "acquisition", "survey.sensor"),
+    *(f"afterpulse.{key}" for key in AfterpulseSettings.model_fields if key != "vegetation_loss"),
+)
+"""How many returns may go with the afterpulses is decided later, in the space domain."""
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
@@ -66,7 +71,11 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "fit_line": Kind("shots", time_domain.fit_line, _TIME),
         "scatter": Kind("shuffle", time_domain.scatter, (*_TIME, "tiling.tile_m", "aoi", "water")),
         "build_tile": Kind("shuffle", time_domain.build_tile, ()),
-        "denoise": Kind("denoise", space_domain.denoise, ("filter", "noise", "afterpulse")),
+        "denoise": Kind(
+            "denoise",
+            space_domain.denoise,
+            ("filter", "noise", "afterpulse", "outputs.diagnostics"),
+        ),
         "ground": Kind("ground", space_domain.ground, ("ground",)),
         "surface": Kind("surfaces", space_domain.surface, ("ground.cell_m", "products", "aoi")),
         "deliver_file": Kind("deliver", delivery.deliver_file, ("outputs.diagnostics",)),
@@ -83,7 +92,7 @@ def code_version() -> str:
     digest = hashlib.blake2b(digest_size=8)
     for folder in (".", "io", "kernels", "plan", "runner", "stages", "sensors"):
         for path in sorted((root / folder).glob("*")):
-            if path.suffix in {".py", ".yaml"}:
+            if path.suffix in {".py", ".yaml", ".json"}:
                 digest.update(path.name.encode() + path.read_bytes())
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}".encode())

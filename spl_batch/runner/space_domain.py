@@ -11,17 +11,17 @@ from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
 from spl_batch.io.rasters import cell_files, write_cell
-from spl_batch.io.store import add_voxels
 from spl_batch.io.tables import read_arrays
 from spl_batch.model import TILE_COLUMNS, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.expected import expected_noise
 from spl_batch.stages import denoise as denoising
 from spl_batch.stages import ground as grounding
-from spl_batch.stages import local_noise, reflectance, voxel_noise
+from spl_batch.stages import reflectance
 from spl_batch.stages import surface as surfacing
 from spl_batch.stages.fired import FiredPart
 from spl_batch.stages.water import submerged
-from spl_batch.tiling import Bounds, CellId, cell_bounds, cell_index, grow, inside, quanta
+from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, quanta
 
 Units = dict[CellId, list[tuple[str, str]]]
 
@@ -33,14 +33,15 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     region = grow(core, quanta(denoising.reach_m(workflow.filter)))
     table, tiles, rows = read_region(context.store, _cells(args["tiles"]), region, TILE_COLUMNS, {})
     owned = inside(table["x"], table["y"], core)
-    density, within = _expected(table, args["voxels"], args["beamlets"], context)
-    decided = denoising.denoise(table, within, owned, workflow.filter, workflow.afterpulse)
+    xyz = [table[axis] for axis in "xyz"]
+    noise = expected_noise(xyz, args["voxels"], args["beamlets"], context.store, workflow.noise)
+    decided = denoising.denoise(table, noise.local, owned, workflow.filter, workflow.afterpulse)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {
         "noise_class": decided["noise_class"],
         "p_value": decided["p_value"],
         "wire": decided["wire"],
-        "noise_density": density[owned],
+        "noise_density": noise.mean[owned],
     }
     write_labels(path, tiles[owned], rows[owned], labels)
     classes, counts = np.unique(decided["noise_class"], return_counts=True)
@@ -102,61 +103,6 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {"core": list(core), "rasters": sums}
     chunks = cell_files(context.rasters, CellId(*args["ij"]), arrays)
     return Produced([path, *chunks], facts, int(np.count_nonzero(owned)))
-
-
-def _expected(
-    table: PointTable, parts: Sequence[str], beamlets: int, context: Context
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Noise density expected in each point's voxel, and where it is listened to [1/m3]."""
-    settings = context.workflow.noise
-    edge = quanta(settings.voxel_m)
-    if not len(table) or not parts:
-        return np.zeros(len(table)), np.zeros(len(table))
-    point = [table[axis].astype(np.int64) for axis in "xyz"]
-    index = [cell_index(p, edge) for p in point]
-    # The voxels around, too: whether an edge lies here does not show in one alone.
-    margin = local_noise.MARGIN_VOXELS
-    corner = [int(i.min()) - margin for i in index]
-    shape = [int(i.max()) - c + 1 + margin for i, c in zip(index, corner, strict=True)]
-    voxel = tuple(i - c for i, c in zip(index, corner, strict=True))
-    published = settings.correction == "published"
-    names = ("amount", "shots", "beamlets") if published else ("amount",)
-    totals = {name: np.zeros(shape, dtype=np.int64) for name in names}
-    listened = np.zeros(len(table))
-    square = tuple(
-        (p - c * edge) * local_noise.SQUARES // edge
-        for p, c in zip(point[:2], corner[:2], strict=True)
-    )
-    for line in _by_line(parts):
-        sums: dict[str, NDArray[Any]] = {k: np.zeros(shape, dtype=np.int64) for k in names}
-        if not published:
-            sums["covered"] = np.zeros(shape, dtype=np.uint16)
-        for part in line:
-            path = context.store.path("voxels", f"{part}.zarr")
-            add_voxels(path, (corner[0], corner[1], corner[2]), sums)
-        for name, total in totals.items():
-            total += sums[name]
-        if not published:
-            found = (sums["amount"], sums["covered"])
-            listened += local_noise.local_density([found], voxel, square, settings.voxel_m)
-    density = voxel_noise.density(
-        totals["amount"],
-        settings,
-        shots=totals.get("shots"),
-        beamlets=totals.get("beamlets"),
-        beamlets_per_shot=beamlets,
-    )
-    mean = np.asarray(density[voxel], np.float64)
-    within = np.asarray(voxel_noise.within_gate(density)[voxel], np.float64)
-    return mean, within if published else np.where(listened > 0.0, listened, within)
-
-
-def _by_line(parts: Sequence[str]) -> list[list[str]]:
-    """Names of stretches, a list for each flightline, in the order of names."""
-    lines: dict[str, list[str]] = {}
-    for part in sorted(parts):
-        lines.setdefault(part.rpartition("/")[0], []).append(part)
-    return list(lines.values())
 
 
 def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float32]:

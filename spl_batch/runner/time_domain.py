@@ -133,7 +133,9 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
-    table = table.with_columns(line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros)
+    table = table.with_columns(
+        line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros, afterpulse_share=zeros
+    )
     if len(table) and not args["timeless"]:
         table, parts = _assess(table, args, context, facts)
         outputs.extend(parts)
@@ -189,7 +191,7 @@ def _assess(
     model = line_noise.LineModel.from_arrays(line)
     density = np.zeros(len(table), np.float32)
     density[known] = line_noise.line_density(subset, model)
-    chance, rate = np.zeros((2, len(table)), np.float32)
+    chance, rate, share = np.zeros((3, len(table)), np.float32)
     if workflow.afterpulse.enabled:
         law = afterpulse_law.AfterpulseLaw(*line["afterpulse_law"].tolist())
         chance[known] = afterpulse.probability(
@@ -197,6 +199,7 @@ def _assess(
             gate_m=model.gate_m, law=law,
         )  # fmt: skip
         rate[known] = afterpulse_law.rate(subset, beams, law)
+        share[known] = law.probability
     if args["dcc"] is not None:
         noise = shot_filter.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
         flags[known[noise]] |= np.uint8(PointFlag.SHOT_NOISE)
@@ -208,7 +211,9 @@ def _assess(
         *part.corner,
         *(c + n for c, n in zip(part.corner, part.amount.shape, strict=True)),
     ]
-    table = table.with_columns(line_density=density, afterpulse=chance, afterpulse_rate=rate)
+    table = table.with_columns(
+        line_density=density, afterpulse=chance, afterpulse_rate=rate, afterpulse_share=share
+    )
     return table, [path, *_write_fired(subset, beams, model, args, context, facts)]
 
 

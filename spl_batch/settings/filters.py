@@ -14,12 +14,12 @@ class WireSettings(Section):
     """Scan for conductors too weak for a test of single points."""
 
     enabled: bool = Field(True, description="Look along lines, with the tests of our own.")
-    alpha: Share = Field(5e-4, description="Largest share of pure noise kept beside the test's.")
+    alpha: Share = Field(5e-4, description="Pure noise kept at most; out of the filter's alpha.")
     half_length_m: float = Field(12.0, ge=6, le=40, description="Half-length of a tube [m].")
     radius_m: float = Field(0.25, gt=0, le=1, description="Half-width of a tube [m].")
     slope_max: float = Field(0.3, gt=0, le=1, description="Steepest tube [rise/run].")
     stretch: float = Field(
-        2.0,
+        1.2,
         ge=1,
         le=4,
         description="Agreeing tubes are sought within so many half-lengths [ratio].",
@@ -107,7 +107,9 @@ class FilterSettings(Section):
         "calibrated",
         description="By the null distribution; by the Poisson tail; the published rule at 95 %.",
     )
-    alpha: Share = Field(0.001, description="Share of pure noise to be kept; by tail, at most.")
+    alpha: Share = Field(
+        0.001, description="Pure noise kept, with the scan's share; by tail, at most."
+    )
     selection: float = Field(
         20.0,
         ge=1,

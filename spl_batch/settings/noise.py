@@ -36,8 +36,7 @@ class AfterpulseSettings(Section):
         0.3, description="Returns farther below the plane are flagged [m]."
     )
     lag_max_m: Positive = Field(5.0, description="Longest lag behind a parent or plane [m].")
-    believe_min: Share = Field(
-        0.85,
-        description="Probability by its neighbourhood from which a candidate away from hard "
-        "surfaces is an afterpulse.",
+    vegetation_loss: Share = Field(
+        0.016,
+        description="Share of the true returns of vegetation that may go with its afterpulses.",
     )

@@ -34,6 +34,7 @@ from spl_batch.stages import (
     multilevel,
     shot_filter,
     voxel_filter,
+    wire_null,
     wire_scan,
 )
 from spl_batch.stages.cloud import Cloud, Verdict
@@ -88,6 +89,8 @@ def denoise(
     query: NDArray[np.bool_],
     settings: FilterSettings,
     afterpulse: AfterpulseSettings = AfterpulseSettings(),  # noqa: B008 - frozen
+    *,
+    exact: bool = False,
 ) -> NoiseColumns:
     """Decide which points are noise.
 
@@ -104,6 +107,9 @@ def denoise(
         Method and its parameters.
     afterpulse : AfterpulseSettings
         From which probability an afterpulse is believed.
+    exact : bool
+        Whether p is wanted where it is far smaller than the decision needs
+        (:func:`~spl_batch.stages.ellipsoid_test.judge`); labels stay the same.
 
     Returns
     -------
@@ -125,10 +131,8 @@ def denoise(
         beamless = table.has(EXCLUDED | PointFlag.NO_BEAM)
         wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
         cloud = _cloud(table, active, density, wanted & ~beamless)
-        verdict = METHODS[settings.method].judge(cloud, settings)
         rows = active[cloud.asked]
-        if settings.wires.enabled and _independent(settings):
-            verdict, wire[rows] = _with_wires(cloud, verdict, settings)
+        verdict, wire[rows] = _judge(cloud, settings, exact=exact)
         noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
@@ -145,11 +149,21 @@ def denoise(
     return {"noise_class": noise_class[query], "p_value": p_value[query], "wire": wire[query]}
 
 
-def _with_wires(
-    cloud: Cloud, verdict: Verdict, settings: FilterSettings
+def _judge(
+    cloud: Cloud, settings: FilterSettings, *, exact: bool
 ) -> tuple[Verdict, NDArray[np.bool_]]:
-    """Verdict with what the scan for conductors keeps, and the sure ones among them."""
-    found = wire_scan.scan(cloud, settings.wires)
+    """Verdict of the method, with what the scan for conductors keeps; the sure ones among that.
+
+    The two share alpha.
+    """
+    nothing = np.zeros(int(np.count_nonzero(cloud.asked)), np.bool_)
+    if settings.method != "vsaes":
+        return METHODS[settings.method].judge(cloud, settings), nothing
+    if not (settings.wires.enabled and _independent(settings)):
+        return ellipsoid_test.judge(cloud, settings, exact=exact), nothing
+    spent = wire_null.spent(cloud.density, settings)
+    verdict = ellipsoid_test.judge(cloud, settings, exact=exact, spent=spent)
+    found = wire_scan.scan(cloud, wire_null.fitted(settings))
     p_value = np.fmin(verdict.p_value, found.p_value)
     return Verdict(verdict.signal | found.signal, p_value), found.wire
 

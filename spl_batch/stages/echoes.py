@@ -22,6 +22,13 @@ domain is sure of.
 Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
 beamlets' returns make a surface there: the bottom of water, within polygons more readily.
 
+How much is believed is a budget, the share :math:`B` of true returns that may go. Where rates
+are constant, odds of at least :math:`\theta` mean lags up to
+:math:`s \ln(p / (s \theta \lambda_t))`, and true returns as near are a share
+:math:`\lambda_t` times that. The share is largest where
+:math:`s \lambda_t / p = 1 / (e \theta)`, and is :math:`p / (e \theta)` there, whatever the
+scale. So :math:`\theta = p / (e B)` keeps the budget in any foliage, by the fitted law alone.
+
 What can be had is bounded: in crowns the two rates are of one size. ``benchmarks/afterpulses.py``
 prints the curve of removed against lost beside the best that the simulation's laws allow.
 """
@@ -41,6 +48,7 @@ from spl_batch.tiling import quanta
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = (
     "x", "y", "z", "gps_time", "channel", "flags", "line_density", "afterpulse", "afterpulse_rate",
+    "afterpulse_share",
 )  # fmt: skip
 
 WIDE_M: Final = (1.5, 1.0)
@@ -60,7 +68,7 @@ REACH_M: Final = 2 * WIDE_M[0]
 AFTERPULSE_MIN: Final = 0.5
 """Probability from which the time domain's word is believed: behind hard surfaces."""
 
-RESOLVED_MIN: Final = 0.6
+RESOLVED_MIN: Final = 0.5
 """Probability here from which a return is no evidence of its own."""
 
 SURFACE_MAX: Final = 0.25
@@ -75,7 +83,18 @@ PLANE_SHARE: Final = 0.7
 PLANE_LEAST: Final = 8
 """Share of the returns in it that lie on the plane, and their least number [count]."""
 
-PSEUDO: Final = 1.0
+SIGHT: Final = 1.3
+"""True rate of a beamlet that has returned something in front, over the mean rate of those that
+pass: it is not in the shade of other crowns, and not blind. Chosen on seven of the simulated
+canopies of ``benchmarks/afterpulses.py``; it hardly depends on the size of the neighbourhood."""
+
+SHARE: Final = 0.15
+"""Afterpulses per detection where the flightline's own are not known [W17 7.5]."""
+
+SETTLED: Final = 0.3
+"""Probability in crowns below which the first round is the last: it hardly rises so far."""
+
+PSEUDO: Final = 0.5
 """Returns that the wide ellipsoid's density is worth in the thin one."""
 
 LEAST: Final = 0.1
@@ -102,7 +121,7 @@ def resolve(
     density : (n,) float64
         Expected noise at each point [1/m3].
     settings : AfterpulseSettings
-        ``believe_min``.
+        ``vegetation_loss``.
     """
     found = believed(table)
     if "afterpulse" not in table:
@@ -110,9 +129,20 @@ def resolve(
     dependent = dependents(table)
     rows, chance, hard = probability(table, density)
     spared = np.where(table.has(PointFlag.WATER)[rows], WATER_MAX, SURFACE_MAX)
-    found.echo[rows] = chance >= np.where(hard, spared, settings.believe_min)
+    found.echo[rows] = chance >= np.where(hard, spared, _enough(table, rows, settings))
     dependent[rows] = chance >= RESOLVED_MIN
     return Echoes(found.echo, dependent & ~found.echo & ~table.has(EXCLUDED))
+
+
+def _enough(
+    table: PointTable, rows: NDArray[np.intp], settings: AfterpulseSettings
+) -> NDArray[np.float64]:
+    """Probability from which a candidate is believed to keep the budget: (m,) float64."""
+    share = np.full(len(rows), SHARE)
+    if "afterpulse_share" in table:
+        share = table["afterpulse_share"][rows].astype(np.float64)
+    odds = share / (math.e * settings.vegetation_loss)
+    return odds / (1.0 + odds)
 
 
 def believed(table: PointTable) -> Echoes:
@@ -157,17 +187,17 @@ def probability(
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     places = _Places(table)
     hard[open_] = places.behind_plane(rows[open_], usable & (table["afterpulse_rate"] == 0))
-    chance = np.empty(len(rows))
+    chance = np.zeros(len(rows))
     for last in (False, True):
         if last:
             # The wide ellipsoid would hold the surface itself.
             flat = places.around(rows[hard], true, (FLAT_M,))[:, 0]
             returns = (flat + LEAST) / VOLUME_M3[2] * per_metre[hard]
             chance[hard] = rate[hard] / (rate[hard] + returns)
-            open_ = np.flatnonzero(~hard)
+            open_ = np.flatnonzero(~hard & (chance >= SETTLED))
         found = places.around(rows[open_], true, (WIDE_M, THIN_M))
         wide = (found[:, 0] + LEAST) / VOLUME_M3[0]
-        returns = (found[:, 1] + PSEUDO) / (VOLUME_M3[1] + PSEUDO / wide) * per_metre[open_]
+        returns = SIGHT * (found[:, 1] + PSEUDO) / (VOLUME_M3[1] + PSEUDO / wide) * per_metre[open_]
         chance[open_] = rate[open_] / (rate[open_] + returns)
         true[rows[open_]] = 1.0 - chance[open_]
     return rows, chance, hard

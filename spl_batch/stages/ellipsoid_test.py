@@ -1,6 +1,6 @@
 """Point-wise test of the adaptive ellipsoid [W18 2.2.3; W17 5.2.2, 6.2.3].
 
-Three tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 15-26 %
+Three tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 13-26 %
 of pure noise. ``tail`` deviates in four points:
 
 - it uses P(K >= k), the probability of a count at least as large as the one found;
@@ -48,6 +48,9 @@ DOMAIN: Final = "space"
 HARDLY_EXPECTED: Final = 0.05
 """Noise within the neighbours' cap below which a lone return is a real one [points]."""
 
+LEAST: Final = 0.5
+"""Part of alpha that this test gets, whatever another one takes."""
+
 PUBLISHED_ALPHA: Final = 0.05
 """[W18 2.2.3]: noise where the cumulative probability is below 95 %."""
 
@@ -61,7 +64,11 @@ def reach_m(settings: FilterSettings) -> float:
 
 
 def judge(
-    cloud: Cloud, settings: FilterSettings, *, exact: bool = False, share: float = 1.0
+    cloud: Cloud,
+    settings: FilterSettings,
+    *,
+    exact: bool = False,
+    spent: float | NDArray[np.float64] = 0.0,
 ) -> Verdict:
     """Test the points asked for.
 
@@ -75,8 +82,9 @@ def judge(
         Count on until the score is below 1e-12, so that p is exact down to there. Without
         it counting stops once the decision stands, and p of a signal is the p of the
         critical count: an upper bound, the same whatever the tiling.
-    share : float
-        Part of alpha that is spent here, where another test gets the rest.
+    spent : float or (n,) float64
+        Share of pure noise that another test keeps at each point: what is left of alpha is
+        spent here, at least half of it.
 
     Returns
     -------
@@ -90,7 +98,8 @@ def judge(
         found = evidence(cloud.xyz, cloud.density, asked, settings, _stop(PUBLISHED_ALPHA, exact))
         signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
-    rule = _rule(cloud.density, settings, settings.alpha * share)
+    alpha = settings.alpha - np.minimum(spent, LEAST * settings.alpha)
+    rule = _rule(cloud.density, settings, np.broadcast_to(alpha, cloud.density.shape))
     linked = settings.link_count > 0
     assessed = _around(cloud.xyz, asked, quanta(settings.link_m)) if linked else asked
     stop = _stop(rule.strong, exact)
@@ -122,22 +131,21 @@ class _Rule(NamedTuple):
     link: NDArray[np.float64]
 
 
-def _rule(density: NDArray[np.float64], settings: FilterSettings, alpha: float) -> _Rule:
-    """Limits that keep a share ``alpha`` of noise."""
+def _rule(
+    density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
+) -> _Rule:
+    """Limits that keep a share ``alpha`` of noise at each point."""
     if settings.test == "tail":
         ones = np.ones(len(density))
         link = float(quanta(settings.link_m))
-        return _Rule(ones * alpha / settings.selection, ones * settings.weak_alpha, ones * link)
+        return _Rule(alpha / settings.selection, ones * settings.weak_alpha, ones * link)
     table = null_table(settings)
-    # One value for each density: the voxels of a block have far fewer than it has points.
-    values, row = np.unique(density, return_inverse=True)
-    limits = (
-        table.critical(values, table.alone(values, alpha) if settings.link_count > 0 else alpha),
-        table.critical(values, settings.weak_alpha),
+    return _Rule(
+        table.critical(density, table.alone(density, alpha) if settings.link_count > 0 else alpha),
+        table.critical(density, settings.weak_alpha),
         # no longer than the halo was made for
-        np.minimum(table.link(values, alpha), settings.link_m) * quanta(1.0),
+        np.minimum(table.link(density, alpha), settings.link_m) * quanta(1.0),
     )
-    return _Rule(*(limit[row] for limit in limits))
 
 
 def _stop(limit: float | NDArray[np.float64], exact: bool) -> float | NDArray[np.float64]:  # noqa: FBT001

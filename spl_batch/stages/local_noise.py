@@ -18,7 +18,7 @@ The flightlines add up. Each step errs towards more noise. ``benchmarks/null_edg
 what the test keeps of noise along edges.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cache
 from typing import Final
 
@@ -36,47 +36,43 @@ SQUARES: Final = 4
 MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
 
-Sums = tuple[NDArray[np.int64], NDArray[np.uint16]]
 
-
-def local_density(
-    lines: Iterable[Sums],
+def listened_density(
+    amount: NDArray[np.int64],
+    covered: NDArray[np.uint16],
     voxel: tuple[NDArray[np.int64], ...],
     square: tuple[NDArray[np.int64], ...],
     voxel_m: float,
 ) -> NDArray[np.float64]:
-    """Noise expected around points, in the part that is listened to.
+    """Noise of one flightline around points, in the part that it listens to.
 
     Parameters
     ----------
-    lines : iterable of ((nx, ny, nz) int64, (nx, ny, nz) uint16)
-        Sum of ``VoxelPart.amount`` and union of ``VoxelPart.covered`` of each flightline,
-        always in the same order; :data:`MARGIN_VOXELS` wider than the points' voxels.
+    amount : (nx, ny, nz) int64
+        Sum of ``VoxelPart.amount`` of its stretches, :data:`MARGIN_VOXELS` wider on each
+        side than the points' voxels.
+    covered : (nx, ny, nz) uint16
+        Union of ``VoxelPart.covered``.
     voxel : three of (n,) int64
         Index of each point's voxel.
     square : two of (n,) int64
-        Index of its square: ``SQUARES`` along each edge of a voxel.
+        Index of its square: :data:`SQUARES` along each edge of a voxel.
     voxel_m : float
         Edge of a voxel [m].
 
     Returns
     -------
     (n,) float64
-        [1/m3]; 0 where no flightline comes near.
+        [1/m3]; 0 where the flightline does not come near.
     """
-    found = np.zeros(len(voxel[0]))
-    for amount, covered in lines:
-        squares = unpack(covered)
-        if not squares.any():
-            continue
-        near = _across(np.logical_or, squares)
-        # erosion of what was widened closes gaps; outside the box nothing is known to be silent
-        closed = _across(np.logical_and, near)
-        per_m3 = within_gate(_of_covered(amount, closed, voxel_m))
-        _vertically(np.logical_or, near)
-        at = (square[0], square[1], voxel[2])
-        found += np.where(near[at], per_m3[voxel], 0.0)
-    return found
+    squares = unpack(covered)
+    if not squares.any():
+        return np.zeros(len(voxel[0]))
+    near = _across(np.logical_or, squares)
+    closed = _across(np.logical_and, near)
+    per_m3 = within_gate(_of_covered(amount, closed, voxel_m))
+    _vertically(np.logical_or, near)
+    return np.where(near[square[0], square[1], voxel[2]], per_m3[voxel], 0.0)
 
 
 def unpack(covered: NDArray[np.uint16]) -> NDArray[np.bool_]:

@@ -24,6 +24,7 @@ Accuracy: ``python -m benchmarks.null_calibration``.
 import json
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -31,6 +32,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.signal import savgol_filter
 
 from spl_batch.kernels.kdtree import build
@@ -121,20 +123,30 @@ class NullTable:
         log_p = level_of(self._row(density), log_score, self.score, self.level, self._slope())
         return np.where(density > 0, np.exp(log_p), 0.0)
 
-    def alone(self, density: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:
+    def alone(
+        self, density: NDArray[np.float64], alpha: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Share of noise that may pass alone at level ``alpha``: (n,)."""
         return self._by_alpha(density, alpha, self.own - self.alpha) * alpha
 
-    def link(self, density: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:
+    def link(
+        self, density: NDArray[np.float64], alpha: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Longest link at level ``alpha``: (n,) [m]."""
         return self._by_alpha(density, alpha, self.link_m)
 
     def _by_alpha(
-        self, density: NDArray[np.float64], alpha: float, table: NDArray[np.float64]
+        self,
+        density: NDArray[np.float64],
+        alpha: float | NDArray[np.float64],
+        table: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        column = [np.interp(-np.log(alpha), -self.alpha, row) for row in table]
+        """Exponential of a table's value, linear between its rows and columns: (n,)."""
+        row = self._row(density)
+        wanted = -np.log(np.broadcast_to(alpha, density.shape))
+        column = np.interp(wanted, -self.alpha, np.arange(len(self.alpha)))
         found: NDArray[np.float64] = np.exp(
-            np.interp(self._row(density), np.arange(len(column)), column)
+            map_coordinates(table, [row, column], order=1, mode="nearest")
         )
         return found
 
@@ -179,9 +191,10 @@ def parse_table(content: Mapping[str, Any]) -> NullTable:
 
 def draw_table(
     settings: FilterSettings,
-    points: int,
+    points: int | NDArray[np.int64],
     densities: NDArray[np.float64] = DENSITIES,
     tell: Callable[[float], None] = lambda _: None,
+    workers: int = 1,
 ) -> NullTable:
     """Draw the null distribution.
 
@@ -189,12 +202,14 @@ def draw_table(
     ----------
     settings : FilterSettings
         Those named in :data:`KEYS` matter.
-    points : int
+    points : int or (d,) int64
         Noise points per density [count].
     densities : (d,) float64
         [1/m3], evenly spaced in logarithm.
     tell : callable
         Called with each density before it is drawn.
+    workers : int
+        Densities drawn at a time.
 
     Returns
     -------
@@ -202,18 +217,16 @@ def draw_table(
         The same for the same settings, points and densities.
     """
     settings = settings.model_copy(update={"test": "calibrated"})
-    score, links = [], []
-    for i, density in enumerate(densities):
-        tell(float(density))
-        rng = np.random.default_rng([i, points])
-        xyz, source, core = periodic_noise(rng, float(density), points, settings)
-        found = evidence(xyz, np.full(len(xyz), density), core, settings, EXACT_TO)
-        ordered = np.sort(found.score[core])
-        score.append(np.log(np.quantile(ordered, LEVELS, method="inverted_cdf")))
-        whole = found._replace(score=found.score[source], spacing=found.spacing[source])
-        links.append([_links(xyz, core, whole, ordered, a, settings) for a in ALPHAS])
-    smooth = _smooth(np.array(score))
-    own, link = np.moveaxis(np.log(np.array(links)), 2, 0)
+    numbers = np.broadcast_to(points, densities.shape)
+
+    def one(i: int) -> _Drawn:
+        tell(float(densities[i]))
+        return _drawn(settings, i, float(densities[i]), int(numbers[i]))
+
+    with ThreadPoolExecutor(workers) as pool:
+        drawn = list(pool.map(one, range(len(densities))))
+    own, link = np.moveaxis(np.log(np.array([d.links for d in drawn])), 2, 0)
+    smooth = _smooth(np.array([d.score for d in drawn]))
     return NullTable(
         np.log(densities),
         np.log(LEVELS),
@@ -222,6 +235,23 @@ def draw_table(
         np.minimum(_smooth(own), np.log(ALPHAS)),
         np.minimum(_smooth(link), np.log(max(settings.link_m, SHORTEST_M))),
     )
+
+
+class _Drawn(NamedTuple):
+    """One density: log score by level, and links by alpha."""
+
+    score: NDArray[np.float64]
+    links: list["_Links"]
+
+
+def _drawn(settings: FilterSettings, seed: int, density: float, points: int) -> _Drawn:
+    rng = np.random.default_rng([seed, points])
+    xyz, source, core = periodic_noise(rng, density, points, settings)
+    found = evidence(xyz, np.full(len(xyz), density), core, settings, EXACT_TO)
+    ordered = np.sort(found.score[core])
+    whole = found._replace(score=found.score[source], spacing=found.spacing[source])
+    links = [_links(xyz, core, whole, ordered, alpha, settings) for alpha in ALPHAS]
+    return _Drawn(np.log(np.quantile(ordered, LEVELS, method="inverted_cdf")), links)
 
 
 def _smooth(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -258,12 +288,30 @@ def periodic_noise(
     around = max(settings.neighbour_cap_m, settings.axis_cap_m + settings.spacing_cap_m)
     around = quanta(max(around, settings.link_m))
     side = max(quanta((points / density) ** (1.0 / 3.0)), around)
-    number = rng.poisson(density * (side / quanta(1.0)) ** 3)
-    xyz = rng.integers(0, side, (number, 3))
+    return repeated(rng, density, np.full(3, side), np.full(3, around))
+
+
+def repeated(
+    rng: np.random.Generator,
+    density: float,
+    size: NDArray[np.int64],
+    around: NDArray[np.int64],
+) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
+    """Uniform noise in a box of any size, and its images so far around it.
+
+    Parameters
+    ----------
+    rng, density
+        As for :func:`periodic_noise`, which says what is returned.
+    size, around : (3,) int64
+        Edges of the box; what images are needed around it, at most as much [quanta].
+    """
+    number = rng.poisson(density * float(np.prod(size / quanta(1.0))))
+    xyz = rng.integers(0, size, (number, 3))
     source = np.arange(number)
     for axis in range(3):
-        low, high = xyz[:, axis] < around, xyz[:, axis] >= side - around
-        shift = side * (np.arange(3) == axis)
+        low, high = xyz[:, axis] < around[axis], xyz[:, axis] >= size[axis] - around[axis]
+        shift = size[axis] * (np.arange(3) == axis)
         xyz = np.concatenate([xyz, xyz[low] + shift, xyz[high] - shift])
         source = np.concatenate([source, source[low], source[high]])
     return (xyz + around).astype(np.int32), source, np.arange(len(xyz)) < number

@@ -131,8 +131,8 @@ def reach_m(settings: WireSettings) -> float:
     """How far the scan of a point looks [m]."""
     if not settings.enabled:
         return 0.0
-    # Twice its line may move by a half-width, and its flanks are three half-widths wide.
-    tube = settings.half_length_m + 6.0 * settings.radius_m
+    # Its line moves across only, and its flanks lie across: little is added to its length.
+    tube = settings.half_length_m + 3.0 * settings.radius_m
     agreeing_m = math.hypot(settings.stretch * settings.half_length_m, BESIDE_M)
     # A voting tube, one that agrees with it, the returns of that one, their cubes.
     return 2.0 * tube + agreeing_m + 2.0 * CELL_M
@@ -202,7 +202,7 @@ def _tubes(cloud: Cloud, made: Columns, free: NDArray[np.intp], settings: WireSe
         look = np.zeros(n, np.int32)
         tried = _directions(settings, factor * settings.half_length_m / 1.5)
         fullest(
-            made.points, made.start, *made.shape, made.edge, seed,
+            made.points, made.start, *made.shape, made.edge, made.corner, seed,
             short_m * factor * QUANTA_PER_M, cloud.density / QUANTA_PER_M**3,
             _largest_expected(tried, screen), settings.radius_m * QUANTA_PER_M,
             LEAST_M * QUANTA_PER_M, settings.slope_max, _bend(settings),

@@ -1,0 +1,387 @@
+"""Every figure of ``docs/algorithms.md``: ``python -m benchmarks.figures [OUT]``.
+
+Options: ``--only NAME ...`` draws some of them, ``--folder FOLDER`` keeps the simulated surveys
+there and uses again what is there. OUT is ``docs/images`` by default. Each figure shows what a
+benchmark measures, by that benchmark's functions, on scenes small enough for all to take a few
+minutes: the shapes are those of the full benchmarks, the last digits are not.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
+
+from benchmarks import (
+    afterpulses,
+    intensity,
+    methods,
+    near_surface,
+    noise_density,
+    null_calibration,
+)
+from benchmarks.afterpulse_tables import Prepared, prepare
+from benchmarks.methods import (
+    AFTERPULSE,
+    BACKGROUND,
+    GROUND,
+    VEGETATION,
+    WIRE,
+    Columns,
+    known_methods,
+)
+from benchmarks.terrain import cut
+from benchmarks.twins import weak_wires
+from spl_batch import api
+from spl_batch.io.atomic import write_bytes
+from spl_batch.io.trajectory import read_trajectory
+from spl_batch.report import style
+from spl_batch.sensor import load_preset
+from spl_batch.settings import AfterpulseSettings, FilterSettings
+from spl_batch.simulate import simulate
+from spl_batch.simulate.scene import Scene, parse_scene
+from spl_batch.stages import afterpulse, echoes, geometry
+from spl_batch.stages.ellipsoid_test import reach_m
+
+LARGEST: Final = 150_000
+"""Most bytes of a figure."""
+
+PUBLISHED, TAIL, OURS, TRUTH = style.NOISE, "#d9a441", style.SIGNAL, style.MUTED
+"""Colour of each method, the same in all figures; the last is the best possible or the nominal."""
+
+POINTS: Final = 60_000
+"""Noise points per density of the first figure [count]."""
+
+NULL_DENSITIES: Final = (0.02, 0.05, 0.13, 0.3, 1.0)
+"""[1/m3]"""
+
+REMOVED: Final = 0.8
+"""Share of afterpulses for which the bound is printed."""
+
+SEED: Final = 1
+WIRES_M: Final = (110.0, 64.0)
+"""Extent of the scene with weak conductors [m]."""
+STRIP_M: Final = 2.5
+"""Half-width of the profile [m]."""
+SHOWN_M: Final = (-6.0, 34.0)
+"""Heights of the profile, from the lowest ground in it [m]."""
+
+FILTERS: Final = ("published", "calibrated", "ours")
+"""Filters of the profile, by name in :func:`benchmarks.methods.known_methods`."""
+
+SMALL: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
+    {"edges": (190.0, 76.0), "gate 85 m": (100.0, 100.0), "channels": (90.0, 90.0)}
+)
+"""Extent of the scenes of :mod:`benchmarks.noise_density` that are drawn [m]."""
+
+PATCHES_M: Final = 80.0
+"""Edge of the scene of reflectances [m]."""
+
+
+def null_share(_: Path) -> Figure:
+    """Share of pure noise that each test keeps, by the density of the noise."""
+    runs: dict[str, tuple[FilterSettings, str, str]] = {
+        'published, "95 %"': (FilterSettings(test="published", neighbours=15), PUBLISHED, "s"),
+        "tail, alpha 0.001": (FilterSettings(test="tail"), TAIL, "^"),
+    }
+    alphas = null_calibration.ALPHAS
+    for alpha in alphas:
+        runs[f"calibrated, alpha {alpha:g}"] = (FilterSettings(alpha=alpha), OURS, "o")
+    shares: dict[str, list[float]] = {name: [] for name in runs}
+    margin = reach_m(FilterSettings())
+    for density in NULL_DENSITIES:
+        side = max((POINTS / density) ** (1 / 3), 30.0)
+        rng = np.random.default_rng([SEED, round(1000 * density)])
+        box = null_calibration.draw(rng, density, np.full(3, -margin), np.full(3, side + margin))
+        asked = np.all((box >= 0) & (box < side), axis=1)
+        rho = np.full(len(box), density)
+        for name, (settings, _colour, _mark) in runs.items():
+            shares[name].append(float(null_calibration.decide(box, rho, asked, settings).mean()))
+    drawn = style.figure(7.2, 3.7)
+    axes = drawn.subplots()
+    axes.hlines(100 * np.array(alphas), 0.017, NULL_DENSITIES[-1], colors=TRUTH, linewidth=0.8,
+                linestyles=(0, (4, 3)), zorder=1)  # fmt: skip
+    for name, (_settings, colour, mark) in runs.items():
+        shown = np.array([100 * share if share > 0 else np.nan for share in shares[name]])
+        axes.plot(NULL_DENSITIES, shown, color=colour, marker=mark,
+                  markersize=4.5, linewidth=1.2)  # fmt: skip
+        axes.annotate(name, (NULL_DENSITIES[-1], 100 * shares[name][-1]), (8, 0), color=colour,
+                      textcoords="offset points", va="center", fontsize=8)  # fmt: skip
+        tell("null_share", name, NULL_DENSITIES, shares[name])
+    axes.set(xscale="log", yscale="log", xlim=(0.017, 4.5), ylim=(0.0025, 60))
+    axes.set_xticks(NULL_DENSITIES, [f"{d:g}" for d in NULL_DENSITIES])
+    axes.set_xticks([], minor=True)
+    plain(axes)
+    axes.set_xlabel("background [returns per m\N{SUPERSCRIPT THREE}]", loc="left")
+    axes.set_ylabel("pure noise kept [%]")
+    axes.set_title("Pure noise that is kept; dashed: alpha as asked for")
+    bare(axes)
+    return drawn
+
+
+@cache
+def weak_scene(folder: Path) -> tuple[Scene, Columns, dict[str, NDArray[np.bool_]]]:
+    """Weak conductors: the scene, its returns with truth, and what each filter keeps of them."""
+    scene = weak_wires(SEED, WIRES_M)
+    survey = methods.make_survey(scene, folder / "figure_wires")
+    known = known_methods()
+    kept = {name: methods.judge(survey, known[name]) == 0 for name in FILTERS}
+    return scene, methods.load_truth(survey), kept
+
+
+def weak_wire(folder: Path) -> Figure:
+    """Profile along a weak line: recorded, and kept by each filter, in the colours of truth."""
+    scene, points, kept = weak_scene(folder)
+    ends = np.array(scene.wires[1].points_m)[[0, -1]]
+    unit = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    plan = np.column_stack([points["x"], points["y"]]) - scene.origin_m[:2] - ends[0]
+    along, across = plan @ unit, plan @ np.array([-unit[1], unit[0]])
+    strip = np.abs(across) < STRIP_M
+    foot = points["z"][strip & (points["kind"] == GROUND)].min()
+    height = points["z"] - foot
+    strip &= (height > SHOWN_M[0]) & (height < SHOWN_M[1])
+    along = along - along[strip].min()
+    titles = {"": "As recorded", "published": "Published test keeps",
+              "calibrated": "Calibrated test of single points keeps",
+              "ours": "With the scan along lines"}  # fmt: skip
+    drawn = style.figure(10.5, 5.6)
+    kind = points["kind"]
+    noise = np.isin(kind, (BACKGROUND, AFTERPULSE))
+    layers = ((~noise & (kind != WIRE), style.RAW, 0.8), (noise, style.NOISE, 1.6),
+              (kind == WIRE, OURS, 5.0))  # fmt: skip
+    for axes, (name, title) in zip(drawn.subplots(2, 2, sharex=True, sharey=True).flat,
+                                   titles.items(), strict=True):  # fmt: skip
+        shown = strip & kept.get(name, np.ones(len(kind), dtype=np.bool_))
+        for mask, colour, size in layers:
+            rows = shown & mask
+            axes.scatter(along[rows], height[rows], s=size, c=colour, linewidths=0)
+        of_wire, of_noise = ((shown & m).sum() / (strip & m).sum() for m in (kind == WIRE, noise))
+        print(f"weak_wire: {title}: wire {of_wire:.3f}, noise {of_noise:.4f} of the strip")
+        axes.set_title(f"{title}: wire {100 * of_wire:.0f} %" if name else title)
+        bare(axes)
+    drawn.supxlabel("along the line [m]", fontsize=8.5)
+    drawn.supylabel("height above the lowest ground [m]", fontsize=8.5)
+    handles = [Line2D([], [], color=c, marker="o", markersize=4, linestyle="", label=label)
+               for label, c in (("conductor", OURS), ("noise, afterpulses", style.NOISE),
+                                ("anything else", style.RAW))]  # fmt: skip
+    drawn.legend(handles=handles, loc="outside lower right", ncols=3)
+    return drawn
+
+
+def near_noise(folder: Path) -> Figure:
+    """Noise kept by its distance from the nearest surface; true returns lost by kind."""
+    _, points, kept = weak_scene(folder)
+    noise = {name.removesuffix(" all").strip(): mask
+             for name, mask in near_surface.noise_strata(points).items()
+             if name.endswith(" all")}  # fmt: skip
+    signal = {name.replace(" within 0.5 m of an", "\n").replace("thin veg", "thin\nveg"): mask
+              for name, mask in near_surface.signal_strata(points).items()
+              if mask.sum() > 50}  # fmt: skip
+    drawn = style.figure(10.5, 3.6)
+    panels = drawn.subplots(1, 2, width_ratios=(1, 1.35))
+    names = {"published": PUBLISHED, "calibrated": TAIL, "ours": OURS}
+    labels = ("published", "calibrated", "calibrated and scan")
+    for axes, strata, title, part in (
+        (panels[0], noise, "Background kept, by distance from a true return", kept),
+        (panels[1], signal, "True returns lost, by kind", {n: ~k for n, k in kept.items()}),
+    ):
+        for k, (name, colour) in enumerate(names.items()):
+            shares = [100 * float(part[name][mask].mean()) for mask in strata.values()]
+            tell("near_noise", name, list(strata), shares)
+            axes.bar(np.arange(len(strata)) + 0.27 * (k - 1), np.maximum(shares, 0.011), 0.25,
+                     bottom=0.0, color=colour, label=labels[k])  # fmt: skip
+        axes.set(yscale="log", ylim=(0.01, 100), title=title)
+        axes.set_xticks(range(len(strata)), list(strata))
+        plain(axes)
+        axes.set_ylabel("share [%]")
+        bare(axes)
+    panels[0].legend(loc="upper right")
+    return drawn
+
+
+def afterpulse_curve(folder: Path) -> Figure:
+    """Afterpulses removed against vegetation lost, by threshold."""
+    content = afterpulses.CANOPIES[0]
+    place = folder / "figure_canopy"
+    survey = prepare(content, place)
+    true = survey.kind == VEGETATION
+    false = (survey.kind == AFTERPULSE) & (survey.parent == VEGETATION)
+    drawn = style.figure(6.6, 4.0)
+    axes = drawn.subplots()
+    score = afterpulses.scores(survey)
+    curves = (
+        ("best possible: true rates known", survey.bound, TRUTH),
+        ("ours: what other beamlets see", score, OURS),
+        ("lag alone, shot by shot", survey.table["afterpulse"], TAIL),
+    )
+    for label, values, colour in curves:
+        lost, removed = by_threshold(np.asarray(values, np.float64), true, false)
+        axes.plot(lost, removed, color=colour, linewidth=1.5, label=label,
+                  linestyle=(0, (4, 2)) if colour == TRUTH else "-")  # fmt: skip
+    echo = echoes.resolve(survey.table, survey.density, AfterpulseSettings()).echo
+    rule = plane_rule(survey, place)
+    marks = (
+        ("ours, by default", echo, OURS, "o"),
+        ("published rule of planes", rule, PUBLISHED, "s"),
+    )
+    for name, mask, colour, mark in marks:
+        at = [100 * float(mask[m].mean()) for m in (true, false)]
+        print(f"afterpulse_curve: {name}: lost {at[0]:.2f} %, removed {at[1]:.1f} %")
+        axes.plot(*at, mark, color=colour, markersize=7, label=name)
+    best = afterpulses.lost_at(survey.bound, true, false, REMOVED)
+    print(f"afterpulse_curve: the bound loses {best:.2f} % where it removes {100 * REMOVED:g} %")
+    axes.set(xlim=(-0.4, 25), ylim=(0, 100), title="Afterpulses in crowns of 60 % cover")
+    axes.set_xlabel("vegetation returns lost [%]")
+    axes.set_ylabel("afterpulses of vegetation removed [%]")
+    axes.legend(loc="lower right")
+    bare(axes)
+    return drawn
+
+
+def by_threshold(
+    score: NDArray[np.float64], true: NDArray[np.bool_], false: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shares of true and of false ones at or above each threshold [%]."""
+    limits = np.quantile(score[false][score[false] > 0], np.linspace(1, 0, 300))
+    above = [np.searchsorted(np.sort(-score[m]), -limits, side="right") / m.sum()
+             for m in (true, false)]  # fmt: skip
+    return 100 * above[0], 100 * above[1]
+
+
+def plane_rule(survey: Prepared, folder: Path) -> NDArray[np.bool_]:
+    """What [W17] ch. 7 calls an afterpulse: behind a plane of its shot, channels unknown."""
+    out = np.zeros(len(survey.table), dtype=np.bool_)
+    loaded = read_trajectory([folder / "trajectory.csv"], survey_crs=None, trajectory_crs=None)
+    for source in np.unique(survey.table["source"]):
+        rows = np.flatnonzero(survey.table["source"] == source)
+        rows = rows[np.lexsort([survey.table[k][rows] for k in ("index", "gps_time")])]
+        table = survey.table.take(rows)
+        table = table.with_columns(channel=np.zeros(len(rows), dtype=np.uint8))
+        beams = geometry.beams(table, loaded.trajectory)
+        chance = afterpulse.probability(
+            table, beams, AfterpulseSettings(), load_preset("spl100"), gate_m=150.0
+        )
+        out[rows] = chance >= 0.5
+    return out
+
+
+def noise_strata(folder: Path) -> Figure:
+    """Expected over true background, by stratum."""
+    rows: list[tuple[str, float, float, float]] = []
+    seen: dict[tuple[str, bool], noise_density.Voxels] = {}
+    for name, scene, overrides, region in noise_density.STRATA:
+        if scene not in SMALL or overrides:
+            continue
+        survey = folder / f"figure_{scene.replace(' ', '_')}"
+        ratios = []
+        for published in (False, True):
+            key = (scene, published)
+            if key not in seen:
+                if not survey.exists():
+                    content = {"name": scene, "seed": SEED, **noise_density.BASE,
+                               **noise_density.SCENES[scene], "extent_m": SMALL[scene]}  # fmt: skip
+                    simulate(parse_scene(content, scene), survey)
+                more = ("noise.correction=published",) if published else ()
+                seen[key] = noise_density.voxels(survey, more)
+            mask = region(seen[key])
+            true = float(seen[key].true[mask].sum())
+            ratios.append(float(seen[key].expected[mask].sum()) / true)
+        rows.append((name, ratios[0], ratios[1], true**-0.5))
+        print(f"noise_strata: {name}: {ratios[0]:.3f} +- {true**-0.5:.3f}, {ratios[1]:.2f}")
+    drawn = style.figure(7.2, 3.2)
+    axes = drawn.subplots()
+    at = np.arange(len(rows))[::-1]
+    axes.axvspan(1 - noise_density.BAR, 1 + noise_density.BAR, color=style.RULE, linewidth=0)
+    axes.plot([r[2] for r in rows], at, "s", color=PUBLISHED, label="published gamma")
+    axes.errorbar([r[1] for r in rows], at, xerr=[2 * r[3] for r in rows], fmt="o", color=OURS,
+                  markersize=5, label="seen beamlets stand in (2 SD)")  # fmt: skip
+    axes.set_yticks(at, [r[0] for r in rows])
+    axes.set_ylim(-0.6, len(rows) - 0.4)
+    axes.set_xlabel("expected / true background returns; grey: 1 \N{PLUS-MINUS SIGN} 0.03")
+    axes.set_title("Expected noise against truth")
+    axes.legend(loc="center", bbox_to_anchor=(0.42, 0.5))
+    bare(axes)
+    return drawn
+
+
+def reflectance(folder: Path) -> Figure:
+    """Reflectance from detections beside the true one."""
+    scene = intensity.intensity_scene(SEED, PATCHES_M)
+    survey = methods.make_survey(scene, folder / "figure_reflectance")
+    api.run(survey / "workflow.yaml", workers=0)
+    truth = cut(survey / "truth" / "reflectance.tif", survey)
+    found = cut(survey / "out" / "intensity.tif", survey)
+    patch = intensity.patches(survey, scene)
+    means = np.array([[np.nanmean(v[patch == k]) for v in (truth, found)]
+                      for k in range(1, int(patch.max()) + 1)])  # fmt: skip
+    off = means[:, 1] - means[:, 0]
+    about = 1 - float((off**2).sum() / ((means[:, 0] - means[:, 0].mean()) ** 2).sum())
+    print(f"reflectance: {len(means)} patches, R2 about the 1:1 line {about:.3f}")
+    drawn = style.figure(10.5, 3.5)
+    panels = drawn.subplots(1, 3, width_ratios=(1, 1, 1.05))
+    for axes, values, title in ((panels[0], truth, "True reflectance"),
+                                (panels[1], found, "From the share of beamlets seen")):  # fmt: skip
+        shown = axes.imshow(values, cmap=style.DENSITY, vmin=0, vmax=0.8, interpolation="nearest",
+                            extent=(0, PATCHES_M, 0, PATCHES_M))  # fmt: skip
+        axes.set(title=title, xlabel="east [m]", ylabel="north [m]")
+    bar = drawn.colorbar(shown, ax=panels[1], shrink=0.85)
+    bar.set_label("reflectance [1]")
+    panels[2].plot([0, 0.9], [0, 0.9], color=TRUTH, linewidth=0.8, linestyle=(0, (4, 3)))
+    panels[2].plot(means[:, 0], means[:, 1], "o", color=OURS, markersize=3.5, alpha=0.7)
+    panels[2].set(title="Means of patches", xlabel="true [1]", ylabel="found [1]", xlim=(0, 0.9),
+                  ylim=(0, 0.9), aspect="equal")  # fmt: skip
+    bare(panels[2])
+    return drawn
+
+
+def bare(axes: Axes) -> None:
+    """Without the frame's upper and right side."""
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def plain(axes: Axes) -> None:
+    """Percentages on the upright axis without powers of ten."""
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def tell(figure: str, name: str, at: Sequence[Any], values: Sequence[float]) -> None:
+    """Print what is drawn."""
+    pairs = ", ".join(
+        f"{str(a).replace(chr(10), ' ')}: {v:.4g}" for a, v in zip(at, values, strict=True)
+    )
+    print(f"{figure}: {name}: {pairs}", flush=True)
+
+
+FIGURES: Final[Mapping[str, Callable[[Path], Figure]]] = MappingProxyType(
+    {f.__name__: f for f in (null_share, weak_wire, near_noise, afterpulse_curve, noise_strata,
+                             reflectance)}
+)  # fmt: skip
+"""Figure by name: given a folder for surveys, draws inside the type's context."""
+
+
+def main() -> None:
+    """Draw the figures that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("out", nargs="?", type=Path, default=Path("docs/images"))
+    parser.add_argument("--only", nargs="+", choices=list(FIGURES), default=list(FIGURES))
+    parser.add_argument("--folder", type=Path)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as temporary, style.type_context():
+        for name in given.only:
+            png, _, _ = style.to_png(FIGURES[name](given.folder or Path(temporary)), LARGEST)
+            write_bytes(given.out / f"{name}.png", png)
+            print(f"{given.out / name}.png: {len(png)} bytes", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""What the scan for conductors keeps of pure noise, so that the point-wise test can make room.
+
+Domain: space. ``filter.alpha`` is the share of pure noise that the whole filter keeps. The scan
+(:mod:`~spl_batch.stages.wire_scan`) bounds what it keeps by an alpha of its own, and how much
+that really is depends on the density of the noise. It is drawn as in
+:mod:`~spl_batch.stages.null_distribution`: uniform noise that repeats itself, scanned by the code
+that scans surveys. The point-wise test gets the rest of alpha (:func:`spent`), at least half of
+it: where the scan would take more, it is made stricter (:func:`fitted`).
+
+What both keep is counted twice, which errs on the safe side.
+
+The table of the default settings ships with the package (``wire_null.json``, written by
+``python -m benchmarks.null_table``); for others a coarser one is drawn on first use.
+"""
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.settings import FilterSettings, WireSettings
+from spl_batch.stages.cloud import Cloud
+from spl_batch.stages.null_distribution import repeated
+from spl_batch.stages.wire_scan import scan
+from spl_batch.tiling import quanta
+
+DOMAIN: Final = "space"
+
+FILE: Final = "wire_null.json"
+
+DENSITIES: Final = 10.0 ** np.linspace(-2, 0, 9)
+"""Noise densities of the table [1/m3]; its first and last shares hold beyond."""
+
+POINTS: Final = 100_000
+"""Noise points drawn per density where no shipped table fits [count]."""
+
+HEIGHT_M: Final = 60.0
+"""Height of the box of noise [m]."""
+
+SLACK_M: Final = 4.0
+"""Images of the noise beyond two tubes [m]."""
+
+STRICTER: Final = 0.1
+"""Part of the scan's alpha at which a second share is drawn, for the power of alpha."""
+
+SMOOTH: Final = (0.25, 0.5, 0.25)
+"""Weights of neighbouring densities."""
+
+MOST: Final = 0.5
+"""Largest part of the filter's alpha that the scan gets."""
+
+_LOCK = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class WireNull:
+    """Share of pure noise that the scan keeps.
+
+    Parameters
+    ----------
+    density : (d,) float64
+        Log noise density [1/m3], ascending.
+    share : (d,) float64
+        Share kept at the settings' alpha.
+    power : float
+        The share goes with this power of alpha.
+    """
+
+    density: NDArray[np.float64]
+    share: NDArray[np.float64]
+    power: float
+
+    def at(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Share of noise of these densities that is kept: (n,)."""
+        log_density = np.log(np.maximum(density, np.finfo(np.float64).tiny))
+        found: NDArray[np.float64] = np.interp(log_density, self.density, self.share)
+        return found
+
+
+def fitted(settings: FilterSettings) -> WireSettings:
+    """The scan with an alpha at which it takes no more than its part of the filter's."""
+    wires = settings.wires
+    return wires.model_copy(update={"alpha": wires.alpha * _stricter(settings)})
+
+
+def spent(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.float64]:
+    """Share of pure noise of these densities that the :func:`fitted` scan keeps: (n,)."""
+    if not settings.wires.enabled:
+        return np.zeros(len(density))
+    table = wire_null(settings.wires)
+    part = float(np.power(_stricter(settings), table.power))
+    return part * table.at(density)
+
+
+def _stricter(settings: FilterSettings) -> float:
+    """Part of the scan's alpha that the filter's leaves it."""
+    table = wire_null(settings.wires)
+    most = float(table.share.max())
+    allowed = MOST * settings.alpha
+    return float((allowed / most) ** (1.0 / table.power)) if most > allowed else 1.0
+
+
+def settings_key(wires: WireSettings) -> dict[str, Any]:
+    """Settings that a table belongs to."""
+    return wires.model_dump(mode="json", exclude={"enabled", "classify"})
+
+
+def wire_null(wires: WireSettings) -> WireNull:
+    """The shipped table, or for other settings one that is drawn now and kept in memory."""
+    key = json.dumps(settings_key(wires), sort_keys=True)
+    with _LOCK:
+        return _table(key)
+
+
+@lru_cache(maxsize=8)
+def _table(key: str) -> WireNull:
+    text = resources.files("spl_batch.stages").joinpath(FILE).read_text(encoding="utf-8")
+    shipped = json.loads(text)
+    table = parse_table(shipped)
+    if shipped["settings"] == json.loads(key):
+        return table
+    densities = DENSITIES[::2]
+    share = draw_shares(WireSettings(**json.loads(key)), POINTS, densities)
+    return WireNull(np.log(densities), smoothed(share), table.power)
+
+
+def parse_table(content: Mapping[str, Any]) -> WireNull:
+    """Table of a JSON file's content."""
+    density, share = (np.array(content[name], dtype=np.float64) for name in ("density", "share"))
+    return WireNull(density, share, float(content["power"]))
+
+
+def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shares smoothed over neighbouring densities; the ends count twice there."""
+    smooth: NDArray[np.float64] = np.convolve(np.pad(share, 1, mode="edge"), SMOOTH, mode="valid")
+    return smooth
+
+
+def draw_shares(
+    wires: WireSettings,
+    points: int,
+    densities: NDArray[np.float64] = DENSITIES,
+    tell: Callable[[float], None] = lambda _: None,
+) -> NDArray[np.float64]:
+    """Share of uniform noise that the scan keeps.
+
+    Parameters
+    ----------
+    wires : WireSettings
+        The scan.
+    points : int
+        Noise points per density [count].
+    densities : (d,) float64
+        [1/m3].
+    tell : callable
+        Called with each density before it is drawn.
+
+    Returns
+    -------
+    (d,) float64
+        The same for the same settings, points and densities.
+    """
+    wires = wires.model_copy(update={"enabled": True})
+    shares = []
+    for i, density in enumerate(densities):
+        tell(float(density))
+        rng = np.random.default_rng([i, points])
+        side = np.sqrt(points / float(density) / HEIGHT_M)
+        # A tube through a point, and what lies in one that agrees with it.
+        around = min(2.0 * wires.half_length_m + SLACK_M, side)
+        up = min(wires.slope_max * around + SLACK_M, HEIGHT_M)
+        size, margin = np.array([side, side, HEIGHT_M]), np.array([around, around, up])
+        xyz, _, core = repeated(rng, float(density), quanta_of(size), quanta_of(margin))
+        nothing = np.zeros(len(xyz), np.bool_)
+        cloud = Cloud(xyz, (0, 0, 0), np.full(len(xyz), float(density)), core, nothing)
+        shares.append(float(scan(cloud, wires).signal.mean()))
+    return np.array(shares)
+
+
+def quanta_of(metres: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Lengths in quanta."""
+    return np.array([quanta(float(length)) for length in metres])
