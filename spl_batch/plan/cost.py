@@ -14,7 +14,7 @@ from spl_batch.runner.context import Context
 from spl_batch.stages import denoise, geometry, ground, surface
 from spl_batch.tiling import CellId
 
-WORKER_BASE_BYTES: Final = 600 * 2**20
+WORKER_BASE_BYTES: Final = 700 * 2**20
 """Resident memory of a worker that has compiled its kernels, rounded up [byte]."""
 
 STORE_BYTES_PER_POINT: Final = 60
@@ -25,13 +25,13 @@ DELIVERED_BYTES_PER_POINT: Final = 12
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
-        "index": 1.25e6,
-        "shots": 0.54e6,
-        "shuffle": 0.30e6,
-        "denoise": 0.17e6,
-        "ground": 0.26e6,
-        "surfaces": 0.27e6,
-        "deliver": 0.93e6,
+        "index": 0.81e6,
+        "shots": 0.45e6,
+        "shuffle": 0.23e6,
+        "denoise": 0.075e6,
+        "ground": 0.17e6,
+        "surfaces": 0.19e6,
+        "deliver": 0.77e6,
     }
 )
 """Points per second and worker until a store has measured its own; `benchmarks/stages.py`."""

@@ -41,7 +41,7 @@ from spl_batch.stages.cloud import Cloud, Verdict
 from spl_batch.stages.followers import LAG_M, follow
 from spl_batch.tiling import quanta
 
-BYTES_PER_POINT: Final = 100
+BYTES_PER_POINT: Final = 140
 """Peak memory beside the table [bytes per point of block and halo]."""
 
 
