@@ -117,6 +117,8 @@ def print_comparison(result: ComparisonResult) -> None:
     """Print how several filters did, and where the rest is."""
     titles = ("filter", "kept", "removed", "far noise", "DTM RMSE", "DSM RMSE", "s per million")
     table = Table(*titles, box=None)
+    table.columns[0].no_wrap = True
+    table.columns[0].min_width = max(len(method.name) for method in result.report.methods)
     for method in result.report.methods:
         table.add_row(
             method.name,
