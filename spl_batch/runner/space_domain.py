@@ -20,6 +20,7 @@ from spl_batch.stages import ground as grounding
 from spl_batch.stages import reflectance
 from spl_batch.stages import surface as surfacing
 from spl_batch.stages.fired import FiredPart
+from spl_batch.stages.stray import stray
 from spl_batch.stages.water import submerged
 from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, quanta
 
@@ -85,7 +86,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     )
     # A point that no unit has labelled, or that lies outside the area, makes no surface.
     known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
-    shown = table.take(known & ~table.has(PointFlag.OUTSIDE_AOI))
+    shown = table.take(known & ~table.has(PointFlag.OUTSIDE_AOI) & ~stray(table))
     arrays = surfacing.surfaces(shown, core, workflow.products)
     if args["fired"] is not None:
         paths = [context.store.path("fired", f"{name}.npz") for name in args["fired"]]
@@ -133,7 +134,7 @@ def _mask_outside(arrays: dict[str, NDArray[np.float32]], core: Bounds, context:
 def _usable(table: PointTable) -> NDArray[np.bool_]:
     """Signal that a surface may rest on."""
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
-    usable = usable & ~table.has(PointFlag.OUTSIDE_AOI)
+    usable = usable & ~table.has(PointFlag.OUTSIDE_AOI) & ~stray(table)
     return usable & ~submerged(table, usable)
 
 
