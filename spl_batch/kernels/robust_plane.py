@@ -18,6 +18,39 @@ ITERATIONS = 30
 
 
 @njit(nogil=True, cache=True)
+def plane_of_moments(
+    mu: float, mv: float, mw: float, uu: float, uv: float, vv: float, uw: float, vw: float,
+    flattest: float, plane: NDArray[np.float64],
+) -> bool:  # fmt: skip
+    """Least squares plane w = a + b u + c v of means and centred second moments.
+
+    Parameters
+    ----------
+    mu, mv, mw : float
+        Means.
+    uu, uv, vv, uw, vw : float
+        Sums of products about the means.
+    flattest : float
+        Least determinant over the squared trace of the (u, v) moments: below it the points
+        lie on a line.
+    plane : (3,) float64
+        Filled with a, b, c.
+
+    Returns
+    -------
+    bool
+        False where there is no plane.
+    """
+    determinant = uu * vv - uv * uv
+    if determinant <= flattest * (uu + vv) ** 2:
+        return False
+    plane[1] = (uw * vv - vw * uv) / determinant
+    plane[2] = (vw * uu - uw * uv) / determinant
+    plane[0] = mw - plane[1] * mu - plane[2] * mv
+    return True
+
+
+@njit(nogil=True, cache=True)
 def weighted_plane(
     u: NDArray[np.float64],
     v: NDArray[np.float64],
@@ -58,14 +91,8 @@ def weighted_plane(
         vv += weight[i] * dv * dv
         uw += weight[i] * du * dw
         vw += weight[i] * dv * dw
-    determinant = uu * vv - uv * uv
     # Spread across the narrow direction below about 1 % of the wide one tells no slope.
-    if determinant <= 1e-4 * (uu + vv) ** 2:
-        return False
-    plane[1] = (uw * vv - vw * uv) / determinant
-    plane[2] = (vw * uu - uw * uv) / determinant
-    plane[0] = mw - plane[1] * mu - plane[2] * mv
-    return True
+    return plane_of_moments(mu, mv, mw, uu, uv, vv, uw, vw, 1e-4, plane)
 
 
 @njit(nogil=True, cache=True)

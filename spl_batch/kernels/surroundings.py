@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.kernels.robust_plane import plane_of_moments
+
 UNIT: Final = 1024
 """Weight of a whole return, and of a kernel at its centre."""
 
@@ -201,13 +203,7 @@ def _plane_of(sums: NDArray[np.int64], plane: NDArray[np.float64]) -> bool:
     mu, mv, mw = sums[1] / n, sums[2] / n, sums[3] / n
     uu, uv, vv = sums[4] - n * mu * mu, sums[5] - n * mu * mv, sums[6] - n * mv * mv
     uw, vw = sums[7] - n * mu * mw, sums[8] - n * mv * mw
-    determinant = uu * vv - uv * uv
-    if determinant <= 1e-3 * (uu + vv) ** 2:
-        return False
-    plane[1] = (uw * vv - vw * uv) / determinant
-    plane[2] = (vw * uu - uw * uv) / determinant
-    plane[0] = mw - plane[1] * mu - plane[2] * mv
-    return True
+    return plane_of_moments(mu, mv, mw, uu, uv, vv, uw, vw, 1e-3, plane)
 
 
 @njit(nogil=True, cache=True)
