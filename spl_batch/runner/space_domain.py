@@ -86,7 +86,8 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     )
     # A point that no unit has labelled, or that lies outside the area, makes no surface.
     known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
-    shown = table.take(known & ~table.has(PointFlag.OUTSIDE_AOI) & ~stray(table))
+    stands = ~stray(table, spare_above=True)
+    shown = table.take(known & ~table.has(PointFlag.OUTSIDE_AOI) & stands)
     arrays = surfacing.surfaces(shown, core, workflow.products)
     if args["fired"] is not None:
         paths = [context.store.path("fired", f"{name}.npz") for name in args["fired"]]

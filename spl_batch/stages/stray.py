@@ -3,67 +3,140 @@
 The test keeps a stated share of pure noise, and what it keeps comes in clusters. Where the
 survey sees no surface at all, off its edge or over dark water, such a cluster would be the
 only ground for tens of metres. There the returns that were kept are few beside those that
-were refused; where a surface is seen they are not. Our own rule.
+were refused; where a surface is seen they are not. Our own rule, asked twice:
+
+- of columns of the whole height: does anything stand in this place?
+- of boxes around the return: does anything stand at this height? Beside a surface the
+  column is full of its returns, and a cluster a hundred metres below it rests on nothing.
+  A true floor of a quarry, shaft or canyon fills its own box, however deep it lies; ground
+  that is seen through few gaps of a canopy continues, and fills a wider one.
+
+Both count what was refused as well: in clean clouds and at night few returns make a surface.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.model import PointTable
-from spl_batch.tiling import cell_index, quanta
+from spl_batch.tiling import quanta
 
 DOMAIN: Final = "space"
 
-COLUMN_M: Final = 5.0
-"""Columns in which returns are counted, three by three [m]."""
+CELL_M: Final = 5.0
+"""Edge of the cells in which returns are counted [m]."""
 
 KEPT_SHARE: Final = 0.002
 """Twice the share of pure noise that the filter keeps by default."""
 
-CLUSTER: Final = 12
-"""Returns of a cluster of noise that the filter may keep [count] ..."""
 
-CLUSTER_SHARE: Final = 0.2
-"""... at most this share of those that it refused: clean clouds have no such clusters."""
+class Box(NamedTuple):
+    """Cells around a cell, and the returns in them that noise may explain.
+
+    Parameters
+    ----------
+    reach : int
+        Columns on each side [count]; of layers one above and one below belong to it.
+    cluster : int
+        Returns that clusters of noise may have in it [count] ...
+    share : float
+        ... at most this share of those that were refused in it: clean clouds have no such
+        clusters, and a box that reaches beyond an edge holds less of both [1/1].
+    """
+
+    reach: int
+    cluster: int
+    share: float
 
 
-def stray(table: PointTable) -> NDArray[np.bool_]:
+COLUMN: Final = Box(1, 12, 0.2)
+"""15 m wide, of the whole height."""
+
+BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
+"""15 m and 35 m wide, 15 m high; any surface that fills either is one. In much noise that is
+0.13 returns per m2 if the surface is small, and 0.05 if it continues."""
+
+Count = NDArray[np.int64]
+
+
+def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
     """Kept returns that are too few beside the refused ones around them.
 
     Parameters
     ----------
     table : PointTable
-        Points of a place, in any order, with ``x, y, noise_class``.
+        Points of a place, in any order, with ``x, y, z, noise_class``.
+    spare_above : bool
+        Leave alone what lies above a surface, such as a wire of few returns: it is no ground,
+        but it is a top.
 
     Returns
     -------
     (n,) bool
-        True for signals in 15 m x 15 m of which there are fewer than noise explains.
+        True for signals in a column or a box with fewer of them than noise explains.
     """
     out = np.zeros(len(table), np.bool_)
     signal = table["noise_class"] == NOISE_SIGNAL
     refused = table["noise_class"] == NOISE_BACKGROUND
     if not (signal.any() and refused.any()):
         return out
-    edge = quanta(COLUMN_M)
-    i, j = cell_index(table["x"], edge), cell_index(table["y"], edge)
-    i, j = i - i.min() + 1, j - j.min() + 1
-    shape = (int(i.max()) + 2, int(j.max()) + 2)
-    kept, gone = (_around(i[which], j[which], shape) for which in (signal, refused))
-    limit = np.minimum(CLUSTER, CLUSTER_SHARE * gone) + KEPT_SHARE * gone
-    out[signal] = (kept < limit)[i[signal], j[signal]]
+    counted = np.flatnonzero(signal | refused)
+    cell = tuple(_close_gaps(table[axis][counted]) for axis in "xyz")
+    shape = tuple(int(index.max()) + 1 for index in cell)
+    number = np.ravel_multi_index(cell, shape)
+    kept, gone = (
+        np.bincount(number[which[counted]], minlength=int(np.prod(shape))).reshape(shape)
+        for which in (signal, refused)
+    )
+    bare = _bare_boxes(kept, gone)
+    if spare_above:
+        bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
+    bare |= _bare_columns(kept, gone)[:, :, None]
+    out[counted] = bare.ravel()[number] & signal[counted]
     return out
 
 
-def _around(
-    i: NDArray[np.int64], j: NDArray[np.int64], shape: tuple[int, int]
-) -> NDArray[np.int64]:
-    """Points in each column and the eight around it."""
-    count = np.zeros(shape, np.int64)
-    np.add.at(count, (i, j), 1)
-    for axis in (0, 1):
-        count = count + np.roll(count, 1, axis) + np.roll(count, -1, axis)
+def _close_gaps(along: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Cell of each point on one axis; gaps wider than any box are shortened to just that."""
+    index = along.astype(np.int64) // quanta(CELL_M)
+    index -= index.min()
+    held = np.flatnonzero(np.bincount(index))
+    step = np.minimum(np.diff(held, prepend=held[0]), max(box.reach for box in BOXES) + 1)
+    place = np.zeros(int(held[-1]) + 1, np.int64)
+    place[held] = np.cumsum(step)
+    closed: NDArray[np.int64] = place[index]
+    return closed
+
+
+def _bare_boxes(kept: Count, gone: Count) -> NDArray[np.bool_]:
+    """Cells around which no box holds more than noise explains."""
+    bare = np.ones(kept.shape, np.bool_)
+    for box in BOXES:
+        near, refused = (_around(_around(c, 1, (2,)), box.reach, (0, 1)) for c in (kept, gone))
+        bare &= near < _explained(refused, box)
+    return bare
+
+
+def _bare_columns(kept: Count, gone: Count) -> NDArray[np.bool_]:
+    """Columns that, with those around them, hold no more than noise explains."""
+    near, refused = (_around(count.sum(axis=2), COLUMN.reach, (0, 1)) for count in (kept, gone))
+    bare: NDArray[np.bool_] = near < _explained(refused, COLUMN)
+    return bare
+
+
+def _explained(refused: Count, box: Box) -> NDArray[np.float64]:
+    """Kept returns that noise may leave beside so many refused ones [count]."""
+    limit: NDArray[np.float64] = np.minimum(box.cluster, box.share * refused)
+    return limit + KEPT_SHARE * refused
+
+
+def _around(count: Count, reach: int, axes: tuple[int, ...]) -> Count:
+    """Points in each cell and those on both sides of it along some axes."""
+    for axis in axes:
+        count = ndimage.convolve1d(
+            count, np.ones(2 * reach + 1, np.int64), axis=axis, mode="constant"
+        )
     return count
