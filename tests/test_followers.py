@@ -9,7 +9,7 @@ from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_AS
 from spl_batch.model import PointTable
 from spl_batch.settings import FilterSettings
 from spl_batch.stages.denoise import denoise
-from spl_batch.stages.followers import DEPENDENT_MIN, LAG_M, dependents, follow
+from spl_batch.stages.followers import DEPENDENT_MIN, LAG_M, dependents, families, follow
 from tests.test_denoise import as_table
 
 
@@ -52,6 +52,31 @@ def test_labels_are_taken_over_from_the_return_in_front(seed: int, n: int) -> No
     table, dependent, label = beamlets(seed, n)
     found = follow(table, dependent, label)
     np.testing.assert_array_equal(found, slow_follow(table, dependent, label))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 60))
+@settings(max_examples=30, deadline=None)
+def test_whole_beamlets_suffice(seed: int, n: int) -> None:
+    table, dependent, label = beamlets(seed, n)
+    wanted = dependent & (np.arange(n) % 3 == 0)
+    rows = np.flatnonzero(families(table, wanted))
+    part = follow(table.take(rows), dependent[rows], label[rows])
+    found = np.where(wanted, 99, label)
+    found[rows] = part
+    np.testing.assert_array_equal(found[wanted], follow(table, dependent, label)[wanted])
+
+
+def test_few_others_are_taken_for_a_beamlet_s() -> None:
+    n = 20_000
+    rng = np.random.default_rng(5)
+    time, channel = rng.random(n) * 1e6, rng.integers(1, 101, n).astype(np.uint8)
+    table = PointTable({"gps_time": time, "channel": channel})
+    chosen = np.arange(n) % 10 == 0
+    found = families(table, chosen)
+    assert found[chosen].all()
+    assert found[~chosen].mean() < 1 / 32
+    minus = PointTable({"gps_time": np.array([0.0, -0.0]), "channel": channel[:2] * 0})
+    assert families(minus, np.array([True, False])).all(), "one time, two signs"
 
 
 def test_a_chain_goes_with_its_first_return() -> None:

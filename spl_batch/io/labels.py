@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spl_batch.io.store import Store
 from spl_batch.io.tables import group_ranges, read_columns, read_table, writing
-from spl_batch.model import COLUMNS, PointTable, canonical_order, concat
+from spl_batch.model import COLUMNS, PointTable, concat
 from spl_batch.tiling import Bounds, CellId, inside
 
 DEFAULTS: dict[str, float] = {
@@ -130,7 +130,7 @@ def read_region(
     bounds : Bounds
         The region.
     columns : sequence of str
-        Point columns to read; must include those of the canonical order.
+        Point columns to read, x and y among them.
     labels : mapping
         Label -> tile -> units that may hold it.
 
@@ -149,11 +149,23 @@ def read_region(
         of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
         table = read_labelled_tile(store, tile, columns, of_tile)
         chosen = np.flatnonzero(inside(table["x"], table["y"], bounds))
-        tables.append(table.take(chosen))
+        tables.append(table if len(chosen) == len(table) else table.take(chosen))
         owners.append(np.tile(np.array(tile, dtype=np.int32), (len(chosen), 1)))
         rows.append(chosen.astype(np.uint32))
     table = concat(tables, names)
-    if not tables:
+    if not len(table):
         return table, np.empty((0, 2), np.int32), np.empty(0, np.uint32)
-    order = canonical_order(table)
+    order = _merged(table)
     return table.take(order), np.concatenate(owners)[order], np.concatenate(rows)[order]
+
+
+def _merged(table: PointTable) -> NDArray[np.intp]:
+    """Canonical order of tiles one below the other: (n,) intp.
+
+    Each tile is in that order already, and points that share x and y share the tile: merging
+    by x and y alone leaves the rest as it is.
+    """
+    x, y = table["x"].astype(np.int64), table["y"].astype(np.int64)
+    x -= x.min()
+    x *= int(y.max() - y.min()) + 1
+    return np.argsort(x + (y - y.min()), kind="stable")

@@ -38,3 +38,41 @@ def inherit(
         row, front = order[i], order[i - 1]
         if dependent[row] and same[i] and z[front] - z[row] <= lag and label[front] != unknown:
             label[row] = label[front]
+
+
+MIXER = np.uint64(0x9E37_79B9_7F4A_7C15)
+"""Odd number whose products spread over all bits: 2**64 over the golden ratio."""
+
+
+def may_share(
+    first: NDArray[np.uint64], second: NDArray[np.uint8], chosen: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Rows that may share both keys with a chosen one: all that do, and a few others.
+
+    Parameters
+    ----------
+    first : (n,) uint64
+    second : (n,) uint8
+        The keys.
+    chosen : (n,) bool
+        Rows looked for.
+
+    Returns
+    -------
+    (n,) bool
+        True wherever both keys equal those of a chosen row; of other rows 1 in 32 or fewer.
+    """
+    bits = max(int(np.count_nonzero(chosen)) * 64, 64).bit_length()
+    seen = np.zeros(1 << bits, np.bool_)
+    out = np.empty(len(first), np.bool_)
+    _share(first, second, chosen, np.uint64(64 - bits), seen, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _share(first, second, chosen, shift, seen, out):  # type: ignore[no-untyped-def]
+    for i in range(len(first)):
+        if chosen[i]:
+            seen[((first[i] * MIXER + np.uint64(second[i])) * MIXER) >> shift] = True
+    for i in range(len(first)):
+        out[i] = seen[((first[i] * MIXER + np.uint64(second[i])) * MIXER) >> shift]

@@ -32,7 +32,8 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     workflow = context.workflow
     core = Bounds(*args["core"])
     region = grow(core, quanta(denoising.reach_m(workflow.filter)))
-    table, tiles, rows = read_region(context.store, _cells(args["tiles"]), region, TILE_COLUMNS, {})
+    cells = _cells(args["tiles"])
+    table, tiles, rows = read_region(context.store, cells, region, denoising.COLUMNS_NEEDED, {})
     owned = inside(table["x"], table["y"], core)
     xyz = [table[axis] for axis in "xyz"]
     noise = expected_noise(xyz, args["voxels"], args["beamlets"], context.store, workflow.noise)

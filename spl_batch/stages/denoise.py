@@ -38,8 +38,11 @@ from spl_batch.stages import (
     wire_scan,
 )
 from spl_batch.stages.cloud import Cloud, Verdict
-from spl_batch.stages.followers import LAG_M, follow
+from spl_batch.stages.followers import LAG_M, families, follow
 from spl_batch.tiling import quanta
+
+COLUMNS_NEEDED: Final = echoes.COLUMNS_NEEDED
+"""Columns of a table to filter."""
 
 BYTES_PER_POINT: Final = 140
 """Peak memory beside the table [bytes per point of block and halo]."""
@@ -137,9 +140,10 @@ def denoise(
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
         noise_class[dependent & ~beamless] = NOISE_SIGNAL
-        rows = np.flatnonzero(~excluded)
-        kept = table.take(rows)
-        noise_class[rows] = follow(kept, dependent[rows], noise_class[rows])
+        if dependent.any():
+            rows = np.flatnonzero(families(table, dependent & query) & ~excluded)
+            family = table.select(("gps_time", "channel", "z")).take(rows)
+            noise_class[rows] = follow(family, dependent[rows], noise_class[rows])
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
     noise_class[echo] = NOISE_AFTERPULSE
     outside = table.has(PointFlag.OUTSIDE_AOI)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED
-from spl_batch.kernels.inheritance import inherit
+from spl_batch.kernels.inheritance import inherit, may_share
 from spl_batch.model import PointTable
 from spl_batch.tiling import quanta
 
@@ -37,6 +37,20 @@ def dependents(table: PointTable) -> NDArray[np.bool_]:
     return found
 
 
+def families(table: PointTable, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Returns of the beamlets that some points lie on, and a few others: (n,) bool.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points with ``gps_time, channel``.
+    chosen : (n,) bool
+        The points; their own beamlets are among those found.
+    """
+    # 0.0 for -0.0: equal times have equal bits.
+    return may_share((table["gps_time"] + 0.0).view(np.uint64), table["channel"], chosen)
+
+
 def follow(
     table: PointTable, dependent: NDArray[np.bool_], label: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
@@ -45,7 +59,7 @@ def follow(
     Parameters
     ----------
     table : PointTable
-        Points with ``gps_time, channel, z`` and those of the canonical order.
+        Points with ``gps_time, channel, z`` in canonical order: whole :func:`families`.
     dependent : (n,) bool
         Returns whose own label does not count.
     label : (n,) uint8
