@@ -14,6 +14,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from spl_batch.order import lexicographic_order
+
 
 class Column(NamedTuple):
     """What a column holds: its dtype on disk and in memory, unit and meaning."""
@@ -170,7 +172,7 @@ CANONICAL_ORDER: Final = ("x", "y", "z", "gps_time", "channel", "return_number",
 
 def canonical_order(table: PointTable) -> NDArray[np.intp]:
     """Indices that sort a table by :data:`CANONICAL_ORDER`: (n,) intp."""
-    return np.lexsort([table[k] for k in reversed(CANONICAL_ORDER)])
+    return lexicographic_order([table[k] for k in CANONICAL_ORDER])
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ STOREYS: list[set[str]] = [
     {"kernels"},
     {"tiling"},
     {"model"},
-    {"workflow", "settings", "sensor", "sensors", "constants", "errors", "__init__"},
+    {"workflow", "settings", "sensor", "sensors", "constants", "errors", "order", "__init__"},
 ]
 """Modules by storey, the top one first; a module may import its own storey and below."""
 

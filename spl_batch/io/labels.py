@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.io.store import Store
-from spl_batch.io.tables import group_ranges, read_columns, read_table, writing
+from spl_batch.io.tables import read_between, read_table, writing
 from spl_batch.model import COLUMNS, PointTable, concat
+from spl_batch.order import lexicographic_order
 from spl_batch.tiling import Bounds, CellId, inside
 
 DEFAULTS: dict[str, float] = {
@@ -46,7 +47,7 @@ def write_labels(
     labels : mapping of str to (n,) ndarray
         Values by column name.
     """
-    order = np.lexsort((rows, tiles[:, 0], tiles[:, 1]))
+    order = lexicographic_order((tiles[:, 1], tiles[:, 0], rows))
     tiles, rows = tiles[order], rows[order]
     columns = {"tile_i": tiles[:, 0], "tile_j": tiles[:, 1], "row": rows}
     columns |= {k: np.asarray(v, COLUMNS[k].dtype)[order] for k, v in labels.items()}
@@ -73,9 +74,8 @@ def read_labels(path: Path, tile: CellId, names: Sequence[str]) -> dict[str, NDA
     dict of str to (m,) ndarray
         The labels, and ``row``: which rows of the tile they belong to.
     """
-    i, j = group_ranges(path, "tile_i"), group_ranges(path, "tile_j")
-    groups = [g for g in range(len(i)) if i[g] == (tile.i, tile.i) and j[g] == (tile.j, tile.j)]
-    return read_columns(path, ["row", *names], groups)
+    spans = {"tile_i": (tile.i, tile.i), "tile_j": (tile.j, tile.j)}
+    return read_between(path, ["row", *names], spans)[0]
 
 
 def read_labelled_tile(
@@ -98,18 +98,27 @@ def read_labelled_tile(
         Label -> kind and name of the units that may hold it for this tile.
     """
     table = read_table(store.tile(str(tile)), columns)
-    filled = {
-        name: np.full(len(table), DEFAULTS[name], dtype=COLUMNS[name].dtype) for name in labels
-    }
+    return table.with_columns(**_labels_of(store, tile, len(table), labels))
+
+
+def _labels_of(
+    store: Store,
+    tile: CellId,
+    points: int,
+    labels: Mapping[str, Sequence[tuple[str, str]]],
+) -> dict[str, NDArray[Any]]:
+    """Labels of the first rows of a tile."""
+    filled = {name: np.full(points, DEFAULTS[name], dtype=COLUMNS[name].dtype) for name in labels}
     wanted: dict[tuple[str, str], list[str]] = {}
     for name, units in labels.items():
         for unit in units:
             wanted.setdefault(unit, []).append(name)
     for (kind, name_of_unit), names in wanted.items():
         part = read_labels(store.labels(kind, name_of_unit), tile, names)
+        end = np.searchsorted(part["row"], points)
         for name in names:
-            filled[name][part["row"]] = part[name]
-    return table.with_columns(**filled)
+            filled[name][part["row"][:end]] = part[name][:end]
+    return filled
 
 
 def read_region(
@@ -130,7 +139,7 @@ def read_region(
     bounds : Bounds
         The region.
     columns : sequence of str
-        Point columns to read, x and y among them.
+        Point columns to read; ``x`` and ``y`` at least.
     labels : mapping
         Label -> tile -> units that may hold it.
 
@@ -145,27 +154,20 @@ def read_region(
     """
     names = [*columns, *labels]
     tables, owners, rows = [], [], []
-    for tile in tiles:
+    for tile in sorted(tiles):
+        span = {"x": (bounds.xmin, bounds.xmax - 1)}
+        values, row = read_between(store.tile(str(tile)), columns, span)
         of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
-        table = read_labelled_tile(store, tile, columns, of_tile)
+        found = _labels_of(store, tile, int(row[-1]) + 1 if len(row) else 0, of_tile)
+        table = PointTable({**values, **{name: found[name][row] for name in labels}})
         chosen = np.flatnonzero(inside(table["x"], table["y"], bounds))
-        tables.append(table if len(chosen) == len(table) else table.take(chosen))
+        tables.append(table.take(chosen))
         owners.append(np.tile(np.array(tile, dtype=np.int32), (len(chosen), 1)))
-        rows.append(chosen.astype(np.uint32))
+        rows.append(row[chosen].astype(np.uint32))
     table = concat(tables, names)
-    if not len(table):
+    if not tables:
         return table, np.empty((0, 2), np.int32), np.empty(0, np.uint32)
-    order = _merged(table)
+    # Tiles are in canonical order, and points of different ones differ in x or, where their
+    # tiles stand in one column, in y: a stable sort by x puts all in canonical order.
+    order = lexicographic_order([table["x"]])
     return table.take(order), np.concatenate(owners)[order], np.concatenate(rows)[order]
-
-
-def _merged(table: PointTable) -> NDArray[np.intp]:
-    """Canonical order of tiles one below the other: (n,) intp.
-
-    Each tile is in that order already, and points that share x and y share the tile: merging
-    by x and y alone leaves the rest as it is.
-    """
-    x, y = table["x"].astype(np.int64), table["y"].astype(np.int64)
-    x -= x.min()
-    x *= int(y.max() - y.min()) + 1
-    return np.argsort(x + (y - y.min()), kind="stable")

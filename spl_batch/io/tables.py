@@ -106,13 +106,64 @@ def read_columns(
     StoreError
         If the file is missing or damaged.
     """
+    with _reading(path) as file:
+        wanted = range(file.num_row_groups) if groups is None else groups
+        return _read_groups(file, names, wanted)
+
+
+def read_between(
+    path: Path, names: Sequence[str], spans: Mapping[str, tuple[int, int]]
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """Columns of the row groups that may hold values within some spans.
+
+    Parameters
+    ----------
+    path : Path
+        File written by :func:`write_table`.
+    names : sequence of str
+        Columns to read.
+    spans : mapping of str to (int, int)
+        Smallest and largest value of interest by column; every column has to meet its own.
+
+    Returns
+    -------
+    columns : dict of str to (m,) ndarray
+        Values, of more rows than asked for: row groups are read whole.
+    row : (m,) int64
+        Their rows in the file.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged.
+    """
+    with _reading(path) as file:
+        footer = file.metadata
+        meets = np.ones(footer.num_row_groups, np.bool_)
+        for name, (low, high) in spans.items():
+            ranges = np.array(_ranges(footer, name), dtype=np.int64).reshape(-1, 2)
+            meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
+        wanted = np.flatnonzero(meets).tolist()
+        size = np.array([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
+        row = np.arange(int(size.sum()))[np.repeat(meets, size)] if len(size) else np.arange(0)
+        return _read_groups(file, names, wanted), row
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file; what goes wrong in the block is the file's fault."""
     try:
         with pq.ParquetFile(path, memory_map=False) as file:
-            wanted = range(file.num_row_groups) if groups is None else groups
-            arrow = file.read_row_groups(list(wanted), columns=list(names))
+            yield file
     except (OSError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         raise StoreError(f"{path}: damaged or missing ({reason}); run again to rebuild") from error
+
+
+def _read_groups(
+    file: pq.ParquetFile, names: Sequence[str], groups: Sequence[int]
+) -> dict[str, NDArray[Any]]:
+    arrow = file.read_row_groups(list(groups), columns=list(names), use_threads=False)
     return {name: arrow.column(name).to_numpy() for name in names}
 
 
@@ -129,11 +180,11 @@ def group_ranges(path: Path, name: str) -> list[tuple[int, int]]:
     StoreError
         If the file is missing or damaged.
     """
-    try:
-        footer = pq.read_metadata(path)
-    except (OSError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise StoreError(f"{path}: damaged or missing ({reason}); run again to rebuild") from error
+    with _reading(path) as file:
+        return _ranges(file.metadata, name)
+
+
+def _ranges(footer: pq.FileMetaData, name: str) -> list[tuple[int, int]]:
     column = footer.schema.names.index(name)
     statistics = [
         footer.row_group(g).column(column).statistics for g in range(footer.num_row_groups)

@@ -34,6 +34,7 @@ from spl_batch.model import (
     canonical_order,
     concat,
 )
+from spl_batch.order import lexicographic_order
 from spl_batch.runner import lines_of_sight
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.index import RUN_POINTS
@@ -44,7 +45,7 @@ from spl_batch.stages import afterpulse, afterpulse_law, fired, line_noise, shot
 from spl_batch.tiling import cell_index, quanta
 
 GROUP_POINTS = 16_384
-"""Points of a row group of a re-ordered file [count]."""
+"""Points of a row group of a re-ordered file and of a tile [count]: a halo is read from few."""
 
 CHUNK_POINTS = RUN_POINTS * 16
 """Points read at once from an input file [count]."""
@@ -142,7 +143,7 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     table = _mark_places(table, context)
     tile_q = quanta(context.workflow.tiling.tile_m)
     i, j = cell_index(table["x"], tile_q), cell_index(table["y"], tile_q)
-    order = np.lexsort((i, j))
+    order = lexicographic_order((j, i))
     table, i, j = table.take(order), i[order], j[order]
     starts = [0, *(np.flatnonzero((np.diff(i) != 0) | (np.diff(j) != 0)) + 1).tolist()]
     path = context.store.path("scatter", f"{args['stretch']}.parquet")
@@ -165,7 +166,7 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     table = concat(pieces, TILE_COLUMNS)
     table = table.take(canonical_order(table))
     path = context.store.tile(args["tile"])
-    starts = np.arange(0, max(len(table), 1), RUN_POINTS)
+    starts = np.arange(0, max(len(table), 1), GROUP_POINTS)
     write_table(path, table, group_starts=starts.tolist())
     facts = {
         "points": len(table),
@@ -252,7 +253,7 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
 
 
 def _time_order(table: PointTable) -> NDArray[np.intp]:
-    return np.lexsort([table[k] for k in reversed(_TIME_ORDER)])
+    return lexicographic_order([table[k] for k in _TIME_ORDER])
 
 
 def _take_beams(beams: BeamTable, rows: NDArray[np.intp]) -> BeamTable:

@@ -1,0 +1,81 @@
+"""Lexicographic order of rows by sorting one packed integer for each.
+
+Sorting key after key moves every row once per key. Most rows differ in the first keys
+already: these are packed into one 64-bit word with the row's number below them, and words
+are sorted. Rows that are still equal, few, are put in order by all keys.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_WORD = 64
+
+
+def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
+    """Indices that sort rows by several keys; equal rows keep their order.
+
+    Parameters
+    ----------
+    keys : sequence of (n,) arrays
+        At least one, the first one decides first. Integers or floats; the first floats
+        after the first key end what is packed.
+
+    Returns
+    -------
+    (n,) intp
+        What ``numpy.lexsort`` gives for the reversed keys.
+    """
+    n = len(keys[0])
+    row_bits = n.bit_length()
+    packed, complete = _pack(keys, _WORD - row_bits)
+    if packed is None:
+        return np.lexsort(keys[::-1])
+    word = (packed << np.uint64(row_bits)) | np.arange(n, dtype=np.uint64)
+    word.sort()
+    order = (word & np.uint64((1 << row_bits) - 1)).astype(np.intp)
+    if complete:
+        return order
+    word >>= np.uint64(row_bits)
+    tied = np.flatnonzero(word[1:] == word[:-1])
+    if len(tied):
+        at = np.union1d(tied, tied + 1)
+        rows = order[at]
+        order[at] = rows[np.lexsort([key[rows] for key in reversed(keys)])]
+    return order
+
+
+def _pack(keys: Sequence[NDArray[Any]], room: int) -> tuple[NDArray[np.uint64] | None, bool]:
+    """As many leading keys as fit into ``room`` bits, and whether these are all."""
+    packed: NDArray[np.uint64] | None = None
+    for number, key in enumerate(keys):
+        if key.dtype.kind == "f" and number:
+            return packed, False
+        digits = _ranks(key) if key.dtype.kind == "f" else _offsets(key)
+        width = int(digits.max(initial=0)).bit_length()
+        if width > room:
+            return packed, False
+        room -= width
+        packed = digits if packed is None else (packed << np.uint64(width)) | digits
+    return packed, True
+
+
+def _offsets(key: NDArray[Any]) -> NDArray[np.uint64]:
+    """Distance of whole numbers from the smallest one: (n,) uint64, below 2**64 for any."""
+    if not len(key):
+        return np.empty(0, np.uint64)
+    # Unsigned differences wrap around to the right distance.
+    offset: NDArray[np.uint64] = key.astype(np.uint64) - key.min().astype(np.uint64)
+    return offset
+
+
+def _ranks(key: NDArray[Any]) -> NDArray[np.uint64]:
+    """Rank of each value among the different ones: (n,) uint64; NaN is the largest."""
+    ranks = np.zeros(len(key), np.uint64)
+    if np.all(key[1:] >= key[:-1]) and not np.isnan(key[:1]).any():
+        np.cumsum(key[1:] != key[:-1], out=ranks[1:])
+    else:
+        ranks[:] = np.unique(key, return_inverse=True)[1]
+    return ranks
