@@ -26,6 +26,11 @@ from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, quanta
 
 Units = dict[CellId, list[tuple[str, str]]]
 
+_GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse")
+_SURFACE_COLUMNS = (*_GROUND_COLUMNS, "return_number", "intensity", "input_class")
+_FIRED_COLUMNS = ("gps_time", "channel")
+"""What the stages look at; a tile holds twice as much."""
+
 
 def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     """Decide which points of a block are noise."""
@@ -62,7 +67,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         context.store,
         _cells(args["tiles"]),
         grow(core, quanta(settings.buffer_m)),
-        TILE_COLUMNS,
+        _GROUND_COLUMNS,
         {"noise_class": _units(args["noise"])},
     )
     mask = grounding.ground_mask(table, _usable(table), settings)
@@ -82,8 +87,9 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     labels = {"noise_class": noise, "noise_density": noise, "ground": _units(args["ground"])}
     if workflow.filter.wires.classify:
         labels["wire"] = noise
+    columns = (*_SURFACE_COLUMNS, *(_FIRED_COLUMNS if args["fired"] is not None else ()))
     table, tiles, rows = read_region(
-        context.store, _cells(args["tiles"]), grow(core, reach), TILE_COLUMNS, labels
+        context.store, _cells(args["tiles"]), grow(core, reach), columns, labels
     )
     # A point that no unit has labelled, or that lies outside the area, makes no surface.
     known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
