@@ -47,6 +47,26 @@ class StoreError(SplBatchError):
     exit_status = 1
 
 
+class DamagedError(StoreError):
+    """A file of the working store is not what was written there; it can be made again.
+
+    Parameters
+    ----------
+    path : str
+        The file, or the directory that it is part of.
+    reason : str
+        How that shows.
+    """
+
+    def __init__(self, path: object, reason: object) -> None:
+        self.path = str(path)
+        self.reason = " ".join(str(reason).split())
+        super().__init__(f"{path}: damaged or missing ({self.reason}); run again to rebuild")
+
+    def __reduce__(self) -> tuple[type["DamagedError"], tuple[str, str]]:
+        return type(self), (self.path, self.reason)
+
+
 class StoppedError(SplBatchError):
     """Something that concerns everything: full disk, lost scheduler. Run again to continue."""
 

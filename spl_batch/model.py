@@ -6,7 +6,7 @@ something that a partition of the survey decides.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntFlag
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -362,7 +362,8 @@ class Receipt:
     reason : str
         Why the task failed; empty when it did not.
     outputs : mapping of str to str
-        Path below the store or the output folder -> checksum of the file, or of the directory.
+        Path below the output folder -> checksum of the file, or of the directory; the working
+        store is ``store`` wherever it lies.
     facts : mapping
         Small results, plain JSON values.
     points : int
@@ -371,6 +372,10 @@ class Receipt:
         Duration [s].
     peak_rss_mb : float
         Highest resident memory of the worker so far [MiB].
+    sizes : mapping of str to int
+        Path -> size of the file, or of all files of the directory [byte].
+    written_ns : mapping of str to int
+        Path of a delivered file -> when it was written [ns since 1970].
     """
 
     kind: str
@@ -383,6 +388,8 @@ class Receipt:
     points: int
     wall_s: float
     peak_rss_mb: float
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    written_ns: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def failed(self) -> bool:

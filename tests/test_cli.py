@@ -82,7 +82,9 @@ def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         raise StoppedError("enough")
 
     monkeypatch.setattr("spl_batch.api.run", remember)
-    line = "run w.yaml --workers 3 --memory 1GiB --scheduler tcp://h:1 --fresh --until ground"
+    line = (
+        "run w.yaml --workers 3 --memory 1GiB --scheduler tcp://h:1 --fresh --verify --until ground"
+    )
     surveys.command(*line.split(), "--set", "a.b=1", "--set", "c=2")
     assert seen.pop("listener")
     assert seen == {
@@ -91,6 +93,7 @@ def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         "memory": "1GiB",
         "scheduler": "tcp://h:1",
         "fresh": True,
+        "verify": True,
         "until": "ground",
         "overrides": ("a.b=1", "c=2"),
     }

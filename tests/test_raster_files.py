@@ -13,15 +13,14 @@ from rasterio.errors import RasterioError
 from spl_batch.constants import NODATA
 from spl_batch.errors import InputError, StoppedError, StoreError
 from spl_batch.io import rasters
-from spl_batch.io.rasters import (
+from spl_batch.io.cells import (
     create_raster_store,
     frame,
-    read_raster,
     read_window,
     stored_blocks,
     write_cell,
-    write_cog,
 )
+from spl_batch.io.rasters import read_raster, write_cog
 from spl_batch.tiling import Bounds, CellId, cell_bounds
 
 PLACE = {"origin_xy_m": (500_000.0, 4_000_000.0), "cell_m": 0.5, "description": "dtm"}
@@ -158,7 +157,7 @@ def test_an_unreadable_raster_is_one_clear_line(tmp_path):
 
 @pytest.fixture
 def store(tmp_path):
-    path = str(tmp_path / "rasters.zarr")
+    path = tmp_path / "rasters.zarr"
     create_raster_store(path, ["dtm", "dsm"], ground_cell=10_000, raster_cell=1000)
     return path
 
@@ -181,7 +180,7 @@ def test_a_cell_is_one_file_and_comes_back_in_its_place(store, tmp_path):
 @given(st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), unique=True, max_size=8))
 @settings(max_examples=10, deadline=None)
 def test_a_mosaic_of_cells_equals_the_window(tmp_path_factory, places):
-    path = str(tmp_path_factory.mktemp("store") / "rasters.zarr")
+    path = tmp_path_factory.mktemp("store") / "rasters.zarr"
     create_raster_store(path, ["dtm"], ground_cell=3000, raster_cell=1000)
     cells = [CellId(*place) for place in places]
     for k, cell in enumerate(cells):
@@ -220,7 +219,7 @@ def test_wrong_requests_to_the_store_are_refused(store, tmp_path):
     with pytest.raises(StoreError, match="no raster 'slope'"):
         read_window(store, "slope", Bounds(0, 0, 1000, 1000))
     with pytest.raises(StoreError, match="no raster 'dtm'"):
-        read_window(str(tmp_path / "nowhere"), "dtm", Bounds(0, 0, 1000, 1000))
+        read_window(tmp_path / "nowhere", "dtm", Bounds(0, 0, 1000, 1000))
     with pytest.raises(StoreError, match="not aligned"):
         read_window(store, "dtm", Bounds(0, 0, 1500, 1000))
     with pytest.raises(StoreError, match="is \\(9, 10\\)"):

@@ -12,13 +12,12 @@ from spl_batch.errors import StoppedError, StoreError, WorkflowError
 from spl_batch.io.atomic import checksum, replacing, write_bytes
 from spl_batch.io.store import (
     Store,
-    add_voxels,
     append_log,
     read_receipt,
     read_receipts,
     write_receipt,
-    write_voxels,
 )
+from spl_batch.io.voxels import add_voxels, write_voxels
 from spl_batch.model import Receipt, VoxelPart
 
 

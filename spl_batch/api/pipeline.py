@@ -20,10 +20,11 @@ from spl_batch.api.events import (
 )
 from spl_batch.api.planning import fitting_cost
 from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
+from spl_batch.api.repair import Repairs
 from spl_batch.api.withdrawal import withdraw_stale
 from spl_batch.errors import StoreError, WorkflowError
 from spl_batch.graph import Executor, executor, jobs_left
-from spl_batch.io.rasters import create_raster_store
+from spl_batch.io.cells import create_raster_store
 from spl_batch.io.store import append_log
 from spl_batch.model import Receipt, Task
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
@@ -60,6 +61,8 @@ class _Progress:
 
     output: Path
     listener: Listener
+    repairs: Repairs
+    verify: bool = False
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[tuple[str, Receipt]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -76,6 +79,20 @@ class _Progress:
         if text not in self.notes:
             self.notes.append(text)
             self.tell(Note("warning", text))
+
+    @property
+    def failed(self) -> list[Receipt]:
+        """Receipts of tasks that did not do their work."""
+        return [receipt for _, receipt in self.failures]
+
+    def repair(self, survey: Survey) -> bool:
+        """Begin again where files of the store are to be made again."""
+        damaged = self.repairs.begin(self.failed, survey)
+        if damaged:
+            self.tell(Note("info", f"damaged, made again: {', '.join(damaged)}"))
+            self.costs.clear()
+            self.failures.clear()
+        return bool(damaged)
 
     def ended(self, stage: str, receipt: Receipt, points: int) -> None:
         """Count a task in."""
@@ -95,6 +112,7 @@ def run(
     memory: str | int = DEFAULT_MEMORY,
     scheduler: str | None = None,
     fresh: bool = False,
+    verify: bool = False,
     until: str | None = None,
     overrides: Sequence[str] = (),
     listener: Listener = ignore,
@@ -113,6 +131,8 @@ def run(
         Address of a running dask scheduler, used instead of local workers.
     fresh : bool
         Forget what earlier runs finished.
+    verify : bool
+        Compare everything that is finished with its checksum, which reads all of it.
     until : str, optional
         Last stage to run.
     overrides : sequence of str
@@ -142,7 +162,7 @@ def run(
     with locked(output):
         if fresh:
             _forget(output)
-        progress = _Progress(output, listener)
+        progress = _Progress(output, listener, Repairs(prepared.context.store), verify)
         progress.tell(RunStarted(str(workflow), workers, prepared.context.code))
         for warning in prepared.survey.inputs.warnings:
             progress.warn(warning)
@@ -153,7 +173,7 @@ def run(
         ) as (pool, dashboard):
             if dashboard:
                 progress.tell(Note("info", f"dask dashboard: {dashboard}"))
-            _run_phases(prepared, pool, progress, until)
+            _process(prepared, pool, progress, until)
         if until is None or STAGES.index(until) >= STAGES.index("deliver"):
             for path in withdraw_stale(prepared.survey, output):
                 progress.tell(Note("info", f"taken away, as nothing in this run made it: {path}"))
@@ -173,6 +193,13 @@ def run(
     return RunResult(int(bool(written.failures)), output, written)
 
 
+def _process(prepared: Prepared, pool: Executor, progress: _Progress, until: str | None) -> None:
+    """Go through the phases, and once more where a file of the store had to be made again."""
+    _run_phases(prepared, pool, progress, until)
+    while progress.repair(prepared.survey):
+        _run_phases(prepared, pool, progress, until)
+
+
 def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: str | None) -> None:
     survey, last = prepared.survey, STAGES.index(until) if until else len(STAGES)
     for phase in PHASES:
@@ -182,21 +209,28 @@ def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: 
         if phase.kind == "surface":
             _make_rasters(prepared)
         _run_phase(phase, stage, prepared, pool, progress)
-        if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
-            progress.warn(
-                "the survey lies in pieces far apart: each has rasters of its own "
-                "(dtm.tif, dtm_2.tif, ...), the largest piece comes first"
-            )
-        if phase.kind == "index_file":
-            _judge_index(survey, progress)
-        if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
-            failures = [r.reason for _, r in progress.failures if r.kind == "trajectory"]
-            if failures:
-                raise WorkflowError(f"survey.trajectory: {failures[-1]}")
-        if phase.kind == "sensor_path" and survey.of("sensor_path"):
-            progress.warn(_beams_without_trajectory(survey))
+        if progress.repairs.wanted(progress.failed, survey):
+            return
+        _judge(phase, survey, progress)
         for text in _warnings(survey.of(phase.kind)):
             progress.warn(text)
+
+
+def _judge(phase: Phase, survey: Survey, progress: _Progress) -> None:
+    """Warn of what a phase has brought to light, or stop."""
+    if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
+        progress.warn(
+            "the survey lies in pieces far apart: each has rasters of its own "
+            "(dtm.tif, dtm_2.tif, ...), the largest piece comes first"
+        )
+    if phase.kind == "index_file":
+        _judge_index(survey, progress)
+    if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
+        failures = [r.reason for r in progress.failed if r.kind == "trajectory"]
+        if failures:
+            raise WorkflowError(f"survey.trajectory: {failures[-1]}")
+    if phase.kind == "sensor_path" and survey.of("sensor_path"):
+        progress.warn(_beams_without_trajectory(survey))
 
 
 def _run_phase(
@@ -207,7 +241,9 @@ def _run_phase(
     done = survey.done.setdefault(phase.kind, {})
     tasks = {task.name: task for task in phase.tasks(survey)}
     jobs = [(task, task_key(task, context, _digests(task, survey))) for task in tasks.values()]
-    left, ready = jobs_left(jobs, lambda task, key: finished(task, key, context))
+    left, ready = jobs_left(
+        jobs, lambda task, key: finished(task, key, context, verify=progress.verify)
+    )
     for receipt in ready:
         done[receipt.name] = receipt
         progress.costs.setdefault(stage, StageCost()).skip(receipt)
@@ -232,7 +268,7 @@ def _digests(task: Task, survey: Survey) -> Iterator[str]:
 
 def _judge_index(survey: Survey, progress: _Progress) -> None:
     """Stop where no input is usable; say which ones have no time."""
-    failures = [r for _, r in progress.failures if r.kind == "index_file"]
+    failures = [r for r in progress.failed if r.kind == "index_file"]
     usable = survey.of("index_file")
     if not usable or not any(r.points for r in usable.values()):
         reasons = [*(str(b) for b in survey.inputs.bad), *(r.reason for r in failures)]
@@ -319,7 +355,7 @@ def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
 def _make_rasters(prepared: Prepared) -> None:
     workflow = prepared.context.workflow
     create_raster_store(
-        str(prepared.context.rasters),
+        prepared.context.rasters,
         (*PRODUCTS, "noise"),
         ground_cell=quanta(workflow.ground.cell_m),
         raster_cell=quanta(workflow.products.cell_m),

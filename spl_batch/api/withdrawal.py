@@ -1,10 +1,10 @@
 """Take away what earlier runs delivered and this one does not vouch for."""
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from spl_batch.io.atomic import write_bytes
+from spl_batch.errors import DamagedError
+from spl_batch.io.store import Store, read_json, read_receipts, write_json
 from spl_batch.plan.survey import Survey
 
 KINDS = ("deliver_file", "deliver_tile", "mosaic")
@@ -32,15 +32,17 @@ def withdraw_stale(survey: Survey, output: Path) -> list[str]:
     current = sorted(
         {path for kind in KINDS for receipt in survey.of(kind).values() for path in receipt.outputs}
     )
-    stale = [path for path in _read(manifest) if path not in set(current)]
+    stale = sorted(set(_read(manifest, Store(output))) - set(current))
     for path in stale:
         (output / path).unlink(missing_ok=True)
-    write_bytes(manifest, json.dumps(current).encode())
+    write_json(manifest, {"delivered": current})
     return stale
 
 
-def _read(manifest: Path) -> Iterable[str]:
-    if not manifest.exists():
-        return []
-    content: list[str] = json.loads(manifest.read_bytes())
-    return content
+def _read(manifest: Path, store: Store) -> Iterable[str]:
+    """What earlier runs delivered: from the manifest, or from all receipts where it is no use."""
+    try:
+        delivered: list[str] = read_json(manifest)["delivered"]
+    except (DamagedError, KeyError):
+        return [path for kind in KINDS for r in read_receipts(store, kind) for path in r.outputs]
+    return delivered

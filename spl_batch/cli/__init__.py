@@ -96,6 +96,7 @@ def plan(workflow: Path, workers: int, memory: str, overrides: tuple[str, ...]) 
 @_limits
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Use a running dask scheduler.")
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
+@click.option("--verify", is_flag=True, help="Compare all that is finished with its checksum.")
 @click.option("--until", type=click.Choice(_STAGES), help="Stop after this stage.")
 @_SETTINGS
 def run(
@@ -104,6 +105,7 @@ def run(
     memory: str,
     scheduler: str | None,
     fresh: bool,  # noqa: FBT001 - click passes flags by name
+    verify: bool,  # noqa: FBT001
     until: str | None,
     overrides: tuple[str, ...],
 ) -> int:
@@ -118,6 +120,7 @@ def run(
             memory=memory,
             scheduler=scheduler,
             fresh=fresh,
+            verify=verify,
             until=until,
             overrides=overrides,
             listener=view.on_event,

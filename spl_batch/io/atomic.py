@@ -1,16 +1,27 @@
-"""Files that are either whole or not there: temporary name, fsync, rename."""
+"""Files that are either whole or not there: temporary name, fsync, rename, fsync."""
 
 import errno
 import hashlib
 import os
+import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from spl_batch.errors import StoppedError, WorkflowError
 
+SCRATCH: Final = ".spl-part"
+"""How names of files and folders end that are not finished."""
+
 _CONCERNS_EVERYTHING = {errno.ENOSPC: "disk full", errno.EDQUOT: "disk quota used up"}
+
+
+def scratch_name(path: Path) -> Path:
+    """A name beside ``path`` for something that is not finished; no two calls give the same."""
+    # Long names of inputs must not become too long.
+    return path.with_name(f".{path.name[:128]}.{secrets.token_hex(8)}{SCRATCH}")
 
 
 @contextmanager
@@ -34,14 +45,13 @@ def replacing(path: Path) -> Iterator[Path]:
     WorkflowError
         If the place cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = scratch_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove(temporary)
         yield temporary
         _sync(temporary)
         if temporary.is_dir():
-            _remove(path)
+            remove(path)
         temporary.replace(path)
     except OSError as error:
         if error.errno in _CONCERNS_EVERYTHING:
@@ -51,7 +61,7 @@ def replacing(path: Path) -> Iterator[Path]:
             raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
         raise
     finally:
-        _remove(temporary)
+        remove(temporary)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -83,9 +93,8 @@ def checksum(path: Path) -> str:
         32 hexadecimal digits.
     """
     digest = hashlib.blake2b(digest_size=16)
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    for file in files:
-        if path.is_dir():
+    for file in _files(path):
+        if file != path:
             digest.update(file.relative_to(path).as_posix().encode())
         with file.open("rb") as stream:
             while block := stream.read(1 << 20):
@@ -93,17 +102,31 @@ def checksum(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _sync(path: Path) -> None:
-    for file in path.rglob("*") if path.is_dir() else [path]:
-        if file.is_file():
-            with file.open("rb") as stream:
-                os.fsync(stream.fileno())
+def size(path: Path) -> int:
+    """Size of a file, or of all files of a directory [byte]; -1 where there is neither."""
+    try:
+        return sum(file.stat().st_size for file in _files(path))
+    except FileNotFoundError:
+        return -1
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Remove a file, or a directory with all that is in it; nothing is fine too."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         # Where a file stands in place of the folder there is nothing to remove either.
         with suppress(FileNotFoundError, NotADirectoryError):
             path.unlink()
+
+
+def _files(path: Path) -> list[Path]:
+    """Files of a directory in order, or the file itself."""
+    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+
+
+def _sync(path: Path) -> None:
+    for file in path.rglob("*") if path.is_dir() else [path]:
+        if file.is_file():
+            with file.open("rb") as stream:
+                os.fsync(stream.fileno())

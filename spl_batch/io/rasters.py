@@ -1,32 +1,23 @@
-"""Delivered rasters (cloud-optimised GeoTIFF) and the working raster store (Zarr).
-
-The store's arrays cover one huge absolute index space, so that a raster cell has the same
-index whatever the survey is, and each chunk is exactly one ground cell: a task writes its
-own chunks and no other task's. Chunks that were never written take no space.
-"""
+"""Delivered rasters: cloud-optimised GeoTIFF."""
 
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import rasterio
 import rasterio.shutil
-import zarr
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
 from rasterio.transform import Affine
 from rasterio.windows import Window
-from zarr.codecs import ZstdCodec
-from zarr.errors import ContainsArrayError
 
-from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import InputError, StoppedError, StoreError
+from spl_batch.constants import NODATA
+from spl_batch.errors import InputError, StoppedError
 from spl_batch.io.atomic import replacing
-from spl_batch.tiling import Bounds, CellId
 
 Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
 """First row, first column and values of pieces of a raster, row 0 northernmost."""
@@ -36,9 +27,6 @@ TILE_PX: Final = 256
 
 CACHE_BYTES: Final = 64 * 2**20
 """GDAL's block cache while a COG is written: memory does not grow with the raster [bytes]."""
-
-HALF_CELLS: Final = 2**20
-"""Ground cells on each side of coordinate zero that the store has room for [count]."""
 
 
 def write_cog(
@@ -190,193 +178,3 @@ def read_raster(path: Path) -> tuple[NDArray[np.float32], Affine, str | None]:
             return values, source.transform, source.crs.to_wkt() if source.crs else None
     except RasterioError as error:
         raise InputError(str(path), " ".join(str(error).split())) from None
-
-
-def create_raster_store(
-    path: str, names: Sequence[str], *, ground_cell: int, raster_cell: int
-) -> None:
-    """Make the arrays of the working store; those that are there already are kept.
-
-    Parameters
-    ----------
-    path : str
-        Folder or URL of the Zarr group.
-    names : sequence of str
-        One float32 array each.
-    ground_cell, raster_cell : int
-        Edges of a chunk and of a raster cell [quanta]; the first a multiple of the second.
-
-    Raises
-    ------
-    StoreError
-        If the store was made for other cell sizes.
-    """
-    px, remainder = divmod(ground_cell, raster_cell)
-    if remainder or px < 1:
-        raise StoreError(f"{path}: {ground_cell} is not a whole multiple of {raster_cell} quanta")
-    group = zarr.open_group(path, mode="a", zarr_format=3)
-    side = 2 * HALF_CELLS * px
-    facts: dict[str, Any] = {"ground_cell_quanta": ground_cell, "raster_cell_quanta": raster_cell}
-    for name in names:
-        try:
-            group.create_array(
-                name,
-                shape=(side, side),
-                chunks=(px, px),
-                dtype="float32",
-                fill_value=NODATA,
-                compressors=ZstdCodec(level=3),
-                attributes=facts,
-            )
-        except ContainsArrayError:
-            # Another process, or an earlier run, has made it: fine when it is the same.
-            found = dict(group[name].attrs)
-            if found != facts:
-                raise StoreError(f"{path}: {name} was made for {found}, not {facts}") from None
-
-
-def _array(path: str, name: str, mode: Literal["r", "r+"]) -> tuple[Any, int, int]:
-    """Array, cells per chunk side, edge of a raster cell [quanta]."""
-    try:
-        array: Any = zarr.open_array(f"{path}/{name}", mode=mode, zarr_format=3)
-    except FileNotFoundError:
-        raise StoreError(f"{path}: has no raster {name!r}") from None
-    return array, array.chunks[0], int(array.attrs["raster_cell_quanta"])
-
-
-def write_cell(path: str, cell: CellId, arrays: Mapping[str, NDArray[np.float32]]) -> None:
-    """Write the rasters of one ground cell: one chunk each, replaced as a whole.
-
-    Parameters
-    ----------
-    path : str
-        Store from :func:`create_raster_store`.
-    cell : CellId
-        Column and row of the ground cell.
-    arrays : mapping of str to (px, px) float32
-        Rasters, row 0 northernmost.
-
-    Raises
-    ------
-    StoreError
-        If there is no such raster or its shape is not that of a chunk.
-    StoppedError
-        If the disk is full.
-    """
-    for name, values in arrays.items():
-        array, px, _ = _array(path, name, "r+")
-        if values.shape != (px, px):
-            raise StoreError(f"{path}: {name} of cell {cell} is {values.shape}, not {(px, px)}")
-        row = (HALF_CELLS - 1 - cell.j) * px
-        col = (HALF_CELLS + cell.i) * px
-        try:
-            array[row : row + px, col : col + px] = values
-        except OSError as error:
-            raise StoppedError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def cell_files(path: Path, cell: CellId, names: Iterable[str]) -> list[Path]:
-    """Files of one ground cell's chunks; a chunk of nothing but nodata has none.
-
-    Parameters
-    ----------
-    path : Path
-        Store from :func:`create_raster_store`, a folder.
-    cell : CellId
-        Column and row of the ground cell.
-    names : iterable of str
-        Rasters.
-    """
-    row, col = HALF_CELLS - 1 - cell.j, HALF_CELLS + cell.i
-    files = [path / name / "c" / str(row) / str(col) for name in names]
-    return [file for file in files if file.exists()]
-
-
-def read_window(path: str, name: str, bounds: Bounds) -> NDArray[np.float32]:
-    """Part of a stored raster.
-
-    Parameters
-    ----------
-    path : str
-        Store from :func:`create_raster_store`.
-    name : str
-        Raster.
-    bounds : Bounds
-        Region [quanta]; its edges are whole multiples of the raster cell.
-
-    Returns
-    -------
-    (rows, cols) float32
-        Row 0 northernmost; nodata where nothing was written.
-
-    Raises
-    ------
-    StoreError
-        If there is no such raster or the region is not aligned to its cells.
-    """
-    array, px, size = _array(path, name, "r")
-    if any(edge % size for edge in bounds):
-        raise StoreError(f"{path}: {bounds} is not aligned to raster cells of {size} quanta")
-    zero = HALF_CELLS * px
-    rows = slice(zero - bounds.ymax // size, zero - bounds.ymin // size)
-    cols = slice(zero + bounds.xmin // size, zero + bounds.xmax // size)
-    values: NDArray[np.float32] = np.asarray(array[rows, cols], dtype=np.float32)
-    return values
-
-
-def stored_blocks(
-    path: str, name: str, bounds: Bounds, cells: Iterable[CellId], *, ground_cell: int
-) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
-    """Pieces of a stored raster for :func:`write_cog`, one ground cell at a time.
-
-    Parameters
-    ----------
-    path : str
-        Store from :func:`create_raster_store`.
-    name : str
-        Raster.
-    bounds : Bounds
-        Region of the mosaic [quanta]; cells beyond it are cut.
-    cells : iterable of CellId
-        Ground cells to read, best in rows from north to south.
-    ground_cell : int
-        Edge of a ground cell [quanta].
-
-    Yields
-    ------
-    row, col, block
-        Place in the mosaic, row 0 northernmost, and values.
-    """
-    _, _, size = _array(path, name, "r")
-    for cell in cells:
-        part = Bounds(
-            max(cell.i * ground_cell, bounds.xmin),
-            max(cell.j * ground_cell, bounds.ymin),
-            min((cell.i + 1) * ground_cell, bounds.xmax),
-            min((cell.j + 1) * ground_cell, bounds.ymax),
-        )
-        if part.xmax > part.xmin and part.ymax > part.ymin:
-            row = (bounds.ymax - part.ymax) // size
-            col = (part.xmin - bounds.xmin) // size
-            yield row, col, read_window(path, name, part)
-
-
-def frame(bounds: Bounds, raster_cell: int) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Shape and upper left corner of a mosaic, as :func:`write_cog` wants them.
-
-    Parameters
-    ----------
-    bounds : Bounds
-        Region [quanta], aligned to raster cells.
-    raster_cell : int
-        Edge of a raster cell [quanta].
-
-    Returns
-    -------
-    shape : (int, int)
-        Rows and columns.
-    origin_xy_m : (float, float)
-        Easting and northing of the upper left corner [m].
-    """
-    shape = (bounds.ymax - bounds.ymin) // raster_cell, (bounds.xmax - bounds.xmin) // raster_cell
-    return shape, (bounds.xmin * QUANTUM_M, bounds.ymax * QUANTUM_M)

@@ -18,22 +18,17 @@
 """
 
 import dataclasses
+import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-import numpy as np
-import zarr
-from numpy.typing import NDArray
-from zarr.codecs import BytesCodec, ZstdCodec
+from spl_batch.errors import DamagedError, StoppedError
+from spl_batch.io.atomic import sync_folder, write_bytes
+from spl_batch.model import Receipt
 
-from spl_batch.errors import StoppedError, StoreError
-from spl_batch.io.atomic import replacing, sync_folder, write_bytes
-from spl_batch.model import Receipt, VoxelPart
-
-VOXEL_CHUNK = 32
-"""Voxels along one horizontal side of a Zarr chunk [count]."""
+_DIGEST: Final = "blake2b"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -75,15 +70,54 @@ class Store:
         """
         return self.path(f"rasters_{ground_cell}_{raster_cell}.zarr")
 
+    def name_of(self, path: Path | str) -> str:
+        """What receipts call a file of the store or of the output folder."""
+        below = str(path).removeprefix(f"{self.root}/")
+        if below != str(path):
+            return f"store/{below}"
+        return Path(path).relative_to(self.output).as_posix()
+
+    def named(self, name: str) -> Path:
+        """File that receipts call so."""
+        return self.output / name
+
     def receipt(self, kind: str, name: str) -> Path:
         """Receipt of a task."""
         return self.path("receipts", kind, f"{name.replace('/', '~')}.json")
 
 
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write plain JSON values with a hash of themselves, atomically."""
+    whole = {**content, _DIGEST: _digest(content)}
+    write_bytes(path, json.dumps(whole, indent=1, sort_keys=True, allow_nan=False).encode())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """What :func:`write_json` wrote.
+
+    Raises
+    ------
+    DamagedError
+        If it is missing or not what was written.
+    """
+    try:
+        content: dict[str, Any] = json.loads(path.read_bytes())
+        sound = content.pop(_DIGEST) == _digest(content)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise DamagedError(path, error) from error
+    if not sound:
+        raise DamagedError(path, "it does not fit its hash")
+    return content
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
 def write_receipt(store: Store, receipt: Receipt) -> None:
     """Leave a receipt; the last thing that a task does."""
-    content = json.dumps(dataclasses.asdict(receipt), indent=1, sort_keys=True, allow_nan=False)
-    write_bytes(store.receipt(receipt.kind, receipt.name), content.encode())
+    write_json(store.receipt(receipt.kind, receipt.name), dataclasses.asdict(receipt))
 
 
 def forget_receipt(store: Store, kind: str, name: str) -> None:
@@ -97,9 +131,8 @@ def forget_receipt(store: Store, kind: str, name: str) -> None:
 def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
     """Read a task's receipt; None when there is none or it cannot be trusted."""
     try:
-        content = json.loads(store.receipt(kind, name).read_bytes())
-        return Receipt(**content)
-    except (OSError, ValueError, TypeError):
+        return Receipt(**read_json(store.receipt(kind, name)))
+    except (DamagedError, TypeError):
         return None
 
 
@@ -109,75 +142,6 @@ def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
         receipt = read_receipt(store, kind, path.name.removesuffix(".json").replace("~", "/"))
         if receipt is not None:
             yield receipt
-
-
-def write_voxels(path: Path, part: VoxelPart) -> None:
-    """Write a stretch's share of the noise model as a Zarr group, atomically."""
-    shape = part.amount.shape
-    chunks = (min(VOXEL_CHUNK, shape[0]), min(VOXEL_CHUNK, shape[1]), shape[2])
-    arrays: dict[str, NDArray[Any] | None] = {
-        "amount": part.amount,
-        "shots": part.shots,
-        "beamlets": part.beamlets,
-        "covered": part.covered,
-    }
-    with replacing(path) as temporary:
-        group = zarr.create_group(str(temporary), attributes={"corner": list(part.corner)})
-        for name, values in arrays.items():
-            if values is None:
-                continue
-            array = group.create_array(
-                name,
-                shape=shape,
-                chunks=tuple(max(c, 1) for c in chunks),
-                dtype=values.dtype,
-                serializer=BytesCodec(),
-                compressors=ZstdCodec(level=3),
-            )
-            array[...] = values
-
-
-def add_voxels(
-    path: Path, corner: tuple[int, int, int], totals: Mapping[str, NDArray[Any]]
-) -> None:
-    """Add one part's share to a box of voxels, in place.
-
-    Parameters
-    ----------
-    path : Path
-        Group written by :func:`write_voxels`.
-    corner : (3,) int
-        Absolute index of the box's first voxel.
-    totals : mapping of str to (nx, ny, nz) int64, or uint16 for bits
-        The box by the name of the sum (``amount``, ``shots``, ``beamlets``) or of the bits
-        (``covered``); the part is added, or joined by "or", where they overlap.
-
-    Raises
-    ------
-    StoreError
-        If the part is missing or damaged.
-    """
-    try:
-        group: Any = zarr.open_group(str(path), mode="r")
-        first = [int(c) for c in group.attrs["corner"]]
-        for name, total in totals.items():
-            array = group[name]
-            low = [max(a, b) for a, b in zip(first, corner, strict=True)]
-            high = [
-                min(a + n, b + m)
-                for a, n, b, m in zip(first, array.shape, corner, total.shape, strict=True)
-            ]
-            if any(b <= a for a, b in zip(low, high, strict=True)):
-                return
-            of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
-            of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
-            values = np.asarray(array[of_part], dtype=total.dtype)
-            if name == "covered":
-                total[of_box] |= values
-            else:
-                total[of_box] += values
-    except (OSError, KeyError, ValueError) as error:
-        raise StoreError(f"{path}: damaged or missing ({error}); run again to rebuild") from error
 
 
 def append_log(output: Path, event: Mapping[str, Any]) -> None:

@@ -1,14 +1,22 @@
-"""Point tables as Parquet, and small arrays as NPZ.
+"""Point tables as Parquet, and small arrays as NPZ; both tell when a byte of them is damaged.
 
 Integers are stored byte by byte (byte-stream split) under zstd without dictionaries:
 neighbouring points share their high bytes, which then cost next to nothing.
+
+Parquet has checksums for pages but none for its footer, which says where they are and what
+lies in them. A checksum of it is put before it, where the format leaves bytes unread, so any
+reader of Parquet still reads the file. An NPZ carries a hash of itself as the comment of
+the archive.
 """
 
+import hashlib
 import io
+import struct
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from zipfile import BadZipFile
 
 import numpy as np
@@ -16,11 +24,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import DTypeLike, NDArray
 
-from spl_batch.errors import StoreError
+from spl_batch.errors import DamagedError
 from spl_batch.io.atomic import replacing, write_bytes
 from spl_batch.model import COLUMNS, PointTable
 
 _SPLIT_SIZES = {2, 4, 8}
+_SEAL: Final = struct.Struct("<4sI")
+_SEAL_MARK: Final = b"SPLB"
+_TAIL: Final = struct.Struct("<I4s")
+_PARQUET_MARK: Final = b"PAR1"
+_LIKELY_FOOTER: Final = 1 << 16
+"""Bytes at the end of a file that are read at once: few footers are longer."""
+
+_HASH_CHARACTERS: Final = 32
 
 
 class GroupWriter:
@@ -36,6 +52,7 @@ class GroupWriter:
             compression_level=1,
             use_dictionary=False,
             use_byte_stream_split=split,
+            write_page_checksum=True,
         )
 
     def write(self, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -66,6 +83,7 @@ def writing(path: Path, dtypes: Mapping[str, DTypeLike]) -> Iterator[GroupWriter
             yield writer
         finally:
             writer.close()
+        _seal(temporary)
 
 
 def write_table(path: Path, table: PointTable, *, group_starts: Sequence[int] = (0,)) -> None:
@@ -87,6 +105,39 @@ def write_table(path: Path, table: PointTable, *, group_starts: Sequence[int] = 
             writer.write(table.take(slice(start, end)).columns)
 
 
+@contextmanager
+def reading(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a file written by :func:`writing`; every byte that is used is verified.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    try:
+        with pa.OSFile(str(path), "rb") as stream:
+            footer = _read_footer(stream)
+            with pq.ParquetFile(stream, metadata=footer, page_checksum_verification=True) as file:
+                yield file
+    except MemoryError:
+        raise
+    except (OSError, pa.ArrowException, struct.error) as error:
+        raise DamagedError(path, error) from error
+
+
+def read_groups(
+    file: pq.ParquetFile, names: Sequence[str], groups: Sequence[int] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Columns of some row groups, or of all, of a file from :func:`reading`."""
+    wanted = list(range(file.num_row_groups) if groups is None else groups)
+    arrow = file.read_row_groups(wanted, columns=list(names))
+    # A damaged page header can hide its page; the footer is known to be sound.
+    rows = sum(file.metadata.row_group(g).num_rows for g in wanted)
+    if arrow.num_rows != rows:
+        raise pa.ArrowInvalid(f"{arrow.num_rows} rows where there were {rows}")
+    return {name: arrow.column(name).to_numpy() for name in names}
+
+
 def read_columns(
     path: Path, names: Sequence[str], groups: Sequence[int] | None = None
 ) -> dict[str, NDArray[Any]]:
@@ -103,12 +154,11 @@ def read_columns(
 
     Raises
     ------
-    StoreError
+    DamagedError
         If the file is missing or damaged.
     """
-    with _reading(path) as file:
-        wanted = range(file.num_row_groups) if groups is None else groups
-        return _read_groups(file, names, wanted)
+    with reading(path) as file:
+        return read_groups(file, names, groups)
 
 
 def read_between(
@@ -134,10 +184,10 @@ def read_between(
 
     Raises
     ------
-    StoreError
+    DamagedError
         If the file is missing or damaged.
     """
-    with _reading(path) as file:
+    with reading(path) as file:
         footer = file.metadata
         meets = np.ones(footer.num_row_groups, np.bool_)
         for name, (low, high) in spans.items():
@@ -146,25 +196,7 @@ def read_between(
         wanted = np.flatnonzero(meets).tolist()
         size = np.array([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
         row = np.arange(int(size.sum()))[np.repeat(meets, size)] if len(size) else np.arange(0)
-        return _read_groups(file, names, wanted), row
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file; what goes wrong in the block is the file's fault."""
-    try:
-        with pq.ParquetFile(path, memory_map=False) as file:
-            yield file
-    except (OSError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise StoreError(f"{path}: damaged or missing ({reason}); run again to rebuild") from error
-
-
-def _read_groups(
-    file: pq.ParquetFile, names: Sequence[str], groups: Sequence[int]
-) -> dict[str, NDArray[Any]]:
-    arrow = file.read_row_groups(list(groups), columns=list(names), use_threads=False)
-    return {name: arrow.column(name).to_numpy() for name in names}
+        return read_groups(file, names, wanted), row
 
 
 def read_table(path: Path, names: Sequence[str], groups: Sequence[int] | None = None) -> PointTable:
@@ -177,10 +209,10 @@ def group_ranges(path: Path, name: str) -> list[tuple[int, int]]:
 
     Raises
     ------
-    StoreError
+    DamagedError
         If the file is missing or damaged.
     """
-    with _reading(path) as file:
+    with reading(path) as file:
         return _ranges(file.metadata, name)
 
 
@@ -196,7 +228,9 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write small arrays as an uncompressed NPZ, atomically and with reproducible bytes."""
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
-    write_bytes(path, buffer.getvalue())
+    # The archive ends with the length of its comment, which is 0.
+    content = buffer.getvalue()[:-2] + struct.pack("<H", _HASH_CHARACTERS)
+    write_bytes(path, content + _hash(content))
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -204,12 +238,46 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
     Raises
     ------
-    StoreError
+    DamagedError
         If the file is missing or damaged.
     """
     try:
-        # Opened here, because numpy leaves a file that is no archive open.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+        content = path.read_bytes()
+        if _hash(content[:-_HASH_CHARACTERS]) != content[-_HASH_CHARACTERS:]:
+            raise DamagedError(path, "its content does not fit its hash")
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise StoreError(f"{path}: damaged or missing ({error}); run again to rebuild") from error
+        raise DamagedError(path, error) from error
+
+
+def _hash(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=_HASH_CHARACTERS // 2).hexdigest().encode()
+
+
+def _seal(path: Path) -> None:
+    """Put a checksum of the footer before it."""
+    with path.open("r+b") as file:
+        file.seek(-_TAIL.size, io.SEEK_END)
+        length, _ = _TAIL.unpack(file.read())
+        start = file.seek(-_TAIL.size - length, io.SEEK_END)
+        footer = file.read()
+        file.seek(start)
+        file.write(_SEAL.pack(_SEAL_MARK, zlib.crc32(footer)) + footer)
+
+
+def _read_footer(stream: Any) -> pq.FileMetaData:
+    """Footer of a sealed file; raises ``pa.ArrowInvalid`` where the seal is broken."""
+    size = stream.size()
+    stream.seek(max(size - _LIKELY_FOOTER, 0))
+    tail = stream.read()
+    length, _ = _TAIL.unpack(tail[-_TAIL.size :])
+    whole = _SEAL.size + length + _TAIL.size
+    if len(tail) < whole <= size:
+        stream.seek(size - whole)
+        tail = stream.read()
+    sealed = tail[-whole:]
+    footer = sealed[_SEAL.size :]
+    if _SEAL.unpack(sealed[: _SEAL.size]) != (_SEAL_MARK, zlib.crc32(footer)):
+        raise pa.ArrowInvalid("its footer does not fit its checksum")
+    return pq.read_metadata(pa.BufferReader(_PARQUET_MARK + footer))

@@ -16,11 +16,11 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from spl_batch.errors import InputError
-from spl_batch.io.atomic import replacing
 from spl_batch.io.crs import crs_name, crs_problems, horizontal, parse_crs
 from spl_batch.io.gpstime import TimeStandard, align, time_standard
 from spl_batch.io.las_header import open_input
 from spl_batch.io.sbet import SBET_SUFFIXES, read_sbet
+from spl_batch.io.tables import read_groups, reading, writing
 from spl_batch.model import Trajectory
 
 COLUMNS: Final = ("gps_time", "x", "y", "z")
@@ -156,10 +156,10 @@ def load_trajectory(
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory as Parquet, atomically."""
-    columns = (trajectory.time_s, *trajectory.xyz_m.T)
-    table = pa.table(dict(zip(COLUMNS, columns, strict=True)))
-    with replacing(path) as temporary:
-        pq.write_table(table, temporary, row_group_size=_ROW_GROUP)
+    columns = dict(zip(COLUMNS, (trajectory.time_s, *trajectory.xyz_m.T), strict=True))
+    with writing(path, dict.fromkeys(COLUMNS, np.float64)) as writer:
+        for start in range(0, len(trajectory.time_s), _ROW_GROUP):
+            writer.write({k: v[start : start + _ROW_GROUP] for k, v in columns.items()})
 
 
 def read_slice(path: Path, start_s: float, stop_s: float) -> Trajectory:
@@ -171,8 +171,13 @@ def read_slice(path: Path, start_s: float, stop_s: float) -> Trajectory:
         From :func:`write_trajectory`; only the row groups that matter are read.
     start_s, stop_s : float
         Time span [s].
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
     """
-    with pq.ParquetFile(path) as file:
+    with reading(path) as file:
         groups = [
             file.metadata.row_group(g).column(0).statistics for g in range(file.num_row_groups)
         ]
@@ -181,8 +186,8 @@ def read_slice(path: Path, start_s: float, stop_s: float) -> Trajectory:
         after = [g for g, s in enumerate(groups) if s.max >= stop_s]
         first = before[-1] if before else 0
         last = after[0] if after else len(groups) - 1
-        table = file.read_row_groups(list(range(first, max(first, last) + 1)))
-    time, *position = (table[name].to_numpy() for name in COLUMNS)
+        columns = read_groups(file, COLUMNS, range(first, max(first, last) + 1))
+    time, *position = (columns[name] for name in COLUMNS)
     return Trajectory(time, np.column_stack(position)).clip(start_s, stop_s)
 
 

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Final
 
 from spl_batch import __version__
-from spl_batch.errors import SplBatchError, StoppedError
-from spl_batch.io.atomic import checksum
+from spl_batch.errors import DamagedError, SplBatchError, StoppedError
+from spl_batch.io.atomic import checksum, size
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
 from spl_batch.model import Receipt, Task
 from spl_batch.runner import delivery, index, lines_of_sight, space_domain, time_domain
@@ -118,14 +118,43 @@ def task_key(task: Task, context: Context, digests: Iterable[str]) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def finished(task: Task, key: str, context: Context) -> Receipt | None:
-    """Receipt of a task that needs no doing: it matches, and its outputs are there."""
+def finished(task: Task, key: str, context: Context, *, verify: bool = False) -> Receipt | None:
+    """Receipt of a task that needs no doing: it matches, and its outputs are there.
+
+    Outputs are known by their size. What lies in the store is verified where it is read; what
+    is delivered is read by no task, so its checksum is looked at where the file was written
+    to after the task was done.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    key : str
+        From :func:`task_key`.
+    context : Context
+        The run.
+    verify : bool
+        Compare the checksums of all outputs, which reads all of them.
+    """
     receipt = read_receipt(context.store, task.kind, task.name)
     if receipt is None or receipt.failed or receipt.key != key:
         return None
-    if not all((context.output / path).exists() for path in receipt.outputs):
+    if not all(_unchanged(name, receipt, context, verify=verify) for name in receipt.outputs):
         return None
     return receipt
+
+
+def _unchanged(name: str, receipt: Receipt, context: Context, *, verify: bool) -> bool:
+    path = context.store.named(name)
+    if size(path) != receipt.sizes.get(name):
+        return False
+    if not verify and receipt.written_ns.get(name) in {None, _written_ns(path)}:
+        return True
+    return checksum(path) == receipt.outputs[name]
+
+
+def _written_ns(path: Path) -> int:
+    return path.stat().st_mtime_ns
 
 
 def run_task(task: Task, key: str, context: Context) -> Receipt:
@@ -156,7 +185,8 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
     forget_receipt(context.store, task.kind, task.name)
     try:
         produced = KINDS[task.kind].function(task.args, context)
-        outputs = {p.relative_to(context.output).as_posix(): checksum(p) for p in produced.outputs}
+        paths = {context.store.name_of(path): path for path in produced.outputs}
+        outputs = {name: checksum(path) for name, path in paths.items()}
         receipt = Receipt(
             task.kind,
             task.name,
@@ -168,9 +198,13 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
             produced.points,
             time.perf_counter() - start,
             _peak_rss_mb(),
+            {name: size(path) for name, path in paths.items()},
+            {n: _written_ns(p) for n, p in paths.items() if context.store.root not in p.parents},
         )
     except StoppedError:
         raise
+    except DamagedError as error:
+        receipt = failure(task, key, str(error), time.perf_counter() - start, damaged=error.path)
     except SplBatchError as error:
         receipt = failure(task, key, str(error), time.perf_counter() - start)
     except Exception as error:  # noqa: BLE001 - one task's fault must not end the others
@@ -180,10 +214,13 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
     return receipt
 
 
-def failure(task: Task, key: str, reason: str, wall_s: float = 0.0) -> Receipt:
-    """Receipt of a task that was not done."""
+def failure(
+    task: Task, key: str, reason: str, wall_s: float = 0.0, *, damaged: str = ""
+) -> Receipt:
+    """Receipt of a task that was not done; ``damaged`` is the file of the store at fault."""
     line = " ".join(reason.split()) or "failed without a message"
-    return Receipt(task.kind, task.name, key, "", line, {}, {}, 0, wall_s, _peak_rss_mb())
+    facts = {"damaged": damaged} if damaged else {}
+    return Receipt(task.kind, task.name, key, "", line, {}, facts, 0, wall_s, _peak_rss_mb())
 
 
 def _digest(outputs: Mapping[str, str], facts: Mapping[str, object]) -> str:

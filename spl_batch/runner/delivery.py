@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.io.cells import frame, stored_blocks
 from spl_batch.io.labels import read_labelled_tile
 from spl_batch.io.las_write import write_classified, write_points
-from spl_batch.io.rasters import frame, stored_blocks, write_cog
+from spl_batch.io.rasters import write_cog
 from spl_batch.model import COLUMNS, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.space_domain import parse_cell
@@ -117,13 +118,12 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     edge, pixel = quanta(context.workflow.ground.cell_m), quanta(products.cell_m)
     cells = sorted((CellId(*ij) for ij in args["cells"]), key=lambda c: (-c.j, c.i))
     bounds = Bounds(*args["bounds"])
-    store = str(context.rasters)
     shape, origin_xy_m = frame(bounds, pixel)
     folder = context.output if args["delivered"] else context.store.root
     target = folder / f"{args['name']}.tif"
     write_cog(
         target,
-        stored_blocks(store, args["product"], bounds, cells, ground_cell=edge),
+        stored_blocks(context.rasters, args["product"], bounds, cells, ground_cell=edge),
         shape=shape,
         origin_xy_m=origin_xy_m,
         cell_m=products.cell_m,

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.io.store import Store, add_voxels
+from spl_batch.io.store import Store
+from spl_batch.io.voxels import add_voxels
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages import voxel_noise
 from spl_batch.stages.local_noise import MARGIN_VOXELS, SQUARES, listened_density

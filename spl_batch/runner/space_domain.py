@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.io.cells import write_cell
 from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
-from spl_batch.io.rasters import cell_files, write_cell
 from spl_batch.io.tables import read_arrays
 from spl_batch.model import TILE_COLUMNS, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
@@ -103,14 +103,13 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     arrays["noise"] = _mean_noise(table, core, quanta(workflow.products.cell_m))
-    write_cell(str(context.rasters), CellId(*args["ij"]), arrays)
+    chunks = write_cell(context.rasters, CellId(*args["ij"]), arrays)
     classes = surfacing.classify(table, core, arrays["dtm"])
     owned = inside(table["x"], table["y"], core)
     path = context.store.labels("classes", args["cell"])
     write_labels(path, tiles[owned], rows[owned], {"classification": classes[owned]})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
     facts = {"core": list(core), "rasters": sums}
-    chunks = cell_files(context.rasters, CellId(*args["ij"]), arrays)
     return Produced([path, *chunks], facts, int(np.count_nonzero(owned)))
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from spl_batch.io.las import iter_points
 from spl_batch.io.polygons import contains, read_polygons
-from spl_batch.io.store import write_voxels
 from spl_batch.io.tables import (
     group_ranges,
     read_arrays,
@@ -22,6 +21,7 @@ from spl_batch.io.tables import (
     write_table,
     writing,
 )
+from spl_batch.io.voxels import write_voxels
 from spl_batch.model import (
     COLUMNS,
     EXCLUDED,

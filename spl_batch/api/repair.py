@@ -1,0 +1,73 @@
+"""Make again what turned out to be damaged: forget who made it, and go through the run again."""
+
+from collections import Counter
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import PurePosixPath
+
+from spl_batch.io.store import Store, forget_receipt
+from spl_batch.model import Receipt
+from spl_batch.plan.survey import Survey
+
+TRIES = 3
+"""Times that a run makes a damaged file again: a disk that fails for good fails each time."""
+
+
+class Repairs:
+    """Damaged files that a run has made again, and how often.
+
+    Parameters
+    ----------
+    store : Store
+        Holds the receipts.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self.times: Counter[str] = Counter()
+
+    def wanted(self, failed: Iterable[Receipt], survey: Survey) -> dict[str, tuple[str, str]]:
+        """Damaged files that can be made again, with kind and name of the task that does it.
+
+        Parameters
+        ----------
+        failed : iterable of Receipt
+            Of tasks that did not do their work.
+        survey : Survey
+            Knows who made what.
+        """
+        damaged = {self.store.name_of(r.facts["damaged"]) for r in failed if "damaged" in r.facts}
+        if not damaged:
+            return {}
+        makers = {
+            output: (receipt.kind, receipt.name)
+            for receipts in survey.done.values()
+            for receipt in receipts.values()
+            for output in receipt.outputs
+        }
+        found = {}
+        for name in sorted(damaged):
+            # A chunk is part of an output that is a directory.
+            for part in (name, *map(str, PurePosixPath(name).parents)):
+                if part in makers and self.times[part] < TRIES:
+                    found[part] = makers[part]
+        return found
+
+    def begin(self, failed: Iterable[Receipt], survey: Survey) -> list[str]:
+        """Forget the tasks that made damaged files, and what the survey knows of finished ones.
+
+        Returns
+        -------
+        list of str
+            The files, as receipts call them; none if there is nothing to be done again.
+        """
+        found = self.wanted(failed, survey)
+        for name, maker in found.items():
+            self.times[name] += 1
+            forget_receipt(self.store, *maker)
+        if found:
+            survey.done.clear()
+            for name, member in vars(type(survey)).items():
+                if isinstance(member, cached_property):
+                    survey.__dict__.pop(name, None)
+        return list(found)
