@@ -8,7 +8,7 @@ import contextlib
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -29,7 +29,7 @@ OnReceipt = Callable[[Receipt], None]
 class Executor(Protocol):
     """Something that does jobs."""
 
-    def run(self, jobs: Sequence[Job], context: Context, on_receipt: OnReceipt) -> None:
+    def run(self, jobs: Iterable[Job], context: Context, on_receipt: OnReceipt) -> None:
         """Do jobs in any order and report each receipt as it comes."""
 
 
@@ -37,7 +37,7 @@ class Executor(Protocol):
 class InProcess:
     """Does one job after the other, here; for debugging and for tests."""
 
-    def run(self, jobs: Sequence[Job], context: Context, on_receipt: OnReceipt) -> None:
+    def run(self, jobs: Iterable[Job], context: Context, on_receipt: OnReceipt) -> None:
         """Do jobs in order."""
         for task, key in jobs:
             on_receipt(run_task(task, key, context))
@@ -49,7 +49,7 @@ class OnDask:
 
     client: Any
 
-    def run(self, jobs: Sequence[Job], context: Context, on_receipt: OnReceipt) -> None:
+    def run(self, jobs: Iterable[Job], context: Context, on_receipt: OnReceipt) -> None:
         """Do jobs as workers become free; a job that breaks its worker is tried once more.
 
         Raises
@@ -59,21 +59,23 @@ class OnDask:
         """
         from distributed import as_completed  # noqa: PLC0415 - slow import, only when used
 
-        waiting = deque(jobs)
+        left, retries = iter(jobs), deque[Job]()
         running: dict[Any, Job] = {}
         again: set[str] = set()
         pool = as_completed(with_results=False)
         limit = IN_FLIGHT_PER_THREAD * max(self._threads(), 1)
         try:
-            while waiting or running:
-                while waiting and len(running) < limit:
-                    self._submit(waiting.popleft(), context, running, pool)
+            while True:
+                while len(running) < limit and (job := next(left, None) or _pop(retries)):
+                    self._submit(job, context, running, pool)
+                if not running:
+                    return
                 future = next(pool)
                 task, key = running.pop(future)
                 receipt = self._receipt(future, task, key)
                 if task.name not in again and _worth_retrying(receipt):
                     again.add(task.name)
-                    waiting.append((task, key))
+                    retries.append((task, key))
                     continue
                 on_receipt(receipt)
         finally:
@@ -105,6 +107,10 @@ class OnDask:
         except (FutureCancelledError, OSError, TimeoutError) as error:
             raise StoppedError(f"the scheduler is lost ({error}); run again to continue") from error
         return receipt
+
+
+def _pop(retries: deque[Job]) -> Job | None:
+    return retries.popleft() if retries else None
 
 
 def _worth_retrying(receipt: Receipt) -> bool:
@@ -188,17 +194,3 @@ def _deaf_children() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def jobs_left(
-    jobs: Iterable[Job], finished: Callable[[Task, str], Receipt | None]
-) -> tuple[list[Job], list[Receipt]]:
-    """Jobs to do, and receipts of those that are done already."""
-    left, done = [], []
-    for task, key in jobs:
-        receipt = finished(task, key)
-        if receipt is None:
-            left.append((task, key))
-        else:
-            done.append(receipt)
-    return left, done

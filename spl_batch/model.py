@@ -338,6 +338,8 @@ class Task:
         Kind and name of the tasks whose results it reads.
     points : int
         Points that it handles, for progress [count].
+    refused : str
+        Why it cannot be started, with a remedy; empty where it can.
     """
 
     kind: str
@@ -345,6 +347,7 @@ class Task:
     args: Mapping[str, Any]
     needs: tuple[tuple[str, str], ...] = ()
     points: int = 0
+    refused: str = ""
 
 
 @dataclass(frozen=True, slots=True)

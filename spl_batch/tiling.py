@@ -6,7 +6,7 @@ zero. A point therefore belongs to exactly one tile, ground cell, voxel and rast
 cell, whatever else is in the survey.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -134,3 +134,58 @@ def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     """
     index: NDArray[np.int64] = np.floor_divide(coordinate, size)
     return index
+
+
+class BoxIndex:
+    """Rectangles by name, found by the regions that they share area with.
+
+    They lie in buckets of a grid of about their own size, so that a search looks at those
+    nearby and not at a whole survey's.
+
+    Parameters
+    ----------
+    boxes : mapping of str to Bounds
+        The rectangles; empty ones are never found.
+    """
+
+    MANY = 64
+    """Buckets that a rectangle may lie in; larger ones are looked at in every search."""
+
+    def __init__(self, boxes: Mapping[str, Bounds]) -> None:
+        self._names = sorted(boxes)
+        self._boxes = np.array([boxes[n] for n in self._names], np.int64).reshape(-1, 4)
+        sides = np.maximum(self._boxes[:, 2:] - self._boxes[:, :2], 1)
+        self._size = int(np.median(sides.max(axis=1))) if len(sides) else 1
+        self._buckets: dict[CellId, list[int]] = {}
+        self._large: list[int] = []
+        first, last = self._boxes[:, :2] // self._size, (self._boxes[:, 2:] - 1) // self._size
+        for k, many in enumerate((last - first + 1).prod(axis=1).tolist()):
+            if many > self.MANY:
+                self._large.append(k)
+                continue
+            for cell in cells_touching(Bounds(*self._boxes[k].tolist()), self._size):
+                self._buckets.setdefault(cell, []).append(k)
+
+    def overlapping(self, region: Bounds) -> list[str]:
+        """Names of the rectangles that share area with a region, sorted."""
+        near = np.array(self._near(region), dtype=np.int64)
+        low, high = self._boxes[near, :2], self._boxes[near, 2:]
+        found = near[
+            (low[:, 0] < region.xmax)
+            & (low[:, 1] < region.ymax)
+            & (high[:, 0] > region.xmin)
+            & (high[:, 1] > region.ymin)
+            & (low < high).all(axis=1)
+        ]
+        return [self._names[k] for k in found.tolist()]
+
+    def _near(self, region: Bounds) -> list[int]:
+        """Places of the rectangles that may overlap, increasing."""
+        wide = (region.xmax - region.xmin) // self._size + 2
+        high = (region.ymax - region.ymin) // self._size + 2
+        if wide * high > len(self._buckets):
+            return list(range(len(self._names)))
+        near = set(self._large)
+        for cell in cells_touching(region, self._size):
+            near.update(self._buckets.get(cell, ()))
+        return sorted(near)

@@ -23,15 +23,17 @@ from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
 from spl_batch.api.repair import Repairs
 from spl_batch.api.withdrawal import withdraw_stale
 from spl_batch.errors import StoreError, WorkflowError
-from spl_batch.graph import Executor, executor, jobs_left
+from spl_batch.graph import Executor, executor
 from spl_batch.io.cells import create_raster_store
 from spl_batch.io.store import append_log
-from spl_batch.model import Receipt, Task
+from spl_batch.model import Receipt
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
-from spl_batch.plan.phases import PHASES, PRODUCTS, Phase
+from spl_batch.plan.phases import PHASES, Phase
+from spl_batch.plan.places import PRODUCTS
 from spl_batch.plan.survey import Survey, mosaic_parts, timeless_sources
+from spl_batch.plan.worklist import Worklist
 from spl_batch.report.model import Failure, Report
-from spl_batch.runner import KINDS, STAGES, finished, task_key
+from spl_batch.runner import KINDS, STAGES
 from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
 from spl_batch.tiling import quanta
 
@@ -238,32 +240,20 @@ def _run_phase(
 ) -> None:
     """Do what one phase has left to do."""
     survey, context = prepared.survey, prepared.context
-    done = survey.done.setdefault(phase.kind, {})
-    tasks = {task.name: task for task in phase.tasks(survey)}
-    jobs = [(task, task_key(task, context, _digests(task, survey))) for task in tasks.values()]
-    left, ready = jobs_left(
-        jobs, lambda task, key: finished(task, key, context, verify=progress.verify)
-    )
-    for receipt in ready:
-        done[receipt.name] = receipt
+    work = Worklist(phase, survey, context, verify=progress.verify)
+    for receipt in work.look():
         progress.costs.setdefault(stage, StageCost()).skip(receipt)
-    if not jobs:
+    if not work.left and not work.ready:
         return
-    points = sum(task.points for task, _ in left)
-    progress.tell(PhaseStarted(stage, phase.kind, len(left), len(ready), points))
+    progress.tell(PhaseStarted(stage, phase.kind, work.left, work.ready, work.points))
 
     def on_receipt(receipt: Receipt) -> None:
-        if not receipt.failed:
-            done[receipt.name] = receipt
-        progress.ended(stage, receipt, tasks[receipt.name].points)
+        progress.ended(stage, receipt, work.ended(receipt))
 
-    pool.run(left, context, on_receipt)
-    survey.done[phase.kind] = dict(sorted(done.items()))
-
-
-def _digests(task: Task, survey: Survey) -> Iterator[str]:
-    for kind, name in task.needs:
-        yield survey.of(kind)[name].digest
+    for receipt in work.refused:
+        on_receipt(receipt)
+    pool.run(work.jobs(), context, on_receipt)
+    survey.of(phase.kind).sort()
 
 
 def _judge_index(survey: Survey, progress: _Progress) -> None:

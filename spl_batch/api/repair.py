@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from functools import cached_property
 from pathlib import PurePosixPath
 
-from spl_batch.io.store import Store, forget_receipt
+from spl_batch.io.store import Store, forget_receipt, read_receipts
 from spl_batch.model import Receipt
 from spl_batch.plan.survey import Survey
 
@@ -40,9 +40,9 @@ class Repairs:
         if not damaged:
             return {}
         makers = {
-            output: (receipt.kind, receipt.name)
-            for receipts in survey.done.values()
-            for receipt in receipts.values()
+            output: (kind, receipt.name)
+            for kind in survey.done
+            for receipt in read_receipts(self.store, kind)
             for output in receipt.outputs
         }
         found = {}

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from spl_batch.io.store import Store, read_receipt
-from spl_batch.model import Receipt
+from spl_batch.plan.shelf import Shelf
 from spl_batch.report.model import Failure, Report
 from spl_batch.runner.context import Context
 from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
@@ -27,7 +27,7 @@ def report(output: Path | str) -> Report:
     return summarise(done, context, facts)
 
 
-def recalled(folder: Path) -> tuple[dict[str, dict[str, Receipt]], Context, RunFacts]:
+def recalled(folder: Path) -> tuple[dict[str, Shelf], Context, RunFacts]:
     """What the last run of an output folder did: finished tasks, settings, facts.
 
     Raises
@@ -55,9 +55,11 @@ def recalled(folder: Path) -> tuple[dict[str, dict[str, Receipt]], Context, RunF
     return _receipts(Store(folder), kept["done"]), context, facts
 
 
-def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, dict[str, Receipt]]:
-    found: dict[str, dict[str, Receipt]] = {}
+def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, Shelf]:
+    found = {kind: Shelf(kind) for kind in names}
     for kind, listed in names.items():
-        receipts = [read_receipt(store, kind, name) for name in listed]
-        found[kind] = {r.name: r for r in receipts if r is not None}
+        for name in listed:
+            receipt = read_receipt(store, kind, name)
+            if receipt is not None:
+                found[kind].put(receipt)
     return found

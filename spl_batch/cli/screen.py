@@ -143,12 +143,20 @@ def print_plan(summary: PlanSummary) -> None:
     """Print what a run would do."""
     cost = summary.cost
     basis = "as measured here" if cost.measured else "typical rates"
+    halo = (
+        f"{cost.halo_m:g} m around a block; around a ground cell {summary.ground_buffer_m:g} m "
+        f"for the ground, {summary.surface_reach_m:g} m for its rasters"
+    )
     _pairs(
         [
             ("files", f"{summary.files:,}"),
             ("points", f"{summary.points:,}"),
             ("area", f"{summary.area_km2:,.3f} km2 of tiles"),
-            ("tiles", f"{summary.tiles:,}"),
+            ("stretches", f"{cost.stretches:,} of flightlines"),
+            ("tiles", f"{cost.tiles:,}"),
+            ("blocks", f"{cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles"),
+            ("ground cells", f"{cost.cells:,}"),
+            ("halo", halo),
             ("tasks", f"{cost.tasks:,}"),
             ("disk", f"{cost.disk_bytes / 2**30:,.2f} GiB"),
             ("memory", f"{cost.memory_bytes / 2**20:,.0f} MiB a worker, for {cost.heaviest}"),

@@ -5,10 +5,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from spl_batch.model import Receipt, ShotClock
+from spl_batch.plan.memory import STRETCH_POINTS
 from spl_batch.workflow import Workflow
-
-STRETCH_POINTS = 2_000_000
-"""Points that a stretch should hold on average [count]."""
 
 FALLBACK_PRF_HZ = 50_000.0
 """Pulse rate where neither the workflow nor the data tell one [Hz]."""

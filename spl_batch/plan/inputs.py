@@ -147,6 +147,11 @@ def source_key(name: str) -> int:
     return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest()) >> 1
 
 
+def source_args(source: Source) -> dict[str, str]:
+    """A file as the arguments of a task name it."""
+    return {"source": str(source.key), "path": str(source.path)}
+
+
 def _expand(
     names: str | Sequence[str] | None, base: Path, key: str, faults: list[str]
 ) -> tuple[Path, ...]:

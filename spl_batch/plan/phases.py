@@ -4,27 +4,17 @@ A phase looks only at receipts of the phases before it. What failed there is lef
 its points stay unlabelled, the rest goes on.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from spl_batch.model import Task
+from spl_batch.plan import places
 from spl_batch.plan.flightlines import Flightline
-from spl_batch.plan.inputs import Source
-from spl_batch.plan.space import Unit, fired_parts, owners, units, voxel_parts
-from spl_batch.plan.survey import Survey, mosaic_parts
-from spl_batch.stages.local_noise import MARGIN_VOXELS
-from spl_batch.stages.reflectance import reach_m as fired_reach_m
-from spl_batch.stages.surface import reach_m as surface_reach_m
-from spl_batch.tiling import CellId, grow, quanta
+from spl_batch.plan.inputs import Source, source_args
+from spl_batch.plan.survey import Survey
 
 RANGE_POINTS = 2_000_000
 """Points of a piece of a file without times [count]."""
-
-PRODUCTS = ("dtm", "dsm", "chm", "density", "intensity")
-"""Rasters that are delivered."""
-
-MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
-"""What the intensity raster holds, as its band is called."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +27,7 @@ class Phase:
 
 def _index(survey: Survey) -> Iterator[Task]:
     for source in survey.inputs.sources:
-        args = {**_source_args(source), "name": source.name, "stamp": _stamp(source)}
+        args = {**source_args(source), "name": source.name, "stamp": _stamp(source)}
         yield Task("index_file", str(source.key), args, (), source.facts.n_points)
 
 
@@ -75,7 +65,7 @@ def _sort(survey: Survey) -> Iterator[Task]:
         receipt = survey.of("index_file").get(str(source.key))
         if receipt and str(source.key) in timed and not receipt.facts["in_order"]:
             needs = (("index_file", str(source.key)),)
-            yield Task("sort_file", str(source.key), _source_args(source), needs, receipt.points)
+            yield Task("sort_file", str(source.key), source_args(source), needs, receipt.points)
 
 
 def _gather(survey: Survey) -> Iterator[Task]:
@@ -83,7 +73,7 @@ def _gather(survey: Survey) -> Iterator[Task]:
     trajectory = (("trajectory", "all"),) if survey.of("trajectory") else ()
     for line in survey.flightlines:
         sources = [
-            {**_source_args(by_key[k]), "sorted": k in survey.of("sort_file")} for k in line.sources
+            {**source_args(by_key[k]), "sorted": k in survey.of("sort_file")} for k in line.sources
         ]
         needs = (*(("index_file", k) for k in line.sources), *trajectory)
         needs += tuple(("sort_file", k) for k in line.sources if k in survey.of("sort_file"))
@@ -110,7 +100,7 @@ def _gather_range(survey: Survey) -> Iterator[Task]:
         for start in range(0, source.facts.n_points, RANGE_POINTS):
             stop = min(start + RANGE_POINTS, source.facts.n_points)
             name = f"file_{key}/{start}"
-            args = {**_source_args(source), "stretch": name, "start": start, "stop": stop}
+            args = {**source_args(source), "stretch": name, "start": start, "stop": stop}
             yield Task("gather_range", name, args, (("index_file", key),), stop - start)
 
 
@@ -181,125 +171,6 @@ def _scatter(survey: Survey) -> Iterator[Task]:
         yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
 
 
-def _build(survey: Survey) -> Iterator[Task]:
-    pieces: dict[str, list[tuple[str, int]]] = {}
-    points: dict[str, int] = {}
-    for name, receipt in sorted(survey.of("scatter").items()):
-        for tile, (group, count) in receipt.facts["tiles"].items():
-            pieces.setdefault(tile, []).append((name, group))
-            points[tile] = points.get(tile, 0) + count
-    for tile, listed in sorted(pieces.items()):
-        needs = tuple(("scatter", name) for name, _ in listed)
-        yield Task("build_tile", tile, {"tile": tile, "pieces": listed}, needs, points[tile])
-
-
-def _denoise(survey: Survey) -> Iterator[Task]:
-    boxes = {
-        name: r.facts["voxels"] for name, r in survey.of("scatter").items() if "voxels" in r.facts
-    }
-    voxel_q = quanta(survey.workflow.noise.voxel_m)
-    for block in survey.blocks:
-        # what a density depends on, whatever the halo of the points
-        margin = survey.halo_q + MARGIN_VOXELS * voxel_q
-        parts = voxel_parts(boxes, grow(block.core, margin), voxel_q)
-        args = {
-            "block": str(block.cell),
-            "core": list(block.core),
-            "tiles": [str(t) for t in block.tiles],
-            "voxels": parts,
-            "beamlets": _beamlets(survey),
-        }
-        needs = (*_tile_needs(block), *(("scatter", p) for p in parts))
-        yield Task("denoise", str(block.cell), args, needs, block.points)
-
-
-def _ground(survey: Survey) -> Iterator[Task]:
-    halo = quanta(survey.workflow.ground.buffer_m)
-    for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
-        noise = owners(cell.tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
-        args = {**_cell_args(cell), "noise": _named("noise", noise)}
-        needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
-        yield Task("ground", str(cell.cell), args, needs, cell.points)
-
-
-def _surface(survey: Survey) -> Iterator[Task]:
-    halo = quanta(
-        max(reach(survey.workflow.products) for reach in (surface_reach_m, fired_reach_m))
-    )
-    fired = _fired(survey)
-    for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
-        if str(cell.cell) not in survey.of("ground"):
-            continue
-        noise = owners(cell.tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
-        ground = owners(cell.tiles, survey.tile_q, survey.cell_q, survey.of("ground"))
-        parts = fired if fired is None else fired_parts(fired, grow(cell.core, halo))
-        args = {
-            **_cell_args(cell),
-            "noise": _named("noise", noise),
-            "ground": _named("ground", ground),
-            "polygons": list(survey.inputs.polygons),
-            "fired": parts,
-        }
-        labels = (*_label_needs("denoise", noise), *_label_needs("ground", ground))
-        needs = (*_tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
-        yield Task("surface", str(cell.cell), args, needs, cell.points)
-
-
-def _fired(survey: Survey) -> dict[str, list[int]] | None:
-    """Rectangles that each stretch fired at; None where intensity is the input's."""
-    workflow = survey.workflow
-    boxes = {n: r.facts["fired"] for n, r in survey.of("scatter").items() if "fired" in r.facts}
-    known = workflow.filter.method != "none" and any(box[2] > box[0] for box in boxes.values())
-    return boxes if workflow.products.intensity == "detection" and known else None
-
-
-def _deliver(survey: Survey) -> Iterator[Task]:
-    holders: dict[str, list[CellId]] = {}
-    for tile in survey.counts:
-        for source in survey.of("build_tile")[str(tile)].facts["sources"]:
-            holders.setdefault(source, []).append(tile)
-    for source in survey.inputs.sources:
-        key = str(source.key)
-        receipt = survey.of("index_file").get(key)
-        if receipt is None:
-            continue
-        labels = _label_units(survey, holders.get(key, []))
-        args = {
-            **_source_args(source),
-            "delivered": source.delivered,
-            "points": receipt.points,
-            "hash": receipt.facts["hash"],
-            "tiles": {str(tile): units_of for tile, units_of in labels.items()},
-        }
-        yield Task("deliver_file", key, args, _delivery_needs(labels), receipt.points)
-
-
-def _deliver_tiles(survey: Survey) -> Iterator[Task]:
-    if survey.workflow.outputs.tiles == "none":
-        return
-    for tile, count in survey.counts.items():
-        labels = _label_units(survey, [tile])
-        args = {"tile": str(tile), "units": labels[tile]}
-        yield Task("deliver_tile", str(tile), args, _delivery_needs(labels), count)
-
-
-def _mosaic(survey: Survey) -> Iterator[Task]:
-    for number, (cells, bounds) in enumerate(mosaic_parts(survey), start=1):
-        needs = tuple(("surface", str(cell)) for cell in cells)
-        for product in (*PRODUCTS, "noise"):
-            name = product if number == 1 else f"{product}_{number}"
-            args = {
-                "product": product,
-                "name": name,
-                "cells": [list(cell) for cell in cells],
-                "bounds": list(bounds),
-                "delivered": product in PRODUCTS,
-            }
-            if product == "intensity":
-                args["meaning"] = MEANINGS[_fired(survey) is not None]
-            yield Task("mosaic", name, args, needs)
-
-
 PHASES = (
     Phase("index_file", _index),
     Phase("trajectory", _trajectory),
@@ -311,30 +182,21 @@ PHASES = (
     Phase("observe", _observe),
     Phase("fit_line", _fit),
     Phase("scatter", _scatter),
-    Phase("build_tile", _build),
-    Phase("denoise", _denoise),
-    Phase("ground", _ground),
-    Phase("surface", _surface),
-    Phase("deliver_file", _deliver),
-    Phase("deliver_tile", _deliver_tiles),
-    Phase("mosaic", _mosaic),
+    Phase("build_tile", places.build),
+    Phase("denoise", places.denoise),
+    Phase("ground", places.ground),
+    Phase("surface", places.surface),
+    Phase("deliver_file", places.deliver),
+    Phase("deliver_tile", places.deliver_tiles),
+    Phase("mosaic", places.mosaic),
 )
 """Every phase of a run, in order."""
-
-
-def _source_args(source: Source) -> dict[str, str]:
-    return {"source": str(source.key), "path": str(source.path)}
 
 
 def _stamp(source: Source) -> list[int]:
     """What changes when a file does: its size and time of writing."""
     stat = source.path.stat()
     return [stat.st_size, stat.st_mtime_ns]
-
-
-def _beamlets(survey: Survey) -> int:
-    """Beamlets of a shot; without a channel dimension a shot is one beamlet."""
-    return survey.workflow.sensor.beamlets if survey.workflow.survey.channel_dimension else 1
 
 
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
@@ -345,7 +207,7 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
         "psid": line.psid,
         "t0_s": line.clock.t0_s,
         "prf_hz": line.clock.prf_hz,
-        "beamlets": _beamlets(survey),
+        "beamlets": survey.beamlets,
         "trajectory": bool(survey.of("trajectory")),
         "sensor_path": bool(path and path.facts["found"]),
         "heading_rad": heading.facts["heading_rad"] if heading else None,
@@ -354,37 +216,3 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
 
 def _path_needs(survey: Survey, line: Flightline) -> tuple[tuple[str, str], ...]:
     return (("sensor_path", line.name),) if line.name in survey.of("sensor_path") else ()
-
-
-def _cell_args(cell: Unit) -> dict[str, object]:
-    return {
-        "cell": str(cell.cell),
-        "ij": list(cell.cell),
-        "tiles": [str(t) for t in cell.tiles],
-    }
-
-
-def _named(kind: str, listed: Mapping[CellId, list[str]]) -> dict[str, list[list[str]]]:
-    return {str(tile): [[kind, name] for name in names] for tile, names in listed.items()}
-
-
-def _tile_needs(unit: Unit) -> tuple[tuple[str, str], ...]:
-    return tuple(("build_tile", str(t)) for t in unit.tiles)
-
-
-def _label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[str, str], ...]:
-    return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
-
-
-def _label_units(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
-    """Finished units that hold the delivered labels of each tile, by tile and label."""
-    noise = owners(tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
-    classes = owners(tiles, survey.tile_q, survey.cell_q, survey.of("surface"))
-    return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
-
-
-def _delivery_needs(labels: Mapping[CellId, dict[str, list[str]]]) -> tuple[tuple[str, str], ...]:
-    built = tuple(("build_tile", str(tile)) for tile in labels)
-    noise = {tile: units_of["noise"] for tile, units_of in labels.items()}
-    classes = {tile: units_of["classes"] for tile, units_of in labels.items()}
-    return (*built, *_label_needs("denoise", noise), *_label_needs("surface", classes))

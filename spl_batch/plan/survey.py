@@ -1,16 +1,17 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from spl_batch.model import Receipt
+from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.inputs import Inputs, Source
+from spl_batch.plan.memory import halo_m, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
+from spl_batch.plan.shelf import Shelf
 from spl_batch.plan.space import Unit, choose_block_tiles, tile_counts, units
 from spl_batch.runner.space_domain import parse_cell
-from spl_batch.stages.denoise import reach_m
 from spl_batch.tiling import Bounds, CellId, quanta
 from spl_batch.workflow import Workflow
 
@@ -23,11 +24,17 @@ class Survey:
     workflow: Workflow
     memory_bytes: int
     workers: int
-    done: dict[str, dict[str, Receipt]] = field(default_factory=dict)
+    done: dict[str, Shelf] = field(default_factory=dict)
 
-    def of(self, kind: str) -> Mapping[str, Receipt]:
+    def of(self, kind: str) -> Shelf:
         """Finished tasks of a kind, by name."""
-        return self.done.get(kind, {})
+        return self.done.setdefault(kind, Shelf(kind))
+
+    @property
+    def beamlets(self) -> int:
+        """Beamlets of a shot; without a channel dimension a shot is one beamlet [count]."""
+        workflow = self.workflow
+        return workflow.sensor.beamlets if workflow.survey.channel_dimension else 1
 
     @property
     def filtering(self) -> bool:
@@ -37,22 +44,25 @@ class Survey:
     @cached_property
     def flightlines(self) -> list[Flightline]:
         """Flightlines; complete once the index stage is."""
-        return find_flightlines(self.of("index_file"), self.workflow) if self.filtering else []
+        if not self.filtering:
+            return []
+        points = stretch_points(self.memory_bytes)
+        return find_flightlines(self.of("index_file"), self.workflow, points)
 
     @cached_property
     def counts(self) -> dict[CellId, int]:
         """Points by tile; complete once the shuffle is."""
         return tile_counts(self.of("build_tile"))
 
-    @cached_property
-    def blocks(self) -> list[Unit]:
+    def blocks(self) -> Iterator[Unit]:
         """Denoise blocks; complete once the shuffle is."""
         return units(self.counts, self.tile_q, self.block_q, self.halo_q)
 
     @cached_property
     def block_q(self) -> int:
         """Edge of a denoise block [quanta]."""
-        tiles = choose_block_tiles(self.counts, self.workflow, self.memory_bytes, self.workers)
+        pieces = list(from_counts(self.counts, self.tile_q))
+        tiles = choose_block_tiles(pieces, self.workflow, self.memory_bytes, self.workers)
         return tiles * self.tile_q
 
     @property
@@ -68,7 +78,7 @@ class Survey:
     @property
     def halo_q(self) -> int:
         """Halo of a denoise block [quanta]."""
-        return quanta(reach_m(self.workflow.filter))
+        return quanta(halo_m(self.workflow))
 
 
 def timeless_sources(survey: Survey) -> list[Source]:

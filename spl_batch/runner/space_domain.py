@@ -12,7 +12,7 @@ from spl_batch.io.cells import write_cell
 from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
 from spl_batch.io.tables import read_arrays
-from spl_batch.model import TILE_COLUMNS, PointFlag, PointTable
+from spl_batch.model import PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.expected import expected_noise
 from spl_batch.stages import denoise as denoising

@@ -1,0 +1,160 @@
+"""What tasks hold in memory: ``python -m benchmarks.memory tasks|areas ...``.
+
+``tasks WORKFLOW [KEY=VALUE ...]`` runs a workflow in this process, into a folder of its
+own, and prints for each kind of task the highest resident memory above what the process
+held before it, by the points that the plan counts for it: what the constants of
+:mod:`spl_batch.plan.memory` are taken from.
+
+``areas FOLDER`` flies strips of once, twice, four and eight times the area and runs each
+with two workers under a limit: peak memory by stage, which must not grow.
+"""
+
+import argparse
+import contextlib
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import yaml
+
+from spl_batch import api, graph
+from spl_batch.model import Receipt, Task
+from spl_batch.runner import space_domain
+from spl_batch.runner.context import Context
+from spl_batch.simulate import preset_scene, simulate
+
+AREAS = (1, 2, 4, 8)
+"""Lengths of the strips, in lengths of the shortest."""
+
+
+def resident_bytes() -> int:
+    """Memory of this process that is in use now [byte]."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * 4096
+
+
+class Peak:
+    """Highest resident memory while a block runs, looked at every millisecond."""
+
+    def __init__(self) -> None:
+        self.before = self.highest = resident_bytes()
+        self._done = threading.Event()
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator["Peak"]:
+        """Watch while the block runs."""
+        watcher = threading.Thread(target=self._watch, daemon=True)
+        watcher.start()
+        try:
+            yield self
+        finally:
+            self._done.set()
+            watcher.join()
+
+    def _watch(self) -> None:
+        while not self._done.is_set():
+            self.highest = max(self.highest, resident_bytes())
+            time.sleep(0.001)
+
+
+def tasks(workflow: Path, overrides: Sequence[str]) -> None:
+    """Print the memory of each kind of task."""
+    seen: dict[str, list[tuple[int, int, int]]] = defaultdict(list)
+    plain, read = graph.run_task, space_domain.read_region
+    region: list[int] = []
+
+    def counted(*args: Any) -> Any:
+        found = read(*args)
+        region.append(len(found[0]))
+        return found
+
+    def watched(task: Task, key: str, context: Context) -> Receipt:
+        region.clear()
+        with Peak().watching() as peak:
+            receipt = plain(task, key, context)
+        held = region[0] if region else max(task.points, receipt.points)
+        seen[task.kind].append((peak.highest - peak.before, held, peak.before))
+        return receipt
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        stack.enter_context(mock.patch.object(graph, "run_task", watched))
+        stack.enter_context(mock.patch.object(space_domain, "read_region", counted))
+        for attempt in ("first", "second"):  # the first one loads and compiles
+            seen.clear()
+            api.run(workflow, workers=0, overrides=[f"output={folder}/{attempt}", *overrides])
+    print(
+        f"{'kind':14s}{'tasks':>7s}{'points held':>14s}{'MiB':>8s}{'bytes / point':>15s}{'base':>8s}"
+    )
+    for kind, listed in seen.items():
+        most, points, before = max(listed)
+        each = most / points if points else 0.0
+        print(
+            f"{kind:14s}{len(listed):7d}{points:14,d}{most / 2**20:8.0f}{each:15.0f}"
+            f"{before / 2**20:8.0f}"
+        )
+
+
+def areas(folder: Path, memory: str) -> None:
+    """Print the peak memory of surveys that grow."""
+    for factor in AREAS:
+        workflow = _strip(folder / f"x{factor}", factor)
+        result = api.run(workflow, workers=2, memory=memory)
+        if result.report is None or result.exit_status:
+            raise SystemExit(f"{workflow}: the run failed")
+        stages = result.report.performance.stages
+        if factor == AREAS[0]:
+            print(f"{'points':>12s}  " + "".join(f"{name:>10s}" for name in stages) + "   [MiB]")
+        peaks = "".join(f"{stage.peak_rss_mb or 0:10.0f}" for stage in stages.values())
+        print(f"{result.report.counts.points_in:12,d}  {peaks}", flush=True)
+
+
+def _strip(folder: Path, factor: int) -> Path:
+    """Workflow of a strip of this many times the shortest one's length."""
+    workflow = folder / "workflow.yaml"
+    if not workflow.exists():
+        scene: Any = preset_scene("tiny")
+        workflow = simulate(lengthened(scene, factor), folder).workflow
+    content = yaml.safe_load(workflow.read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    return workflow
+
+
+def lengthened(scene: Any, factor: int) -> Any:
+    """Return the scene, so many times as long."""
+    raise NotImplementedError(scene, factor)
+
+
+def _give_back_freed_memory() -> None:
+    """Start again with an allocator that keeps nothing: what is in use is what is counted."""
+    wanted = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
+    if any(os.environ.get(key) != value for key, value in wanted.items()):
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, **wanted})  # noqa: S606
+
+
+def main() -> None:
+    """Read the arguments."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    of_tasks = verbs.add_parser("tasks")
+    of_tasks.add_argument("workflow", type=Path)
+    of_tasks.add_argument("overrides", nargs="*")
+    of_areas = verbs.add_parser("areas")
+    of_areas.add_argument("folder", type=Path)
+    of_areas.add_argument("--memory", default="1500MiB")
+    given = parser.parse_args()
+    if given.verb == "tasks":
+        _give_back_freed_memory()
+        tasks(given.workflow, given.overrides)
+    else:
+        areas(given.folder, given.memory)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,214 @@
+"""What tasks hold in memory, and which of them cannot fit into a worker.
+
+A task's need is that of a worker that has compiled its kernels and the points that the
+task holds at once times the bytes of each; `benchmarks/memory.py` measures them.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from spl_batch.constants import QUANTUM_M
+from spl_batch.plan.density import Peak, Piece, largest
+from spl_batch.runner.delivery import PASS_POINTS
+from spl_batch.runner.time_domain import CHUNK_POINTS
+from spl_batch.stages import denoise, reflectance, surface
+from spl_batch.tiling import quanta
+from spl_batch.workflow import Workflow
+
+WORKER_BASE_BYTES: Final = 600 * 2**20
+"""Resident memory of a worker that has compiled its kernels, rounded up [byte]."""
+
+USABLE_SHARE: Final = 0.9
+"""Part of a worker's limit that the plan uses: dask ends a worker at 95 %."""
+
+BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
+    {
+        "index_file": 300,
+        "gather": 380,
+        "gather_range": 300,
+        "observe": 380,
+        "scatter": 480,
+        "build_tile": 240,
+        "denoise": 320,
+        "ground": 280,
+        "surface": 330,
+        "deliver_tile": 240,
+    }
+)
+"""Peak memory of a task by each of the points that it holds at once [byte]."""
+
+BYTES_PER_LABEL: Final = 12
+"""Labels of a point of the file that is delivered [byte]."""
+
+BYTES_PER_RECORD: Final = 250
+"""A trajectory's record while it is brought into the survey's CRS [byte]."""
+
+RECORD_BYTES: Final[Mapping[str, int]] = MappingProxyType(
+    {".out": 136, ".sbet": 136, ".parquet": 20, ".pq": 20}
+)
+"""Size of a trajectory's record on disk, at the least [byte]."""
+
+CSV_RECORD_BYTES: Final = 30
+"""The same where a record is a line of text [byte]."""
+
+STRETCH_POINTS: Final = 2_000_000
+"""Points that a stretch holds on average, where memory allows [count]."""
+
+LEAST_STRETCH_POINTS: Final = 125_000
+"""The same in the smallest worker [count]."""
+
+UNEVEN: Final = 2
+"""A stretch is a span of time: where much returns, it holds more than the average."""
+
+
+class Need(NamedTuple):
+    """Memory of a task.
+
+    Parameters
+    ----------
+    task : str
+        What it is, and where.
+    memory_bytes : int
+        Its worker included [byte].
+    remedy : str
+        How to make it lighter, beside more memory.
+    """
+
+    task: str
+    memory_bytes: int
+    remedy: str
+
+
+def usable_bytes(limit: int) -> int:
+    """Part of a worker's memory limit that a task may count on [byte]."""
+    return int(USABLE_SHARE * limit)
+
+
+def task_bytes(kind: str, points: float) -> int:
+    """Memory of a task that holds so many points, its worker included [byte]."""
+    return WORKER_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
+
+
+def points_within(kind: str, limit: int) -> int:
+    """Points that a task can hold within a worker's memory limit [count]."""
+    return max(usable_bytes(limit) - WORKER_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
+
+
+def stretch_points(limit: int) -> int:
+    """Points that a stretch should hold on average under a memory limit [count].
+
+    Halved as long as a full one does not fit, so that a run that is continued with a
+    little more memory finds its stretches again.
+    """
+    points = STRETCH_POINTS
+    while points > LEAST_STRETCH_POINTS and UNEVEN * points > points_within("scatter", limit):
+        points //= 2
+    return points
+
+
+def halo_m(workflow: Workflow) -> float:
+    """Halo of a denoise block: the sum of the reaches of the filter's steps [m]."""
+    return denoise.reach_m(workflow.filter)
+
+
+def surface_reach_m(workflow: Workflow) -> float:
+    """Margin that a ground cell's rasters read [m]."""
+    return max(surface.reach_m(workflow.products), reflectance.reach_m(workflow.products))
+
+
+def needs(
+    pieces: Sequence[Piece],
+    workflow: Workflow,
+    memory_bytes: int,
+    *,
+    points: int,
+    trajectory: Iterable[Path] = (),
+) -> list[Need]:
+    """Memory of the heaviest task of each kind.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Where the points lie.
+    workflow : Workflow
+        The settings.
+    memory_bytes : int
+        Memory limit of a worker [byte].
+    points : int
+        Points of the survey [count].
+    trajectory : iterable of Path
+        Trajectory files.
+    """
+    tile_q, cell_q = quanta(workflow.tiling.tile_m), quanta(workflow.ground.cell_m)
+    block = (workflow.tiling.block_tiles or 1) * tile_q
+    reaches = {
+        "build_tile": (tile_q, 0.0),
+        "denoise": (block, halo_m(workflow)),
+        "ground": (cell_q, workflow.ground.buffer_m),
+        "surface": (cell_q, surface_reach_m(workflow)),
+    }
+    found = []
+    for kind, (edge, reach) in reaches.items():
+        peak = largest(piece.peak(edge, quanta(reach)) for piece in pieces)
+        found.append(Need(_place(kind, peak), task_bytes(kind, peak.points), REMEDIES[kind]))
+    tile = largest(piece.peak(tile_q, 0) for piece in pieces).points
+    stretch = min(points, UNEVEN * stretch_points(memory_bytes))
+    labels = min(points, PASS_POINTS) * BYTES_PER_LABEL
+    chunk = min(points, CHUNK_POINTS)
+    records = sum(_records(path) for path in trajectory)
+    return [
+        *found,
+        Need("reading a file", task_bytes("index_file", chunk), ""),
+        Need("a stretch of a flightline", task_bytes("scatter", stretch), ""),
+        Need("a file's labels", task_bytes("deliver_tile", tile) + labels, "lower tiling.tile_m"),
+        Need(
+            f"a trajectory of about {records:,} records",
+            WORKER_BASE_BYTES + records * BYTES_PER_RECORD,
+            "thin it",
+        ),
+    ]
+
+
+REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "build_tile": "lower tiling.tile_m",
+        "denoise": "lower tiling.tile_m",
+        "ground": "lower ground.cell_m or ground.buffer_m",
+        "surface": "lower ground.cell_m or products.void_max_m",
+    }
+)
+"""What makes a task lighter, by its kind."""
+
+NAMES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "build_tile": "a tile",
+        "denoise": "a denoise block",
+        "ground": "a ground cell",
+        "surface": "a surface cell",
+    }
+)
+"""What a kind of task is called, in words."""
+
+
+def refusal(kind: str, points: float, limit: int) -> str:
+    """Why a task cannot be started, and what helps; empty if it can."""
+    needed = task_bytes(kind, points)
+    if needed <= usable_bytes(limit):
+        return ""
+    return (
+        f"{NAMES[kind]} with {points:,.0f} points in reach needs about {needed / 2**20:,.0f} MiB, "
+        f"more than {USABLE_SHARE:.0%} of --memory {limit / 2**20:,.0f} MiB; "
+        f"raise it or {REMEDIES[kind]}"
+    )
+
+
+def _place(kind: str, peak: Peak) -> str:
+    x, y = (sum(ends) / 2 * QUANTUM_M for ends in (peak.core[::2], peak.core[1::2]))
+    return f"{NAMES[kind]} around x {x:.0f}, y {y:.0f} with {peak.points:,.0f} points in reach"
+
+
+def _records(path: Path) -> int:
+    size = RECORD_BYTES.get(path.suffix.lower(), CSV_RECORD_BYTES)
+    return path.stat().st_size // size

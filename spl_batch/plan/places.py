@@ -1,0 +1,239 @@
+"""Tasks of the space domain: tiles, blocks, ground cells, and what is delivered of them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.model import Task
+from spl_batch.plan.inputs import source_args
+from spl_batch.plan.memory import refusal, surface_reach_m
+from spl_batch.plan.space import Unit, fired_index, owners, units, voxel_index
+from spl_batch.plan.survey import Survey, mosaic_parts
+from spl_batch.runner.space_domain import parse_cell
+from spl_batch.stages.local_noise import MARGIN_VOXELS
+from spl_batch.tiling import CellId, grow, quanta
+
+PRODUCTS = ("dtm", "dsm", "chm", "density", "intensity")
+"""Rasters that are delivered."""
+
+MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
+"""What the intensity raster holds, as its band is called."""
+
+
+class _Pieces(NamedTuple):
+    """Which row group of which stretch holds points of which tile: p pieces.
+
+    Parameters
+    ----------
+    stretches : list of str
+        Names of the stretches, sorted.
+    tiles : list of CellId
+        The tiles, in the order in which they were met.
+    tile, stretch, group, points : (p,) int32
+        Places in those lists, row group, and its points [count].
+    """
+
+    stretches: list[str]
+    tiles: list[CellId]
+    tile: NDArray[np.int32]
+    stretch: NDArray[np.int32]
+    group: NDArray[np.int32]
+    points: NDArray[np.int32]
+
+
+def build(survey: Survey) -> Iterator[Task]:
+    """Tiles that hold points, each from the stretches that have some of them."""
+    pieces = _pieces(survey)
+    order = np.argsort(pieces.tile, kind="stable")  # stretches stay in the order of names
+    starts = np.searchsorted(pieces.tile[order], np.arange(len(pieces.tiles) + 1))
+    for k in sorted(range(len(pieces.tiles)), key=pieces.tiles.__getitem__):
+        mine, name = order[starts[k] : starts[k + 1]], str(pieces.tiles[k])
+        stretches = [pieces.stretches[s] for s in pieces.stretch[mine].tolist()]
+        listed = list(zip(stretches, pieces.group[mine].tolist(), strict=True))
+        points = int(pieces.points[mine].sum(dtype=np.int64))
+        yield Task(
+            "build_tile",
+            name,
+            {"tile": name, "pieces": listed},
+            tuple(("scatter", stretch) for stretch in stretches),
+            points,
+            refusal("build_tile", points, survey.memory_bytes),
+        )
+
+
+def _pieces(survey: Survey) -> _Pieces:
+    scattered = survey.of("scatter")
+    stretches = sorted(scattered)
+    known: dict[str, int] = {}
+    rows = []
+    for number, stretch in enumerate(stretches):
+        tiles = scattered[stretch].facts["tiles"]
+        of_stretch = np.empty((4, len(tiles)), np.int32)
+        of_stretch[0] = [known.setdefault(tile, len(known)) for tile in tiles]
+        of_stretch[1] = number
+        of_stretch[2:] = np.array(list(tiles.values()), np.int32).reshape(-1, 2).T
+        rows.append(of_stretch)
+    columns = np.concatenate(rows, axis=1) if rows else np.empty((4, 0), np.int32)
+    return _Pieces(stretches, [parse_cell(tile) for tile in known], *columns)
+
+
+def denoise(survey: Survey) -> Iterator[Task]:
+    """Blocks of tiles, with the stretches whose noise reaches them."""
+    voxel_q = quanta(survey.workflow.noise.voxel_m)
+    index = voxel_index(_boxes(survey, "voxels"), voxel_q)
+    # what a density depends on, whatever the halo of the points
+    margin = survey.halo_q + MARGIN_VOXELS * voxel_q
+    for block in survey.blocks():
+        parts = index.overlapping(grow(block.core, margin))
+        args = {
+            "block": str(block.cell),
+            "core": list(block.core),
+            "tiles": [str(t) for t in block.tiles],
+            "voxels": parts,
+            "beamlets": survey.beamlets,
+        }
+        needs = (*_tile_needs(block), *(("scatter", p) for p in parts))
+        yield _task("denoise", block, args, needs, survey)
+
+
+def ground(survey: Survey) -> Iterator[Task]:
+    """Ground cells with their buffers."""
+    halo = quanta(survey.workflow.ground.buffer_m)
+    for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
+        noise = owners(cell.tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
+        args = {**_cell_args(cell), "noise": _named("noise", noise)}
+        needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
+        yield _task("ground", cell, args, needs, survey)
+
+
+def surface(survey: Survey) -> Iterator[Task]:
+    """Ground cells whose ground is found, with what their rasters read around them."""
+    halo = quanta(surface_reach_m(survey.workflow))
+    index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
+    for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
+        if str(cell.cell) not in survey.of("ground"):
+            continue
+        noise = owners(cell.tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
+        ground_of = owners(cell.tiles, survey.tile_q, survey.cell_q, survey.of("ground"))
+        parts = None if index is None else index.overlapping(grow(cell.core, halo))
+        args = {
+            **_cell_args(cell),
+            "noise": _named("noise", noise),
+            "ground": _named("ground", ground_of),
+            "polygons": list(survey.inputs.polygons),
+            "fired": parts,
+        }
+        labels = (*_label_needs("denoise", noise), *_label_needs("ground", ground_of))
+        needs = (*_tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
+        yield _task("surface", cell, args, needs, survey)
+
+
+def knows_reflectance(survey: Survey) -> bool:
+    """Whether the intensity raster is made of detections, and not of the input's values."""
+    workflow = survey.workflow
+    if workflow.filter.method == "none" or workflow.products.intensity != "detection":
+        return False
+    return any(box[2] > box[0] for box in _boxes(survey, "fired").values())
+
+
+def deliver(survey: Survey) -> Iterator[Task]:
+    """Input files, each with the tiles that hold its points."""
+    holders: dict[str, list[CellId]] = {}
+    for tile in survey.counts:
+        for source in survey.of("build_tile")[str(tile)].facts["sources"]:
+            holders.setdefault(source, []).append(tile)
+    for source in survey.inputs.sources:
+        key = str(source.key)
+        receipt = survey.of("index_file").get(key)
+        if receipt is None:
+            continue
+        labels = _label_units(survey, holders.get(key, []))
+        args = {
+            **source_args(source),
+            "delivered": source.delivered,
+            "points": receipt.points,
+            "hash": receipt.facts["hash"],
+            "tiles": {str(tile): units_of for tile, units_of in labels.items()},
+        }
+        yield Task("deliver_file", key, args, _delivery_needs(labels), receipt.points)
+
+
+def deliver_tiles(survey: Survey) -> Iterator[Task]:
+    """Tiles, where they are delivered."""
+    if survey.workflow.outputs.tiles == "none":
+        return
+    for tile, count in survey.counts.items():
+        labels = _label_units(survey, [tile])
+        args = {"tile": str(tile), "units": labels[tile]}
+        yield Task("deliver_tile", str(tile), args, _delivery_needs(labels), count)
+
+
+def mosaic(survey: Survey) -> Iterator[Task]:
+    """Rasters of each piece of the survey."""
+    for number, (cells, bounds) in enumerate(mosaic_parts(survey), start=1):
+        needs = tuple(("surface", str(cell)) for cell in cells)
+        for product in (*PRODUCTS, "noise"):
+            name = product if number == 1 else f"{product}_{number}"
+            args = {
+                "product": product,
+                "name": name,
+                "cells": [list(cell) for cell in cells],
+                "bounds": list(bounds),
+                "delivered": product in PRODUCTS,
+            }
+            if product == "intensity":
+                args["meaning"] = MEANINGS[knows_reflectance(survey)]
+            yield Task("mosaic", name, args, needs)
+
+
+def _task(
+    kind: str,
+    unit: Unit,
+    args: Mapping[str, object],
+    needs: tuple[tuple[str, str], ...],
+    survey: Survey,
+) -> Task:
+    refused = refusal(kind, unit.held, survey.memory_bytes)
+    return Task(kind, str(unit.cell), args, needs, unit.points, refused)
+
+
+def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
+    """What the stretches say of a place, by name."""
+    scattered = ((name, r.facts) for name, r in survey.of("scatter").items())
+    return {name: facts[fact] for name, facts in scattered if fact in facts}
+
+
+def _cell_args(cell: Unit) -> dict[str, object]:
+    return {
+        "cell": str(cell.cell),
+        "ij": list(cell.cell),
+        "tiles": [str(t) for t in cell.tiles],
+    }
+
+
+def _named(kind: str, listed: Mapping[CellId, list[str]]) -> dict[str, list[list[str]]]:
+    return {str(tile): [[kind, name] for name in names] for tile, names in listed.items()}
+
+
+def _tile_needs(unit: Unit) -> tuple[tuple[str, str], ...]:
+    return tuple(("build_tile", str(t)) for t in unit.tiles)
+
+
+def _label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[str, str], ...]:
+    return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
+
+
+def _label_units(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
+    """Finished units that hold the delivered labels of each tile, by tile and label."""
+    noise = owners(tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
+    classes = owners(tiles, survey.tile_q, survey.cell_q, survey.of("surface"))
+    return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
+
+
+def _delivery_needs(labels: Mapping[CellId, dict[str, list[str]]]) -> tuple[tuple[str, str], ...]:
+    built = tuple(("build_tile", str(tile)) for tile in labels)
+    noise = {tile: units_of["noise"] for tile, units_of in labels.items()}
+    classes = {tile: units_of["classes"] for tile, units_of in labels.items()}
+    return (*built, *_label_needs("denoise", noise), *_label_needs("surface", classes))

@@ -1,0 +1,85 @@
+"""The tasks of a phase one by one: which are finished, which are left, none kept.
+
+A survey has as many tasks of a kind as it has tiles, and a task with its arguments takes
+kilobytes. They are made twice instead: once to see which are finished, once to be done,
+and only those on their way to a worker exist.
+"""
+
+from collections.abc import Iterator
+
+from spl_batch.model import Receipt, Task
+from spl_batch.plan.phases import Phase
+from spl_batch.plan.survey import Survey
+from spl_batch.runner import failure, finished, task_key
+from spl_batch.runner.context import Context
+
+
+class Worklist:
+    """What one phase has to do.
+
+    Parameters
+    ----------
+    phase : Phase
+        The phase; those before it are done.
+    survey : Survey
+        What is finished so far; what this phase finishes is added to it.
+    context : Context
+        The run.
+    verify : bool
+        Whether finished outputs are compared with their checksums.
+
+    Attributes
+    ----------
+    left, ready : int
+        Tasks to do, and those that :meth:`look` found finished [count].
+    points : int
+        Points that the tasks to do will handle [count].
+    refused : list of Receipt
+        Failures of tasks that cannot be started.
+    """
+
+    def __init__(
+        self, phase: Phase, survey: Survey, context: Context, *, verify: bool = False
+    ) -> None:
+        self.left = self.ready = self.points = 0
+        self.refused: list[Receipt] = []
+        self._phase, self._survey, self._context = phase, survey, context
+        self._verify = verify
+        self._done = survey.of(phase.kind)
+        self._points: dict[str, int] = {}
+
+    def look(self) -> Iterator[Receipt]:
+        """Count the tasks; receipts of those that are finished already, as they are found."""
+        self.left = self.ready = self.points = 0
+        self.refused.clear()
+        for task in self._phase.tasks(self._survey):
+            key = self.key(task)
+            receipt = finished(task, key, self._context, verify=self._verify)
+            if receipt is not None:
+                self.ready += 1
+                self._done.put(receipt)
+                yield receipt
+            else:
+                self.left += 1
+                self.points += task.points
+                if task.refused:
+                    self.refused.append(failure(task, key, task.refused))
+                    self._points[task.name] = task.points
+
+    def jobs(self) -> Iterator[tuple[Task, str]]:
+        """Tasks to do, and their keys, made when they are asked for."""
+        for task in self._phase.tasks(self._survey):
+            if not task.refused and task.name not in self._done:
+                self._points[task.name] = task.points
+                yield task, self.key(task)
+
+    def ended(self, receipt: Receipt) -> int:
+        """Put what a task has left on the shelf; points that it was to handle [count]."""
+        if not receipt.failed:
+            self._done.put(receipt)
+        return self._points.pop(receipt.name)
+
+    def key(self, task: Task) -> str:
+        """Hash of everything that a task's result depends on."""
+        digests = (self._survey.of(kind).digest(name) for kind, name in task.needs)
+        return task_key(task, self._context, digests)
