@@ -89,9 +89,8 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
         for attempt in ("first", "second"):  # the first one loads and compiles
             seen.clear()
             api.run(workflow, workers=0, overrides=[f"output={folder}/{attempt}", *overrides])
-    print(
-        f"{'kind':14s}{'tasks':>7s}{'points held':>14s}{'MiB':>8s}{'bytes / point':>15s}{'base':>8s}"
-    )
+    titles = f"{'tasks':>7s}{'points held':>14s}{'MiB':>8s}{'bytes / point':>15s}{'base':>8s}"
+    print(f"{'kind':14s}{titles}")
     for kind, listed in seen.items():
         most, points, before = max(listed)
         each = most / points if points else 0.0

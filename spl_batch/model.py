@@ -365,8 +365,7 @@ class Receipt:
     reason : str
         Why the task failed; empty when it did not.
     outputs : mapping of str to str
-        Path below the output folder -> checksum of the file, or of the directory; the working
-        store is ``store`` wherever it lies.
+        Path below the output folder (the store is ``store``) -> checksum of file or directory.
     facts : mapping
         Small results, plain JSON values.
     points : int
