@@ -8,6 +8,9 @@ from spl_batch.model import PointTable
 from spl_batch.stages.stray import BOXES, COLUMN, Box, stray
 
 Points = NDArray[np.float64]
+Corner = tuple[float, float, float]
+"""x, y, z [m]."""
+
 KEPT, REFUSED, AFTERPULSE = 0, 1, 2
 
 
@@ -38,11 +41,10 @@ def table(points: dict[int, list[Points]]) -> PointTable:
     )
 
 
-def plate(rng: np.random.Generator, low: Points, high: Points, per_m2: float) -> Points:
-    """Returns of a level surface between two corners (x, y, z)."""
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    count = rng.poisson(per_m2 * np.prod((high - low)[:2]))
-    return rng.uniform(low, high + np.array([0, 0, 0.2]), (count, 3))
+def plate(rng: np.random.Generator, low: Corner, high: Corner, per_m2: float) -> Points:
+    """Returns of a level surface between two corners."""
+    area = (high[0] - low[0]) * (high[1] - low[1])
+    return rng.uniform(low, (high[0], high[1], high[2] + 0.2), (rng.poisson(per_m2 * area), 3))
 
 
 def background(rng: np.random.Generator, per_m3: float = 0.04) -> Points:
@@ -85,7 +87,7 @@ def test_a_cluster_beside_a_surface_but_far_above_or_below_is_stray(height: floa
         ((0, 0, 5), (80, 80, 5), 0.08),  # forest floor 35 m below closed crowns
     ],
 )
-def test_deep_surfaces_stay(low: Points, high: Points, per_m2: float) -> None:
+def test_deep_surfaces_stay(low: Corner, high: Corner, per_m2: float) -> None:
     rng = np.random.default_rng(6)
     deep = plate(rng, low, high, per_m2)
     top = plate(rng, (0, 0, 40), (80, 80, 40), 8.0)
@@ -154,4 +156,6 @@ def slow_twin(points: PointTable) -> NDArray[np.bool_]:
     nowhere = np.ones(len(points), np.bool_)
     for box in BOXES:
         nowhere &= bare((away <= (box.reach, box.reach, 1)).all(axis=2), box)
-    return signal & (nowhere | bare((away[:, :, :2] <= COLUMN.reach).all(axis=2), COLUMN))
+    nowhere |= bare((away[:, :, :2] <= COLUMN.reach).all(axis=2), COLUMN)
+    stray_ones: NDArray[np.bool_] = signal & nowhere
+    return stray_ones

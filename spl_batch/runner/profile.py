@@ -15,6 +15,12 @@ from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, overla
 LENGTH_M = 100.0
 WIDTH_M = 3.0
 
+_TALLEST_M = 30.0
+"""Heights count up to this: one mast is no reason [m]."""
+
+_COVER_M = 1.0
+"""What a cell with a surface counts for besides: a picture shows no empty place [m]."""
+
 
 def cut_profile(
     height: Part | None, done: Mapping[str, Mapping[str, Receipt]], context: Context
@@ -69,10 +75,12 @@ def read_strip(
 
 
 def tallest_strip(height: Part) -> Bounds:
-    """Strip with the largest sum of heights above ground; the first of equals."""
-    values = np.where(height.values > NODATA, height.values.astype(np.float64), 0.0)
+    """Covered strip with the largest sum of heights above ground; the first of equals."""
+    known = height.values > NODATA
+    capped = np.minimum(height.values.astype(np.float64), _TALLEST_M)
+    values = np.where(known, capped + _COVER_M, 0.0)
     length = min(max(round(LENGTH_M / height.cell_m), 1), values.shape[1])
-    total = np.cumsum(np.pad(np.minimum(values, 30.0), ((0, 0), (1, 0))), axis=1)
+    total = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
     score = total[:, length:] - total[:, :-length]
     row, column = np.unravel_index(int(np.argmax(score)), score.shape)
     west = quanta(height.left_m + float(column) * height.cell_m)
