@@ -1,4 +1,6 @@
-"""Terrain and surface models against truth: ``python -m benchmarks.terrain [FOLDER]``.
+"""Terrain and surface models against truth: ``python -m benchmarks.terrain``.
+
+Takes ``[FOLDER] [--scenes hill dense town] [--seeds 11 12]``.
 
 Simulates three surveys (a wooded hill of 90 m relief under 60 % canopy, dense forest of
 80 %, a town with a hall and a lake) for each of two seeds into FOLDER, a temporary one by
@@ -9,10 +11,10 @@ stand the bars: USGS QL0 asks 5 cm RMSE on open ground; [W17] 7.4 reports 0.23 m
 to linear-mode lidar. Finished runs in FOLDER are used again.
 """
 
+import argparse
 import shutil
-import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -230,12 +232,14 @@ def load_truth(survey: Path) -> Truth:
     return Truth(terrain, surface, top, held["roof"], held["water"], held["ground"])
 
 
-def main(folder: Path) -> dict[str, dict[str, float]]:
-    """Run every scene and seed, and print the table."""
+def main(
+    folder: Path, scenes: Sequence[str] = tuple(SCENES), seeds: Sequence[int] = SEEDS
+) -> dict[str, dict[str, float]]:
+    """Run scenes and seeds, and print the table."""
     print(f"ground cells of {GroundSettings().cell_m:g} m against one of 400 m")
     columns = {}
-    for kind in SCENES:
-        for seed in SEEDS:
+    for kind in scenes:
+        for seed in seeds:
             columns[f"{kind} {seed}"] = figures(process(kind, seed, folder))
     print(f"{'':38s}" + "".join(f"{name:>10s}" for name in columns) + "   bar")
     for name in next(iter(columns.values())):
@@ -245,8 +249,10 @@ def main(folder: Path) -> dict[str, dict[str, float]]:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        main(Path(sys.argv[1]))
-    else:
-        with tempfile.TemporaryDirectory() as temporary:
-            main(Path(temporary))
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES))
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        main(given.folder or Path(temporary), given.scenes, given.seeds)
