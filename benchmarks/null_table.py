@@ -61,7 +61,9 @@ def wires(points: int) -> None:
     """Table of the scan for conductors."""
     settings = FilterSettings().wires
     stricter = settings.model_copy(update={"alpha": settings.alpha * wire_null.STRICTER})
-    share, less = (wire_null.draw_shares(w, points, tell=tell) for w in (settings, stricter))
+    share = wire_null.draw_shares(settings, points, tell=tell, workers=2)
+    # for one number, all densities together
+    less = wire_null.draw_shares(stricter, points // 3, tell=tell, workers=2)
     power = float(np.log(share.sum() / less.sum()) / -np.log(wire_null.STRICTER))
     smooth = wire_null.smoothed(share)
     print(

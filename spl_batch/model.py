@@ -286,16 +286,16 @@ class VoxelPart:
     shots, beamlets : (nx, ny, nz) int64, optional
         Shots and beamlets that touch each sphere, for the published correction; they
         add up as well.
-    covered : (nx, ny, nz) uint16, optional
-        A bit for each square of a quarter of a voxel's edge that a beamlet crosses half-way
-        up the voxel, x * 4 + y; parts are joined by "or".
+    squares : (nx, ny, nz, 16) uint16, optional
+        Seen beamlets that cross each square of a quarter of a voxel's edge half-way up the
+        voxel, at x * 4 + y; they add up as well.
     """
 
     corner: tuple[int, int, int]
     amount: NDArray[np.int64]
     shots: NDArray[np.int64] | None = None
     beamlets: NDArray[np.int64] | None = None
-    covered: NDArray[np.uint16] | None = None
+    squares: NDArray[np.uint16] | None = None
 
 
 VOXEL_FIXED_POINT: Final = 2.0**32

@@ -13,11 +13,11 @@ MIDDLE = 2
 
 
 def pack(squares: np.ndarray) -> np.ndarray:
-    """Bits of squares, one after the other."""
+    """Counts of squares, voxel by voxel."""
     nx, ny, nz = (n // f for n, f in zip(squares.shape, (4, 4, 1), strict=True))
-    out = np.zeros((nx, ny, nz), dtype=np.uint16)
+    out = np.zeros((nx, ny, nz, 16), dtype=np.uint32)
     for x, y, z in np.argwhere(squares):
-        out[x // 4, y // 4, z] |= np.uint16(1 << (x % 4 * 4 + y % 4))
+        out[x // 4, y // 4, z, x % 4 * 4 + y % 4] = squares[x, y, z]
     return out
 
 
@@ -40,8 +40,8 @@ def listened(until_m: float, *, holes: np.ndarray | None = None) -> np.ndarray:
     return found.reshape(squares.shape[:2])[:, 8:-8]
 
 
-def test_bits_and_squares() -> None:
-    squares = np.random.default_rng(1).random((12, 8, 3)) < 0.4
+def test_counts_and_squares() -> None:
+    squares = np.random.default_rng(1).poisson(1.5, (12, 8, 3))
     np.testing.assert_array_equal(local_noise.unpack(pack(squares)), squares)
 
 
@@ -75,9 +75,10 @@ def test_far_from_edges_it_is_the_mean_with_gaps_or_without() -> None:
 def test_a_beam_marks_squares_half_way_up(direction: tuple[float, float, float]) -> None:
     unit = np.array(direction) / np.linalg.norm(direction)
     point, voxel = np.array([3.1, -2.2, 1.7]), np.array([6, 6, 6])
-    covered = np.zeros((12, 12, 12), dtype=np.uint16)
-    cover(voxel, point, unit, -12.0, 21.0, 10.0, covered)
-    squares = local_noise.unpack(covered)
+    counts = np.zeros((12, 12, 12, 16), dtype=np.uint16)
+    cover(voxel, point, unit, -12.0, 21.0, 10.0, counts)
+    assert set(np.unique(counts)) == {0, 1}
+    squares = local_noise.unpack(counts) > 0
     expected = np.zeros_like(squares)
     for s in np.linspace(-12.0, 21.0, 5001):
         layer = int(np.floor((point[2] + s * unit[2] + 5.0) / 10.0))
@@ -93,3 +94,47 @@ def test_a_beam_marks_squares_half_way_up(direction: tuple[float, float, float])
     else:
         assert squares.sum() >= 0.6 * expected.sum()
         assert not np.any(squares & ~expected)
+
+
+def test_counts_stop_where_they_are_full() -> None:
+    counts = np.zeros((3, 3, 3, 16), dtype=np.uint16)
+    counts[1, 1, 1] = 65534
+    down, middle = np.array([0.0, 0.0, -1.0]), np.array([1, 1, 1])
+    for _ in range(3):
+        cover(middle, np.zeros(3), down, -4.0, 4.0, 10.0, counts)
+    assert sorted(np.unique(counts)) == [0, 65534, 65535]
+
+
+def ridge(per_square: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Density over that far from a ridge two squares wide, and the true one of each square."""
+    rng = np.random.default_rng(3)
+    rate = np.ones((SIZE[0] * 4, SIZE[1] * 4))
+    rate[18:20] = height
+    true = np.pad(rate, 4, mode="edge") * PER_M3
+    sphere = local_noise.square_shares()
+    blocks = rate.reshape(SIZE[0], 4, SIZE[1], 4)
+    amount = np.einsum("xiyj,ij->xy", blocks, sphere) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
+    beamlets = rng.poisson(rate[:, :, None] * per_square, (*rate.shape, SIZE[2])) + 1
+    x, y = np.indices(rate.shape).reshape(2, -1)
+    voxel = (x // 4, y // 4, np.full(len(x), MIDDLE))
+    amounts = np.repeat(np.rint(amount).astype(np.int64)[:, :, None], SIZE[2], axis=2)
+    found = local_noise.listened_density(amounts, pack(beamlets), voxel, (x, y), 10.0)
+    return found.reshape(rate.shape)[8:-8, 8:-8], true[12:-12, 12:-12]
+
+
+def test_a_ridge_of_beamlets_is_a_ridge_of_noise() -> None:
+    found, true = ridge(400.0, 3.0)
+    top = true > 2 * PER_M3
+    assert found[top].min() > 0.8 * 3.0 * PER_M3
+    assert found.max() < 1.05 * 3.0 * PER_M3
+    # no farther than a square and its blur
+    flat = np.ones(true.shape, dtype=bool)
+    flat[18 - 8 - 6 : 20 - 8 + 6] = False
+    assert found[flat].max() < 1.05 * PER_M3
+
+
+@pytest.mark.parametrize("per_square", [1.0, 5.0, 25.0, 100.0])
+def test_chance_makes_no_ridge(per_square: float) -> None:
+    found, _ = ridge(per_square, 1.0)
+    assert found.mean() == pytest.approx(PER_M3, rel=0.01)
+    assert found.max() < 1.5 * PER_M3

@@ -69,7 +69,8 @@ def test_what_is_drawn_is_the_share_that_the_scan_keeps() -> None:
 
 def test_smoothing_keeps_what_is_even() -> None:
     np.testing.assert_allclose(wire_null.smoothed(np.full(5, 0.3)), 0.3)
-    np.testing.assert_allclose(wire_null.smoothed(np.array([0, 0, 4, 0, 0.0])), [0, 1, 2, 1, 0])
+    np.testing.assert_allclose(wire_null.smoothed(np.array([0, 0, 9, 0, 0.0])), [1, 2, 3, 2, 1])
+    np.testing.assert_allclose(wire_null.smoothed(np.array([9, 0, 0, 0, 0.0])), [6, 3, 1, 0, 0])
 
 
 def test_other_settings_are_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:

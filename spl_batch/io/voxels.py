@@ -22,7 +22,7 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
         "amount": part.amount,
         "shots": part.shots,
         "beamlets": part.beamlets,
-        "covered": part.covered,
+        "squares": part.squares,
     }
     attributes = {"corner": list(part.corner)}
     with replacing(path) as temporary:
@@ -30,8 +30,7 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
         for name, values in arrays.items():
             if values is None:
                 continue
-            chunks = (VOXEL_CHUNK, VOXEL_CHUNK, shape[2])
-            chunks = tuple(min(c, n) for c, n in zip(chunks, shape, strict=True))
+            chunks = (min(VOXEL_CHUNK, shape[0]), min(VOXEL_CHUNK, shape[1]), *values.shape[2:])
             files = pack(values, chunks=chunks, attributes=attributes)
             for file, content in files.items():
                 target = temporary / name / file
@@ -50,9 +49,9 @@ def add_voxels(
         Group written by :func:`write_voxels`.
     corner : (3,) int
         Absolute index of the box's first voxel.
-    totals : mapping of str to (nx, ny, nz) int64, or uint16 for bits
-        The box by the name of the sum (``amount``, ``shots``, ``beamlets``) or of the bits
-        (``covered``); the part is added, or joined by "or", where they overlap.
+    totals : mapping of str to (nx, ny, nz) or (nx, ny, nz, 16) integer
+        The box by the name of the sum (``amount``, ``shots``, ``beamlets``, ``squares``); the
+        part is added where they overlap.
 
     Raises
     ------
@@ -63,17 +62,16 @@ def add_voxels(
         array = path / name
         metadata = read_metadata(array)
         first = [int(c) for c in metadata["attributes"]["corner"]]
-        shape = metadata["shape"]
+        shape, inner = metadata["shape"][:3], metadata["shape"][3:]
         low = [max(a, b) for a, b in zip(first, corner, strict=True)]
         high = [
-            min(a + n, b + m) for a, n, b, m in zip(first, shape, corner, total.shape, strict=True)
+            min(a + n, b + m)
+            for a, n, b, m in zip(first, shape, corner, total.shape[:3], strict=True)
         ]
         if any(b <= a for a, b in zip(low, high, strict=True)):
             return
         of_part = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, first, strict=True))
         of_box = tuple(slice(a - c, b - c) for a, b, c in zip(low, high, corner, strict=True))
-        values = read_box(array, metadata, of_part, sparse=False).astype(total.dtype, copy=False)
-        if name == "covered":
-            total[of_box] |= values
-        else:
-            total[of_box] += values
+        whole = (*of_part, *(slice(0, n) for n in inner))
+        values = read_box(array, metadata, whole, sparse=False)
+        total[of_box] += values.astype(total.dtype, copy=False)

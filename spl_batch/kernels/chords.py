@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 STEEP: Final = 0.7
 """Vertical part of a direction from which a beam crosses a voxel's height in one square."""
 
+MOST: Final = 65535
+"""Beamlets at which the count of a square stops."""
+
 
 @njit(nogil=True, cache=True)
 def chord_length(
@@ -50,23 +53,23 @@ def cover(
     near: float,
     far: float,
     edge: float,
-    covered: NDArray[np.uint16],
+    squares: NDArray[np.uint16],
 ) -> None:
-    """Mark the squares that a beamlet crosses half-way up each voxel that it listens in.
+    """Count a beamlet in the squares that it crosses half-way up each voxel that it listens in.
 
     A square is a quarter of a voxel's edge wide. Beams nearer to the horizontal than
-    :data:`STEEP` cross too many to tell by one; they mark the whole voxel.
+    :data:`STEEP` cross too many to tell by one; they count in the whole voxel.
 
     Parameters
     ----------
     voxel, point, direction, near, far, edge
         As :func:`deposit_beamlet` takes them.
-    covered : (nx, ny, nz) uint16
-        Bit ``x * 4 + y`` of a voxel is its square (x, y).
+    squares : (nx, ny, nz, 16) uint16
+        Beamlets in square (x, y) of a voxel at ``x * 4 + y``, at most :data:`MOST`.
     """
     along = direction[2]
     if abs(along) < STEEP:
-        cover_whole(voxel, point, direction, near, far, edge, covered)
+        cover_whole(voxel, point, direction, near, far, edge, squares)
         return
     ends = (point[2] + near * along, point[2] + far * along)
     half = 0.5 * edge
@@ -75,8 +78,13 @@ def cover(
         t = (layer * edge - point[2]) / along
         x = math.floor((point[0] + t * direction[0] + half) * (4.0 / edge))
         y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
-        bit = np.uint16(1 << ((x % 4) * 4 + y % 4))
-        covered[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer] |= bit
+        _count(squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer], x % 4 * 4 + y % 4)
+
+
+@njit(nogil=True, cache=True)
+def _count(counts, at):  # type: ignore[no-untyped-def]
+    if counts[at] < MOST:
+        counts[at] += np.uint16(1)
 
 
 @njit(nogil=True, cache=True)
@@ -87,16 +95,21 @@ def cover_whole(
     near: float,
     far: float,
     edge: float,
-    covered: NDArray[np.uint16],
+    squares: NDArray[np.uint16],
 ) -> None:
-    """Mark the voxels that a line passes, whole; arguments as of :func:`cover`."""
+    """Count a beamlet in all squares of the voxels it passes; arguments as of :func:`cover`."""
     steps = math.ceil((far - near) / (0.25 * edge))
-    index = np.empty(3, dtype=np.int64)
+    index = np.full(3, -1, dtype=np.int64)
     for k in range(steps + 1):
         t = near + (far - near) * k / max(steps, 1)
+        same = True
         for axis in range(3):
-            index[axis] = voxel[axis] + math.floor((point[axis] + t * direction[axis]) / edge + 0.5)
-        covered[index[0], index[1], index[2]] = np.uint16(0xFFFF)
+            at = voxel[axis] + math.floor((point[axis] + t * direction[axis]) / edge + 0.5)
+            same &= at == index[axis]
+            index[axis] = at
+        if not same:
+            for square in range(16):
+                _count(squares[index[0], index[1], index[2]], square)
 
 
 @njit(nogil=True, cache=True)
@@ -114,7 +127,7 @@ def deposit_beamlet(
     shots: NDArray[np.int64],
     beamlets: NDArray[np.int64],
     last_shot: NDArray[np.int64],
-    covered: NDArray[np.uint16],
+    squares: NDArray[np.uint16],
 ) -> None:
     """Add one beamlet's chords to every sphere that it crosses.
 
@@ -141,11 +154,11 @@ def deposit_beamlet(
         Added to.
     shots, beamlets, last_shot : (nx, ny, nz) int64, or empty
         Added to where not empty: shots and beamlets that touch each sphere.
-    covered : (nx, ny, nz) uint16, or empty
-        Bits of the squares that the beamlet crosses, see :func:`cover`.
+    squares : (nx, ny, nz, 16) uint16, or empty
+        Beamlets that cross each square, see :func:`cover`.
     """
-    if covered.size:
-        cover(voxel, point, direction, near, far, edge, covered)
+    if squares.size:
+        cover(voxel, point, direction, near, far, edge, squares)
     axis = 2
     for k in range(2):
         if abs(direction[k]) > abs(direction[axis]):
@@ -193,12 +206,12 @@ def deposit_beamlets(
     amount: NDArray[np.int64],
     shots: NDArray[np.int64],
     beamlets: NDArray[np.int64],
-    covered: NDArray[np.uint16],
+    squares: NDArray[np.uint16],
 ) -> None:
     """Add every beamlet; rows as the arguments of :func:`deposit_beamlet`."""
     last_shot = np.full(beamlets.shape, -1, dtype=np.int64)
     for i in range(len(weight)):
         deposit_beamlet(
             voxel[i], point[i], direction[i], near[i], far[i], weight[i], edge, radius,
-            ordinal[i], amount, shots, beamlets, last_shot, covered,
+            ordinal[i], amount, shots, beamlets, last_shot, squares,
         )  # fmt: skip

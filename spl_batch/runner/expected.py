@@ -70,14 +70,14 @@ def expected_noise(
     for line in _by_line(parts):
         sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
         if not published:
-            sums["covered"] = np.zeros(box.shape, dtype=np.uint16)
+            sums["squares"] = np.zeros((*box.shape, SQUARES**2), dtype=np.uint32)
         for part in line:
             add_voxels(store.path("voxels", f"{part}.zarr"), box.corner, sums)
         for name in names:
             totals[name] += sums[name]
         if not published:
             local += listened_density(
-                sums["amount"], sums["covered"], box.voxel, box.square, settings.voxel_m
+                sums["amount"], sums["squares"], box.voxel, box.square, settings.voxel_m
             )
     density = voxel_noise.density(
         totals["amount"],

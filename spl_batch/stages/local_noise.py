@@ -5,14 +5,17 @@ voxel that a gate's end, the edge of a flightline or of a delivery cuts is partl
 its mean is too small for the points in it, which all lie on one side. So, for each flightline:
 
 - the amount in a sphere is divided by the share of it over squares that beamlets cross
-  (``VoxelPart.covered``): gaps of up to two squares are closed, since few beamlets leave gaps
+  (``VoxelPart.squares``): gaps of up to two squares are closed, since few beamlets leave gaps
   without an edge, and squares along an edge count half;
 - where squares are missing, the same ratio of the nine voxels around is taken if it is
   larger: a sliver's own share is known too badly;
 - of a voxel and those above and below, the largest: where a gate ends
   (:func:`~spl_batch.stages.voxel_noise.within_gate`);
 - it counts at points within a square of those that the flightline covers, in the layers
-  around: near an overlap's edge the neighbours of a point lie within it.
+  around: near an overlap's edge the neighbours of a point lie within it;
+- where surely more beamlets cross a square within one of a point's than are usual around its
+  voxel, the amount goes with them: at the edge of a swath a turning scan runs along the edge,
+  and what it listens to there makes a ridge narrower than a voxel.
 
 The flightlines add up. Each step errs towards more noise. ``benchmarks/null_edges.py`` prints
 what the test keeps of noise along edges.
@@ -20,7 +23,7 @@ what the test keeps of noise along edges.
 
 from collections.abc import Callable
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +39,16 @@ SQUARES: Final = 4
 MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
 
+BLUR: Final = (1.0, 4.0, 1.0)
+"""Weights of a square and its neighbours on either side, where beamlets are counted."""
+
+SURE: Final = 3.0
+"""Standard errors of such a count by which a ridge has to stand out."""
+
 
 def listened_density(
     amount: NDArray[np.int64],
-    covered: NDArray[np.uint16],
+    counts: NDArray[np.integer[Any]],
     voxel: tuple[NDArray[np.int64], ...],
     square: tuple[NDArray[np.int64], ...],
     voxel_m: float,
@@ -51,8 +60,8 @@ def listened_density(
     amount : (nx, ny, nz) int64
         Sum of ``VoxelPart.amount`` of its stretches, :data:`MARGIN_VOXELS` wider on each
         side than the points' voxels.
-    covered : (nx, ny, nz) uint16
-        Union of ``VoxelPart.covered``.
+    counts : (nx, ny, nz, 16) integer
+        Sum of ``VoxelPart.squares``.
     voxel : three of (n,) int64
         Index of each point's voxel.
     square : two of (n,) int64
@@ -65,24 +74,23 @@ def listened_density(
     (n,) float64
         [1/m3]; 0 where the flightline does not come near.
     """
-    squares = unpack(covered)
-    if not squares.any():
+    if not counts.any():
         return np.zeros(len(voxel[0]))
-    near = _across(np.logical_or, squares)
+    beamlets = unpack(counts)
+    near = _across(np.logical_or, beamlets > 0)
     closed = _across(np.logical_and, near)
-    per_m3 = within_gate(_of_covered(amount, closed, voxel_m))
+    weight = _weight(closed)
+    per_m3 = within_gate(_of_covered(amount, closed, weight, voxel_m))[voxel]
+    ridge = _of_beamlets(amount, beamlets, weight, voxel, square, voxel_m)
     _vertically(np.logical_or, near)
-    return np.where(near[square[0], square[1], voxel[2]], per_m3[voxel], 0.0)
+    return np.where(near[square[0], square[1], voxel[2]], np.maximum(per_m3, ridge), 0.0)
 
 
-def unpack(covered: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Squares of voxels: (4 nx, 4 ny, nz) bool from (nx, ny, nz) uint16."""
-    nx, ny, nz = covered.shape
-    out = np.empty((nx, SQUARES, ny, SQUARES, nz), dtype=np.bool_)
-    for x in range(SQUARES):
-        for y in range(SQUARES):
-            out[:, x, :, y] = (covered >> (x * SQUARES + y)) & 1
-    return out.reshape(nx * SQUARES, ny * SQUARES, nz)
+def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
+    """Squares of voxels: (4 nx, 4 ny, nz) float32 from (nx, ny, nz, 16)."""
+    nx, ny, nz = counts.shape[:3]
+    apart = counts.reshape(nx, ny, nz, SQUARES, SQUARES).transpose(0, 3, 1, 4, 2)
+    return apart.astype(np.float32).reshape(nx * SQUARES, ny * SQUARES, nz)
 
 
 @cache
@@ -102,27 +110,86 @@ def square_shares() -> NDArray[np.float64]:
     return normal
 
 
-def _of_covered(
-    amount: NDArray[np.int64], squares: NDArray[np.bool_], voxel_m: float
-) -> NDArray[np.float64]:
-    """Density of the covered part of voxels [1/m3]."""
-    nx, ny, nz = amount.shape
+def _weight(squares: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Part of each square that is covered: 1 inside, 0.5 along an edge."""
     inner = squares.copy()
     for axis in (0, 1):
         ahead, behind = _halves(axis)
         inner[ahead] &= squares[behind]
         inner[behind] &= squares[ahead]
-    # 1 inside, 0.5 along an edge
-    weight = (squares.astype(np.float32) + inner) * np.float32(0.5)
-    blocks = weight.reshape(nx, SQUARES, ny, SQUARES, nz)
-    share = np.einsum("xiyjz,ij->xyz", blocks, square_shares())
+    return (squares.astype(np.float32) + inner) * np.float32(0.5)
+
+
+def _of_covered(
+    amount: NDArray[np.int64],
+    squares: NDArray[np.bool_],
+    weight: NDArray[np.float32],
+    voxel_m: float,
+) -> NDArray[np.float64]:
+    """Density of the covered part of voxels [1/m3]."""
+    share = _of_spheres(weight)
     some = share > 0.0
     points = np.where(some, amount, 0) / (VOXEL_FIXED_POINT * voxel_m**3)
     own = points / np.where(some, share, 1.0)
-    cut = some & ~blocks.all(axis=(1, 3))
+    nx, ny, nz = amount.shape
+    cut = some & ~squares.reshape(nx, SQUARES, ny, SQUARES, nz).all(axis=(1, 3))
     pooled = _around(points)[cut] / _around(share)[cut]
     own[cut] = np.maximum(own[cut], pooled)
     return own
+
+
+def _of_spheres(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Mean of the squares of each voxel as far as its sphere lies over them."""
+    nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
+    blocks = values.reshape(nx, SQUARES, ny, SQUARES, nz)
+    mean: NDArray[np.float64] = np.einsum("xiyjz,ij->xyz", blocks, square_shares())
+    return mean
+
+
+def _of_beamlets(
+    amount: NDArray[np.int64],
+    beamlets: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    voxel: tuple[NDArray[np.int64], ...],
+    square: tuple[NDArray[np.int64], ...],
+    voxel_m: float,
+) -> NDArray[np.float64]:
+    """Density that the beamlets of the fullest square near a point surely stand for: (n,) [1/m3].
+
+    What one beamlet stands for is the mean of nine voxels: it changes slowly.
+    """
+    number = _around(_of_spheres(beamlets))
+    points = _around(amount / (VOXEL_FIXED_POINT * voxel_m**3))
+    each = within_gate(np.where(number > 0.0, points / np.where(number > 0.0, number, 1.0), 0.0))
+    found, area = _blurred(beamlets, BLUR), _blurred(weight, BLUR)
+    # of a Poisson count, weighted
+    error = np.sqrt(_blurred(beamlets, tuple(w * w for w in BLUR)))
+    surely = np.maximum(found - np.float32(SURE) * error, np.float32(0.0))
+    surely /= np.where(area > 0.0, area, np.float32(1.0))
+    return each[voxel] * _largest(surely)[square[0], square[1], voxel[2]]
+
+
+def _largest(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Largest of each square and the eight around it in its layer."""
+    for axis in (0, 1):
+        out = values.copy()
+        ahead, behind = _halves(axis)
+        np.maximum(out[ahead], values[behind], out=out[ahead])
+        np.maximum(out[behind], values[ahead], out=out[behind])
+        values = out
+    return values
+
+
+def _blurred(values: NDArray[np.float32], weights: tuple[float, ...]) -> NDArray[np.float32]:
+    """Weighted sum over each square and the eight around it in its layer."""
+    beside, own = np.float32(weights[0]), np.float32(weights[1])
+    for axis in (0, 1):
+        out = values * own
+        ahead, behind = _halves(axis)
+        out[ahead] += values[behind] * beside
+        out[behind] += values[ahead] * beside
+        values = out
+    return values
 
 
 def _across(

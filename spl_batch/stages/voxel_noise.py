@@ -31,6 +31,10 @@ from spl_batch.stages.line_noise import gate_of, line_density
 from spl_batch.tiling import cell_index, quanta
 
 DOMAIN: Final = "time"
+
+UNEVEN: Final = 1.15
+"""Densities of a voxel and one above or below it that differ by less have no gate's end between."""
+
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ()
 BYTES_PER_POINT: Final = 240
@@ -61,7 +65,7 @@ def deposit(
     -------
     VoxelPart
         With ``shots`` and ``beamlets`` where the correction is "published", else with
-        ``covered``.
+        ``squares``.
     """
     published = settings.correction == "published"
     rows = np.flatnonzero(beams.known)
@@ -76,7 +80,7 @@ def deposit(
         empty = np.zeros((0, 0, 0), dtype=np.int64)
         if published:
             return VoxelPart((0, 0, 0), empty, empty, empty)
-        return VoxelPart((0, 0, 0), empty, covered=empty.astype(np.uint16))
+        return VoxelPart((0, 0, 0), empty, squares=np.zeros((0, 0, 0, 16), dtype=np.uint16))
     per_m = line_density(table, model) if published else seen_density(table, model)
     edge = quanta(settings.voxel_m)
     point = np.stack([table[k].astype(np.int64) for k in ("x", "y", "z")], axis=1)
@@ -88,17 +92,17 @@ def deposit(
     corner, shape = _box(metres, direction, near, far, settings.voxel_m)
     amount = np.zeros(shape, dtype=np.int64)
     counted = np.zeros((2, *(shape if published else (0, 0, 0))), dtype=np.int64)
-    covered = np.zeros((0, 0, 0) if published else shape, dtype=np.uint16)
+    squares = np.zeros((0, 0, 0, 16) if published else (*shape, 16), dtype=np.uint16)
     shot = np.cumsum(np.diff(table["gps_time"], prepend=-np.inf) != 0)
     deposit_beamlets(
         voxel - corner, relative, direction, near, far,
         per_m.astype(np.float64) * VOXEL_FIXED_POINT, settings.voxel_m, radius, shot,
-        amount, counted[0], counted[1], covered,
+        amount, counted[0], counted[1], squares,
     )  # fmt: skip
     place = (int(corner[0]), int(corner[1]), int(corner[2]))
     if published:
         return VoxelPart(place, amount, counted[0], counted[1])
-    return VoxelPart(place, amount, covered=covered)
+    return VoxelPart(place, amount, squares=squares)
 
 
 def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
@@ -200,7 +204,8 @@ def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
 
     A voxel that the end of a gate cuts holds noise and silence; its mean is too small for the
     points, which all lie on one side. Along the beams the density changes nowhere else, so
-    the largest of a voxel and its two vertical neighbours stands for it.
+    the largest of a voxel and its two vertical neighbours stands for it. Differences below
+    :data:`UNEVEN` are the beams' spread and chance, which are no reason to expect more noise.
 
     Parameters
     ----------
@@ -215,4 +220,4 @@ def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
     out = per_m3.copy()
     np.maximum(out[:, :, 1:], per_m3[:, :, :-1], out=out[:, :, 1:])
     np.maximum(out[:, :, :-1], per_m3[:, :, 1:], out=out[:, :, :-1])
-    return out
+    return np.where(out > UNEVEN * per_m3, out, per_m3)

@@ -16,6 +16,7 @@ The table of the default settings ships with the package (``wire_null.json``, wr
 import json
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -49,7 +50,7 @@ SLACK_M: Final = 4.0
 STRICTER: Final = 0.1
 """Part of the scan's alpha at which a second share is drawn, for the power of alpha."""
 
-SMOOTH: Final = (0.25, 0.5, 0.25)
+SMOOTH: Final = (1 / 9, 2 / 9, 3 / 9, 2 / 9, 1 / 9)
 """Weights of neighbouring densities."""
 
 MOST: Final = 0.5
@@ -137,8 +138,13 @@ def parse_table(content: Mapping[str, Any]) -> WireNull:
 
 
 def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares smoothed over neighbouring densities; the ends count twice there."""
-    smooth: NDArray[np.float64] = np.convolve(np.pad(share, 1, mode="edge"), SMOOTH, mode="valid")
+    """Shares smoothed over neighbouring densities, the ends going on beyond themselves.
+
+    A chance tube keeps many points at once: drawn shares differ by far more than their number
+    of points tells.
+    """
+    padded = np.pad(share, len(SMOOTH) // 2, mode="edge")
+    smooth: NDArray[np.float64] = np.convolve(padded, SMOOTH, mode="valid")
     return smooth
 
 
@@ -147,6 +153,7 @@ def draw_shares(
     points: int,
     densities: NDArray[np.float64] = DENSITIES,
     tell: Callable[[float], None] = lambda _: None,
+    workers: int = 1,
 ) -> NDArray[np.float64]:
     """Share of uniform noise that the scan keeps.
 
@@ -160,6 +167,8 @@ def draw_shares(
         [1/m3].
     tell : callable
         Called with each density before it is drawn.
+    workers : int
+        Densities drawn at a time.
 
     Returns
     -------
@@ -167,20 +176,25 @@ def draw_shares(
         The same for the same settings, points and densities.
     """
     wires = wires.model_copy(update={"enabled": True})
-    shares = []
-    for i, density in enumerate(densities):
-        tell(float(density))
-        rng = np.random.default_rng([i, points])
-        side = np.sqrt(points / float(density) / HEIGHT_M)
-        # A tube through a point, and what lies in one that agrees with it.
-        around = min(2.0 * wires.half_length_m + SLACK_M, side)
-        up = min(wires.slope_max * around + SLACK_M, HEIGHT_M)
-        size, margin = np.array([side, side, HEIGHT_M]), np.array([around, around, up])
-        xyz, _, core = repeated(rng, float(density), quanta_of(size), quanta_of(margin))
-        nothing = np.zeros(len(xyz), np.bool_)
-        cloud = Cloud(xyz, (0, 0, 0), np.full(len(xyz), float(density)), core, nothing)
-        shares.append(float(scan(cloud, wires).signal.mean()))
-    return np.array(shares)
+
+    def one(i: int) -> float:
+        tell(float(densities[i]))
+        return _share(np.random.default_rng([i, points]), float(densities[i]), points, wires)
+
+    with ThreadPoolExecutor(workers) as pool:
+        return np.array(list(pool.map(one, range(len(densities)))))
+
+
+def _share(rng: np.random.Generator, density: float, points: int, wires: WireSettings) -> float:
+    side = np.sqrt(points / density / HEIGHT_M)
+    # A tube through a point, and what lies in one that agrees with it.
+    around = min(2.0 * wires.half_length_m + SLACK_M, side)
+    up = min(wires.slope_max * around + SLACK_M, HEIGHT_M)
+    size, margin = np.array([side, side, HEIGHT_M]), np.array([around, around, up])
+    xyz, _, core = repeated(rng, density, quanta_of(size), quanta_of(margin))
+    nothing = np.zeros(len(xyz), np.bool_)
+    cloud = Cloud(xyz, (0, 0, 0), np.full(len(xyz), density), core, nothing)
+    return float(scan(cloud, wires).signal.mean())
 
 
 def quanta_of(metres: NDArray[np.float64]) -> NDArray[np.int64]:
