@@ -4,7 +4,9 @@ Simulates two flightlines that overlap in part, runs the chain up to the shuffle
 true background that is far from every true signal, by its distance from the gate's ends, from
 the edge of what is covered, and from the edge of the other flightline. Printed is the share kept
 over alpha, with the density that the test is given (:mod:`~spl_batch.runner.expected`) and, for
-comparison, with the mean of the whole voxel [W18 Eq. 2].
+comparison, with the mean of the whole voxel [W18 Eq. 2]. Noise is kept in groups, strong points
+and what is linked to them, so the last column says how many groups the share at the least alpha
+comes from: its relative error is no less than one over the root of that.
 """
 
 import itertools
@@ -17,6 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from benchmarks.methods import AFTERPULSE, BACKGROUND, load_truth
@@ -53,10 +57,11 @@ Floats = NDArray[np.float64]
 
 
 class Noise(NamedTuple):
-    """Pure noise: what is kept at each alpha, by density used, and distances [m]."""
+    """Pure noise: kept at each alpha, by density used; distances [m]; group at the least alpha."""
 
     kept: dict[str, list[NDArray[np.bool_]]]
     distance: dict[str, Floats]
+    group: NDArray[np.int64]
 
 
 def main(seeds: list[int]) -> None:
@@ -68,14 +73,17 @@ def main(seeds: list[int]) -> None:
             simulate(parse_scene({**SCENE, "seed": seed}, "edges"), folder)
             found.append(survey(folder))
     columns = "".join(f"{f'{name} {alpha:g}':>16s}" for name in found[0].kept for alpha in ALPHAS)
-    print(f"{'kept / alpha':36s}{'noise':>8s}{columns}")
+    print(f"{'kept / alpha':36s}{'noise':>8s}{columns}{'groups':>8s}")
     for name in found[0].distance:
         distance = np.concatenate([f.distance[name] for f in found])
         for low, high in _bins(name):
             mine = (distance >= low) & (distance < high)
             text = f"{name}, {low:g} to {high:g} m"
             if mine.any():
-                print(f"{text:36s}{mine.sum():8d}{_row(found, mine)}")
+                group = np.concatenate([f.group + k * 10**6 for k, f in enumerate(found)])
+                kept = np.concatenate([f.kept["local"][-1] for f in found])
+                groups = len(np.unique(group[mine & kept]))
+                print(f"{text:36s}{mine.sum():8d}{_row(found, mine)}{groups:8d}")
 
 
 def _bins(name: str) -> list[tuple[float, float]]:
@@ -120,7 +128,18 @@ def survey(folder: Path) -> Noise:
             kept[name].append(_kept(mm, density, pure, order, alpha))
     distance = _distances(folder, truth, xyz, background)
     rows = np.flatnonzero(pure)
-    return Noise(kept, {name: values[rows] for name, values in distance.items()})
+    group = _groups(xyz[rows], kept["local"][-1])
+    return Noise(kept, {name: values[rows] for name, values in distance.items()}, group)
+
+
+def _groups(xyz: Floats, kept: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Number of the group of each kept point, those within a link of each other together."""
+    rows = np.flatnonzero(kept)
+    pairs = cKDTree(xyz[rows]).query_pairs(FilterSettings().link_m, output_type="ndarray")
+    near = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(rows), len(rows)))
+    out = np.full(len(xyz), -1)
+    out[rows] = connected_components(near, directed=False)[1]
+    return out
 
 
 def _kept(
