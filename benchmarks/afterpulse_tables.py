@@ -12,15 +12,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
-from numba import njit
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from benchmarks.afterpulse_bound import echo_chance
 from spl_batch.io.las import iter_points
 from spl_batch.io.polygons import contains, read_polygons
-from spl_batch.kernels.scene_layers import look
-from spl_batch.kernels.scene_trace import SceneArrays
-from spl_batch.kernels.sim_shots import Optics, empty_layers
 from spl_batch.model import (
     SOURCE_COLUMNS,
     PointFlag,
@@ -33,16 +30,20 @@ from spl_batch.model import (
 )
 from spl_batch.sensor import load_preset
 from spl_batch.simulate import simulate
-from spl_batch.simulate.budget import make_optics
-from spl_batch.simulate.layout import lay_out
+from spl_batch.simulate.budget import make_receiver
 from spl_batch.simulate.scene import Scene, parse_scene
 from spl_batch.stages import afterpulse, afterpulse_law, geometry, line_noise, voxel_noise
 from spl_batch.tiling import cell_index, quanta
 from spl_batch.workflow import Workflow, load_workflow
 
-COLUMNS = (*SOURCE_COLUMNS, "line_density", "afterpulse", "afterpulse_rate", "afterpulse_share")
-EDGE_M = 0.001
-"""Least true rate, for what the ranging spread puts outside everything [1/m]."""
+COLUMNS = (
+    *SOURCE_COLUMNS,
+    "shot",
+    "line_density",
+    "afterpulse",
+    "afterpulse_rate",
+    "afterpulse_share",
+)
 
 
 @dataclass(frozen=True)
@@ -129,9 +130,9 @@ def _line(
     chance = afterpulse.probability(
         table, beams, workflow.afterpulse, sensor, gate_m=model.gate_m, law=law
     )
-    true_law = afterpulse_law.sensor_law(scene.instrument)
-    echoes = afterpulse_law.rate(table, beams, true_law).astype(np.float64)
-    real = _true_rates(scene, beams.origin_m, beams.direction, beams.range_m, table["channel"])
+    best = echo_chance(
+        scene, table["gps_time"], table["channel"], beams, model.mean_rate, make_receiver(scene)
+    )
     truth = pq.read_table(path.parents[1] / "truth" / f"{path.stem}.parquet")
     return _Line(
         table.with_columns(
@@ -142,7 +143,7 @@ def _line(
         ),
         truth["kind"].to_numpy()[order],
         truth["parent"].to_numpy()[order],
-        echoes / (echoes + real + EDGE_M),
+        best,
         voxel_noise.deposit(table, beams, model, workflow.noise),
         law,
     )
@@ -163,56 +164,6 @@ def _density(table: PointTable, parts: list[VoxelPart], workflow: Workflow) -> N
         total, workflow.noise, shots=None, beamlets=None, beamlets_per_shot=100
     )
     return np.asarray(density[tuple(index - low[:, None])], dtype=np.float64)
-
-
-def _true_rates(
-    scene: Scene,
-    origin: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    range_m: NDArray[np.float64],
-    channel: NDArray[np.uint8],
-) -> NDArray[np.float64]:
-    """Real photo-electrons per metre that the simulation expects at each return [1/m]."""
-    arrays, optics = lay_out(scene).arrays, make_optics(scene)
-    rate = np.empty(len(range_m))
-    local = origin - np.array([*scene.origin_m[:2], 0.0])
-    gain = optics.gain[channel.astype(np.int64) - 1]
-    _rates(
-        arrays, empty_layers(arrays), local, np.ascontiguousarray(direction), range_m, gain,
-        optics, rate,
-    )  # fmt: skip
-    return rate
-
-
-@njit(nogil=True)
-def _rates(
-    arrays: SceneArrays, layers: NDArray[np.float64], origin: NDArray[np.float64],
-    direction: NDArray[np.float64], range_m: NDArray[np.float64], gain: NDArray[np.float64],
-    optics: Optics, rate: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Beer-Lambert densities of layers, and the hard surface, spread by the ranging."""
-    spread = optics.range_sigma_m
-    for i in range(len(range_m)):
-        d, at = direction[i], range_m[i]
-        n, hard, cosine, rho, _ = look(arrays, origin[i], d, d, optics.sigma_rad, layers)
-        full = optics.signal_m2 * gain[i] / hard**2 * math.exp(-2 * optics.extinction_per_m * hard)
-        left, total = 1.0, 0.0
-        for k in range(n):
-            near, far, share = layers[k, 0], layers[k, 1], layers[k, 2]
-            if far > near and share > 0.0:
-                per_m = -math.log(1.0 - share) / (far - near)
-                edge = math.erf((at - near) / (1.414214 * spread)) - math.erf(
-                    (at - far) / (1.414214 * spread)
-                )
-                depth = min(max(at - near, 0.0), far - near)
-                total += left * layers[k, 3] * per_m * math.exp(-per_m * depth) * 0.5 * edge
-            elif share > 0.0:
-                z = (at - near) / spread
-                total += left * share * layers[k, 3] * math.exp(-0.5 * z * z) / (2.506628 * spread)
-            left *= 1.0 - share
-        z = (at - hard) / spread
-        total += left * rho * cosine * math.exp(-0.5 * z * z) / (2.506628 * spread)
-        rate[i] = full * total
 
 
 def scene_of(folder: Path) -> Scene:

@@ -7,8 +7,10 @@ it uses is fitted. Lags beyond the dead time are exponential and end 3 m behind 
 afterpulses follow a detection ([W17] 7.5: 10-20 on 80-100 signal returns, within 2-3 m).
 
 In crowns a true second return has the same signature. The *bound* orders followers by the
-probability that the simulation's own laws give them: no filter that knows lags and places can
-remove more at the same loss. Lost are vegetation returns, in percent of all of them.
+probability that the simulation's own laws give them (:mod:`benchmarks.afterpulse_bound`): no filter
+that sees returns can remove more at the same loss. Lost are vegetation returns, in percent of all
+of them. The first table is the bound alone, by afterpulses per detection, their scale, the canopy's
+extinction, and brightness; the pulse's energy stands for all that makes leaves brighter.
 """
 
 import sys
@@ -20,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.afterpulse_tables import Prepared, prepare
-from spl_batch.constants import NOISE_AFTERPULSE, NOISE_SIGNAL
+from spl_batch.constants import NOISE_AFTERPULSE, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.settings import AfterpulseSettings, FilterSettings
 from spl_batch.simulate.survey import KINDS
 from spl_batch.stages import echoes
@@ -34,6 +36,12 @@ PUBLISHED = 90.6
 
 LOST_MAX = 0.02
 """Share of vegetation returns that may go."""
+
+LOSSES = (0.005, 0.01, 0.02, 0.04, 0.08)
+"""Shares of vegetation lost at which the bound is printed."""
+
+SHALLOW_M = 1.5
+"""Depth that divides bottoms: on banks they slope, close behind the surface [m]."""
 
 THRESHOLDS = (0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 RING = [[20, 20], [80, 25], [85, 75], [30, 80]]
@@ -76,6 +84,18 @@ CANOPIES = (
     scene("one flightline", 13, (0.15, 0.7), trees=trees(), flights=FLIGHTS[:1]),
 )  # fmt: skip
 
+USUAL_LAW, USUAL_EXTINCTION, USUAL_UJ = (0.15, 0.7), 0.35, 83.0
+BOUNDS = (
+    *(
+        ((p, 0.7), extinction, USUAL_UJ)
+        for extinction in (0.15, 0.35, 0.7)
+        for p in (0.1, 0.15, 0.2)
+    ),
+    *(((p, scale), USUAL_EXTINCTION, USUAL_UJ) for scale in (0.3, 1.0) for p in (0.1, 0.15, 0.2)),
+    *((USUAL_LAW, USUAL_EXTINCTION, energy) for energy in (10.0, 20.0, 40.0, 160.0)),
+)
+"""Law, extinction of crowns [1/m] and pulse energy [uJ] of the bound's table."""
+
 WATERS = (
     scene("lake of 2 m", 5, (0.15, 0.7), trees={"cover": 0.1}, water=[
         {"ring_m": RING, "depth_m": 2.0, "bank_slope": 0.15, "bottom_reflectance": 0.2}]),
@@ -92,7 +112,7 @@ ROOFS = scene("roofs", 4, (0.15, 0.7), buildings={"count": 8}, trees={"cover": 0
 
 def main(folder: Path) -> dict[str, dict[str, float]]:
     """Print the tables; figures by scene."""
-    found = {}
+    found = bounds(folder)
     print("Vegetation: afterpulses removed [%] where 2 % of vegetation is lost, and by default")
     names = ("p", "scale m", "bound", "ours", "shot", "default", "lost", "bound 80", "ground-")
     print(f"{'':28s}" + "".join(f"{n:>9s}" for n in names))
@@ -117,6 +137,54 @@ def main(folder: Path) -> dict[str, dict[str, float]]:
     return found
 
 
+def bounds(folder: Path) -> dict[str, dict[str, float]]:
+    """Print the bound by law, canopy and brightness; figures by scene."""
+    print(
+        "Bound: afterpulses of vegetation removed [%] where this share of vegetation is lost [%];"
+    )
+    print(
+        "lost where 80 % are removed; share of beamlets with a return; true returns of vegetation"
+    )
+    print(
+        f"that follow another one, per afterpulse of it ({len(BOUNDS)} canopies of one flightline)"
+    )
+    heads = [f"at {100 * x:g}" for x in LOSSES] + ["for 80", "seen", "leaves"]
+    print("".join(f"{h:>9s}" for h in ("p", "scale m", "extinct.", "energy", *heads)))
+    found = {}
+    for k, (law, extinction, energy) in enumerate(BOUNDS):
+        # as many afterpulses of dim canopies as of bright ones
+        side = min(max(70.0 * USUAL_UJ / energy, 70.0), 160.0)
+        content = scene(f"bound {k}", 31 + k, law, trees=trees(extinction_per_m=extinction),
+                        flights=FLIGHTS[:1], extent_m=[side, side])  # fmt: skip
+        content["sensor_overrides"]["pulse_energy_uj"] = energy
+        found[content["name"]] = row = bound_row(prepare(content, folder / f"bound_{k}"))
+        cells = "".join(f"{v:9.3g}" for v in (*law, extinction, energy))
+        print(cells + "".join(f"{v:9.2f}" for v in row.values()), flush=True)
+    print()
+    return found
+
+
+def bound_row(survey: Prepared) -> dict[str, float]:
+    """One row of the bound's table."""
+    true, false = leaves_and_echoes(survey)
+    follows = survey.table["afterpulse_rate"] > 0
+    shots = survey.table["shot"].astype(np.int64)
+    fired = 100 * len(np.unique(shots))
+    seen = len(np.unique(shots * 256 + survey.table["channel"]))
+    return {
+        **{f"at {x}": removed_at(survey.bound, true, false, x) for x in LOSSES},
+        "for 80": lost_at(survey.bound, true, false, 0.8),
+        "seen": 100 * seen / fired,
+        "leaves": float((true & follows).sum() / false.sum()),
+    }
+
+
+def leaves_and_echoes(survey: Prepared) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """True returns of vegetation, and afterpulses of vegetation: two (n,) bool."""
+    echo = (survey.kind == AFTERPULSE) & (survey.parent == VEGETATION)
+    return survey.kind == VEGETATION, echo
+
+
 def scores(survey: Prepared) -> NDArray[np.float64]:
     """Probability of each return, 2 where it is an afterpulse at any threshold."""
     rows, chance, hard = echoes.probability(survey.table, survey.density)
@@ -128,8 +196,7 @@ def scores(survey: Prepared) -> NDArray[np.float64]:
 
 def vegetation(survey: Prepared) -> dict[str, float]:
     """One row of the first table."""
-    true = survey.kind == VEGETATION
-    false = (survey.kind == AFTERPULSE) & (survey.parent == VEGETATION)
+    true, false = leaves_and_echoes(survey)
     echo = echoes.resolve(survey.table, survey.density, AfterpulseSettings()).echo
     return {
         "p": float(np.mean([law.probability for law in survey.laws])),
@@ -162,8 +229,7 @@ def lost_at(
 
 def curves(survey: Prepared) -> str:
     """Removed and lost by threshold: the bound, ours, and the ground beside it."""
-    true = survey.kind == VEGETATION
-    false = (survey.kind == AFTERPULSE) & (survey.parent == VEGETATION)
+    true, false = leaves_and_echoes(survey)
     hard = (survey.kind == AFTERPULSE) & (survey.parent == GROUND)
     score = scores(survey)
     lines = [
@@ -198,6 +264,14 @@ def labels(survey: Prepared) -> dict[str, float]:
             out[f"afterpulses of {name} removed"] = 100 * float(
                 (found[echo] != NOISE_SIGNAL).mean()
             )
+    bottom = kind == BOTTOM
+    if bottom.any():
+        level = np.median(survey.table["z"][kind == WATER])
+        shallow = level - survey.table["z"] < round(SHALLOW_M / QUANTUM_M)
+        for name, mine in (("shallower", bottom & shallow), ("deeper", bottom & ~shallow)):
+            if mine.any():
+                kept = 100 * float((found[mine] == NOISE_SIGNAL).mean())
+                out[f"bottom kept, {name} than {SHALLOW_M:g} m"] = kept
     return out
 
 

@@ -1,7 +1,8 @@
 """The sources' tables on simulated twins of their set-ups, published figures beside ours.
 
-``python -m benchmarks.tables [wires] [surfaces] [roofs] [dtm] [--folder FOLDER] [--seeds 1 2 3]``
-prints [W18] Tables 1-3, [W17] Tables 5-1 and 5-2, [W17] Table 7-1, and the terrain of [W17] 7.4.
+``python -m benchmarks.tables [wires] [dcc] [surfaces] [roofs] [dtm] [--folder FOLDER] [--seeds 1 2
+3]`` prints [W18] Tables 1-3, what decides DCC's share there, [W17] Tables 5-1 and 5-2, [W17] Table
+7-1, and the terrain of [W17] 7.4.
 Surveys are simulated into FOLDER (a temporary one by default); what is there is used again.
 """
 
@@ -9,10 +10,11 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from benchmarks import afterpulse_dtm, table_surfaces, table_wires
+from benchmarks import afterpulse_dtm, table_dcc, table_surfaces, table_wires
 
 TABLES = {
     "wires": table_wires.wire_tables,
+    "dcc": table_dcc.dcc_table,
     "surfaces": table_surfaces.surface_tables,
     "roofs": table_surfaces.roof_table,
     "dtm": afterpulse_dtm.terrain_table,

@@ -1,0 +1,66 @@
+"""The figures of the documentation: what they draw is finite, and files get written."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import afterpulses, figures
+from spl_batch.report import style
+
+
+def test_a_figure_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "NULL_DENSITIES", (0.02, 0.05))
+    monkeypatch.setattr(figures, "POINTS", 300)
+    monkeypatch.setattr(sys, "argv", ["figures", str(tmp_path / "out"), "--only", "null_share"])
+    figures.main()
+    (written,) = (tmp_path / "out").iterdir()
+    content = written.read_bytes()
+    assert written.name == "null_share.png"
+    assert content.startswith(b"\x89PNG")
+    assert 5_000 < len(content) <= figures.LARGEST
+
+
+def test_the_published_test_is_drawn_above_the_calibrated_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "NULL_DENSITIES", (0.05, 0.13))
+    monkeypatch.setattr(figures, "POINTS", 2000)
+    with style.type_context():
+        (axes,) = figures.null_share(tmp_path).axes
+    published, *_, calibrated = (np.asarray(line.get_ydata()) for line in axes.lines)
+    assert np.isfinite(published).all()
+    assert (published > 10.0).all()
+    assert not (calibrated > 1.0).any()
+
+
+def test_shares_by_threshold_are_those_counted() -> None:
+    rng = np.random.default_rng(5)
+    score, true = rng.random(4000), rng.random(4000) < 0.5
+    lost, removed = figures.by_threshold(score, true, ~true)
+    assert np.isfinite(lost).all()
+    assert (np.diff(lost) >= 0).all()
+    assert removed[-1] == pytest.approx(100.0)
+    limit = np.quantile(score[~true], 0.5)
+    assert np.interp(50.0, removed, lost) == pytest.approx(
+        100.0 * (score[true] >= limit).mean(), abs=1.0
+    )
+
+
+@pytest.mark.slow
+def test_the_curve_of_afterpulses_lies_below_its_bound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = {**afterpulses.CANOPIES[0], "extent_m": [36, 36]}
+    monkeypatch.setattr(afterpulses, "CANOPIES", (scene,))
+    with style.type_context():
+        (axes,) = figures.afterpulse_curve(tmp_path).axes
+    curves = {line.get_label(): np.asarray(line.get_xydata()) for line in axes.lines}
+    assert all(np.isfinite(curve).all() for curve in curves.values())
+    best, ours = (
+        next(c for name, c in curves.items() if str(name).startswith(word))
+        for word in ("best", "ours: what")
+    )
+    at = np.array([2.0, 4.0, 8.0])
+    assert (np.interp(at, *ours.T) < np.interp(at, *best.T) + 2.0).all()
