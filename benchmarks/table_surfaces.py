@@ -80,7 +80,9 @@ def surface_tables(folder: Path, seeds: Sequence[int]) -> dict[str, dict[str, fl
                 "ground": [_rmse(p, kept) for p in ground],
                 "canopy": [rmse for rmse, _ in tops],
                 "spikes %": [share for _, share in tops],
-                "removed %": [_noise_removed(roofs, points, kept)],
+                "removed %": [_noise_removed(roofs, points, kept, (BACKGROUND, AFTERPULSE))],
+                "backgr. %": [_noise_removed(roofs, points, kept, (BACKGROUND,))],
+                "afterp. %": [_noise_removed(roofs, points, kept, (AFTERPULSE,))],
             }
             for name, found in values.items():
                 figures[key].setdefault(name, []).extend(found)
@@ -93,8 +95,9 @@ def _print_surfaces(means: Mapping[str, Mapping[str, float]], known: Mapping[str
     print(
         "\n[W17] Tables 5-1 and 5-2: RMSE to linear-mode lidar [m], cells of tree tops with noise"
     )
-    print(f"more than {TOP_M:g} m above them, noise {CLEAR_M}-{BENEATH_M:g} m from roofs removed")
-    names = (*RMSE_M, "spikes %", "removed %")
+    print(f"more than {TOP_M:g} m above them, noise {CLEAR_M}-{BENEATH_M:g} m from roofs removed:")
+    print("all, background, afterpulses")
+    names = (*RMSE_M, "spikes %", "removed %", "backgr. %", "afterp. %")
     print(f"{'':24s}" + "".join(f"{n:>10s}{'[W17]':>8s}" for n in names))
     for key, values in means.items():
         said = {name: RMSE_M[name].get(key) for name in RMSE_M} | {"removed %": REMOVED.get(key)}
@@ -195,11 +198,13 @@ def _rmse(patch: Patch, kept: NDArray[np.bool_]) -> float:
     return float(np.sqrt(np.mean(used**2)))
 
 
-def _noise_removed(roofs: Sequence[Patch], points: Columns, kept: NDArray[np.bool_]) -> float:
+def _noise_removed(
+    roofs: Sequence[Patch], points: Columns, kept: NDArray[np.bool_], kinds: Sequence[int]
+) -> float:
     gone = total = 0
     for rows, above in roofs:
         near = (np.abs(above) >= CLEAR_M) & (np.abs(above) <= BENEATH_M)
-        noise = rows[near & np.isin(points["kind"][rows], (BACKGROUND, AFTERPULSE))]
+        noise = rows[near & np.isin(points["kind"][rows], kinds)]
         gone, total = gone + int((~kept[noise]).sum()), total + len(noise)
     return 100.0 * gone / max(total, 1)
 
