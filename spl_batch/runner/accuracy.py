@@ -1,4 +1,4 @@
-"""Compare the delivered rasters with reference points, file by file."""
+"""Compare the delivered rasters with reference points, part by part."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,11 +17,10 @@ from spl_batch.accuracy import (
     surface_differences,
     terrain_differences,
 )
-from spl_batch.constants import QUANTUM_M
 from spl_batch.errors import InputError
-from spl_batch.io.las import iter_points
 from spl_batch.io.raster_parts import Part, read_overview, read_part
 from spl_batch.runner.context import Context
+from spl_batch.runner.reference import read_reference
 
 SAMPLE = 500_000
 """Differences that the histogram is drawn from, at most [count]."""
@@ -67,22 +66,15 @@ def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
     unreadable: list[InputError] = []
     for path in paths:
         try:
-            known = _read(path)
+            for known in read_reference(path, context.store.root, overview.cell_m):
+                points += int(np.count_nonzero(known.counts))
+                _compare(known, context, dtm, dsm)
+                part = difference_raster(overview, known).values
+                seen = part > -9000
+                total[seen] += part[seen]
+                count[seen] += 1
         except InputError as error:
             unreadable.append(error)
-            continue
-        points += len(known.xyz_m)
-        bounds = _bounds(known)
-        rasters = [read_part(context.output / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm")]
-        terrain, surface, height = (r if r is None else _raster(r) for r in rasters)
-        if terrain is None or surface is None:
-            continue
-        dtm.append(terrain_differences(terrain, known, chm=height))
-        dsm.append(surface_differences(surface, known))
-        part = difference_raster(overview, known).values
-        seen = part > -9000
-        total[seen] += part[seen]
-        count[seen] += 1
     mean = np.where(count > 0, total / np.maximum(count, 1), -9999.0).astype(np.float32)
     merged = merge(dtm)
     every = merged.get("all", np.empty(0, np.float32))
@@ -95,13 +87,16 @@ def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
     )
 
 
-def _read(path: Path) -> Reference:
-    tables = list(iter_points(path, channel_dimension=None, source=0))
-    xyz = [np.column_stack([t[a] * QUANTUM_M for a in "xyz"]) for t in tables]
-    classes = [t["input_class"] for t in tables]
-    if not tables:
-        return Reference(np.empty((0, 3)), np.empty(0, np.uint8))
-    return Reference(np.concatenate(xyz), np.concatenate(classes))
+def _compare(
+    known: Reference, context: Context, dtm: list[Differences], dsm: list[Differences]
+) -> None:
+    """Add the differences of one part of the reference, where the rasters reach it."""
+    bounds = _bounds(known)
+    rasters = [read_part(context.output / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm")]
+    terrain, surface, height = (r if r is None else _raster(r) for r in rasters)
+    if terrain is not None and surface is not None:
+        dtm.append(terrain_differences(terrain, known, chm=height))
+        dsm.append(surface_differences(surface, known))
 
 
 def _bounds(reference: Reference) -> tuple[float, float, float, float]:
