@@ -1,5 +1,6 @@
 """SBET: smoothed best estimate of trajectory, as Applanix POSPac writes it."""
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +36,9 @@ SBET_RECORD: Final = np.dtype(
 )
 """One record: 17 little-endian doubles; seconds, radians, metres."""
 
+BLOCK_RECORDS: Final = 65_536
+"""Records read at once [count]."""
+
 SBET_SUFFIXES: Final = frozenset({".out", ".sbet"})
 
 
@@ -59,14 +63,27 @@ def read_sbet(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         If the size is no whole number of records, or the angles are none.
     """
     with open_input(path) as file:
-        content = file.read()
-    if len(content) % SBET_RECORD.itemsize:
-        raise InputError(
-            str(path),
-            f"has {len(content)} bytes, an SBET a multiple of {SBET_RECORD.itemsize}:"
-            " it is cut off or not an SBET, copy it again",
-        )
-    records = np.frombuffer(content, dtype=SBET_RECORD)
+        size = file.seek(0, os.SEEK_END)
+        if size % SBET_RECORD.itemsize:
+            raise InputError(
+                str(path),
+                f"has {size} bytes, an SBET a multiple of {SBET_RECORD.itemsize}:"
+                " it is cut off or not an SBET, copy it again",
+            )
+        file.seek(0)
+        time = np.empty(size // SBET_RECORD.itemsize)
+        position = np.empty((len(time), 3))
+        # Blocks, because a record has four times what is wanted of it.
+        for start in range(0, len(time), BLOCK_RECORDS):
+            records = np.frombuffer(file.read(BLOCK_RECORDS * SBET_RECORD.itemsize), SBET_RECORD)
+            stop = start + len(records)
+            time[start:stop] = records["time"]
+            position[start:stop] = _position(path, records, start)
+    return time, position
+
+
+def _position(path: Path, records: NDArray[np.void], start: int) -> NDArray[np.float64]:
+    """Longitude, latitude [deg] and height [m] of records, the first of which has this number."""
     latitude, longitude = records["latitude"], records["longitude"]
     # Written so that NaN counts as wrong.
     wrong = ~((np.abs(latitude) <= np.pi / 2) & (np.abs(longitude) <= 2 * np.pi))
@@ -74,8 +91,8 @@ def read_sbet(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         first = int(np.argmax(wrong))
         raise InputError(
             str(path),
-            f"record {first} has latitude {latitude[first]}, longitude {longitude[first]};"
-            " an SBET has radians: it is not an SBET, or name its format by .csv or .parquet",
+            f"record {start + first} has latitude {latitude[first]}, longitude"
+            f" {longitude[first]}; an SBET has radians: it is not an SBET, or name its format"
+            " by .csv or .parquet",
         )
-    position = (np.degrees(longitude), np.degrees(latitude), records["altitude"])
-    return records["time"].astype(np.float64), np.column_stack(position)
+    return np.column_stack([np.degrees(longitude), np.degrees(latitude), records["altitude"]])
