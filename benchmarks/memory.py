@@ -22,16 +22,24 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import laspy
 import yaml
 
 from spl_batch import api, graph
 from spl_batch.model import Receipt, Task
 from spl_batch.runner import space_domain
 from spl_batch.runner.context import Context
-from spl_batch.simulate import preset_scene, simulate
+from spl_batch.simulate import simulate
+from spl_batch.simulate.scene import Scene
 
 AREAS = (1, 2, 4, 8)
 """Lengths of the strips, in lengths of the shortest."""
+
+LENGTH_M, WIDTH_M = 200.0, 100.0
+"""Size of the shortest strip [m]."""
+
+FILE_POINTS = 250_000
+"""Points of a file [count]."""
 
 
 def resident_bytes() -> int:
@@ -89,8 +97,8 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
         for attempt in ("first", "second"):  # the first one loads and compiles
             seen.clear()
             api.run(workflow, workers=0, overrides=[f"output={folder}/{attempt}", *overrides])
-    titles = f"{'tasks':>7s}{'points held':>14s}{'MiB':>8s}{'bytes / point':>15s}{'base':>8s}"
-    print(f"{'kind':14s}{titles}")
+    titles = f"{'kind':14s}{'tasks':>7s}{'points held':>14s}{'MiB':>8s}{'bytes / point':>15s}"
+    print(f"{titles}{'base':>8s}")
     for kind, listed in seen.items():
         most, points, before = max(listed)
         each = most / points if points else 0.0
@@ -115,19 +123,40 @@ def areas(folder: Path, memory: str) -> None:
 
 
 def _strip(folder: Path, factor: int) -> Path:
-    """Workflow of a strip of this many times the shortest one's length."""
+    """Workflow of a strip of this many times the shortest one's length.
+
+    Its flightline is cut into files of equal length: a longer strip has more of them.
+    """
     workflow = folder / "workflow.yaml"
     if not workflow.exists():
-        scene: Any = preset_scene("tiny")
-        workflow = simulate(lengthened(scene, factor), folder).workflow
-    content = yaml.safe_load(workflow.read_text(encoding="utf-8"))
-    assert isinstance(content, dict)
+        scene = Scene.model_validate(
+            {
+                "name": f"strip of {factor}",
+                "extent_m": [LENGTH_M * factor, WIDTH_M],
+                "flights": [{"heading_deg": 90, "speed_m_s": 60}],
+                "sky": {"background_per_m3": 0.02},
+                "acquisition": {"prf_hz": 25000, "gate_m": 60, "margin_m": 2},
+            }
+        )
+        simulate(scene, folder)
+        _cut_files(folder / "flightlines")
+        content = yaml.safe_load(workflow.read_text(encoding="utf-8"))
+        # of one size in every survey, where a longer one would have larger blocks
+        content["tiling"] = {"tile_m": 50, "block_tiles": 2}
+        content["ground"] = {"cell_m": 100, "buffer_m": 40}
+        workflow.write_text(yaml.safe_dump(content), encoding="utf-8")
     return workflow
 
 
-def lengthened(scene: Any, factor: int) -> Any:
-    """Return the scene, so many times as long."""
-    raise NotImplementedError(scene, factor)
+def _cut_files(folder: Path) -> None:
+    for path in sorted(folder.glob("*.laz")):
+        with laspy.open(path) as source:
+            for k, points in enumerate(source.chunk_iterator(FILE_POINTS)):
+                with laspy.open(
+                    path.with_name(f"{path.stem}_{k:02d}.laz"), "w", header=source.header
+                ) as target:
+                    target.write_points(points)
+        path.unlink()
 
 
 def _give_back_freed_memory() -> None:
@@ -146,7 +175,7 @@ def main() -> None:
     of_tasks.add_argument("overrides", nargs="*")
     of_areas = verbs.add_parser("areas")
     of_areas.add_argument("folder", type=Path)
-    of_areas.add_argument("--memory", default="1500MiB")
+    of_areas.add_argument("--memory", default="1GiB")
     given = parser.parse_args()
     if given.verb == "tasks":
         _give_back_freed_memory()

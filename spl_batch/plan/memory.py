@@ -42,7 +42,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
 BYTES_PER_LABEL: Final = 12
 """Labels of a point of the file that is delivered [byte]."""
 
-BYTES_PER_RECORD: Final = 250
+BYTES_PER_RECORD: Final = 200
 """A trajectory's record while it is brought into the survey's CRS [byte]."""
 
 RECORD_BYTES: Final[Mapping[str, int]] = MappingProxyType(
