@@ -1,0 +1,158 @@
+"""Tasks are made one by one, finished ones are kept small, and what cannot fit is refused."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from spl_batch.io.store import Store, write_receipt
+from spl_batch.model import Receipt, Task
+from spl_batch.plan import memory
+from spl_batch.plan.density import from_counts
+from spl_batch.plan.inputs import Inputs
+from spl_batch.plan.memory import needs, refusal, stretch_points, task_bytes, usable_bytes
+from spl_batch.plan.phases import PHASES, Phase
+from spl_batch.plan.places import build
+from spl_batch.plan.shelf import Shelf
+from spl_batch.plan.survey import Survey
+from spl_batch.plan.worklist import Worklist
+from spl_batch.runner.context import Context
+from spl_batch.tiling import CellId
+from spl_batch.workflow import parse_workflow
+
+WORKFLOW = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
+NAMES = ("a", "b", "c", "heavy")
+
+
+def receipt(kind: str, name: str, key: str = "", **facts: Any) -> Receipt:
+    return Receipt(kind, name, key, f"d{name}", "", {}, facts, 5, 1.0, 9.0)
+
+
+def survey(memory_bytes: int = 2**32) -> Survey:
+    return Survey(Inputs((), (), (), (), None, ()), WORKFLOW, memory_bytes, 2)
+
+
+def context(folder: Path) -> Context:
+    return Context(WORKFLOW, folder, folder, "", "code")
+
+
+def tasks(_: Survey) -> Iterator[Task]:
+    for name in NAMES:
+        yield Task("ground", name, {"cell": name}, (), 10, "too large" if name == "heavy" else "")
+
+
+def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> None:
+    known = survey()
+    work = Worklist(Phase("ground", tasks), known, context(tmp_path))
+    key = work.key(Task("ground", "b", {"cell": "b"}))
+    write_receipt(Store(tmp_path), receipt("ground", "b", key, ground=3))
+    assert [r.name for r in work.look()] == ["b"]
+    assert (work.left, work.ready, work.points) == (3, 1, 30)
+    assert [(r.name, r.reason) for r in work.refused] == [("heavy", "too large")]
+    jobs = work.jobs()
+    first, _ = next(jobs)
+    assert first.name == "a"
+    assert [t.name for t, _ in jobs] == ["c"]
+    assert work.ended(receipt("ground", "a")) == 10
+    assert work.ended(work.refused[0]) == 10
+    assert list(known.of("ground")) == ["b", "a"], "a failed task is not finished"
+    known.of("ground").sort()
+    assert list(known.of("ground")) == ["a", "b"]
+
+
+def test_another_need_is_another_key(tmp_path: Path) -> None:
+    known = survey()
+    work = Worklist(Phase("ground", tasks), known, context(tmp_path))
+    task = Task("ground", "a", {}, (("build_tile", "0_0"),))
+    keys = []
+    for name in ("x", "y"):
+        known.of("build_tile").put(Receipt("build_tile", "0_0", "", name, "", {}, {}, 0, 0.0, 0.0))
+        keys.append(work.key(task))
+    assert keys[0] != keys[1]
+
+
+def test_a_shelf_keeps_what_later_phases_read() -> None:
+    facts = {"points": 3, "z": [1, 2], "sources": ["7", "9"], "share": 0.1}
+    outputs = {"store/tiles/0_0.parquet": "c"}
+    given = Receipt("build_tile", "0_0", "key", "0fd", "", outputs, facts, 3, 1.0, 9.0)
+    shelf = Shelf("build_tile")
+    shelf.put(given)
+    kept = shelf["0_0"]
+    assert (kept.digest, shelf.digest("0_0"), kept.points) == ("0fd", "0fd", 3)
+    assert kept.facts == {k: v for k, v in facts.items() if k != "z"}
+    assert (kept.outputs, len(shelf), "0_0" in shelf, "1_0" in shelf) == ({}, 1, True, False)
+    delivered = Shelf("mosaic")
+    delivered.put(Receipt("mosaic", "dtm", "", "d", "", {"dtm.tif": "c"}, {}, 0, 0.0, 0.0))
+    assert delivered["dtm"].outputs == {"dtm.tif": "c"}
+    with pytest.raises(KeyError):
+        shelf.digest("1_0")
+
+
+def test_tiles_are_built_of_every_piece_in_the_order_of_stretches() -> None:
+    known = survey()
+    for name, tiles in (
+        ("l/10", {"0_0": [0, 5], "-1_2": [1, 7]}),
+        ("l/2", {"0_0": [3, 1]}),
+        ("k/1", {}),
+    ):
+        known.of("scatter").put(receipt("scatter", name, tiles=tiles))
+    left, right = build(known)
+    assert (left.name, left.points, left.args["pieces"]) == ("-1_2", 7, [("l/10", 1)])
+    assert (right.name, right.points) == ("0_0", 6)
+    assert right.args["pieces"] == [("l/10", 0), ("l/2", 3)]
+    assert right.needs == (("scatter", "l/10"), ("scatter", "l/2"))
+    assert list(build(survey())) == []
+
+
+def test_only_the_unit_that_cannot_fit_is_refused() -> None:
+    limit = 2**30
+    full = int((usable_bytes(limit) - memory.WORKER_BASE_BYTES) / 0.9)
+    known = survey(limit)
+    for name, points in (("0_0", 1000), ("50_50", full // memory.BYTES_PER_POINT["ground"] * 2)):
+        tile = {"points": points, "sources": [], "outside_aoi": 0, "no_beam": 0}
+        known.of("build_tile").put(receipt("build_tile", name, **tile))
+    for kind in ("denoise", "ground", "surface"):
+        phase = next(p for p in PHASES if p.kind == kind)
+        refused = {task.name: task.refused for task in phase.tasks(known)}
+        told = [text for text in refused.values() if text]
+        assert 0 < len(told) < len(refused), kind
+        assert all("--memory 1,024 MiB" in text and "lower" in text for text in told)
+        for name in refused:
+            known.of(kind).put(receipt(kind, name))
+
+
+@pytest.mark.parametrize("kind", ["build_tile", "denoise", "ground", "surface"])
+def test_a_refusal_begins_where_the_limit_ends(kind: str) -> None:
+    fits = memory.points_within(kind, 2**32)
+    assert task_bytes(kind, fits) <= usable_bytes(2**32)
+    assert refusal(kind, fits, 2**32) == ""
+    assert "needs about" in refusal(kind, fits + 10_000, 2**32)
+
+
+def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
+    pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
+    track = tmp_path / "track.sbet"
+    track.write_bytes(b"0" * 136 * 1000)
+    found = needs(pieces, WORKFLOW, 2**32, points=10**9, trajectory=[track])
+    told = " ".join(need.task for need in found)
+    for words in (
+        "a tile around x 350, y 550",
+        "a denoise block",
+        "a ground cell",
+        "a surface cell",
+    ):
+        assert words in told
+    for words in ("a stretch", "labels", "reading a file", "1,000 records"):
+        assert words in told
+    tile = next(n for n in found if n.task.startswith("a tile"))
+    assert tile.memory_bytes == task_bytes("build_tile", 10**6)
+
+
+def test_stretches_shrink_with_memory() -> None:
+    sizes = [stretch_points(m * 2**20) for m in (256, 1024, 2048, 4096, 65536)]
+    assert sizes == sorted(sizes)
+    assert (sizes[0], sizes[-1]) == (memory.LEAST_STRETCH_POINTS, memory.STRETCH_POINTS)
+    for limit in (1024, 2048, 4096):
+        points = memory.UNEVEN * stretch_points(limit * 2**20)
+        assert points <= memory.points_within("scatter", limit * 2**20)
