@@ -47,15 +47,16 @@ def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> Non
     work = Worklist(Phase("ground", tasks), known, context(tmp_path))
     key = work.key(Task("ground", "b", {"cell": "b"}))
     write_receipt(Store(tmp_path), receipt("ground", "b", key, ground=3))
-    assert [r.name for r in work.look()] == ["b"]
+    looked = [(task.name, found is not None) for task, found in work.look()]
+    assert looked == [("a", False), ("b", True), ("c", False), ("heavy", False)]
     assert (work.left, work.ready, work.points) == (3, 1, 30)
     assert [(r.name, r.reason) for r in work.refused] == [("heavy", "too large")]
     jobs = work.jobs()
     first, _ = next(jobs)
     assert first.name == "a"
     assert [t.name for t, _ in jobs] == ["c"]
-    assert work.ended(receipt("ground", "a")) == 10
-    assert work.ended(work.refused[0]) == 10
+    assert work.ended(receipt("ground", "a")).points == 10
+    assert work.ended(work.refused[0]).name == "heavy"
     assert list(known.of("ground")) == ["b", "a"], "a failed task is not finished"
     known.of("ground").sort()
     assert list(known.of("ground")) == ["a", "b"]

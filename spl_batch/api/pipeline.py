@@ -241,14 +241,15 @@ def _run_phase(
     """Do what one phase has left to do."""
     survey, context = prepared.survey, prepared.context
     work = Worklist(phase, survey, context, verify=progress.verify)
-    for receipt in work.look():
-        progress.costs.setdefault(stage, StageCost()).skip(receipt)
+    for _, receipt in work.look():
+        if receipt is not None:
+            progress.costs.setdefault(stage, StageCost()).skip(receipt)
     if not work.left and not work.ready:
         return
     progress.tell(PhaseStarted(stage, phase.kind, work.left, work.ready, work.points))
 
     def on_receipt(receipt: Receipt) -> None:
-        progress.ended(stage, receipt, work.ended(receipt))
+        progress.ended(stage, receipt, work.ended(receipt).points)
 
     for receipt in work.refused:
         on_receipt(receipt)

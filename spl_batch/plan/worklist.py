@@ -46,10 +46,10 @@ class Worklist:
         self._phase, self._survey, self._context = phase, survey, context
         self._verify = verify
         self._done = survey.of(phase.kind)
-        self._points: dict[str, int] = {}
+        self._out: dict[str, Task] = {}
 
-    def look(self) -> Iterator[Receipt]:
-        """Count the tasks; receipts of those that are finished already, as they are found."""
+    def look(self) -> Iterator[tuple[Task, Receipt | None]]:
+        """Count the tasks; each, with its receipt where it is finished already."""
         self.left = self.ready = self.points = 0
         self.refused.clear()
         for task in self._phase.tasks(self._survey):
@@ -58,26 +58,26 @@ class Worklist:
             if receipt is not None:
                 self.ready += 1
                 self._done.put(receipt)
-                yield receipt
             else:
                 self.left += 1
                 self.points += task.points
                 if task.refused:
                     self.refused.append(failure(task, key, task.refused))
-                    self._points[task.name] = task.points
+                    self._out[task.name] = task
+            yield task, receipt
 
     def jobs(self) -> Iterator[tuple[Task, str]]:
         """Tasks to do, and their keys, made when they are asked for."""
         for task in self._phase.tasks(self._survey):
             if not task.refused and task.name not in self._done:
-                self._points[task.name] = task.points
+                self._out[task.name] = task
                 yield task, self.key(task)
 
-    def ended(self, receipt: Receipt) -> int:
-        """Put what a task has left on the shelf; points that it was to handle [count]."""
+    def ended(self, receipt: Receipt) -> Task:
+        """Put what a task has left on the shelf; the task, which is now forgotten."""
         if not receipt.failed:
             self._done.put(receipt)
-        return self._points.pop(receipt.name)
+        return self._out.pop(receipt.name)
 
     def key(self, task: Task) -> str:
         """Hash of everything that a task's result depends on."""
