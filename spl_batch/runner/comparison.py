@@ -12,9 +12,9 @@ from spl_batch.io.labels import read_labelled_tile
 from spl_batch.io.tables import read_table
 from spl_batch.model import PointTable, Receipt
 from spl_batch.runner.context import Context
-from spl_batch.runner.profile import LENGTH_M, WIDTH_M, label_holders
+from spl_batch.runner.profile import LENGTH_M, WIDTH_M
 from spl_batch.runner.space_domain import parse_cell
-from spl_batch.tiling import Bounds, CellId, cell_bounds, quanta
+from spl_batch.tiling import Bounds, BoxIndex, CellId, cell_bounds, quanta
 
 FAR_M: Final = 50.0
 """Farther from where most returns of its column lie, a point is taken for noise [m]."""
@@ -90,9 +90,10 @@ def contrast(runs: Sequence[Outcome]) -> Contrast:
     zeros = np.zeros((3, len(runs)), dtype=np.int64)
     found = Contrast(zeros[0], zeros[1], zeros[2], 0, 0.0, None, [])
     most = 0
+    places = [_places(run) for run in runs]
     everywhere = sorted({parse_cell(t) for run in runs for t in run.done.get("build_tile", {})})
     for tile in everywhere:
-        classes = list(_classes(runs, tile))
+        classes = list(_classes(runs, places, tile))
         if len(classes) < len(runs) or len({len(c) for c in classes}) > 1:
             found.left_out.append(str(tile))
             continue
@@ -109,15 +110,21 @@ def contrast(runs: Sequence[Outcome]) -> Contrast:
     return found
 
 
-def _classes(runs: Sequence[Outcome], tile: CellId) -> Iterator[NDArray[np.uint8]]:
+def _places(run: Outcome) -> BoxIndex:
+    """Blocks of a run by the place that they label."""
+    blocks = run.done.get("denoise", {}).items()
+    return BoxIndex({name: Bounds(*receipt.facts["core"]) for name, receipt in blocks})
+
+
+def _classes(
+    runs: Sequence[Outcome], places: Sequence[BoxIndex], tile: CellId
+) -> Iterator[NDArray[np.uint8]]:
     """What each run that has the tile took its points for."""
-    for run in runs:
+    for run, blocks in zip(runs, places, strict=True):
         if str(tile) in run.done.get("build_tile", {}):
-            tile_q = quanta(run.context.workflow.tiling.tile_m)
-            holders = label_holders([tile], tile_q, "noise", run.done.get("denoise", {}))
-            table = read_labelled_tile(
-                run.context.store, tile, ("x",), {"noise_class": holders[tile]}
-            )
+            bounds = cell_bounds(tile, quanta(run.context.workflow.tiling.tile_m))
+            holders = [("noise", name) for name in blocks.overlapping(bounds)]
+            table = read_labelled_tile(run.context.store, tile, ("x",), {"noise_class": holders})
             yield table["noise_class"]
 
 
