@@ -145,17 +145,41 @@ def fill_voids(
         Filled raster; NaN where nothing is near enough.
     """
     rows, cols = values.shape
+    reach = np.int64(0)
+    for k in range(len(offsets)):
+        reach = max(reach, offsets[k, 0])
+    gap = np.empty((rows, cols), dtype=np.int64)
+    _gaps_in_rows(values, reach + 1, gap)
     for row in range(rows):
         for col in range(cols):
             out[row, col] = values[row, col]
             if not np.isnan(values[row, col]):
                 continue
-            found2 = np.int64(-1)
-            for k in range(len(offsets)):
-                if found2 >= 0 and offsets[k, 2] > found2:
+            # How far the nearest one lies is known from its row: only that ring is looked at.
+            nearest2 = 2 * (reach + 1) * (reach + 1)
+            for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                if gap[r, col] <= reach:
+                    across = r - row
+                    nearest2 = min(nearest2, across * across + gap[r, col] * gap[r, col])
+            for k in range(np.searchsorted(offsets[:, 2], nearest2), len(offsets)):
+                if offsets[k, 2] > nearest2:
                     break
                 r, c = row + offsets[k, 0], col + offsets[k, 1]
                 if 0 <= r < rows and 0 <= c < cols and not np.isnan(values[r, c]):
-                    if found2 < 0 or values[r, c] < out[row, col]:
+                    if np.isnan(out[row, col]) or values[r, c] < out[row, col]:
                         out[row, col] = values[r, c]
-                    found2 = offsets[k, 2]
+
+
+@njit(nogil=True, cache=True)
+def _gaps_in_rows(values: NDArray[np.float64], most: int, gap: NDArray[np.int64]) -> None:
+    """Cells to the nearest filled one in the same row, 0 for a filled one, at most ``most``."""
+    rows, cols = values.shape
+    for row in range(rows):
+        distance = np.int64(most)
+        for col in range(cols):
+            distance = min(distance + 1, most) if np.isnan(values[row, col]) else np.int64(0)
+            gap[row, col] = distance
+        distance = np.int64(most)
+        for col in range(cols - 1, -1, -1):
+            distance = min(distance + 1, most) if np.isnan(values[row, col]) else np.int64(0)
+            gap[row, col] = min(gap[row, col], distance)
