@@ -140,9 +140,10 @@ def follows_hard_place(
     if count < RETURNS_MIN:
         return False
     plane, weight = np.empty(3), np.empty(count)
-    if not bisquare_plane(u[at], v[at], w[at], rules.sigma_m, plane, weight):
+    u_at, v_at, w_at = u[at], v[at], w[at]
+    if not bisquare_plane(u_at, v_at, w_at, rules.sigma_m, plane, weight):
         return False
-    distance = residual(plane, u[at], v[at], w[at])
+    distance = residual(plane, u_at, v_at, w_at)
     own = w[parent] - (plane[0] + plane[1] * u[parent] + plane[2] * v[parent])
     depth = w[i] - (plane[0] + plane[1] * u[i] + plane[2] * v[i])
     hard = beside = 0

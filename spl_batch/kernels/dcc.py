@@ -56,18 +56,21 @@ def dcc_keep(
         Filled.
     """
     n = len(range_m)
+    bins = np.empty(n, dtype=np.int64)
+    for i in range(n):
+        bins[i] = math.floor(range_m[i] / coarse_m)
     best_count, best = 0, 0
     for i in range(n):
-        bin_ = math.floor(range_m[i] / coarse_m)
         count = 0
         for j in range(n):
-            count += math.floor(range_m[j] / coarse_m) == bin_
-        if count > best_count or (count == best_count and bin_ < best):
-            best_count, best = count, bin_
+            count += bins[j] == bins[i]
+        if count > best_count or (count == best_count and bins[i] < best):
+            best_count, best = count, bins[i]
     near = 0
     for i in range(n):
-        keep[i] = abs(math.floor(range_m[i] / coarse_m) - best) <= 1
+        keep[i] = abs(bins[i] - best) <= 1
         near += keep[i]
+        bins[i] = math.floor(range_m[i] / fine_m)
     rest = max(gate_m - 3.0 * coarse_m, coarse_m)
     noise = max(n - near, 0.5) * fine_m / rest
     threshold = dcc_threshold(near / 3.0, noise, max(gate_m / fine_m, 1.0))
@@ -75,8 +78,7 @@ def dcc_keep(
     for i in range(n):
         if not inside[i]:
             continue
-        bin_ = math.floor(range_m[i] / fine_m)
         count = 0
         for j in range(n):
-            count += inside[j] and math.floor(range_m[j] / fine_m) == bin_
+            count += inside[j] and bins[j] == bins[i]
         keep[i] = count >= threshold

@@ -108,14 +108,60 @@ def residual(
 
 
 @njit(nogil=True, cache=True)
+def select(values: NDArray[np.float64], k: int) -> float:
+    """Value that a sort would put at place ``k``; what is not larger ends up before it.
+
+    Parameters
+    ----------
+    values : (n,) float64
+        Finite; their order is changed.
+    k : int
+        Place, 0 to n - 1.
+    """
+    low, high = 0, len(values) - 1
+    while low < high:
+        # A pivot from the middle of three stays off the quadratic case of sorted values.
+        a, b, c = values[low], values[(low + high) // 2], values[high]
+        pivot = max(min(a, b), min(max(a, b), c))
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return float(values[k])
+
+
+@njit(nogil=True, cache=True)
 def median_distance(distance: NDArray[np.float64]) -> float:
     """Median of absolute values, of at least one."""
     size = np.empty(len(distance), dtype=np.float64)
     for i in range(len(distance)):
         size[i] = abs(distance[i])
-    size.sort()
-    half = len(size) // 2
-    return float(0.5 * (size[half] + size[-half - 1]))
+    return _median(size)
+
+
+@njit(nogil=True, cache=True)
+def _median(values: NDArray[np.float64]) -> float:
+    """Median of at least one value, whose order is changed."""
+    half = len(values) // 2
+    upper = select(values, half)
+    if len(values) % 2:
+        return upper
+    lower = values[0]
+    for i in range(1, half):
+        lower = max(lower, values[i])
+    return 0.5 * (upper + lower)
 
 
 @njit(nogil=True, cache=True)
@@ -149,19 +195,19 @@ def bisquare_plane(
         weight[i] = 1.0
     if len(u) < 4 or not weighted_plane(u, v, w, weight, plane):
         return False
+    distance, size = np.empty(len(u)), np.empty(len(u))
     for _ in range(ITERATIONS):
-        before = (plane[0], plane[1], plane[2])
-        distance = residual(plane, u, v, w)
-        scale = max(median_distance(distance) / 0.6745, scale_min)
+        a, b, c = plane[0], plane[1], plane[2]
         for i in range(len(u)):
-            ratio = abs(distance[i]) / (BISQUARE * scale)
+            distance[i] = abs(w[i] - (a + b * u[i] + c * v[i]))
+            size[i] = distance[i]
+        scale = BISQUARE * max(_median(size) / 0.6745, scale_min)
+        for i in range(len(u)):
+            ratio = distance[i] / scale
             weight[i] = (1.0 - ratio * ratio) ** 2 if ratio < 1.0 else 0.0
         if not weighted_plane(u, v, w, weight, plane):
             return False
-        moved = 0.0
-        for k in range(3):
-            moved = max(moved, abs(plane[k] - before[k]))
-        if moved < 1e-6:
+        if max(abs(plane[0] - a), abs(plane[1] - b), abs(plane[2] - c)) < 1e-6:
             break
     return True
 
@@ -178,8 +224,7 @@ def percentile_68(plane: NDArray[np.float64], distance: NDArray[np.float64]) -> 
         Distances along the beam [m]; they are turned perpendicular to the plane here.
     """
     tilt = math.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
-    ordered = np.empty(len(distance), dtype=np.float64)
+    size = np.empty(len(distance), dtype=np.float64)
     for i in range(len(distance)):
-        ordered[i] = abs(distance[i])
-    ordered.sort()
-    return float(ordered[min(len(ordered) - 1, int(0.68 * len(ordered)))]) / tilt
+        size[i] = abs(distance[i])
+    return select(size, min(len(size) - 1, int(0.68 * len(size)))) / tilt
