@@ -145,9 +145,7 @@ def fill_voids(
         Filled raster; NaN where nothing is near enough.
     """
     rows, cols = values.shape
-    reach = np.int64(0)
-    for k in range(len(offsets)):
-        reach = max(reach, offsets[k, 0])
+    reach = int(offsets[:, 0].max()) if len(offsets) else 0
     gap = np.empty((rows, cols), dtype=np.int64)
     _gaps_in_rows(values, reach + 1, gap)
     for row in range(rows):
@@ -155,19 +153,14 @@ def fill_voids(
             out[row, col] = values[row, col]
             if not np.isnan(values[row, col]):
                 continue
-            # How far the nearest one lies is known from its row: only that ring is looked at.
-            nearest2 = 2 * (reach + 1) * (reach + 1)
-            for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
-                if gap[r, col] <= reach:
-                    across = r - row
-                    nearest2 = min(nearest2, across * across + gap[r, col] * gap[r, col])
+            nearest2 = _nearest2(gap, row, col, reach)
             for k in range(np.searchsorted(offsets[:, 2], nearest2), len(offsets)):
                 if offsets[k, 2] > nearest2:
                     break
                 r, c = row + offsets[k, 0], col + offsets[k, 1]
-                if 0 <= r < rows and 0 <= c < cols and not np.isnan(values[r, c]):
-                    if np.isnan(out[row, col]) or values[r, c] < out[row, col]:
-                        out[row, col] = values[r, c]
+                if 0 <= r < rows and 0 <= c < cols:
+                    # fmin prefers what is not NaN
+                    out[row, col] = np.fmin(out[row, col], values[r, c])
 
 
 @njit(nogil=True, cache=True)
@@ -175,11 +168,21 @@ def _gaps_in_rows(values: NDArray[np.float64], most: int, gap: NDArray[np.int64]
     """Cells to the nearest filled one in the same row, 0 for a filled one, at most ``most``."""
     rows, cols = values.shape
     for row in range(rows):
-        distance = np.int64(most)
+        distance = most
         for col in range(cols):
-            distance = min(distance + 1, most) if np.isnan(values[row, col]) else np.int64(0)
+            distance = min(distance + 1, most) if np.isnan(values[row, col]) else 0
             gap[row, col] = distance
-        distance = np.int64(most)
+        distance = most
         for col in range(cols - 1, -1, -1):
-            distance = min(distance + 1, most) if np.isnan(values[row, col]) else np.int64(0)
+            distance = min(distance + 1, most) if np.isnan(values[row, col]) else 0
             gap[row, col] = min(gap[row, col], distance)
+
+
+@njit(nogil=True, cache=True)
+def _nearest2(gap: NDArray[np.int64], row: int, col: int, reach: int) -> int:
+    """Squared distance to the nearest filled cell, larger than any within reach for none."""
+    nearest2 = 2 * (reach + 1) * (reach + 1)
+    for r in range(max(row - reach, 0), min(row + reach + 1, len(gap))):
+        if gap[r, col] <= reach:
+            nearest2 = min(nearest2, (r - row) * (r - row) + int(gap[r, col]) ** 2)
+    return nearest2

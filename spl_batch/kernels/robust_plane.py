@@ -227,4 +227,4 @@ def percentile_68(plane: NDArray[np.float64], distance: NDArray[np.float64]) -> 
     size = np.empty(len(distance), dtype=np.float64)
     for i in range(len(distance)):
         size[i] = abs(distance[i])
-    return select(size, min(len(size) - 1, int(0.68 * len(size)))) / tilt
+    return float(select(size, min(len(size) - 1, int(0.68 * len(size)))) / tilt)

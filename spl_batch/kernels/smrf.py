@@ -14,6 +14,7 @@ further by a diamond and so costs what its radius is, not its area.
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -56,26 +57,27 @@ def opening(surface: Grid, radius: int) -> Grid:
     """
     square, diamond = octagon(radius)
     padded = np.pad(surface, radius, mode="edge")
-    for minmax, square_filter in (
-        (np.minimum, ndimage.minimum_filter1d),
-        (np.maximum, ndimage.maximum_filter1d),
-    ):
+    spare = np.empty_like(padded)
+    for sign, square_filter in ((1.0, ndimage.minimum_filter1d), (-1.0, ndimage.maximum_filter1d)):
         for axis in (0, 1):
             padded = square_filter(padded, 2 * square + 1, axis=axis, mode="nearest")
         for _ in range(diamond):
-            padded = _by_cross(padded, minmax)
+            _by_cross(padded, sign, spare)
+            padded, spare = spare, padded
     opened: Grid = padded[radius:-radius, radius:-radius] if radius else padded
     return opened
 
 
-def _by_cross(grid: Grid, minmax: np.ufunc) -> Grid:
-    """Erosion or dilation by a cell and its four neighbours."""
-    out = grid.copy()
-    minmax(out[1:], grid[:-1], out=out[1:])
-    minmax(out[:-1], grid[1:], out=out[:-1])
-    minmax(out[:, 1:], grid[:, :-1], out=out[:, 1:])
-    minmax(out[:, :-1], grid[:, 1:], out=out[:, :-1])
-    return out
+@njit(nogil=True, cache=True)
+def _by_cross(grid: Grid, sign: float, out: Grid) -> None:
+    """Erosion (sign 1) or dilation (-1) by a cell and its four neighbours."""
+    rows, columns = grid.shape
+    for r in range(rows):
+        above, below = grid[min(r + 1, rows - 1)], grid[max(r - 1, 0)]
+        for c in range(columns):
+            least = min(sign * grid[r, c], sign * above[c], sign * below[c])
+            left, right = grid[r, max(c - 1, 0)], grid[r, min(c + 1, columns - 1)]
+            out[r, c] = sign * min(least, sign * left, sign * right)
 
 
 def object_cells(
