@@ -161,7 +161,7 @@ def _median(values: NDArray[np.float64]) -> float:
     lower = values[0]
     for i in range(1, half):
         lower = max(lower, values[i])
-    return 0.5 * (upper + lower)
+    return float(0.5 * (upper + lower))
 
 
 @njit(nogil=True, cache=True)
