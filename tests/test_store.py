@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spl_batch.errors import StoppedError, StoreError, WorkflowError
-from spl_batch.io.atomic import checksum, replacing, write_bytes
+from spl_batch.io.atomic import checksum, replacing, scratch_name, sweep, write_bytes
 from spl_batch.io.store import (
     Store,
     append_log,
@@ -96,6 +96,7 @@ def test_a_directory_is_replaced_whole(tmp_path: Path) -> None:
     [
         (errno.ENOSPC, StoppedError, "disk full"),
         (errno.EDQUOT, StoppedError, "quota"),
+        (errno.EFBIG, StoppedError, "too large"),
         (errno.EROFS, WorkflowError, "cannot be written"),
     ],
 )
@@ -111,6 +112,55 @@ def test_what_the_system_says_is_said_again(
     with pytest.raises(expected, match=words) as caught:
         fail()
     assert str(path) in str(caught.value)
+
+
+def test_content_is_on_disk_before_its_name_and_the_name_before_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "deep" / "file.bin"
+    steps: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda d: steps.append(Path(f"/dev/fd/{d}").resolve().name))
+    rename = os.replace
+    monkeypatch.setattr(os, "replace", lambda a, b: (steps.append("rename"), rename(a, b)))
+    with replacing(path) as temporary:
+        temporary.write_bytes(b"content")
+    assert steps == [tmp_path.name, temporary.name, "rename", "deep"]
+    steps.clear()
+    with replacing(path.with_name("group")) as temporary:
+        (temporary / "c").mkdir(parents=True)
+        (temporary / "c" / "0").write_bytes(b"chunk")
+    assert sorted(steps[:3]) == sorted([temporary.name, "c", "0"])
+    assert steps[3:] == ["rename", "deep"]
+
+
+def test_only_what_is_unfinished_and_ours_is_swept_away(tmp_path: Path) -> None:
+    foreign = [".dtm.tif.tmp", "a.spl-part", ".a.123.spl-part", ".x.0123456789abcdef.spl-part.bak"]
+    for name in foreign:
+        write_bytes(tmp_path / "laz" / name, b"mine")
+    other = tmp_path / "compare" / "voxel"
+    write_bytes(other / "store" / "lock", b"")
+    scratch_name(other / "dtm.tif").write_bytes(b"another run is writing this")
+    left = [scratch_name(tmp_path / name) for name in ("dtm.tif", "laz/a.laz", "n" * 240)]
+    for path in left:
+        path.write_bytes(b"half")
+    group = scratch_name(tmp_path / "laz" / "0.zarr")
+    (group / "c").mkdir(parents=True)
+    (group / "c" / "0").write_bytes(b"half")
+    assert sweep(tmp_path) == (4, 16)
+    assert not any(path.exists() for path in [*left, group])
+    assert sorted(p.name for p in (tmp_path / "laz").iterdir()) == sorted(foreign)
+    assert len(list(other.iterdir())) == 2
+    assert sweep(tmp_path) == (0, 0)
+
+
+def test_who_lost_a_temporary_file_stops(tmp_path: Path) -> None:
+    def late() -> None:
+        with replacing(tmp_path / "a") as temporary:
+            temporary.write_bytes(b"slow")
+            sweep(tmp_path)
+
+    with pytest.raises(StoppedError, match="another run"):
+        late()
 
 
 def test_a_file_in_place_of_a_folder_is_named(tmp_path: Path) -> None:

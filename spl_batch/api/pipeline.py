@@ -24,6 +24,7 @@ from spl_batch.api.repair import Repairs
 from spl_batch.api.withdrawal import withdraw_stale
 from spl_batch.errors import StoreError, WorkflowError
 from spl_batch.graph import Executor, executor
+from spl_batch.io.atomic import stop_if_full, sweep
 from spl_batch.io.cells import create_raster_store
 from spl_batch.io.store import append_log
 from spl_batch.model import Receipt
@@ -81,6 +82,13 @@ class _Progress:
         if text not in self.notes:
             self.notes.append(text)
             self.tell(Note("warning", text))
+
+    def tidy(self) -> None:
+        """Remove what a killed run has left unfinished."""
+        count, total = sweep(self.output)
+        if count:
+            text = f"{count} unfinished files of a killed run removed ({total / 1e6:.1f} MB)"
+            self.tell(Note("info", text))
 
     @property
     def failed(self) -> list[Receipt]:
@@ -166,6 +174,7 @@ def run(
             _forget(output)
         progress = _Progress(output, listener, Repairs(prepared.context.store), verify)
         progress.tell(RunStarted(str(workflow), workers, prepared.context.code))
+        progress.tidy()
         for warning in prepared.survey.inputs.warnings:
             progress.warn(warning)
         for bad in prepared.survey.inputs.bad:
@@ -360,6 +369,7 @@ def locked(output: Path) -> Iterator[None]:
         (output / "store").mkdir(parents=True, exist_ok=True)
         stream = (output / "store" / "lock").open("w")
     except OSError as error:
+        stop_if_full(error, output)
         raise WorkflowError(f"output: {output} cannot be written: {error.strerror}") from None
     with stream:
         try:
@@ -368,7 +378,11 @@ def locked(output: Path) -> Iterator[None]:
             raise WorkflowError(
                 f"output: another run is working in {output}; wait for it"
             ) from None
-        yield
+        try:
+            yield
+        except OSError as error:
+            stop_if_full(error, output)
+            raise
 
 
 def _forget(output: Path) -> None:

@@ -1,8 +1,9 @@
-"""Files that are either whole or not there: temporary name, fsync, rename, fsync."""
+"""Files that are either whole or not there: temporary name, fsync, rename, fsync of the folder."""
 
 import errno
 import hashlib
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -15,7 +16,14 @@ from spl_batch.errors import StoppedError, WorkflowError
 SCRATCH: Final = ".spl-part"
 """How names of files and folders end that are not finished."""
 
-_CONCERNS_EVERYTHING = {errno.ENOSPC: "disk full", errno.EDQUOT: "disk quota used up"}
+_SCRATCH_NAME: Final = re.compile(rf"\..+\.[0-9a-f]{{16}}{re.escape(SCRATCH)}")
+_CONCERNS_EVERYTHING: Final = {
+    errno.ENOSPC: "disk full; free some space and run again",
+    errno.EDQUOT: "disk quota used up; free some space and run again",
+    errno.EFBIG: "too large for the file system or the shell's limit (ulimit -f); run again "
+    "where it fits",
+}
+_NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 
 
 def scratch_name(path: Path) -> Path:
@@ -27,6 +35,8 @@ def scratch_name(path: Path) -> Path:
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside ``path``; rename it into place when the block succeeds.
+
+    Content is on disk before the rename, the rename before this returns.
 
     Parameters
     ----------
@@ -41,27 +51,81 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     StoppedError
-        If the disk is full.
+        If the disk is full, or another run has taken the temporary file away.
     WorkflowError
         If the place cannot be written.
     """
     temporary = scratch_name(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(path.parent)
         yield temporary
-        _sync(temporary)
-        if temporary.is_dir():
-            remove(path)
-        temporary.replace(path)
+        _put_in_place(temporary, path)
     except OSError as error:
-        if error.errno in _CONCERNS_EVERYTHING:
-            what = _CONCERNS_EVERYTHING[error.errno]
-            raise StoppedError(f"{path}: {what}; free some space and run again") from error
-        if error.errno in {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}:
+        stop_if_full(error, path)
+        if error.errno in _NOT_ALLOWED:
             raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
         raise
     finally:
         remove(temporary)
+
+
+@contextmanager
+def scratch_folder(path: Path) -> Iterator[Path]:
+    """A folder beside ``path`` for by-products; gone when the block ends."""
+    folder = scratch_name(path)
+    _make_folder(folder)
+    try:
+        yield folder
+    finally:
+        remove(folder)
+
+
+def stop_if_full(error: BaseException, place: object) -> None:
+    """Raise :class:`StoppedError` where a full disk is behind an error, however it is wrapped.
+
+    Parameters
+    ----------
+    error : BaseException
+        What was raised; its causes are looked at too.
+    place : object
+        What could not be written, for the message.
+    """
+    behind: BaseException | None = error
+    while behind is not None:
+        if isinstance(behind, OSError) and behind.errno in _CONCERNS_EVERYTHING:
+            raise StoppedError(f"{place}: {_CONCERNS_EVERYTHING[behind.errno]}") from error
+        behind = behind.__cause__ or behind.__context__
+
+
+def sweep(folder: Path) -> tuple[int, int]:
+    """Remove what killed runs have left unfinished below an output folder.
+
+    Nothing else is touched, nor is what belongs to an output of its own further down.
+
+    Parameters
+    ----------
+    folder : Path
+        Output whose lock is held.
+
+    Returns
+    -------
+    count, bytes : int
+        What was removed.
+    """
+    count = total = 0
+    tops = [folder, *(p for p in folder.iterdir() if p.is_symlink() and p.is_dir())]
+    for top in tops:
+        for place, folders, files in os.walk(top):
+            if place != str(top) and Path(place, "store", "lock").exists():
+                folders.clear()
+                continue
+            for name in filter(_SCRATCH_NAME.fullmatch, [*folders, *files]):
+                path = Path(place, name)
+                total += max(size(path), 0)
+                count += 1
+                remove(path)
+            folders[:] = [name for name in folders if not _SCRATCH_NAME.fullmatch(name)]
+    return count, total
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -125,8 +189,36 @@ def _files(path: Path) -> list[Path]:
     return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
 
 
+def _make_folder(path: Path) -> None:
+    """Make a folder, and those above it, so that they outlive a loss of power."""
+    if path.is_dir():
+        return
+    missing = [p for p in (path, *path.parents) if not p.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    for folder in missing:
+        sync_folder(folder.parent)
+
+
+def _put_in_place(temporary: Path, path: Path) -> None:
+    try:
+        _sync(temporary)
+        if temporary.is_dir():
+            remove(path)
+        temporary.replace(path)
+    except FileNotFoundError as error:
+        raise StoppedError(
+            f"{path}: its temporary file is gone; another run has taken over this output"
+        ) from error
+    sync_folder(path.parent)
+
+
 def _sync(path: Path) -> None:
-    for file in path.rglob("*") if path.is_dir() else [path]:
-        if file.is_file():
-            with file.open("rb") as stream:
-                os.fsync(stream.fileno())
+    """Force a file, or all files and entries of a directory, to disk."""
+    if not path.is_dir():
+        with path.open("rb") as stream:
+            os.fsync(stream.fileno())
+        return
+    for place, _, files in os.walk(path):
+        for name in files:
+            _sync(Path(place, name))
+        sync_folder(Path(place))

@@ -1,15 +1,16 @@
 """Delivered rasters: cloud-optimised GeoTIFF."""
 
 import shutil
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
 from rasterio.errors import CRSError, RasterioError
 from rasterio.transform import Affine
@@ -17,7 +18,7 @@ from rasterio.windows import Window
 
 from spl_batch.constants import NODATA
 from spl_batch.errors import InputError, StoppedError
-from spl_batch.io.atomic import replacing
+from spl_batch.io.atomic import replacing, scratch_folder
 
 Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
 """First row, first column and values of pieces of a raster, row 0 northernmost."""
@@ -88,27 +89,78 @@ def write_cog(
     try:
         with (
             replacing(path) as cog,
-            TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder,
+            scratch_folder(path) as folder,
             rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, GDAL_NUM_THREADS="1"),
         ):
             # Overviews and other by-products of GDAL come and go with the folder.
             plain, finished = Path(folder, "plain.tif"), Path(folder, "cog.tif")
-            _write_plain(plain, pieces, profile, description)
+            marks = _write_plain(plain, pieces, profile, description)
             _add_overviews(plain, shape)
             _copy_as_cog(plain, finished)
+            _verify(finished, marks)
             finished.replace(cog)
-    except RasterioError as error:
+    except (RasterioError, CPLE_BaseError) as error:
         raise _stopped(path, shape, error) from error
 
 
-def _write_plain(path: Path, pieces: Blocks, profile: dict[str, Any], description: str) -> None:
-    """Write pieces as they come; uncompressed, so that rewriting a tile leaves no waste."""
+def _write_plain(
+    path: Path, pieces: Blocks, profile: dict[str, Any], description: str
+) -> list[tuple[Window, int]]:
+    """Write pieces as they come; uncompressed, so that rewriting a tile leaves no waste.
+
+    Gives the place of each piece and a checksum of it.
+    """
     layout = {"tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX, "sparse_ok": True}
+    marks = []
     with rasterio.open(path, "w", bigtiff="if_safer", **layout, **profile) as out:
         out.set_band_description(1, description)
         for row, col, block in pieces:
             rows, cols = block.shape
-            out.write(block.astype(np.float32, copy=False), 1, window=Window(col, row, cols, rows))
+            window = Window(col, row, cols, rows)
+            values = block.astype(np.float32, copy=False)
+            out.write(values, 1, window=window)
+            marks.append((window, zlib.crc32(values.tobytes())))
+    return marks
+
+
+def _verify(cog: Path, marks: Iterable[tuple[Window, int]]) -> None:
+    """Read everything back: GDAL keeps silent when a full disk cuts off what it still caches."""
+    lost = RasterioError("what was written cannot be read back")
+    with rasterio.open(cog) as source:
+        levels = len(source.overviews(1))
+        if any(zlib.crc32(source.read(1, window=w).tobytes()) != mark for w, mark in marks):
+            raise lost
+    for level in range(levels):
+        finer = {} if level == 0 else {"overview_level": level - 1}
+        with rasterio.open(cog, **finer) as fine, rasterio.open(cog, overview_level=level) as made:
+            if not all(_averages(fine, made, window) for _, window in made.block_windows(1)):
+                raise lost
+
+
+def _averages(fine: Any, made: Any, window: Window) -> bool:
+    """Whether a part of an overview lies between the finer cells that it is the mean of."""
+    values = made.read(1, window=window)
+    rows = _finer(window.row_off, window.height, fine.height / made.height, fine.height)
+    cols = _finer(window.col_off, window.width, fine.width / made.width, fine.width)
+    row, col = int(rows.min()), int(cols.min())
+    within = Window(col, row, int(cols.max()) + 1 - col, int(rows.max()) + 1 - row)
+    cells = fine.read(1, window=within)
+    known = cells != made.nodata
+    far = np.finfo(np.float32).max / 2
+    low, high = np.where(known, cells, far), np.where(known, cells, -far)
+    for axis, at in ((0, rows - row), (1, cols - col)):
+        low, high = low.take(at, axis).min(axis), high.take(at, axis).max(axis)
+        known = known.take(at, axis).all(axis)
+    slack = 1e-5 * np.maximum(np.abs(low), np.abs(high))
+    empty = values == made.nodata
+    return bool(np.all(np.where(empty, ~known, (values >= low - slack) & (values <= high + slack))))
+
+
+def _finer(start: int, count: int, ratio: float, size: int) -> NDArray[np.int64]:
+    """Finer rows or columns that coarser ones may be made of, one to either side: (5, count)."""
+    first = np.floor(np.arange(start, start + count) * ratio).astype(np.int64) - 1
+    cells: NDArray[np.int64] = np.clip(first + np.arange(5)[:, None], 0, size - 1)
+    return cells
 
 
 def _add_overviews(path: Path, shape: tuple[int, int]) -> None:
@@ -140,7 +192,7 @@ def _free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def _stopped(path: Path, shape: tuple[int, int], error: RasterioError) -> StoppedError:
+def _stopped(path: Path, shape: tuple[int, int], error: Exception) -> StoppedError:
     """GDAL tells a full disk only in prose, so the free space is looked at."""
     needed = 2 * 4 * shape[0] * shape[1]
     if _free_bytes(path.parent) < needed:

@@ -19,7 +19,7 @@ from typing import Final
 
 from spl_batch import __version__
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError
-from spl_batch.io.atomic import checksum, size
+from spl_batch.io.atomic import checksum, size, stop_if_full
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
 from spl_batch.model import Receipt, Task
 from spl_batch.runner import delivery, index, lines_of_sight, space_domain, time_domain
@@ -208,6 +208,7 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
     except SplBatchError as error:
         receipt = failure(task, key, str(error), time.perf_counter() - start)
     except Exception as error:  # noqa: BLE001 - one task's fault must not end the others
+        stop_if_full(error, f"{task.kind} {task.name}")
         reason = f"{type(error).__name__}: {error}"
         receipt = failure(task, key, reason, time.perf_counter() - start)
     write_receipt(context.store, receipt)
