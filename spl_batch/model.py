@@ -378,6 +378,8 @@ class Receipt:
         Path -> size of the file, or of all files of the directory [byte].
     written_ns : mapping of str to int
         Path of a delivered file -> when it was written [ns since 1970].
+    inputs : mapping of str to (int, int)
+        Path of an input that it read from end to end -> size [byte], time of writing [ns].
     """
 
     kind: str
@@ -392,6 +394,7 @@ class Receipt:
     peak_rss_mb: float
     sizes: Mapping[str, int] = field(default_factory=dict)
     written_ns: Mapping[str, int] = field(default_factory=dict)
+    inputs: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
     @property
     def failed(self) -> bool:

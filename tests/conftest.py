@@ -1,11 +1,21 @@
 """Surveys that many tests share; nobody may write into them."""
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from spl_batch.simulate import preset_scene, simulate
 from tests import surveys
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_waiting_for_the_disk() -> Iterator[None]:
+    """No test cuts the power, and a busy disk takes its time over each file."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
 
 
 @pytest.fixture(scope="session")

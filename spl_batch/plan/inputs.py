@@ -11,6 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from spl_batch.errors import InputError, WorkflowError
+from spl_batch.io.atomic import checksum
 from spl_batch.io.crs import crs_problems, horizontal, same_crs
 from spl_batch.io.las import LasFacts, inspect
 from spl_batch.workflow import Workflow
@@ -61,8 +62,8 @@ class Inputs:
         The survey's CRS.
     warnings : tuple of str
         What a user should know before the work starts.
-    polygons : tuple of (str, int, int)
-        Key, size and time of writing of each polygon file.
+    polygons : tuple of (str, str)
+        Key and checksum of each polygon file, or of all the files that it is made of.
     """
 
     sources: tuple[Source, ...]
@@ -71,7 +72,7 @@ class Inputs:
     reference: tuple[Path, ...]
     crs: CRS | None
     warnings: tuple[str, ...]
-    polygons: tuple[tuple[str, int, int], ...] = ()
+    polygons: tuple[tuple[str, str], ...] = ()
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -131,15 +132,18 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         reference,
         crs,
         tuple(warnings),
-        tuple(_polygon_stamps(workflow, base)),
+        tuple(_polygon_checksums(workflow, base)),
     )
 
 
-def _polygon_stamps(workflow: Workflow, base: Path) -> Iterable[tuple[str, int, int]]:
+def _polygon_checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
     for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
         if name is not None:
-            stat = (base / name).stat()
-            yield key, stat.st_size, stat.st_mtime_ns
+            path = base / name
+            # A shapefile's corners, table and CRS lie in files of the same stem.
+            parts = path.parent.glob(f"{glob.escape(path.stem)}.*")
+            whole = sorted(parts) if path.suffix.lower() == ".shp" else [path]
+            yield key, " ".join(checksum(part) for part in whole)
 
 
 def source_key(name: str) -> int:

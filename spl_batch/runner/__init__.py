@@ -200,6 +200,7 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
             _peak_rss_mb(),
             {name: size(path) for name, path in paths.items()},
             {n: _written_ns(p) for n, p in paths.items() if context.store.root not in p.parents},
+            produced.inputs,
         )
     except StoppedError:
         raise

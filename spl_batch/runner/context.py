@@ -69,11 +69,14 @@ class Produced:
         Small results, plain JSON values.
     points : int
         Points handled [count].
+    inputs : mapping of str to (int, int)
+        Path of an input read from end to end -> size [byte], time of writing [ns since 1970].
     """
 
     outputs: Sequence[Path] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
     points: int = 0
+    inputs: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
 
 TaskFunction = Callable[[Mapping[str, Any], Context], Produced]

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.errors import InputError
+from spl_batch.io.atomic import remove
 from spl_batch.io.cells import frame, stored_blocks
 from spl_batch.io.labels import read_labelled_tile
 from spl_batch.io.las_write import write_classified, write_points
@@ -14,6 +16,7 @@ from spl_batch.io.rasters import write_cog
 from spl_batch.model import COLUMNS, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.space_domain import parse_cell
+from spl_batch.runner.unchanged import as_indexed, unchanged
 from spl_batch.tiling import Bounds, CellId, quanta
 
 PASS_POINTS = 32_000_000
@@ -77,9 +80,17 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     extra = ("noise_density", "p_value") if diagnostics else ()
     labels = _FileLabels(args, context, ("noise_class", "classification", *extra))
     target = context.output / "laz" / args["delivered"]
-    written = write_classified(
-        Path(args["path"]), target, labels=labels, diagnostics=diagnostics, crs=context.crs
-    )
+    source = Path(args["path"])
+    stamp = as_indexed(args, context)
+    try:
+        with unchanged(source, stamp):
+            written = write_classified(
+                source, target, labels=labels, diagnostics=diagnostics, crs=context.crs
+            )
+    except InputError:
+        # What an earlier run made of it would pass for this run's.
+        remove(target)
+        raise
     facts = {
         "points": written,
         "noise_class": _nonzero(labels.counts),

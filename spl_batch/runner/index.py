@@ -1,6 +1,7 @@
 """Stage ``index``: what is in each input file, and where in it; the trajectory in one piece."""
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from spl_batch.io.tables import read_arrays, write_arrays
 from spl_batch.io.trajectory import load_trajectory, write_trajectory
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import (
     estimate_prf,
     heading_from_track,
@@ -93,17 +95,18 @@ class _Tally:
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Read a file once from end to end: prove that it is readable, find what is in it."""
     path = Path(args["path"])
-    before = checksum(path)
-    header = inspect(path)
     settings = context.workflow.survey
     tally = _Tally(settings.gap_s)
-    for table in iter_points(
-        path,
-        channel_dimension=settings.channel_dimension,
-        source=int(args["source"]),
-        chunk=RUN_POINTS * 16,
-    ):
-        tally.add(table)
+    with unchanged(path, args["stamp"]):
+        digest = checksum(path)
+        header = inspect(path)
+        for table in iter_points(
+            path,
+            channel_dimension=settings.channel_dimension,
+            source=int(args["source"]),
+            chunk=RUN_POINTS * 16,
+        ):
+            tally.add(table)
     runs = np.array(tally.runs, dtype=np.float64).reshape(-1, 2)
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
@@ -113,8 +116,8 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "name": args["name"],
         "path": str(path),
-        "hash": before,
-        "size": path.stat().st_size,
+        "hash": digest,
+        "size": args["stamp"][0],
         **tally.counts,
         "bounds": [*tally.low.tolist(), *tally.high.tolist()] if tally.counts["points"] else None,
         "channels": [min(tally.channels), max(tally.channels)] if tally.channels else None,
@@ -124,7 +127,8 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "standard": standard,
         "warnings": [*header.warnings, *([contradiction] if contradiction else [])],
     }
-    return Produced([index], facts, tally.counts["points"])
+    inputs = {str(path): args["stamp"]}
+    return Produced([index], facts, tally.counts["points"], inputs)
 
 
 def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
@@ -154,13 +158,16 @@ def find_heading(args: Mapping[str, Any], context: Context) -> Produced:
 
 def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     """Bring the trajectory into the survey's CRS and the points' time, in one file."""
-    loaded = load_trajectory(
-        [Path(p) for p in args["paths"]],
-        survey_crs=context.crs,
-        trajectory_crs=context.workflow.survey.trajectory_crs,
-        time_span_s=tuple(args["time_span_s"]),
-        bounds_m=tuple(args["bounds_m"]),
-    )
+    with ExitStack() as stack:
+        for name, stamp in zip(args["paths"], args["stamps"], strict=True):
+            stack.enter_context(unchanged(Path(name), stamp))
+        loaded = load_trajectory(
+            [Path(p) for p in args["paths"]],
+            survey_crs=context.crs,
+            trajectory_crs=context.workflow.survey.trajectory_crs,
+            time_span_s=tuple(args["time_span_s"]),
+            bounds_m=tuple(args["bounds_m"]),
+        )
     path = context.store.path("trajectory.parquet")
     write_trajectory(path, loaded.trajectory)
     time = loaded.trajectory.time_s

@@ -39,6 +39,7 @@ from spl_batch.runner import lines_of_sight
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.index import RUN_POINTS
 from spl_batch.runner.lines_of_sight import STRETCH_COLUMNS
+from spl_batch.runner.unchanged import as_indexed, unchanged
 from spl_batch.sensor import Sensor
 from spl_batch.settings import DccSettings
 from spl_batch.stages import afterpulse, afterpulse_law, fired, line_noise, shot_filter, voxel_noise
@@ -62,7 +63,7 @@ def sort_file(args: Mapping[str, Any], context: Context) -> Produced:
     path = context.store.path("sorted", f"{args['source']}.parquet")
     points = 0
     with writing(path, {name: COLUMNS[name].dtype for name in SOURCE_COLUMNS}) as writer:
-        for table in _chunks(args, context, 0, None):
+        for table in _input_chunks(args, context, 0, None):
             usable = table.take(np.isfinite(table["gps_time"]) & ~table.has(EXCLUDED))
             usable = usable.take(_time_order(usable))
             for start in range(0, len(usable), GROUP_POINTS):
@@ -97,7 +98,7 @@ def gather_range(args: Mapping[str, Any], context: Context) -> Produced:
     """Collect a run of points of a file without times: no shots, no beams, no noise model."""
     pieces = [
         table.take(~table.has(EXCLUDED))
-        for table in _chunks(args, context, int(args["start"]), int(args["stop"]))
+        for table in _input_chunks(args, context, int(args["start"]), int(args["stop"]))
     ]
     table = concat(pieces, SOURCE_COLUMNS)
     table = table.with_columns(shot=np.zeros(len(table), np.int64))
@@ -298,17 +299,20 @@ def _source_pieces(
         return
     for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
         start, stop = int(run[0]) * RUN_POINTS, (int(run[-1]) + 1) * RUN_POINTS
-        yield from _chunks(source, context, start, stop)
+        yield from _input_chunks(source, context, start, stop)
 
 
-def _chunks(
+def _input_chunks(
     source: Mapping[str, Any], context: Context, start: int, stop: int | None
 ) -> Iterator[PointTable]:
-    return iter_points(
-        Path(source["path"]),
-        channel_dimension=context.workflow.survey.channel_dimension,
-        source=int(source["source"]),
-        start=start,
-        stop=stop,
-        chunk=CHUNK_POINTS,
-    )
+    """Points of an input file that is as it was when it was indexed."""
+    path = Path(source["path"])
+    with unchanged(path, as_indexed(source, context)):
+        yield from iter_points(
+            path,
+            channel_dimension=context.workflow.survey.channel_dimension,
+            source=int(source["source"]),
+            start=start,
+            stop=stop,
+            chunk=CHUNK_POINTS,
+        )
