@@ -69,9 +69,15 @@ class Variant:
         """Name of its folder."""
         return self.name.replace(":", "-")
 
-    def overrides(self, output: Path) -> list[str]:
+    def store(self, output: Path, url: str | None) -> Store:
+        """Its working store: each variant has one of its own."""
+        return Store(output, f"{url.rstrip('/')}/{FOLDER}/{self.folder}" if url else None)
+
+    def overrides(self, output: Path, url: str | None) -> list[str]:
         """Keys of the workflow that make a run one of this variant."""
         keys = [f"output={json.dumps(str(output))}", f"filter.method={self.method}"]
+        if url:
+            keys.append(f"outputs.store={json.dumps(self.store(output, url).url)}")
         return [*keys, f"filter.test={self.test}"] if self.test else keys
 
 
@@ -136,8 +142,9 @@ def compare(
     path = Path(workflow)
     settings = load_workflow(path, overrides)
     output = (path.resolve().parent / settings.output).resolve()
+    url = settings.outputs.store
     for variant in variants:
-        load_workflow(path, [*overrides, *variant.overrides(output)])
+        load_workflow(path, [*overrides, *variant.overrides(output, url)])
     process = partial(run, path, workers=workers, memory=memory, listener=listener)
     with locked(output / FOLDER):
         # What the methods share is finished first, under the workflow's own settings.
@@ -146,8 +153,8 @@ def compare(
         for number, variant in enumerate(variants, start=1):
             listener(Note("info", f"{variant.name}, {number} of {len(variants)}"))
             folder = output / FOLDER / variant.folder
-            _share(Store(output), Store(folder), settings, variant)
-            result = process(overrides=[*overrides, *variant.overrides(folder)])
+            _share(Store(output, url), variant.store(folder, url), settings, variant)
+            result = process(overrides=[*overrides, *variant.overrides(folder, url)])
             status = max(status, result.exit_status)
             if result.report is not None:
                 reports[variant.name] = result.report

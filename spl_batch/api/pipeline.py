@@ -1,7 +1,6 @@
 """Run a workflow: phase after phase, skipping what is finished, isolating what fails."""
 
 import fcntl
-import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -171,7 +170,7 @@ def run(
     output = prepared.context.output
     with locked(output):
         if fresh:
-            _forget(output)
+            prepared.context.store.clear()
         progress = _Progress(output, listener, Repairs(prepared.context.store), verify)
         progress.tell(RunStarted(str(workflow), workers, prepared.context.code))
         progress.tidy()
@@ -383,11 +382,3 @@ def locked(output: Path) -> Iterator[None]:
         except OSError as error:
             stop_if_full(error, output)
             raise
-
-
-def _forget(output: Path) -> None:
-    for path in (output / "store").iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        elif path.name not in {"lock", "delivered.json"}:
-            path.unlink()

@@ -60,6 +60,7 @@ def prepare(
         raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
     crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
     context = Context(workflow, base, output, crs_wkt, code_version())
+    context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
     return Prepared(Survey(inputs, workflow, limit, max(workers, 1)), context)
 
 

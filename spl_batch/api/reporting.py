@@ -52,7 +52,7 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Context, RunFacts]:
         kept["reference"],
         kept["not_read"],
     )
-    return _receipts(Store(folder), kept["done"]), context, facts
+    return _receipts(context.store, kept["done"]), context, facts
 
 
 def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, Shelf]:

@@ -32,7 +32,9 @@ def withdraw_stale(survey: Survey, output: Path) -> list[str]:
     current = sorted(
         {path for kind in KINDS for receipt in survey.of(kind).values() for path in receipt.outputs}
     )
-    stale = sorted(set(_read(manifest, Store(output))) - set(current))
+    stale = sorted(
+        set(_read(manifest, Store(output, survey.workflow.outputs.store))) - set(current)
+    )
     for path in stale:
         (output / path).unlink(missing_ok=True)
     write_json(manifest, {"delivered": current})

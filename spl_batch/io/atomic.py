@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from spl_batch.errors import StoppedError, WorkflowError
+from spl_batch.io.remote import files_below, is_remote, read_object, remove_remote, uploading
 
 SCRATCH: Final = ".spl-part"
 """How names of files and folders end that are not finished."""
@@ -55,6 +56,14 @@ def replacing(path: Path) -> Iterator[Path]:
     WorkflowError
         If the place cannot be written.
     """
+    if is_remote(path):
+        try:
+            with uploading(path) as temporary:
+                yield temporary
+        except OSError as error:
+            stop_if_full(error, path)
+            raise
+        return
     temporary = scratch_name(path)
     try:
         _make_folder(path.parent)
@@ -134,8 +143,15 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def read_bytes(path: Path) -> bytes:
+    """Content of a small file."""
+    return read_object(path) if is_remote(path) else path.read_bytes()
+
+
 def sync_folder(path: Path) -> None:
     """Force a folder's entries to disk."""
+    if is_remote(path):
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -157,6 +173,10 @@ def checksum(path: Path) -> str:
         32 hexadecimal digits.
     """
     digest = hashlib.blake2b(digest_size=16)
+    if is_remote(path):
+        for name in sorted(files_below(path)):
+            digest.update(name.encode() + read_object(path / name if name else path))
+        return digest.hexdigest()
     for file in _files(path):
         if file != path:
             digest.update(file.relative_to(path).as_posix().encode())
@@ -169,14 +189,27 @@ def checksum(path: Path) -> str:
 def size(path: Path) -> int:
     """Size of a file, or of all files of a directory [byte]; -1 where there is neither."""
     try:
+        if is_remote(path):
+            return sum(files_below(path).values())
         return sum(file.stat().st_size for file in _files(path))
     except FileNotFoundError:
         return -1
 
 
+def names_in(folder: Path, suffix: str) -> list[str]:
+    """Names of the files of a folder that end so, in order, without their ends."""
+    try:
+        names = files_below(folder) if is_remote(folder) else os.listdir(folder)  # noqa: PTH208
+    except FileNotFoundError:
+        return []
+    return sorted(n.removesuffix(suffix) for n in names if n.endswith(suffix) and n[0] != ".")
+
+
 def remove(path: Path) -> None:
     """Remove a file, or a directory with all that is in it; nothing is fine too."""
-    if path.is_dir() and not path.is_symlink():
+    if is_remote(path):
+        remove_remote(path)
+    elif path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         # Where a file stands in place of the folder there is nothing to remove either.

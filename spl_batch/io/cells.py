@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import DamagedError, StoreError
-from spl_batch.io.atomic import remove, write_bytes
+from spl_batch.io.atomic import remove, size, write_bytes
 from spl_batch.io.chunks import METADATA, Metadata, describe, encode, parse, read_box, read_metadata
 from spl_batch.tiling import Bounds, CellId
 
@@ -47,7 +47,7 @@ def create_raster_store(
     side = 2 * HALF_CELLS * px
     facts: dict[str, Any] = {"ground_cell_quanta": ground_cell, "raster_cell_quanta": raster_cell}
     group = b'{"attributes": {}, "node_type": "group", "zarr_format": 3}'
-    if not (path / METADATA).exists():
+    if size(path / METADATA) < 0:
         write_bytes(path / METADATA, group)
     for name in names:
         content = describe(
@@ -128,12 +128,12 @@ def read_window(path: Path, name: str, bounds: Bounds) -> NDArray[np.float32]:
     DamagedError
         If a chunk is damaged; names it where the region lies in one.
     """
-    metadata, px, size = _array(path, name)
-    if any(edge % size for edge in bounds):
-        raise StoreError(f"{path}: {bounds} is not aligned to raster cells of {size} quanta")
+    metadata, px, edge = _array(path, name)
+    if any(side % edge for side in bounds):
+        raise StoreError(f"{path}: {bounds} is not aligned to raster cells of {edge} quanta")
     zero = HALF_CELLS * px
-    rows = slice(zero - bounds.ymax // size, zero - bounds.ymin // size)
-    cols = slice(zero + bounds.xmin // size, zero + bounds.xmax // size)
+    rows = slice(zero - bounds.ymax // edge, zero - bounds.ymin // edge)
+    cols = slice(zero + bounds.xmin // edge, zero + bounds.xmax // edge)
     return read_box(path / name, metadata, (rows, cols), sparse=True).astype(np.float32, copy=False)
 
 
@@ -160,7 +160,7 @@ def stored_blocks(
     row, col, block
         Place in the mosaic, row 0 northernmost, and values.
     """
-    _, _, size = _array(path, name)
+    _, _, edge = _array(path, name)
     for cell in cells:
         part = Bounds(
             max(cell.i * ground_cell, bounds.xmin),
@@ -169,8 +169,8 @@ def stored_blocks(
             min((cell.j + 1) * ground_cell, bounds.ymax),
         )
         if part.xmax > part.xmin and part.ymax > part.ymin:
-            row = (bounds.ymax - part.ymax) // size
-            col = (part.xmin - bounds.xmin) // size
+            row = (bounds.ymax - part.ymax) // edge
+            col = (part.xmin - bounds.xmin) // edge
             yield row, col, read_window(path, name, part)
 
 
@@ -197,8 +197,11 @@ def frame(bounds: Bounds, raster_cell: int) -> tuple[tuple[int, int], tuple[floa
 
 def _array(path: Path, name: str) -> tuple[Metadata, int, int]:
     """Metadata of an array, cells per chunk side, edge of a raster cell [quanta]."""
-    if not (path / name / METADATA).exists():
-        raise StoreError(f"{path}: has no raster {name!r}")
-    metadata = read_metadata(path / name)
+    try:
+        metadata = read_metadata(path / name)
+    except DamagedError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            raise StoreError(f"{path}: has no raster {name!r}") from None
+        raise
     px = metadata["chunk_grid"]["configuration"]["chunk_shape"][0]
     return metadata, int(px), int(metadata["attributes"]["raster_cell_quanta"])

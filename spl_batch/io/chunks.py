@@ -21,6 +21,7 @@ from zarr.core.buffer.cpu import Buffer as MemoryBuffer
 from zarr.storage import MemoryStore
 
 from spl_batch.errors import DamagedError
+from spl_batch.io.atomic import read_bytes
 
 METADATA: Final = "zarr.json"
 """File that describes an array or a group."""
@@ -105,7 +106,7 @@ def read_metadata(array: Path) -> Metadata:
         If it is missing or damaged.
     """
     try:
-        content = (array / METADATA).read_bytes()
+        content = read_bytes(array / METADATA)
     except OSError as error:
         raise DamagedError(array / METADATA, error) from error
     return parse(content, array / METADATA)
@@ -153,7 +154,7 @@ def read_box(
     found: Content = {}
     for name in names:
         try:
-            found[name] = (array / name).read_bytes()
+            found[name] = read_bytes(array / name)
         except FileNotFoundError as error:
             if not sparse:
                 raise DamagedError(array / name, "is not there") from error

@@ -9,7 +9,8 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
-from spl_batch.io.atomic import replacing
+from spl_batch.io.atomic import replacing, size
+from spl_batch.io.remote import copy_object, is_remote
 from spl_batch.io.store import Store, forget_receipt, read_receipt, read_receipts
 from spl_batch.model import Receipt
 
@@ -41,15 +42,18 @@ def share_finished(source: Store, target: Store, kinds: Iterable[str]) -> int:
 def _share(source: Store, target: Store, receipt: Receipt) -> None:
     """Outputs first, the receipt last: until then nothing vouches for them."""
     forget_receipt(target, receipt.kind, receipt.name)
-    paths = [source.output / name for name in receipt.outputs]
-    if not all(path.exists() for path in paths):
+    paths = [source.named(name) for name in receipt.outputs]
+    if any(size(path) < 0 for path in paths):
         return
     for path, name in zip(paths, receipt.outputs, strict=True):
-        _place(path, target.output / name)
+        _place(path, target.named(name))
     _place(source.receipt(receipt.kind, receipt.name), target.receipt(receipt.kind, receipt.name))
 
 
 def _place(path: Path, name: Path) -> None:
+    if is_remote(path):
+        copy_object(path, name)
+        return
     with replacing(name) as temporary:
         if path.is_dir():
             shutil.copytree(path, temporary, copy_function=_link)

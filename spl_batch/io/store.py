@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.errors import DamagedError, StoppedError
-from spl_batch.io.atomic import sync_folder, write_bytes
+from spl_batch.io.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
+from spl_batch.io.remote import is_remote, remote_path
 from spl_batch.model import Receipt
 
 _DIGEST: Final = "blake2b"
@@ -39,13 +40,21 @@ class Store:
     ----------
     output : Path
         Folder of the results.
+    url : str or None
+        Where the working store lies, for fsspec; None for ``output/store``.
     """
 
     output: Path
+    url: str | None = None
 
     @property
     def root(self) -> Path:
-        """Folder of the working store."""
+        """The working store."""
+        return remote_path(self.url) if self.url else self.local
+
+    @property
+    def local(self) -> Path:
+        """What client and workers see beside the results, wherever the store lies."""
         return self.output / "store"
 
     def path(self, *parts: str) -> Path:
@@ -75,11 +84,22 @@ class Store:
         below = str(path).removeprefix(f"{self.root}/")
         if below != str(path):
             return f"store/{below}"
-        return Path(path).relative_to(self.output).as_posix()
+        name = Path(path).relative_to(self.output).as_posix()
+        return f"./{name}" if name.startswith("store/") else name
 
     def named(self, name: str) -> Path:
         """File that receipts call so."""
+        if name.startswith("store/"):
+            return self.root.joinpath(*name.split("/")[1:])
         return self.output / name
+
+    def clear(self) -> None:
+        """Forget everything that is finished; what was delivered stays known."""
+        for path in self.local.iterdir():
+            if path.name not in {"lock", "delivered.json"}:
+                remove(path)
+        if self.url:
+            remove(self.root)
 
     def receipt(self, kind: str, name: str) -> Path:
         """Receipt of a task."""
@@ -101,7 +121,7 @@ def read_json(path: Path) -> dict[str, Any]:
         If it is missing or not what was written.
     """
     try:
-        content: dict[str, Any] = json.loads(path.read_bytes())
+        content: dict[str, Any] = json.loads(read_bytes(path))
         sound = content.pop(_DIGEST) == _digest(content)
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise DamagedError(path, error) from error
@@ -123,8 +143,8 @@ def write_receipt(store: Store, receipt: Receipt) -> None:
 def forget_receipt(store: Store, kind: str, name: str) -> None:
     """Take a receipt away, so that nothing vouches for outputs about to be overwritten."""
     path = store.receipt(kind, name)
-    if path.exists():
-        path.unlink()
+    if is_remote(path) or path.exists():
+        remove(path)
         sync_folder(path.parent)
 
 
@@ -138,8 +158,8 @@ def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
 
 def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
     """All receipts of one kind, by name."""
-    for path in sorted(store.path("receipts", kind).glob("*.json")):
-        receipt = read_receipt(store, kind, path.name.removesuffix(".json").replace("~", "/"))
+    for name in names_in(store.path("receipts", kind), ".json"):
+        receipt = read_receipt(store, kind, name.replace("~", "/"))
         if receipt is not None:
             yield receipt
 

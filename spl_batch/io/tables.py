@@ -25,7 +25,8 @@ import pyarrow.parquet as pq
 from numpy.typing import DTypeLike, NDArray
 
 from spl_batch.errors import DamagedError
-from spl_batch.io.atomic import replacing, write_bytes
+from spl_batch.io.atomic import read_bytes, replacing, write_bytes
+from spl_batch.io.remote import RemoteFile, is_remote
 from spl_batch.model import COLUMNS, PointTable
 
 _SPLIT_SIZES = {2, 4, 8}
@@ -115,7 +116,7 @@ def reading(path: Path) -> Iterator[pq.ParquetFile]:
         If the file is missing or damaged.
     """
     try:
-        with pa.OSFile(str(path), "rb") as stream:
+        with _open(path) as stream:
             footer = _read_footer(stream)
             with pq.ParquetFile(stream, metadata=footer, page_checksum_verification=True) as file:
                 yield file
@@ -242,13 +243,17 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         If the file is missing or damaged.
     """
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
         if _hash(content[:-_HASH_CHARACTERS]) != content[-_HASH_CHARACTERS:]:
             raise DamagedError(path, "its content does not fit its hash")
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise DamagedError(path, error) from error
+
+
+def _open(path: Path) -> Any:
+    return pa.PythonFile(RemoteFile(path), "r") if is_remote(path) else pa.OSFile(str(path), "rb")
 
 
 def _hash(content: bytes) -> bytes:

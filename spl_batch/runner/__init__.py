@@ -199,7 +199,7 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
             time.perf_counter() - start,
             _peak_rss_mb(),
             {name: size(path) for name, path in paths.items()},
-            {n: _written_ns(p) for n, p in paths.items() if context.store.root not in p.parents},
+            {n: _written_ns(p) for n, p in paths.items() if not n.startswith("store/")},
             produced.inputs,
         )
     except StoppedError:

@@ -39,7 +39,7 @@ class Context:
     @property
     def store(self) -> Store:
         """The working store."""
-        return Store(self.output)
+        return Store(self.output, self.workflow.outputs.store)
 
     @property
     def crs(self) -> CRS | None:

@@ -130,7 +130,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     cells = sorted((CellId(*ij) for ij in args["cells"]), key=lambda c: (-c.j, c.i))
     bounds = Bounds(*args["bounds"])
     shape, origin_xy_m = frame(bounds, pixel)
-    folder = context.output if args["delivered"] else context.store.root
+    folder = context.output if args["delivered"] else context.store.local
     target = folder / f"{args['name']}.tif"
     write_cog(
         target,

@@ -155,7 +155,7 @@ def remember(done: Receipts, context: Context, facts: RunFacts) -> None:
         "not_read": facts.not_read,
         "done": {kind: list(names) for kind, names in done.items()},
     }
-    write_bytes(context.store.path("run.json"), json.dumps(content).encode())
+    write_bytes(context.store.local / "run.json", json.dumps(content).encode())
 
 
 def _survey(done: Receipts, context: Context) -> Survey:
@@ -251,7 +251,7 @@ def _density(context: Context) -> Density:
 
 def _noise(context: Context) -> Noise:
     settings = context.workflow.filter
-    part = _overview(context.store.path("noise.tif"))
+    part = _overview(context.store.local / "noise.tif")
     values = part.values[part.values > NODATA] if part is not None else np.empty(0)
     some = len(values) > 0
     return Noise(
@@ -341,7 +341,7 @@ def _input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
 def _pictures(done: Receipts, context: Context, compared: Comparison | None) -> PictureInputs:
     parts = {n: _overview(context.output / f"{n}.tif") for n in ("dtm", "dsm", "chm", "density")}
     rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
-    noise = _overview(context.store.path("noise.tif"))
+    noise = _overview(context.store.local / "noise.tif")
     difference = None
     if compared is not None:
         d = compared.difference

@@ -61,3 +61,9 @@ class OutputSettings(Section):
 
     diagnostics: bool = Field(False, description="Extra bytes noise_density and p_value.")
     tiles: Literal["none", "laz", "copc"] = Field("none", description="Points by tile as well.")
+    store: str | None = Field(
+        None,
+        pattern=r"^[a-z][a-z0-9+.-]*://.+",
+        description="Working store on an object store, a URL for fsspec such as "
+        "s3://bucket/survey; by default the folder store of the output.",
+    )

@@ -1,0 +1,197 @@
+"""Places on an object store: paths that look like pathlib's, and whole objects only.
+
+An object is written to a local temporary file first and then put in one request, so that it
+is there as a whole or not at all. Failures of the store concern everything: they stop the run.
+"""
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, cast
+
+from spl_batch.errors import StoppedError, WorkflowError
+
+_METADATA = "zarr.json"
+_OBJECTS = {".json", ".npz", ".parquet"}
+"""Ends of names that are objects, never folders: it takes a request to find out."""
+
+
+def remote_path(url: str) -> Path:
+    """Path on an object store.
+
+    Parameters
+    ----------
+    url : str
+        E.g. ``s3://bucket/survey``; options of the file system come from the environment.
+
+    Returns
+    -------
+    Path
+        In truth a ``UPath``, which has what this project uses of a path.
+
+    Raises
+    ------
+    WorkflowError
+        If the libraries for this kind of store are not installed, or the URL is none.
+    """
+    try:
+        from upath import UPath  # noqa: PLC0415 - needed for object stores only
+
+        # Listings that fsspec remembers would hide what other workers write.
+        path = UPath(url, use_listings_cache=False)
+        path.fs  # noqa: B018 - looks for the library
+    except ImportError as error:
+        reason = " ".join(str(error).split())
+        raise WorkflowError(
+            f"outputs.store: {url}: {reason}; pip install 'spl-batch[cluster]', and gcsfs or adlfs "
+            "for Google's or Microsoft's"
+        ) from None
+    except ValueError as error:
+        raise WorkflowError(f"outputs.store: {url}: {error}") from None
+    return cast("Path", path)
+
+
+def file_system(path: Path) -> tuple[Any, str]:
+    """File system of fsspec, and the path's name there."""
+    remote: Any = path
+    return remote.fs, remote.path
+
+
+def is_remote(path: Path) -> bool:
+    """Whether a path lies on an object store."""
+    return not isinstance(path, Path)
+
+
+@contextmanager
+def reaching(path: Path) -> Iterator[None]:
+    """Let "not found" through and stop the run for anything else that a store may say.
+
+    Raises
+    ------
+    StoppedError
+        If the store cannot be reached, or refuses.
+    """
+    try:
+        yield
+    except (FileNotFoundError, StoppedError):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise StoppedError(
+            f"{path}: the store cannot be used ({type(error).__name__}: {reason}); run again to "
+            "continue"
+        ) from error
+
+
+@contextmanager
+def uploading(path: Path) -> Iterator[Path]:
+    """Give a local temporary name; put it in place when the block succeeds.
+
+    Of a directory the chunks come first, what describes them last.
+    """
+    with TemporaryDirectory(prefix="spl_batch.") as folder:
+        temporary = Path(folder, path.name)
+        yield temporary
+        with reaching(path):
+            if not temporary.is_dir():
+                _put(temporary, path)
+                return
+            remove_remote(path)
+            files = [p for p in temporary.rglob("*") if p.is_file()]
+            for file in sorted(files, key=lambda p: (p.name == _METADATA, -len(p.parts), p)):
+                _put(file, path / file.relative_to(temporary).as_posix())
+
+
+def remove_remote(path: Path) -> None:
+    """Remove an object, or all objects below a name; nothing is fine too."""
+    with reaching(path):
+        fs, name = file_system(path)
+        with suppress(FileNotFoundError):
+            if path.suffix in _OBJECTS:
+                fs.rm_file(name)
+            else:
+                fs.rm(name, recursive=True)
+
+
+def files_below(path: Path) -> dict[str, int]:
+    """Objects at a name and below it: relative name, empty for itself, and size [byte]."""
+    with reaching(path):
+        fs, top = file_system(path)
+        if path.suffix in _OBJECTS:
+            return {"": int(fs.info(top)["size"])}
+        found = fs.find(top, detail=True)
+        if not found:
+            raise FileNotFoundError(str(path))
+        return {name[len(top) :].lstrip("/"): int(info["size"]) for name, info in found.items()}
+
+
+def read_object(path: Path) -> bytes:
+    """Content of an object."""
+    with reaching(path):
+        fs, name = file_system(path)
+        content: bytes = fs.cat_file(name)
+        return content
+
+
+def copy_object(path: Path, target: Path) -> None:
+    """Copy an object, or all below a name, within one store."""
+    with reaching(target):
+        fs, name = file_system(path)
+        inside = files_below(path)
+        for part in sorted(inside, key=lambda p: (p.endswith(_METADATA), p)):
+            place = target / part if part else target
+            fs.copy(f"{name}/{part}" if part else name, file_system(place)[1])
+
+
+def _put(file: Path, path: Path) -> None:
+    fs, name = file_system(path)
+    fs.put_file(str(file), name)
+
+
+class RemoteFile(io.RawIOBase):
+    """An object read by ranges, for pyarrow.
+
+    Parameters
+    ----------
+    path : Path
+        From :func:`remote_path`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+        self._fs, self._name = file_system(path)
+        self._place = 0
+        with reaching(path):
+            self._size = int(self._fs.size(self._name))
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def seekable(self) -> bool:
+        """Always."""
+        return True
+
+    def tell(self) -> int:
+        """Place in the file."""
+        return self._place
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Go to a byte; gives its place."""
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._size}[whence]
+        self._place = start + offset
+        return self._place
+
+    def read(self, size: int | None = -1) -> bytes:
+        """So many bytes, fewer at the end of the file."""
+        left = self._size - self._place
+        stop = self._place + (left if size is None or size < 0 else min(size, left))
+        if stop <= self._place:
+            return b""
+        with reaching(self._path):
+            content: bytes = self._fs.cat_file(self._name, start=self._place, end=stop)
+        self._place = stop
+        return content
