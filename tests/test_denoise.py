@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from spl_batch.kernels.ellipsoid import Shape
+from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.model import PointFlag, PointTable, canonical_order
 from spl_batch.settings import FilterSettings, WireSettings
 from spl_batch.stages import echoes, wire_null, wire_scan

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from spl_batch.kernels.eigen import eigen_symmetric
-from spl_batch.kernels.ellipsoid import Shape, count_inside
+from spl_batch.kernels.ellipsoid import count_inside
+from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.kernels.kdtree import build
 from tests.test_kdtree import brute_nearest
 

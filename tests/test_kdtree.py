@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.kernels.kdtree import LEAF, build, nearest
+from spl_batch.kernels.kdtree import LEAF, build, leaf_of, leaf_slots, nearest
+from spl_batch.kernels.neighbours import CROWD, nearest_sets
 
 
 def brute_nearest(
@@ -42,6 +43,31 @@ def test_neighbours_are_those_of_all_pairs(
     expected_rows, expected_found = brute_nearest(xyz, neighbours, cap)
     np.testing.assert_array_equal(found, expected_found)
     np.testing.assert_array_equal(rows, expected_rows)
+    rows, found = nearest_sets(xyz, np.ones(n, dtype=bool), neighbours, cap)
+    np.testing.assert_array_equal(found, expected_found)
+    np.testing.assert_array_equal(np.sort(rows, axis=1), np.sort(expected_rows, axis=1))
+
+
+def test_a_crowd_beside_a_lone_query_is_cut_down() -> None:
+    # its leaf is far from it, so the first bound holds far more than fit
+    rng = np.random.default_rng(4)
+    crowd = rng.integers(0, 60, (8 * CROWD, 3)) + np.array([0, 0, 5000])
+    xyz = np.concatenate([rng.integers(0, 20_000, (40, 3)) * np.array([1, 1, 0]), crowd]).astype(
+        np.int32
+    )
+    rows, found = nearest_sets(xyz, np.arange(len(xyz)) < 40, 10, 40_000)
+    expected, _ = brute_nearest(xyz, 10, 40_000)
+    assert (found == 10).all()
+    np.testing.assert_array_equal(np.sort(rows, axis=1), np.sort(expected[:40], axis=1))
+
+
+@pytest.mark.parametrize("n", [1, 33, 500, 1000])
+def test_every_slot_finds_its_leaf(n: int) -> None:
+    depth = np.uint64(build(np.zeros((n, 3), np.int32)).depth)
+    for slot in range(n):
+        leaf = np.uint64(leaf_of(np.uint64(slot), depth, np.uint64(n)))
+        low, high = leaf_slots(leaf, depth, np.uint64(n))
+        assert low <= slot < high
 
 
 def test_far_apart_coordinates_stay_exact() -> None:
@@ -85,3 +111,5 @@ def test_tree_holds_every_point_once_inside_its_boxes(n: int) -> None:
 def test_cap_outside_the_key_is_refused(cap: int) -> None:
     with pytest.raises(ValueError, match="must lie in"):
         nearest(np.zeros((2, 3), dtype=np.int32), np.ones(2, dtype=bool), 1, cap)
+    with pytest.raises(ValueError, match="must lie in"):
+        nearest_sets(np.zeros((2, 3), dtype=np.int32), np.ones(2, dtype=bool), 1, cap)

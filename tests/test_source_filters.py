@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.kernels.ellipsoid import Shape
+from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.volumes import cylinder_counts, sphere_counts
 from spl_batch.kernels.voxels import voxelise, window_counts

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.kernels.ellipsoid import Shape, count_inside
+from spl_batch.kernels.ellipsoid import count_inside
+from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.kernels.kdtree import build
-from spl_batch.kernels.spacing import enough_peers, peer_distances, spacings
+from spl_batch.kernels.spacing import Spacing, enough_peers, peer_distances, spacings
 from tests.test_ellipsoid import brute_counts, mixed_cloud
 
 
@@ -79,6 +80,28 @@ def test_only_peers_are_counted_inside_the_ellipsoid(ratio: float) -> None:
         peer_ratio=ratio,
     )
     np.testing.assert_array_equal(count, low)
+
+
+@pytest.mark.parametrize(("neighbours", "cap"), [(6, 3000), (20, 3000), (6, 20_000)])
+def test_spacings_that_are_not_known_are_found_on_the_way(neighbours: int, cap: int) -> None:
+    xyz = mixed_cloud(9, 3000)
+    shape = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)
+    tree, density = build(xyz), np.full(len(xyz), 1e-10)
+    known = spacings(tree, neighbours, cap)
+    query = np.random.default_rng(2).random(len(xyz)) < 0.5
+    found = np.full(len(xyz), -1.0)
+    given, on_the_way = (
+        count_inside(
+            xyz, tree, query, density, shape, alpha=1e-9, spacing=spacing,
+            rule=Spacing(neighbours, cap), peer_ratio=2.0, tie=True,
+        )
+        for spacing in (known.copy(), found)
+    )  # fmt: skip
+    for one, other in zip(given, on_the_way, strict=True):
+        np.testing.assert_array_equal(one, other)
+    some = found >= 0
+    assert some[query].all()
+    np.testing.assert_array_equal(found[some], known[some])
 
 
 @pytest.mark.parametrize("cap", [0, 46_341])

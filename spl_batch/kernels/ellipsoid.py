@@ -31,17 +31,15 @@ reaches no farther than they do.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.eigen import eigen_symmetric
+from spl_batch.kernels.ellipsoid_shape import Shape, fit, flag, half_extents, quadric_of
 from spl_batch.kernels.kdtree import (
-    CAP_MAX,
     LEAF,
-    ROW_MASK,
     U0,
     U1,
     U2,
@@ -49,34 +47,16 @@ from spl_batch.kernels.kdtree import (
     U4,
     U5,
     KdTree,
+    check_cap,
+    leaf_of,
     leaf_slots,
-    nearest_keys,
 )
+from spl_batch.kernels.neighbours import distance_to, nearest_slots, workspace
 from spl_batch.kernels.poisson import poisson_critical, poisson_tail
+from spl_batch.kernels.spacing import Spacing, spacing_at, spacing_scratch
 
-SHAPE_MIN: Final = 4
-"""Neighbours below which the ellipsoid is the sphere [count]."""
-
-
-class Shape(NamedTuple):
-    """How neighbours become an ellipsoid; lengths in quanta.
-
-    Parameters
-    ----------
-    neighbours : int
-        Neighbours that shape it [count].
-    radius, floor, axis_cap, neighbour_cap : float
-        Sphere of equal volume, smallest spread, longest semi-axis, farthest neighbour.
-    power : float
-        1 for eigenvalues [W18 Eq. 3], 0.5 for their roots.
-    """
-
-    neighbours: int
-    radius: float
-    floor: float
-    axis_cap: float
-    neighbour_cap: int
-    power: float
+CHUNK: Final = 2048
+"""Leaves whose neighbours are kept at a time, so that their spacings come with them [count]."""
 
 
 def count_inside(
@@ -88,6 +68,7 @@ def count_inside(
     *,
     alpha: float | NDArray[np.float64],
     spacing: NDArray[np.float64] | None = None,
+    rule: Spacing = Spacing(1, 1),  # noqa: B008 - a tuple
     peer_ratio: float = 1.0,
     tie: bool = False,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
@@ -108,8 +89,11 @@ def count_inside(
     alpha : float or (n,) float64
         Counting stops at the smallest k with P(K >= k | lambda) <= alpha of the point.
     spacing : (n,) float64, optional
-        Squared spacing at each point [quanta2], from
-        :func:`spl_batch.kernels.spacing.spacings`; without it every neighbour is a peer.
+        Squared spacing at each point [quanta2]; without it every neighbour is a peer.
+        What is negative is not known yet: it is found out and filled in where needed, at
+        query points at least.
+    rule : Spacing
+        What a spacing is that is not known yet.
     peer_ratio : float
         Only peers are counted: neighbours whose spacing is at least that of the point
         divided by this; >= 1.
@@ -126,8 +110,8 @@ def count_inside(
         P(K >= count | expected) of query points, 1 for others; with ``tie`` the score s
         where the count is below the critical one.
     """
-    if not 0 < shape.neighbour_cap <= CAP_MAX:
-        raise ValueError(f"neighbour cap {shape.neighbour_cap} quanta: must lie in 1..{CAP_MAX}")
+    check_cap(shape.neighbour_cap)
+    check_cap(rule.cap)
     count = np.zeros(len(xyz), dtype=np.int32)
     expected = np.zeros(len(xyz), dtype=np.float64)
     tail = np.ones(len(xyz), dtype=np.float64)
@@ -136,87 +120,13 @@ def count_inside(
     if len(xyz):
         ratio2 = peer_ratio * peer_ratio
         limit = np.broadcast_to(np.asarray(alpha, dtype=np.float64), (len(xyz),))
+        space = spacing[tree.points[3]]
         _count_all(
-            xyz, *tree, query, density, shape, np.ascontiguousarray(limit), spacing, ratio2, tie,
+            *tree, query, density, shape, np.ascontiguousarray(limit), space, rule, ratio2, tie,
             count, expected, tail,
         )  # fmt: skip
+        spacing[tree.points[3]] = space
     return count, expected, tail
-
-
-@njit(nogil=True, cache=True)
-def _covariance(near, found, moments):  # type: ignore[no-untyped-def]
-    """Covariance of the neighbours; the sums are exact integers, so their order is free."""
-    sx = sy = sz = 0.0
-    sxx = sxy = sxz = syy = syz = szz = 0.0
-    for i in range(found):
-        dx, dy, dz = near[0, i], near[1, i], near[2, i]
-        sx += dx
-        sy += dy
-        sz += dz
-        sxx += dx * dx
-        sxy += dx * dy
-        sxz += dx * dz
-        syy += dy * dy
-        syz += dy * dz
-        szz += dz * dz
-    n = np.float64(found)
-    scale = 1.0 / (n * n)
-    moments[0] = (n * sxx - sx * sx) * scale
-    moments[1] = (n * sxy - sx * sy) * scale
-    moments[2] = (n * sxz - sx * sz) * scale
-    moments[3] = (n * syy - sy * sy) * scale
-    moments[4] = (n * syz - sy * sz) * scale
-    moments[5] = (n * szz - sz * sz) * scale
-
-
-@njit(nogil=True, cache=True)
-def _axes(values, shape, axes):  # type: ignore[no-untyped-def]
-    """Semi-axes from eigenvalues [W18 Eq. 3]; returns the volume.
-
-    Without a cap it is the sphere's to the last bit, so that the critical count of one
-    point serves the next.
-    """
-    floor = shape.floor * shape.floor
-    product = 1.0
-    for i in range(3):
-        value = max(values[i], floor)
-        axes[i] = value if shape.power == 1.0 else value**shape.power
-        product *= axes[i]
-    scale = shape.radius / np.cbrt(product)
-    volume = 4.0 / 3.0 * math.pi * shape.radius**3
-    for i in range(3):
-        axes[i] *= scale
-        if axes[i] > shape.axis_cap:
-            volume *= shape.axis_cap / axes[i]
-            axes[i] = shape.axis_cap
-    return volume
-
-
-@njit(nogil=True, cache=True)
-def _quadric(vectors, axes, quadric):  # type: ignore[no-untyped-def]
-    """Upper triangle of the matrix Q with flag = d' Q d [W18 Eq. 4-5]."""
-    for i in range(6):
-        quadric[i] = 0.0
-    for i in range(3):
-        weight = 1.0 / (axes[i] * axes[i])
-        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-        quadric[0] += weight * x * x
-        quadric[1] += weight * x * y
-        quadric[2] += weight * x * z
-        quadric[3] += weight * y * y
-        quadric[4] += weight * y * z
-        quadric[5] += weight * z * z
-
-
-@njit(nogil=True, cache=True)
-def _flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """[W18 Eq. 5]: below 1 inside."""
-    return (
-        q[0] * dx * dx
-        + q[3] * dy * dy
-        + q[5] * dz * dz
-        + 2.0 * (q[1] * dx * dy + q[2] * dx * dz + q[4] * dy * dz)
-    )
 
 
 @njit(nogil=True, cache=True)
@@ -239,15 +149,17 @@ def _misses(boxes, node, x, y, z, vectors, axes, half):  # type: ignore[no-untyp
 
 
 @njit(nogil=True, cache=True)
-def _walk(  # type: ignore[no-untyped-def]
-    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack, wide, least, outer
-):
+def walk(  # type: ignore[no-untyped-def]  # noqa: C901
+    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
+    space, rule, ratio2, scratch, outer,
+):  # fmt: skip
     """Peers inside the ellipsoid around a slot, up to ``stop``, from its leaf upwards."""
     n = np.uint64(points.shape[1])
     first = U1 << depth
     x = np.float64(points[U0, slot])
     y = np.float64(points[U1, slot])
     z = np.float64(points[U2, slot])
+    least = space[slot]
     count = -1
     outer[0] = 0.0
     climb = leaf
@@ -269,10 +181,14 @@ def _walk(  # type: ignore[no-untyped-def]
                 dx = np.float64(points[U0, i]) - x
                 dy = np.float64(points[U1, i]) - y
                 dz = np.float64(points[U2, i]) - z
-                flag = _flag(quadric, dx, dy, dz)
-                if flag < 1.0 and wide[i] >= least:
+                outside = flag(quadric, dx, dy, dz)
+                if outside >= 1.0:
+                    continue
+                if space[i] < 0.0:
+                    _measure(points, boxes, depth, i, space, rule, scratch)
+                if space[i] * ratio2 >= least:
                     count += 1
-                    outer[0] = max(outer[0], flag)
+                    outer[0] = max(outer[0], outside)
             if count >= stop:
                 return stop
         if climb <= U1:
@@ -282,45 +198,32 @@ def _walk(  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _reach(vectors, axes, half):  # type: ignore[no-untyped-def]
-    """Half-extents of the ellipsoid's bounding box, rounded up."""
-    for axis in range(3):
-        total = 0.0
-        for i in range(3):
-            total += (axes[i] * vectors[i, axis]) ** 2
-        half[axis] = math.sqrt(total) + 1.0
+def _measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[no-untyped-def]
+    """Find out a slot's spacing."""
+    keys, distance, fresh, stack, bound = scratch
+    leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
+    space[slot] = spacing_at(
+        points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
+    )
 
 
 @njit(nogil=True, cache=True)
-def _fit(xyz, row, keys, found, near, shape, moments, values, vectors, scratch, axes):  # type: ignore[no-untyped-def]
-    """Ellipsoid of a point's neighbours; returns its volume and fills in their offsets."""
-    x, y, z = np.float64(xyz[row, 0]), np.float64(xyz[row, 1]), np.float64(xyz[row, 2])
-    for i in range(found):
-        other = keys[i] & ROW_MASK
-        near[0, i] = xyz[other, 0] - x
-        near[1, i] = xyz[other, 1] - y
-        near[2, i] = xyz[other, 2] - z
-    if found >= SHAPE_MIN:
-        _covariance(near, found, moments)
-        eigen_symmetric(moments, values, vectors, scratch)
-    else:
-        values[:] = 1.0
-        for i in range(3):
-            for j in range(3):
-                vectors[i, j] = 1.0 if i == j else 0.0
-    return _axes(values, shape, axes)
-
-
-@njit(nogil=True, cache=True)
-def _among(near, keys, found, quadric, spacing, ratio2, own, outer):  # type: ignore[no-untyped-def]
+def _among(  # type: ignore[no-untyped-def]
+    points, boxes, depth, near, others, found, quadric, least, space, rule, ratio2, scratch, outer
+):
     """Peers inside among the neighbours that shaped the ellipsoid."""
     count = 0
     outer[0] = 0.0
     for i in range(found):
-        flag = _flag(quadric, near[0, i], near[1, i], near[2, i])
-        if flag < 1.0 and spacing[keys[i] & ROW_MASK] * ratio2 >= own:
+        outside = flag(quadric, near[0, i], near[1, i], near[2, i])
+        if outside >= 1.0:
+            continue
+        other = np.uint64(others[i])
+        if space[other] < 0.0:
+            _measure(points, boxes, depth, other, space, rule, scratch)
+        if space[other] * ratio2 >= least:
             count += 1
-            outer[0] = max(outer[0], flag)
+            outer[0] = max(outer[0], outside)
     return count
 
 
@@ -335,52 +238,92 @@ def _score(inside, mean, outermost, tie):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
+def _neighbours(points, boxes, depth, leaves, query, shape, space, rule, others, found, last):  # type: ignore[no-untyped-def]
+    """Neighbours of the query points of some leaves, with the spacings that come with them.
+
+    ``others`` (m, k), ``found`` (m,) and ``last`` (m,) receive the slots of the neighbours,
+    their number and the squared distance of the farthest, from the first leaf's first slot on.
+    """
+    n, k = np.uint64(points.shape[1]), shape.neighbours
+    distance, near, kept, stack = workspace(k)
+    wide = np.float64(rule.cap) * np.float64(rule.cap)
+    shared = rule.neighbours <= k and rule.cap <= shape.neighbour_cap
+    start, _ = leaf_slots(leaves[0], depth, n)
+    for leaf in range(leaves[0], leaves[1]):
+        low, high = leaf_slots(leaf, depth, n)
+        for slot in range(low, high):
+            if not query[points[U3, slot]]:
+                continue
+            at = slot - start
+            found[at], last[at] = nearest_slots(
+                points, boxes, depth, leaf, slot, k, shape.neighbour_cap, distance, near, kept,
+                stack,
+            )  # fmt: skip
+            for i in range(found[at]):
+                others[at, i] = kept[i]
+            if shared and space[slot] < 0.0:
+                space[slot] = wide
+                if found[at] >= rule.neighbours:
+                    few = distance_to(near, np.uint64(found[at]), rule.neighbours)
+                    space[slot] = min(few, wide)
+
+
+@njit(nogil=True, cache=True)
 def _count_all(  # type: ignore[no-untyped-def]
-    xyz, points, boxes, depth, query, density, shape, alpha, spacing, ratio2, tie,
+    points, boxes, depth, query, density, shape, alpha, space, rule, ratio2, tie,
     count, expected, tail,
 ):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    keys = np.empty(shape.neighbours, dtype=np.int64)
+    leaves, chunk = U1 << depth, np.uint64(CHUNK)
+    room = min(chunk, leaves) * np.uint64(LEAF)
+    others = np.empty((room, shape.neighbours), dtype=np.int32)
+    found, last = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.float64)
     near = np.empty((3, shape.neighbours), dtype=np.float64)
-    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
-    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    stack = np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
     vectors, scratch = np.empty((3, 3)), np.empty((2, 3))
+    spare = spacing_scratch(rule)
     cap = shape.neighbour_cap
-    wide = np.empty(len(xyz), dtype=np.float64)
-    for i in range(n):
-        wide[i] = spacing[points[U3, i]] * ratio2
     known, asked, stop, least = -1.0, -1.0, 0, 1.0
-    for leaf in range(U1 << depth, U1 << (depth + U1)):
-        low, high = leaf_slots(leaf, depth, n)
+    for begin in range(leaves, leaves + leaves, chunk):
+        end = min(begin + chunk, leaves + leaves)
+        _neighbours(
+            points, boxes, depth, (begin, end), query, shape, space, rule, others, found, last
+        )
+        low, _ = leaf_slots(begin, depth, n)
+        _, high = leaf_slots(end - U1, depth, n)
         for slot in range(low, high):
             row = points[U3, slot]
             if not query[row]:
                 continue
-            found = nearest_keys(
-                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
-            )
-            volume = _fit(
-                xyz, row, keys, found, near, shape, moments, values, vectors, scratch, axes
-            )
+            if space[slot] < 0.0:
+                _measure(points, boxes, depth, slot, space, rule, spare)
+            at = slot - low
+            volume = fit(
+                points, slot, others[at], found[at], near, shape, moments, values, vectors,
+                scratch, axes,
+            )  # fmt: skip
             mean = density[row] * volume
             expected[row] = mean
             if mean != known or alpha[row] != asked:
                 known, asked = mean, alpha[row]
                 stop = poisson_critical(mean, asked)
                 least = poisson_tail(stop, mean)
-            _quadric(vectors, axes, quadric)
-            inside = _among(near, keys, found, quadric, spacing, ratio2, spacing[row], outer)
+            quadric_of(vectors, axes, quadric)
+            inside = _among(
+                points, boxes, depth, near, others[at], found[at], quadric, space[slot], space,
+                rule, ratio2, spare, outer,
+            )  # fmt: skip
             reach = float(cap)
-            if found == shape.neighbours:
-                reach = math.sqrt(np.float64(keys[found - 1] >> 32))
+            if found[at] == shape.neighbours:
+                reach = math.sqrt(last[at])
             if inside < stop and axes[0] > reach:
-                _reach(vectors, axes, half)
-                inside = _walk(
-                    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
-                    wide, spacing[row], outer,
+                half_extents(vectors, axes, half)
+                inside = walk(
+                    points, boxes, depth, leaf_of(slot, depth, n), slot, quadric, vectors, axes,
+                    half, stop, stack, space, rule, ratio2, spare, outer,
                 )  # fmt: skip
             count[row] = min(inside, stop)
             tail[row] = least

@@ -11,19 +11,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.ellipsoid import Shape, _fit, _flag, _quadric, _reach, _walk
-from spl_batch.kernels.kdtree import (
-    CAP_MAX,
-    LEAF,
-    U0,
-    U1,
-    U2,
-    U3,
-    KdTree,
-    leaf_slots,
-    nearest_keys,
-)
+from spl_batch.kernels.ellipsoid import walk
+from spl_batch.kernels.ellipsoid_shape import Shape, fit, flag, half_extents, quadric_of
+from spl_batch.kernels.kdtree import U0, U1, U2, U3, KdTree, check_cap, leaf_slots
+from spl_batch.kernels.neighbours import nearest_slots, workspace
+from spl_batch.kernels.spacing import Spacing, spacing_scratch
 from spl_batch.kernels.volumes import within
+
+NO_SPACING = Spacing(1, 1)
+"""Every neighbour counts, whatever its spacing."""
 
 
 def passes_ratio(
@@ -49,27 +45,24 @@ def passes_ratio(
     (n,) bool
         False for points that were not asked for.
     """
-    if not 0 < shape.neighbour_cap <= CAP_MAX:
-        raise ValueError(f"neighbour cap {shape.neighbour_cap} quanta: must lie in 1..{CAP_MAX}")
+    check_cap(shape.neighbour_cap)
     keep = np.zeros(len(xyz), dtype=np.bool_)
     if len(xyz):
-        _ratios(xyz, tree.points, tree.boxes, tree.depth, query, shape, ratio, keep)
+        _ratios(tree.points, tree.boxes, tree.depth, query, shape, ratio, NO_SPACING, keep)
     return keep
 
 
 @njit(nogil=True, cache=True)
-def _ratios(xyz, points, boxes, depth, query, shape, ratio, keep):  # type: ignore[no-untyped-def]
+def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ignore[no-untyped-def]
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    keys = np.empty(shape.neighbours, dtype=np.int64)
     near = np.empty((3, shape.neighbours), dtype=np.float64)
-    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
-    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    distance, squared, kept, stack = workspace(shape.neighbours)
     levels = np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
     vectors, scratch = np.empty((3, 3)), np.empty((2, 3))
-    wide = np.ones(len(xyz), dtype=np.float64)
+    space, spare = np.zeros(points.shape[1]), spacing_scratch(rule)
     limit = shape.radius * shape.radius
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
@@ -84,19 +77,19 @@ def _ratios(xyz, points, boxes, depth, query, shape, ratio, keep):  # type: igno
             if sphere == 0:
                 continue
             stop = np.int64(math.ceil(ratio * sphere))
-            found = nearest_keys(
-                points, boxes, depth, leaf, slot, shape.neighbour_cap, keys, distance, fresh,
-                stack, bound,
+            found, _ = nearest_slots(
+                points, boxes, depth, leaf, slot, shape.neighbours, shape.neighbour_cap, distance,
+                squared, kept, stack,
             )  # fmt: skip
-            _fit(xyz, row, keys, found, near, shape, moments, values, vectors, scratch, axes)
-            _quadric(vectors, axes, quadric)
+            fit(points, slot, kept, found, near, shape, moments, values, vectors, scratch, axes)
+            quadric_of(vectors, axes, quadric)
             inside = 0
             for i in range(found):
-                inside += _flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0
+                inside += flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0
             if inside < stop:
-                _reach(vectors, axes, half)
-                inside = _walk(
+                half_extents(vectors, axes, half)
+                inside = walk(
                     points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
-                    wide, 0.0, outer,
+                    space, rule, 1.0, spare, outer,
                 )  # fmt: skip
             keep[row] = inside >= stop

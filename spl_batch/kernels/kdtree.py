@@ -95,13 +95,24 @@ def nearest(
     found : (m,) int32
         Neighbours found [count].
     """
-    if not 0 < cap <= CAP_MAX:
-        raise ValueError(f"cap {cap} quanta: must lie in 1..{CAP_MAX}")
+    check_cap(cap)
     rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
     found = np.zeros(len(xyz), dtype=np.int32)
     tree = build(xyz)
     _nearest_all(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
     return rows[query], found[query]
+
+
+def check_cap(cap: int) -> None:
+    """Refuse a farthest neighbour that is none, or too far.
+
+    Raises
+    ------
+    ValueError
+        If ``cap`` [quanta] is not within 1..:data:`CAP_MAX`.
+    """
+    if not 0 < cap <= CAP_MAX:
+        raise ValueError(f"cap {cap} quanta: must lie in 1..{CAP_MAX}")
 
 
 @njit(nogil=True, cache=True)
@@ -213,6 +224,12 @@ def leaf_slots(leaf, depth, n):  # type: ignore[no-untyped-def]
     """First slot of a leaf and of the next one, as unsigned numbers."""
     j = leaf - (U1 << depth)
     return (j * n) >> depth, ((j + U1) * n) >> depth
+
+
+@njit(nogil=True, cache=True, inline="always")
+def leaf_of(slot, depth, n):  # type: ignore[no-untyped-def]
+    """Node number of the leaf that holds a slot, all as unsigned numbers."""
+    return (U1 << depth) + (((slot + U1) << depth) - U1) // n
 
 
 @njit(nogil=True, cache=True)

@@ -20,21 +20,38 @@ c      ``peer_ratio``
 Deviation: the sources count every neighbour.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.kdtree import (
-    CAP_MAX,
     LEAF,
     U0,
     U1,
     U3,
     KdTree,
     box_distance,
+    check_cap,
     leaf_slots,
     nearest_keys,
 )
+
+
+class Spacing(NamedTuple):
+    """Which distance is a point's spacing.
+
+    Parameters
+    ----------
+    neighbours : int
+        The one to this neighbour [count], >= 1.
+    cap : int
+        Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
+    """
+
+    neighbours: int
+    cap: int
 
 
 def spacings(tree: KdTree, neighbours: int, cap: int) -> NDArray[np.float64]:
@@ -54,31 +71,44 @@ def spacings(tree: KdTree, neighbours: int, cap: int) -> NDArray[np.float64]:
     (n,) float64
         By row, at most ``cap`` squared [quanta2]; whole numbers.
     """
-    if not 0 < cap <= CAP_MAX:
-        raise ValueError(f"spacing cap {cap} quanta: must lie in 1..{CAP_MAX}")
+    check_cap(cap)
     out = np.empty(tree.points.shape[1], dtype=np.float64)
     if len(out):
-        _spacings(tree.points, tree.boxes, tree.depth, neighbours, cap, out)
+        _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), out)
     return out
 
 
 @njit(nogil=True, cache=True)
-def _spacings(points, boxes, depth, neighbours, cap, out):  # type: ignore[no-untyped-def]
+def spacing_at(points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
+    """Squared spacing of one slot; arguments as for :func:`nearest_keys` [quanta2]."""
+    found = nearest_keys(
+        points, boxes, depth, leaf, slot, rule.cap, keys, distance, fresh, stack, bound
+    )
+    if found == rule.neighbours:
+        return np.float64(keys[found - 1] >> 32)
+    return np.float64(rule.cap) * np.float64(rule.cap)
+
+
+@njit(nogil=True, cache=True)
+def spacing_scratch(rule):  # type: ignore[no-untyped-def]
+    """Arrays for :func:`spacing_at`: ``keys, distance, fresh, stack, bound``."""
+    return (
+        np.empty(rule.neighbours, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64),
+        np.empty(64, np.uint64), np.empty(64),
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True)
+def _spacings(points, boxes, depth, rule, out):  # type: ignore[no-untyped-def]
     """Every point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    keys = np.empty(neighbours, dtype=np.int64)
-    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
-    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    keys, distance, fresh, stack, bound = spacing_scratch(rule)
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
         for slot in range(low, high):
-            found = nearest_keys(
-                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
+            out[points[U3, slot]] = spacing_at(
+                points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
             )
-            squared = np.float64(cap) * np.float64(cap)
-            if found == neighbours:
-                squared = np.float64(keys[found - 1] >> 32)
-            out[points[U3, slot]] = squared
 
 
 def enough_peers(

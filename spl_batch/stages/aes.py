@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.kernels.ellipsoid import Shape
 from spl_batch.kernels.ellipsoid_ratio import passes_ratio
+from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.volumes import sphere_counts
 from spl_batch.kernels.voxels import squares, voxelise

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.kernels.ellipsoid import Shape, count_inside
+from spl_batch.kernels.ellipsoid import count_inside
+from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.kernels.kdtree import build
-from spl_batch.kernels.spacing import spacings
+from spl_batch.kernels.spacing import Spacing
 from spl_batch.settings import FilterSettings
 from spl_batch.tiling import quanta
 
@@ -32,7 +33,8 @@ class Evidence(NamedTuple):
     expected : (n,) float64
         Noise points expected inside the ellipsoid [count].
     spacing : (n,) float64
-        Squared spacing, all zero for the published test [quanta2].
+        Squared spacing of the points asked for, and of some others; negative where it is not
+        known; all zero for the published test [quanta2].
     """
 
     score: NDArray[np.float64]
@@ -80,18 +82,16 @@ def evidence(
     -------
     Evidence
     """
-    tree = build(xyz)
-    spacing = np.zeros(len(xyz))
-    if settings.test != "published":
-        spacing = spacings(tree, settings.spacing_neighbours, quanta(settings.spacing_cap_m))
+    spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
     count, expected, score = count_inside(
         xyz,
-        tree,
+        build(xyz),
         asked,
         density / QUANTA_PER_M**3,
         shape_of(settings),
         alpha=stop,
         spacing=spacing,
+        rule=Spacing(settings.spacing_neighbours, quanta(settings.spacing_cap_m)),
         peer_ratio=settings.peer_ratio,
         tie=settings.test == "calibrated",
     )
