@@ -79,7 +79,7 @@ def nearest_sets(
 @njit(nogil=True, cache=True, inline="always")
 def _count_to(distance, size, limit):  # type: ignore[no-untyped-def]
     """How many of the first distances are at most ``limit``."""
-    count = 0
+    count = np.int64(0)
     for i in range(size):
         count += np.int64(distance[i] <= limit)
     return count
@@ -236,7 +236,7 @@ def _keep(points, near, kept, size, k):  # type: ignore[no-untyped-def]
         for i in range(size):
             row = np.int64(points[U3, kept[i]])
             if near[i] == limit and row > highest:
-                worst, highest = i, row
+                worst, highest = np.uint64(i), row
         near[worst] = np.inf
         surplus -= 1
     found = U0

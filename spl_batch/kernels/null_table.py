@@ -26,13 +26,14 @@ def _mixed(quantile, row, part, column):  # type: ignore[no-untyped-def]
 @njit(nogil=True, cache=True)
 def _values(at, level, quantile, levels, slope, out):  # type: ignore[no-untyped-def]
     rows, last = quantile.shape[0], quantile.shape[1] - 1
+    rising = -levels
     for i in range(len(at)):
         row = min(int(at[i]), rows - 2)
         part = at[i] - row
         if level[i] < levels[last]:
             out[i] = _mixed(quantile, row, part, last) + (level[i] - levels[last]) / slope
             continue
-        column = min(np.searchsorted(-levels, -level[i], side="right") - 1, last - 1)
+        column = min(np.searchsorted(rising, -level[i], side="right") - 1, last - 1)
         share = (level[i] - levels[column]) / (levels[column + 1] - levels[column])
         first = _mixed(quantile, row, part, column)
         out[i] = first + share * (_mixed(quantile, row, part, column + 1) - first)
