@@ -22,9 +22,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from spl_batch import api
-from spl_batch.io.store import add_voxels
 from spl_batch.io.tables import read_table
 from spl_batch.io.trajectory import read_slice, read_trajectory
+from spl_batch.io.voxels import add_voxels
 from spl_batch.runner.lines_of_sight import STRETCH_COLUMNS
 from spl_batch.sensor import load_preset
 from spl_batch.simulate import simulate
