@@ -66,7 +66,7 @@ def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
     unreadable: list[InputError] = []
     for path in paths:
         try:
-            for known in read_reference(path, context.store.root, overview.cell_m):
+            for known in read_reference(path, context.store.local, overview.cell_m):
                 points += int(np.count_nonzero(known.counts))
                 _compare(known, context, dtm, dsm)
                 part = difference_raster(overview, known).values
