@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from spl_batch.simulate import preset_scene, simulate
-from tests import surveys
+from tests import clusters, surveys
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -38,3 +38,30 @@ def tiny_output(tiny_survey: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 def small_lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Workflow of two short passes without a trajectory: 6 000 points."""
     return surveys.small_survey(tmp_path_factory.mktemp("small"))
+
+
+@pytest.fixture(scope="session")
+def small_output(small_lines: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of a complete run of the small survey."""
+    workflow = surveys.copy_of(small_lines, tmp_path_factory.mktemp("small_run"))
+    return surveys.run(workflow).output
+
+
+@pytest.fixture
+def small(small_lines: Path, tmp_path: Path) -> Path:
+    """The small survey, in a folder of the test's own."""
+    return surveys.copy_of(small_lines, tmp_path)
+
+
+@pytest.fixture(scope="session")
+def dask_processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[clusters.Cluster]:
+    """A scheduler and two workers, of one thread and of two, that stay for all tests."""
+    with clusters.cluster(tmp_path_factory.mktemp("dask"), 1, 2) as started:
+        yield started
+
+
+@pytest.fixture
+def cluster(dask_processes: clusters.Cluster) -> clusters.Cluster:
+    """That cluster, with nothing that goes wrong on it."""
+    dask_processes.plan.set()
+    return dask_processes

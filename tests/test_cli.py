@@ -1,7 +1,10 @@
 """The command line: help, exit statuses, and what a person sees."""
 
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +75,21 @@ def test_every_error_has_its_status(
     assert ended.status == status
     assert str(error) in ended.err
     assert len(ended.err.strip().splitlines()) == 1
+
+
+def test_the_end_of_a_queue_systems_time_is_taken_like_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def wait(*_: Any, **__: Any) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(10)
+
+    monkeypatch.setattr("spl_batch.api.run", wait)
+    before = signal.getsignal(signal.SIGTERM)
+    ended = surveys.command("run", "w.yaml")
+    assert ended.status == 3
+    assert ended.err.strip() == "interrupted; the same command continues"
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,9 +100,9 @@ def test_cells_that_cannot_be_are_refused(survey: Path, setting: str, said: str)
 
 def test_status_tells_of_the_latest_run_alone(survey: Path) -> None:
     output = api.run(survey, workers=0).output
-    first = {s.stage: s.total for s in api.status(output)}
+    first = {s.stage: s.total for s in api.status(output).stages.values()}
     api.run(survey, workers=0)
-    assert {s.stage: s.total for s in api.status(output)} == first
+    assert {s.stage: s.total for s in api.status(output).stages.values()} == first
 
 
 def test_polygons_edited_in_place_are_noticed(survey: Path) -> None:

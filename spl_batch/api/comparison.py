@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Final, get_args
 
 from spl_batch.api.events import Listener, Note, ignore
-from spl_batch.api.pipeline import locked, run
+from spl_batch.api.lock import locked
+from spl_batch.api.pipeline import run
 from spl_batch.api.preparing import DEFAULT_MEMORY
 from spl_batch.api.reporting import recalled
 from spl_batch.errors import WorkflowError

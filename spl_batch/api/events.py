@@ -1,7 +1,9 @@
-"""What a run tells those who watch it."""
+"""What a run tells those who watch it; each event is also a line of ``log.jsonl``."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,11 +18,30 @@ class RunStarted:
         Worker processes [count].
     code : str
         Version of the code.
+    expected_s : mapping of str to float
+        Time that each stage is expected to take if nothing of it is finished [s].
     """
 
     workflow: str
     workers: int
     code: str
+    expected_s: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class WorkersReady:
+    """There is something to run tasks on.
+
+    Parameters
+    ----------
+    scheduler : str
+        Address of a scheduler that was started elsewhere; empty for workers of our own.
+    dashboard : str
+        Link to dask's dashboard; empty where there is none.
+    """
+
+    scheduler: str
+    dashboard: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +58,9 @@ class PhaseStarted:
         Tasks found finished [count].
     points : int
         Points that the tasks to do will handle [count].
+    tiles : mapping
+        Where its tiles lie and which are finished, as
+        :meth:`spl_batch.api.tilemap.TileMap.record` gives it; empty where tasks are no places.
     """
 
     stage: str
@@ -44,6 +68,25 @@ class PhaseStarted:
     tasks: int
     skipped: int
     points: int
+    tiles: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class TaskStarted:
+    """A worker has begun a task.
+
+    Parameters
+    ----------
+    stage, kind, name : str
+        Which one.
+    worker : str
+        Address of the worker.
+    """
+
+    stage: str
+    kind: str
+    name: str
+    worker: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +103,12 @@ class TaskEnded:
         Its duration [s].
     reason : str
         Why it failed; empty when it did not.
+    peak_rss_mb : float
+        Highest memory of its worker so far [MiB].
+    command : str
+        Command that does a failed task alone.
+    traceback : str
+        Where in the code it failed.
     """
 
     stage: str
@@ -68,6 +117,43 @@ class TaskEnded:
     points: int
     wall_s: float
     reason: str
+    peak_rss_mb: float = 0.0
+    command: str = ""
+    traceback: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WorkersSeen:
+    """How the workers are at a moment.
+
+    Parameters
+    ----------
+    workers, threads : int
+        How many there are [count].
+    memory_mb, limit_mb : float
+        Memory of the worker that has most, and the smallest limit; 0 where unknown [MiB].
+    """
+
+    workers: int
+    threads: int
+    memory_mb: float
+    limit_mb: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunEnded:
+    """A run ends in order; one that was killed does not say so.
+
+    Parameters
+    ----------
+    exit_status : int
+        That of the command line.
+    reason : str
+        Why it stopped before its end; empty when it did not.
+    """
+
+    exit_status: int
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +172,29 @@ class Note:
     text: str
 
 
-Event = RunStarted | PhaseStarted | TaskEnded | Note
+Event = (
+    RunStarted
+    | WorkersReady
+    | PhaseStarted
+    | TaskStarted
+    | TaskEnded
+    | WorkersSeen
+    | RunEnded
+    | Note
+)
 Listener = Callable[[Event], None]
+
+_ALWAYS = {"reason"}
+"""Fields that the log has even where they are empty."""
 
 
 def ignore(_event: Event) -> None:
     """Listen to nothing."""
+
+
+def as_record(event: Event) -> dict[str, Any]:
+    """An event as a line of the log: time, name, and the fields that say something."""
+    fields = {name: getattr(event, name) for name in event.__dataclass_fields__}
+    stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
+    told = {k: v for k, v in fields.items() if k in _ALWAYS or v not in ("", {}, None)}
+    return {"time": stamp, "event": type(event).__name__, **told}

@@ -1,38 +1,40 @@
 """Run a workflow: phase after phase, skipping what is finished, isolating what fails."""
 
-import fcntl
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from pathlib import Path
 
 from spl_batch.api.events import (
-    Event,
     Listener,
     Note,
     PhaseStarted,
+    RunEnded,
     RunStarted,
-    TaskEnded,
+    WorkersReady,
     ignore,
 )
+from spl_batch.api.failures import Invocation, failures
+from spl_batch.api.lock import lock_file, locked
 from spl_batch.api.planning import fitting_cost
 from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
+from spl_batch.api.progress import Progress
 from spl_batch.api.repair import Repairs
+from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
-from spl_batch.errors import StoreError, WorkflowError
-from spl_batch.graph import Executor, executor
-from spl_batch.io.atomic import stop_if_full, sweep
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import SplBatchError, StoppedError, StoreError, WorkflowError
+from spl_batch.graph import Executor, Footing, executor
 from spl_batch.io.cells import create_raster_store
-from spl_batch.io.store import append_log
 from spl_batch.model import Receipt
+from spl_batch.plan.cost import RATES_POINTS_PER_S, Cost
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.phases import PHASES, Phase
 from spl_batch.plan.places import PRODUCTS
 from spl_batch.plan.survey import Survey, mosaic_parts, timeless_sources
 from spl_batch.plan.worklist import Worklist
-from spl_batch.report.model import Failure, Report
+from spl_batch.report.model import Report
 from spl_batch.runner import KINDS, STAGES
 from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
 from spl_batch.tiling import quanta
@@ -55,63 +57,6 @@ class RunResult:
     exit_status: int
     output: Path
     report: Report | None
-
-
-@dataclass
-class _Progress:
-    """Costs and failures of one run, as they come in."""
-
-    output: Path
-    listener: Listener
-    repairs: Repairs
-    verify: bool = False
-    costs: dict[str, StageCost] = field(default_factory=dict)
-    failures: list[tuple[str, Receipt]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def tell(self, event: Event) -> None:
-        """Pass an event on, to the log as well."""
-        fields = {name: getattr(event, name) for name in event.__dataclass_fields__}
-        stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
-        append_log(self.output, {"time": stamp, "event": type(event).__name__, **fields})
-        self.listener(event)
-
-    def warn(self, text: str) -> None:
-        """Note something that the report repeats."""
-        if text not in self.notes:
-            self.notes.append(text)
-            self.tell(Note("warning", text))
-
-    def tidy(self) -> None:
-        """Remove what a killed run has left unfinished."""
-        count, total = sweep(self.output)
-        if count:
-            text = f"{count} unfinished files of a killed run removed ({total / 1e6:.1f} MB)"
-            self.tell(Note("info", text))
-
-    @property
-    def failed(self) -> list[Receipt]:
-        """Receipts of tasks that did not do their work."""
-        return [receipt for _, receipt in self.failures]
-
-    def repair(self, survey: Survey) -> bool:
-        """Begin again where files of the store are to be made again."""
-        damaged = self.repairs.begin(self.failed, survey)
-        if damaged:
-            self.tell(Note("info", f"damaged, made again: {', '.join(damaged)}"))
-            self.costs.clear()
-            self.failures.clear()
-        return bool(damaged)
-
-    def ended(self, stage: str, receipt: Receipt, points: int) -> None:
-        """Count a task in."""
-        cost = self.costs.setdefault(stage, StageCost())
-        cost.add(receipt)
-        if receipt.failed:
-            self.failures.append((stage, receipt))
-        self.tell(
-            TaskEnded(stage, receipt.kind, receipt.name, points, receipt.wall_s, receipt.reason)
-        )
 
 
 def run(
@@ -166,59 +111,101 @@ def run(
     if workers < 0:
         raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
-    fitting_cost(prepared)
+    cost = fitting_cost(prepared)
     output = prepared.context.output
-    with locked(output):
+    invocation = Invocation(workflow, workers, prepared.survey.memory_bytes, overrides)
+    with locked(output) as mark:
         if fresh:
             prepared.context.store.clear()
-        progress = _Progress(output, listener, Repairs(prepared.context.store), verify)
-        progress.tell(RunStarted(str(workflow), workers, prepared.context.code))
+        repairs = Repairs(prepared.context.store)
+        progress = Progress(output, listener, invocation, repairs)
+        code = prepared.context.code
+        progress.tell(RunStarted(str(workflow), workers, code, _expected_s(cost)))
         progress.tidy()
-        for warning in prepared.survey.inputs.warnings:
-            progress.warn(warning)
-        for bad in prepared.survey.inputs.bad:
-            progress.tell(Note("error", str(bad)))
-        with executor(
-            workers=workers, memory_bytes=prepared.survey.memory_bytes, scheduler=scheduler
-        ) as (pool, dashboard):
-            if dashboard:
-                progress.tell(Note("info", f"dask dashboard: {dashboard}"))
-            _process(prepared, pool, progress, until)
-        if until is None or STAGES.index(until) >= STAGES.index("deliver"):
-            for path in withdraw_stale(prepared.survey, output):
-                progress.tell(Note("info", f"taken away, as nothing in this run made it: {path}"))
-        if until is not None and until != "report":
-            failed = bool(progress.failures or prepared.survey.inputs.bad)
-            return RunResult(int(failed), output, None)
-        facts = RunFacts(
-            time.perf_counter() - start + _earlier_wall_s(output, progress),
-            workers,
-            progress.costs,
-            tuple(_failures(prepared.survey, progress)),
-            progress.notes,
-            [str(p) for p in prepared.survey.inputs.reference],
-            _not_read(prepared.survey),
-        )
-        written = summarise(prepared.survey.done, prepared.context, facts)
+        with _telling_the_end(progress):
+            for warning in prepared.survey.inputs.warnings:
+                progress.warn(warning)
+            for bad in prepared.survey.inputs.bad:
+                progress.tell(Note("error", str(bad)))
+            with executor(
+                workers=workers,
+                memory_bytes=prepared.survey.memory_bytes,
+                scheduler=scheduler,
+                observer=progress,
+                footing=Footing(code, str(lock_file(output)), mark),
+            ) as (pool, dashboard):
+                progress.tell(WorkersReady(scheduler or "", dashboard))
+                _process(prepared, pool, progress, until, verify=verify)
+            result = _conclude(prepared, progress, until, start)
+        progress.tell(RunEnded(result.exit_status))
+    return result
+
+
+def _conclude(
+    prepared: Prepared, progress: Progress, until: str | None, start_s: float
+) -> RunResult:
+    """Take away what is stale, and write the report unless the run was to stop before it."""
+    survey, output = prepared.survey, prepared.context.output
+    if until is None or STAGES.index(until) >= STAGES.index("deliver"):
+        for path in withdraw_stale(survey, output):
+            progress.tell(Note("info", f"taken away, as nothing in this run made it: {path}"))
+    if until is not None and until != "report":
+        return RunResult(int(bool(progress.failures or survey.inputs.bad)), output, None)
+    facts = RunFacts(
+        time.perf_counter() - start_s + _earlier_wall_s(output, progress),
+        progress.invocation.workers,
+        progress.costs,
+        tuple(failures(survey, progress.failures)),
+        progress.notes,
+        [str(p) for p in survey.inputs.reference],
+        _not_read(survey),
+    )
+    written = summarise(survey.done, prepared.context, facts)
     return RunResult(int(bool(written.failures)), output, written)
 
 
-def _process(prepared: Prepared, pool: Executor, progress: _Progress, until: str | None) -> None:
+@contextmanager
+def _telling_the_end(progress: Progress) -> Iterator[None]:
+    """Log why a run stops before its end, for those who watch it from elsewhere."""
+    try:
+        yield
+    except (SplBatchError, KeyboardInterrupt) as error:
+        status = error.exit_status if isinstance(error, SplBatchError) else 3
+        try:
+            progress.tell(RunEnded(status, str(error) or "interrupted"))
+        except StoppedError as unwritten:
+            raise error from unwritten
+        raise
+
+
+def _expected_s(cost: Cost) -> dict[str, float]:
+    """Time that each stage is expected to take, in the ratio of typical rates [s]."""
+    shares = {stage: cost.points / rate for stage, rate in RATES_POINTS_PER_S.items()}
+    whole = sum(shares.values())
+    return {k: round(cost.time_s * v / whole, 1) for k, v in shares.items()} if whole else {}
+
+
+def _process(
+    prepared: Prepared, pool: Executor, progress: Progress, until: str | None, *, verify: bool
+) -> None:
     """Go through the phases, and once more where a file of the store had to be made again."""
-    _run_phases(prepared, pool, progress, until)
+    _run_phases(prepared, pool, progress, until, verify=verify)
     while progress.repair(prepared.survey):
-        _run_phases(prepared, pool, progress, until)
+        _run_phases(prepared, pool, progress, until, verify=verify)
 
 
-def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: str | None) -> None:
+def _run_phases(
+    prepared: Prepared, pool: Executor, progress: Progress, until: str | None, *, verify: bool
+) -> None:
     survey, last = prepared.survey, STAGES.index(until) if until else len(STAGES)
     for phase in PHASES:
         stage = KINDS[phase.kind].stage
         if STAGES.index(stage) > last:
             return
         if phase.kind == "surface":
-            _make_rasters(prepared)
-        _run_phase(phase, stage, prepared, pool, progress)
+            make_rasters(prepared)
+        work = Worklist(phase, survey, prepared.context, verify=verify)
+        _run_phase(work, phase.kind, prepared, pool, progress)
         if progress.repairs.wanted(progress.failed, survey):
             return
         _judge(phase, survey, progress)
@@ -226,7 +213,7 @@ def _run_phases(prepared: Prepared, pool: Executor, progress: _Progress, until: 
             progress.warn(text)
 
 
-def _judge(phase: Phase, survey: Survey, progress: _Progress) -> None:
+def _judge(phase: Phase, survey: Survey, progress: Progress) -> None:
     """Warn of what a phase has brought to light, or stop."""
     if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
         progress.warn(
@@ -244,28 +231,51 @@ def _judge(phase: Phase, survey: Survey, progress: _Progress) -> None:
 
 
 def _run_phase(
-    phase: Phase, stage: str, prepared: Prepared, pool: Executor, progress: _Progress
+    work: Worklist, kind: str, prepared: Prepared, pool: Executor, progress: Progress
 ) -> None:
     """Do what one phase has left to do."""
-    survey, context = prepared.survey, prepared.context
-    work = Worklist(phase, survey, context, verify=progress.verify)
-    for _, receipt in work.look():
-        if receipt is not None:
+    survey, stage = prepared.survey, KINDS[kind].stage
+    left: list[str] = []
+    ready: list[str] = []
+    for task, receipt in work.look():
+        if receipt is None:
+            left.append(task.name)
+        else:
+            ready.append(receipt.name)
             progress.costs.setdefault(stage, StageCost()).skip(receipt)
     if not work.left and not work.ready:
         return
-    progress.tell(PhaseStarted(stage, phase.kind, work.left, work.ready, work.points))
+    tiles = _tile_map(kind, left, ready, survey)
+    left.clear()
+    ready.clear()
+    progress.tell(PhaseStarted(stage, kind, work.left, work.ready, work.points, tiles))
 
     def on_receipt(receipt: Receipt) -> None:
-        progress.ended(stage, receipt, work.ended(receipt).points)
+        progress.ended(work.ended(receipt), receipt)
 
     for receipt in work.refused:
         on_receipt(receipt)
-    pool.run(work.jobs(), context, on_receipt)
-    survey.of(phase.kind).sort()
+    pool.run(work.jobs(), prepared.context, on_receipt)
+    survey.of(kind).sort()
 
 
-def _judge_index(survey: Survey, progress: _Progress) -> None:
+def _tile_map(
+    kind: str, left: Sequence[str], ready: Sequence[str], survey: Survey
+) -> dict[str, object]:
+    """Map of a phase whose tasks are places, as it begins."""
+    if kind in {"build_tile", "deliver_tile"}:
+        edge = survey.tile_q
+    elif kind == "denoise":
+        edge = survey.block_q
+    elif kind in {"ground", "surface"}:
+        edge = survey.cell_q
+    else:
+        return {}
+    tiles = TileMap.of(left, ready, edge / QUANTA_PER_M)
+    return tiles.record() if tiles is not None else {}
+
+
+def _judge_index(survey: Survey, progress: Progress) -> None:
     """Stop where no input is usable; say which ones have no time."""
     failures = [r for r in progress.failed if r.kind == "index_file"]
     usable = survey.of("index_file")
@@ -292,7 +302,7 @@ def _judge_index(survey: Survey, progress: _Progress) -> None:
         )
 
 
-def _earlier_wall_s(output: Path, progress: _Progress) -> float:
+def _earlier_wall_s(output: Path, progress: Progress) -> float:
     """Time that earlier runs took for what this one found finished [s]."""
     if not any(cost.skipped for cost in progress.costs.values()):
         return 0.0
@@ -306,22 +316,6 @@ def _not_read(survey: Survey) -> int:
     """Points that the headers of files promise which could not be read to their end."""
     indexed = survey.of("index_file")
     return sum(s.facts.n_points for s in survey.inputs.sources if str(s.key) not in indexed)
-
-
-def _failures(survey: Survey, progress: _Progress) -> Iterator[Failure]:
-    """What did not make it, inputs first."""
-    for bad in survey.inputs.bad:
-        reason = "; ".join(bad.faults)
-        yield Failure(stage="index", place=bad.path, reason=reason, remedy="mend or remove it")
-    names = {str(s.key): s.name for s in survey.inputs.sources}
-    for stage, receipt in progress.failures:
-        yield Failure(
-            stage=stage,
-            place=names.get(receipt.name, receipt.name),
-            reason=receipt.reason,
-            remedy="run again: only what failed is tried",
-            task=f"{receipt.kind} {receipt.name}",
-        )
 
 
 def _beams_without_trajectory(survey: Survey) -> str:
@@ -351,7 +345,8 @@ def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
         yield f"{shown}: {text}"
 
 
-def _make_rasters(prepared: Prepared) -> None:
+def make_rasters(prepared: Prepared) -> None:
+    """Make room for the raster cells of the ``surfaces`` stage."""
     workflow = prepared.context.workflow
     create_raster_store(
         prepared.context.rasters,
@@ -359,26 +354,3 @@ def _make_rasters(prepared: Prepared) -> None:
         ground_cell=quanta(workflow.ground.cell_m),
         raster_cell=quanta(workflow.products.cell_m),
     )
-
-
-@contextmanager
-def locked(output: Path) -> Iterator[None]:
-    """Keep two runs out of one output; the system lets go of the lock when a run dies."""
-    try:
-        (output / "store").mkdir(parents=True, exist_ok=True)
-        stream = (output / "store" / "lock").open("w")
-    except OSError as error:
-        stop_if_full(error, output)
-        raise WorkflowError(f"output: {output} cannot be written: {error.strerror}") from None
-    with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise WorkflowError(
-                f"output: another run is working in {output}; wait for it"
-            ) from None
-        try:
-            yield
-        except OSError as error:
-            stop_if_full(error, output)
-            raise

@@ -1,11 +1,27 @@
-"""What is done, failed and left in an output folder, from its log and receipts."""
+"""What is done, running, failed and left: the state of a run, told event by event.
+
+The same state is made from the events of a run in this process and from the lines of its
+log, which any other process may read while it grows.
+"""
 
 import json
-from dataclasses import dataclass
+import mmap
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
+from typing import Any, Final
 
+from spl_batch.api.lock import holder
+from spl_batch.api.tilemap import TileMap
 from spl_batch.errors import WorkflowError
 from spl_batch.runner import STAGES
+
+_FIRST_EVENT: Final = b'"event": "RunStarted"'
+"""What the log has in the first line of each run."""
+
+_BLOCK_BYTES: Final = 1 << 22
+"""Bytes of the log read at once [byte]."""
 
 
 @dataclass(slots=True)
@@ -19,11 +35,15 @@ class StageStatus:
     total, done, failed : int
         Tasks known, finished and failed [count].
     points : int
-        Points handled by finished tasks [count].
+        Points handled by tasks that this run finished [count].
     wall_s : float
         Summed time of those tasks [s].
     left_points : int
         Points of tasks that are still to do [count].
+    began_s, latest_s : float
+        When its first phase began, and its latest event; 0 before that [s since 1970].
+    expected_s : float
+        Time that the whole stage was expected to take; 0 where unknown [s].
     """
 
     stage: str
@@ -33,15 +53,180 @@ class StageStatus:
     points: int = 0
     wall_s: float = 0.0
     left_points: int = 0
+    began_s: float = 0.0
+    latest_s: float = 0.0
+    expected_s: float = 0.0
 
     @property
     def left(self) -> int:
         """Tasks that are still to do [count]."""
         return self.total - self.done - self.failed
 
+    @property
+    def elapsed_s(self) -> float:
+        """Time from its beginning to its latest event [s]."""
+        return max(self.latest_s - self.began_s, 0.0)
 
-def status(output: Path | str) -> list[StageStatus]:
-    """State of each stage of the latest run.
+    @property
+    def points_per_s(self) -> float:
+        """Points that all workers together handle in a second; 0 where unknown [1/s]."""
+        return self.points / self.elapsed_s if self.elapsed_s > 0.5 else 0.0
+
+    @property
+    def left_s(self) -> float:
+        """Time that it will still take, as far as can be told [s]."""
+        if not self.began_s:
+            return self.expected_s
+        if self.points_per_s > 0:
+            return self.left_points / self.points_per_s
+        return self.expected_s if self.left else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FailedTask:
+    """A task that failed.
+
+    Parameters
+    ----------
+    task, reason, command : str
+        Kind and name; why; the command that does it alone.
+    """
+
+    task: str
+    reason: str
+    command: str
+
+
+@dataclass(slots=True)
+class RunStatus:
+    """State of a run.
+
+    Parameters
+    ----------
+    stages : mapping of str to StageStatus
+        By name, in order.
+    tiles : mapping of str to TileMap
+        Map of each kind of task whose units are places, the latest last.
+    running : mapping of (str, str) to str
+        Worker of each task that has begun, by kind and name.
+    failures : list of FailedTask
+        What failed.
+    workers : mapping
+        Fields of the latest :class:`~spl_batch.api.events.WorkersSeen`.
+    peak_mb : float
+        Highest memory that a worker has reported [MiB].
+    dashboard : str
+        Link to dask's dashboard while the run works.
+    ended : mapping or None
+        Fields of :class:`~spl_batch.api.events.RunEnded`; None where the log has none.
+    holder : mapping or None
+        Host, process and start of the run that works here now; None where none does.
+    kinds : set of str
+        Kinds of task that have begun.
+    """
+
+    stages: dict[str, StageStatus] = field(default_factory=dict)
+    tiles: dict[str, TileMap] = field(default_factory=dict)
+    running: dict[tuple[str, str], str] = field(default_factory=dict)
+    failures: list[FailedTask] = field(default_factory=list)
+    workers: Mapping[str, Any] = field(default_factory=dict)
+    peak_mb: float = 0.0
+    dashboard: str = ""
+    ended: Mapping[str, Any] | None = None
+    holder: Mapping[str, Any] | None = None
+    kinds: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.stages = {name: StageStatus(name) for name in STAGES}
+
+    @property
+    def left_s(self) -> float:
+        """Time that the run will still take, as far as can be told [s]."""
+        known = [stage for stage in self.stages.values() if stage.began_s]
+        first = STAGES.index(known[-1].stage) if known else 0
+        return sum(self.stages[name].left_s for name in STAGES[first:])
+
+    def feed(self, record: Mapping[str, Any]) -> None:
+        """Take in an event, as :func:`spl_batch.api.events.as_record` gives it."""
+        take = {
+            "RunStarted": self._run_started,
+            "WorkersReady": self._workers_ready,
+            "PhaseStarted": self._phase_started,
+            "TaskStarted": self._task_started,
+            "TaskEnded": self._task_ended,
+            "WorkersSeen": self._workers_seen,
+            "RunEnded": self._run_ended,
+        }.get(str(record.get("event")))
+        if take is not None:
+            take(record)
+
+    def _run_started(self, record: Mapping[str, Any]) -> None:
+        fresh = RunStatus()
+        for name in self.__slots__:
+            setattr(self, name, getattr(fresh, name))
+        for name, seconds in record.get("expected_s", {}).items():
+            self.stages[name].expected_s = seconds
+
+    def _workers_ready(self, record: Mapping[str, Any]) -> None:
+        self.dashboard = record.get("dashboard", "")
+
+    def _phase_started(self, record: Mapping[str, Any]) -> None:
+        if record["kind"] in self.kinds:
+            self._begin_again()
+        self.kinds.add(record["kind"])
+        stage = self.stages[record["stage"]]
+        stage.total += record["tasks"] + record["skipped"]
+        stage.done += record["skipped"]
+        stage.left_points += record["points"]
+        stage.latest_s = _seconds(record)
+        stage.began_s = stage.began_s or stage.latest_s
+        if record.get("tiles"):
+            self.tiles[record["kind"]] = TileMap.from_record(record["tiles"])
+
+    def _begin_again(self) -> None:
+        """Forget what was done: phases are gone through again, as a file was damaged."""
+        self.stages = {
+            name: StageStatus(name, expected_s=stage.expected_s)
+            for name, stage in self.stages.items()
+        }
+        for known in (self.kinds, self.tiles, self.running, self.failures):
+            known.clear()
+
+    def _task_started(self, record: Mapping[str, Any]) -> None:
+        kind, name = record["kind"], record["name"]
+        if (kind, name) not in self.running and kind in self.tiles:
+            self.tiles[kind].began(name)
+        self.running[kind, name] = record["worker"]
+
+    def _task_ended(self, record: Mapping[str, Any]) -> None:
+        stage, kind, name = self.stages[record["stage"]], record["kind"], record["name"]
+        began = self.running.pop((kind, name), None) is not None
+        failed = bool(record["reason"])
+        stage.latest_s = _seconds(record)
+        stage.left_points -= record["points"]
+        stage.failed += failed
+        stage.done += not failed
+        self.peak_mb = max(self.peak_mb, record.get("peak_rss_mb", 0.0))
+        if kind in self.tiles:
+            self.tiles[kind].ended(name, began=began, failed=failed)
+        if failed:
+            command = record.get("command", "")
+            self.failures.append(FailedTask(f"{kind} {name}", record["reason"], command))
+        else:
+            stage.points += record["points"]
+            stage.wall_s += record["wall_s"]
+
+    def _workers_seen(self, record: Mapping[str, Any]) -> None:
+        self.workers = record
+
+    def _run_ended(self, record: Mapping[str, Any]) -> None:
+        self.ended = record
+        self.running.clear()
+        self.dashboard = ""
+
+
+class Follower:
+    """Reads the log of an output folder as it grows, each line once.
 
     Parameters
     ----------
@@ -53,38 +238,66 @@ def status(output: Path | str) -> list[StageStatus]:
     WorkflowError
         If no run has worked there.
     """
-    log = Path(output) / "log.jsonl"
-    try:
-        lines = log.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        raise WorkflowError(f"{output}: no run has worked here (no log.jsonl)") from None
-    stages = {name: StageStatus(name) for name in STAGES}
-    for line in lines:
+
+    def __init__(self, output: Path | str) -> None:
+        self.output = Path(output)
+        self.status = RunStatus()
+        self._rest = b""
         try:
-            event = json.loads(line)
-        except json.JSONDecodeError:
-            continue  # a run that was killed may have left half a line
-        _count(event, stages)
-    return list(stages.values())
+            self._read = _latest_run(self._log)
+        except OSError:
+            raise WorkflowError(f"{output}: no run has worked here (no log.jsonl)") from None
+
+    @property
+    def _log(self) -> Path:
+        return self.output / "log.jsonl"
+
+    def update(self) -> RunStatus:
+        """State as of now."""
+        try:
+            with self._log.open("rb") as stream:
+                stream.seek(self._read)
+                while content := stream.read(_BLOCK_BYTES):
+                    self._read += len(content)
+                    self._take(content)
+        except OSError as error:
+            raise WorkflowError(f"{self._log}: cannot be read: {error.strerror}") from None
+        self.status.holder = holder(self.output)
+        return self.status
+
+    def _take(self, content: bytes) -> None:
+        *lines, self._rest = (self._rest + content).split(b"\n")
+        for line in lines:
+            try:
+                record = json.loads(line)
+            except ValueError:
+                continue  # a run that was killed may have left half a line
+            self.status.feed(record)
 
 
-def _count(event: dict[str, object], stages: dict[str, StageStatus]) -> None:
-    kind = event.get("event")
-    if kind == "RunStarted":
-        stages.update({name: StageStatus(name) for name in STAGES})
-    stage = stages.get(str(event.get("stage")))
-    if stage is None:
-        return
-    if kind == "PhaseStarted":
-        stage.total += int(str(event["tasks"])) + int(str(event["skipped"]))
-        stage.done += int(str(event["skipped"]))
-        stage.left_points += int(str(event["points"]))
-    elif kind == "TaskEnded":
-        points = int(str(event["points"]))
-        stage.left_points -= points
-        if event["reason"]:
-            stage.failed += 1
-        else:
-            stage.done += 1
-            stage.points += points
-            stage.wall_s += float(str(event["wall_s"]))
+def status(output: Path | str) -> RunStatus:
+    """State of the latest run of an output folder, which may be working at this moment.
+
+    Parameters
+    ----------
+    output : Path or str
+        Folder of the results.
+
+    Raises
+    ------
+    WorkflowError
+        If no run has worked there.
+    """
+    return Follower(output).update()
+
+
+def _latest_run(log: Path) -> int:
+    """Where the lines of the latest run begin in a log [byte]."""
+    if not log.stat().st_size:
+        return 0
+    with log.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as whole:
+        return whole.rfind(b"\n", 0, max(whole.rfind(_FIRST_EVENT), 0)) + 1
+
+
+def _seconds(record: Mapping[str, Any]) -> float:
+    return datetime.fromisoformat(record["time"]).timestamp()

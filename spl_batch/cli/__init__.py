@@ -1,7 +1,11 @@
 """The command line: parse, call the API, print, exit status."""
 
 import errno
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +54,9 @@ def quickstart(folder: Path, workers: int, memory: str) -> int:
     """Simulate a small survey into FOLDER and run the whole chain on it."""
     from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
     from spl_batch.cli import screen  # noqa: PLC0415
+    from spl_batch.cli.view import watching  # noqa: PLC0415
 
-    with screen.watching() as view:
+    with watching() as view:
         result = api.quickstart(
             folder,
             workers=workers,
@@ -70,8 +75,9 @@ def simulate(scene: Path, output: Path) -> int:
     """Fly a synthetic survey of SCENE into OUTPUT, with truth for every point."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
+    from spl_batch.cli.view import watching  # noqa: PLC0415
 
-    with screen.watching() as view:
+    with watching() as view:
         summary = api.simulate(scene, output, progress=view.simulated)
     screen.print_simulation(summary, output)
     return 0
@@ -98,6 +104,11 @@ def plan(workflow: Path, workers: int, memory: str, overrides: tuple[str, ...]) 
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
 @click.option("--verify", is_flag=True, help="Compare all that is finished with its checksum.")
 @click.option("--until", type=click.Choice(_STAGES), help="Stop after this stage.")
+@click.option(
+    "--only",
+    metavar="'KIND NAME'",
+    help="Do one task alone, here, from what is finished; says where its traceback is.",
+)
 @_SETTINGS
 def run(
     workflow: Path,
@@ -107,13 +118,19 @@ def run(
     fresh: bool,  # noqa: FBT001 - click passes flags by name
     verify: bool,  # noqa: FBT001
     until: str | None,
+    only: str | None,
     overrides: tuple[str, ...],
 ) -> int:
     """Process the survey of WORKFLOW; run again, it continues where it stopped."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
+    from spl_batch.cli.view import watching  # noqa: PLC0415
 
-    with screen.watching() as view:
+    if only is not None:
+        alone = api.run_alone(workflow, only, workers=workers, memory=memory, overrides=overrides)
+        screen.print_alone(alone)
+        return alone.exit_status
+    with watching() as view:
         result = api.run(
             workflow,
             workers=workers,
@@ -145,8 +162,9 @@ def compare(
     """Run several filters on the survey of WORKFLOW: a table, and profiles side by side."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
+    from spl_batch.cli.view import watching  # noqa: PLC0415
 
-    with screen.watching() as view:
+    with watching() as view:
         result = api.compare(
             workflow,
             methods,
@@ -161,12 +179,16 @@ def compare(
 
 @cli.command()
 @_OUTPUT
-def status(output: Path) -> int:
-    """Say what is done, failed and left in OUTPUT."""
+@click.option("--watch", is_flag=True, help="Show it again and again until the run ends.")
+def status(output: Path, watch: bool) -> int:  # noqa: FBT001 - click passes flags by name
+    """Say what is done, running, failed and left in OUTPUT, also while a run works there."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
-    screen.print_status(api.status(output))
+    if watch:
+        screen.watch_status(api.Follower(output))
+    else:
+        screen.print_status(api.status(output))
     return 0
 
 
@@ -184,7 +206,8 @@ def report(output: Path) -> int:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
     try:
-        status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
+        with _ended_in_order():
+            status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         sys.exit(2)
@@ -200,3 +223,16 @@ def main(arguments: list[str] | None = None) -> None:
         click.echo(f"spl-batch: {error.filename}: {error.strerror}; {remedy}", err=True)
         sys.exit(3 if full else 2)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+@contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """Take the end of a queue system's time like Ctrl-C: in order, to be continued."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,100 +1,29 @@
-"""What a person sees: progress bars, and the few numbers that matter."""
+"""What a person is told on the screen: the few numbers that matter, and where the rest is."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.api import ComparisonResult, PlanSummary, RunResult, StageStatus
-from spl_batch.api.events import Event, Note, PhaseStarted, TaskEnded
+from spl_batch.api import (
+    AloneResult,
+    ComparisonResult,
+    Follower,
+    PlanSummary,
+    RunResult,
+    RunStatus,
+)
+from spl_batch.cli.live import details, duration, short
 from spl_batch.report.format import centimetres, number, percent, significant
 from spl_batch.report.model import Report
 from spl_batch.report.summary import screen_summary
 
 _OUT = Console()
-_ERR = Console(stderr=True)
-
-
-class _Rate(ProgressColumn):
-    """Points per second of a stage."""
-
-    def render(self, task: Task) -> Text:
-        """Show the rate, once there is one."""
-        points, elapsed = task.fields.get("points", 0), task.elapsed or 0.0
-        if not points or elapsed < 0.5:
-            return Text("")
-        return Text(f"{_short(points / elapsed)} pts/s", style="cyan")
-
-
-class View:
-    """Draws what happens; one bar for each stage."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._bars: dict[str, Any] = {}
-
-    def simulated(self, share: float) -> None:
-        """Show how much of a simulation is done, 0..1."""
-        if "simulate" not in self._bars:
-            self._bars["simulate"] = self._progress.add_task("simulate", total=100)
-        self._progress.update(self._bars["simulate"], completed=round(100 * share))
-
-    def on_event(self, event: Event) -> None:
-        """Show an event."""
-        if isinstance(event, Note):
-            style = {"warning": "yellow", "error": "red"}.get(event.level, "dim")
-            line = Text(f"{event.level}: {event.text}", style=style)
-            self._progress.console.print(line, soft_wrap=True)
-        elif isinstance(event, PhaseStarted):
-            self._start(event)
-        elif isinstance(event, TaskEnded):
-            self._advance(event)
-
-    def _start(self, event: PhaseStarted) -> None:
-        bar = self._bars.get(event.stage)
-        if bar is None:
-            bar = self._bars[event.stage] = self._progress.add_task(event.stage, total=0)
-        known = self._progress.tasks[self._progress.task_ids.index(bar)]
-        everything = event.tasks + event.skipped
-        self._progress.update(bar, total=(known.total or 0) + everything, advance=event.skipped)
-
-    def _advance(self, event: TaskEnded) -> None:
-        bar = self._bars[event.stage]
-        known = self._progress.tasks[self._progress.task_ids.index(bar)]
-        points = known.fields.get("points", 0) + event.points
-        self._progress.update(bar, advance=1, points=points)
-        if event.reason:
-            text = f"failed: {event.kind} {event.name}: {event.reason}"
-            self._progress.console.print(Text(text, style="red"), soft_wrap=True)
-
-
-@contextmanager
-def watching() -> Iterator[View]:
-    """Draw progress bars on standard error while the block runs."""
-    with Progress(
-        TextColumn("{task.description:>10}"),
-        BarColumn(bar_width=28),
-        MofNCompleteColumn(),
-        _Rate(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(compact=True),
-        console=_ERR,
-    ) as progress:
-        yield View(progress)
 
 
 def print_result(result: RunResult) -> None:
@@ -160,7 +89,7 @@ def print_plan(summary: PlanSummary) -> None:
             ("tasks", f"{cost.tasks:,}"),
             ("disk", f"{cost.disk_bytes / 2**30:,.2f} GiB"),
             ("memory", f"{cost.memory_bytes / 2**20:,.0f} MiB a worker, for {cost.heaviest}"),
-            ("time", f"{_duration(cost.time_s)} ({basis})"),
+            ("time", f"{duration(cost.time_s)} ({basis})"),
         ]
     )
     for text in summary.warnings:
@@ -169,21 +98,65 @@ def print_plan(summary: PlanSummary) -> None:
         _OUT.print(Text(f"unusable: {text}", style="red"), soft_wrap=True)
 
 
-def print_status(stages: Sequence[StageStatus]) -> None:
-    """Print the state of each stage."""
-    table = Table("stage", "done", "failed", "left", "points/s", "time left", box=None)
-    for stage in stages:
-        rate = stage.points / stage.wall_s if stage.wall_s > 0 else 0.0
-        left = _duration(stage.left_points / rate) if rate and stage.left_points > 0 else ""
+def print_status(status: RunStatus) -> None:
+    """Print the state of the latest run."""
+    _OUT.print(_whole(status))
+
+
+def watch_status(follower: Follower, every_s: float = 1.0) -> RunStatus:
+    """Show the state of a run until it ends, or somebody has seen enough."""
+    status = follower.update()
+    with Live(console=_OUT, auto_refresh=False, transient=True) as live:
+        while status.holder is not None and status.ended is None:
+            live.update(_whole(status), refresh=True)
+            time.sleep(every_s)
+            status = follower.update()
+    print_status(status)
+    return status
+
+
+def _whole(status: RunStatus) -> RenderableType:
+    """State by stage as a table, and all else that the live view shows."""
+    table = Table("stage", "done", "failed", "left", "points/s", "time", "time left", box=None)
+    for stage in status.stages.values():
         table.add_row(
             stage.stage,
             f"{stage.done}/{stage.total}",
             str(stage.failed or ""),
             str(stage.left or ""),
-            _short(rate) if rate else "",
-            left,
+            short(stage.points_per_s) if stage.points_per_s else "",
+            duration(stage.elapsed_s) if stage.began_s and stage.points else "",
+            duration(stage.left_s) if stage.left else "",
         )
-    _OUT.print(table)
+    return Group(table, Text(_what_it_does(status)), *details(status))
+
+
+def _what_it_does(status: RunStatus) -> str:
+    """Whether the run works, has ended, or was killed."""
+    if status.ended is not None:
+        reason = status.ended.get("reason")
+        return f"  ended with exit status {status.ended['exit_status']}" + (
+            f": {reason}" if reason else ""
+        )
+    if status.holder:
+        who = status.holder
+        return f"  working: process {who['pid']} on {who['host']}, since {who['started']}"
+    if status.holder is None:
+        return "  stopped before its end; the same command continues"
+    return "  working"
+
+
+def print_alone(result: AloneResult) -> None:
+    """Print what has come of a single task."""
+    receipt = result.receipt
+    task = f"{receipt.kind} {receipt.name}"
+    if receipt.failed:
+        _OUT.print(Text(f"failed: {task}: {receipt.reason}", style="red"), soft_wrap=True)
+    else:
+        cost = f"{receipt.wall_s:.1f} s, {receipt.peak_rss_mb:,.0f} MiB"
+        _OUT.print(f"done: {task} in {cost}; the next run finds it finished", highlight=False)
+    if result.traceback is not None:
+        _path("traceback", result.traceback)
 
 
 def _pairs(pairs: Sequence[tuple[str, str]]) -> None:
@@ -197,18 +170,3 @@ def _path(label: str, *paths: Path) -> None:
     found = [str(path) for path in paths if path.exists()]
     if found:
         _OUT.print(f"[dim]{label}[/dim]  " + "  ".join(found), soft_wrap=True, highlight=False)
-
-
-def _short(value: float) -> str:
-    for limit, suffix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if value >= limit:
-            return f"{value / limit:.1f}{suffix}"
-    return f"{value:.0f}"
-
-
-def _duration(seconds: float) -> str:
-    hours, rest = divmod(round(seconds), 3600)
-    minutes, seconds = divmod(rest, 60)
-    if hours:
-        return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"

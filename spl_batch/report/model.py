@@ -204,7 +204,11 @@ class Failure(Part):
     place: str = Field(description="File, flightline stretch or tile.")
     reason: str = Field(description="What went wrong, in one line.")
     remedy: str | None = Field(None, description="What to do, or the command that tries again.")
-    task: str | None = Field(None, description="Key of the task.")
+    task: str | None = Field(None, description="Kind and name of the task.")
+    inputs: tuple[str, ...] = Field((), description="Files, tiles and stretches that it reads.")
+    command: str | None = Field(
+        None, description="Command that does this task alone, to reproduce the failure."
+    )
 
 
 class InputFile(Part):

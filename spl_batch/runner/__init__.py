@@ -10,6 +10,7 @@ import json
 import resource
 import sys
 import time
+import traceback
 from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
@@ -207,21 +208,31 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
     except DamagedError as error:
         receipt = failure(task, key, str(error), time.perf_counter() - start, damaged=error.path)
     except SplBatchError as error:
-        receipt = failure(task, key, str(error), time.perf_counter() - start)
+        trace = traceback.format_exc()
+        receipt = failure(task, key, str(error), time.perf_counter() - start, trace=trace)
     except Exception as error:  # noqa: BLE001 - one task's fault must not end the others
         stop_if_full(error, f"{task.kind} {task.name}")
-        reason = f"{type(error).__name__}: {error}"
-        receipt = failure(task, key, reason, time.perf_counter() - start)
+        reason, trace = f"{type(error).__name__}: {error}", traceback.format_exc()
+        receipt = failure(task, key, reason, time.perf_counter() - start, trace=trace)
     write_receipt(context.store, receipt)
     return receipt
 
 
 def failure(
-    task: Task, key: str, reason: str, wall_s: float = 0.0, *, damaged: str = ""
+    task: Task,
+    key: str,
+    reason: str,
+    wall_s: float = 0.0,
+    *,
+    damaged: str = "",
+    trace: str = "",
 ) -> Receipt:
-    """Receipt of a task that was not done; ``damaged`` is the file of the store at fault."""
+    """Receipt of a task that was not done.
+
+    Its facts name the file of the store that is at fault, and where in the code it failed.
+    """
     line = " ".join(reason.split()) or "failed without a message"
-    facts = {"damaged": damaged} if damaged else {}
+    facts = {k: v for k, v in (("damaged", damaged), ("traceback", trace)) if v}
     return Receipt(task.kind, task.name, key, "", line, {}, facts, 0, wall_s, _peak_rss_mb())
 
 

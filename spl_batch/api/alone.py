@@ -1,0 +1,107 @@
+"""Do one task alone, here, from what a run has finished: to see a failure where it happens."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from spl_batch.api.lock import locked
+from spl_batch.api.pipeline import make_rasters
+from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
+from spl_batch.errors import WorkflowError
+from spl_batch.graph import Job
+from spl_batch.io.atomic import write_bytes
+from spl_batch.model import Receipt
+from spl_batch.plan.phases import PHASES
+from spl_batch.plan.worklist import Worklist
+from spl_batch.runner import KINDS, run_task
+
+
+@dataclass(frozen=True, slots=True)
+class AloneResult:
+    """What has come of a single task.
+
+    Parameters
+    ----------
+    receipt : Receipt
+        Its receipt, with a reason where it failed.
+    traceback : Path or None
+        File that says where in the code it failed.
+    """
+
+    receipt: Receipt
+    traceback: Path | None
+
+    @property
+    def exit_status(self) -> int:
+        """0 done, 1 failed."""
+        return int(self.receipt.failed)
+
+
+def run_alone(
+    workflow: Path | str,
+    task: str,
+    *,
+    workers: int = 2,
+    memory: str | int = DEFAULT_MEMORY,
+    overrides: Sequence[str] = (),
+) -> AloneResult:
+    """Do one task in this process, whether it is finished or not.
+
+    If it succeeds, the next run finds it finished.
+
+    Parameters
+    ----------
+    workflow : Path or str
+        Workflow file.
+    task : str
+        Kind and name of the task, as the report's failures give it, e.g. ``"denoise 3_4"``.
+    workers, memory : int, str or int
+        Those of the run, as work is cut by them; nothing is started.
+    overrides : sequence of str
+        ``key.path=value``, applied to the workflow.
+
+    Raises
+    ------
+    WorkflowError
+        If there is no such task, or what it needs is not finished.
+    """
+    prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
+    with locked(prepared.context.output):
+        job, key = _find(task, prepared)
+        if job.kind == "surface":
+            make_rasters(prepared)
+        receipt = run_task(job, key, prepared.context)
+    if not receipt.failed:
+        return AloneResult(receipt, None)
+    name = f"{job.kind}_{job.name.replace('/', '~')}.txt"
+    path = prepared.context.output / "store" / "tracebacks" / name
+    write_bytes(path, str(receipt.facts.get("traceback", "")).encode())
+    return AloneResult(receipt, path)
+
+
+def _find(wanted: str, prepared: Prepared) -> Job:
+    """The task of a name, made from what is finished."""
+    kind, _, name = wanted.strip().partition(" ")
+    if kind not in KINDS or not name:
+        raise WorkflowError(
+            f"--only {wanted!r}: write kind and name of a task, such as 'denoise 3_4'; kinds are "
+            f"{', '.join(KINDS)}"
+        )
+    for phase in PHASES:
+        work = Worklist(phase, prepared.survey, prepared.context)
+        if phase.kind == kind:
+            break
+        for _ in work.look():
+            pass  # what is finished is put where later phases find it
+        prepared.survey.of(phase.kind).sort()
+    jobs = []
+    for task in phase.tasks(prepared.survey):
+        if task.name == name:
+            return task, work.key(task)
+        jobs.append(task.name)
+    there = ", ".join(jobs[:5])
+    raise WorkflowError(
+        f"--only {wanted!r}: no such task; "
+        + (f"there are {there}{', ...' if len(jobs) > 5 else ''}" if jobs else "")
+        + ("what it needs is not finished: run without --only first" if not jobs else "")
+    )

@@ -1,0 +1,140 @@
+"""What did not make it: what it needed, what to do, and how to see it fail alone."""
+
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from spl_batch.graph import OUT_OF_MEMORY
+from spl_batch.model import Receipt, Task
+from spl_batch.plan.survey import Survey
+from spl_batch.report.model import Failure
+
+_WORDS: Final[Mapping[str, str]] = {
+    "index_file": "file",
+    "build_tile": "tile",
+    "gather": "stretch",
+    "gather_range": "stretch",
+    "scatter": "stretch",
+    "fit_line": "flightline",
+    "denoise": "block",
+    "ground": "ground cell",
+    "surface": "ground cell",
+}
+"""What a user calls the result of a kind of task."""
+
+_LIGHTER: Final[Mapping[str, str]] = {
+    "denoise": "tiling.tile_m",
+    "build_tile": "tiling.tile_m",
+    "ground": "ground.cell_m",
+    "surface": "ground.cell_m",
+}
+"""Setting that makes a kind of task need less memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Invocation:
+    """The command line that a run was, or would have been, started by.
+
+    Parameters
+    ----------
+    workflow : str
+        Workflow file, as it was given.
+    workers : int
+        Worker processes, by which work was cut.
+    memory_bytes : int
+        Memory limit, by which work was cut [byte].
+    overrides : sequence of str
+        ``key.path=value``.
+    """
+
+    workflow: Path | str
+    workers: int
+    memory_bytes: int
+    overrides: Sequence[str] = ()
+
+    def alone(self, task: Task) -> str:
+        """Command that does one task of this run, in the process that it starts."""
+        parts = ["spl-batch", "run", str(self.workflow), "--workers", str(self.workers)]
+        parts += ["--memory", str(self.memory_bytes)]
+        for override in self.overrides:
+            parts += ["--set", override]
+        return shlex.join([*parts, "--only", f"{task.kind} {task.name}"])
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A task that failed.
+
+    Parameters
+    ----------
+    stage : str
+        Stage of the command line.
+    task : Task
+        The task.
+    receipt : Receipt
+        With the reason.
+    command : str
+        Command that does it alone.
+    """
+
+    stage: str
+    task: Task
+    receipt: Receipt
+    command: str
+
+
+def failures(survey: Survey, failed: Iterable[Failed]) -> Iterator[Failure]:
+    """What did not make it, inputs first."""
+    for bad in survey.inputs.bad:
+        reason = "; ".join(bad.faults)
+        yield Failure(
+            stage="index",
+            place=bad.path,
+            reason=reason,
+            remedy="mend or remove it",
+            inputs=(bad.path,),
+        )
+    names = {str(s.key): s.name for s in survey.inputs.sources}
+    for one in failed:
+        task = one.task
+        yield Failure(
+            stage=one.stage,
+            place=names.get(task.name, task.name),
+            reason=one.receipt.reason,
+            remedy=_remedy(one),
+            task=f"{task.kind} {task.name}",
+            inputs=tuple(inputs(task, names)),
+            command=one.command,
+        )
+
+
+def inputs(task: Task, names: Mapping[str, str]) -> list[str]:
+    """Files, tiles and stretches that a task reads, in the words of a user.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    names : mapping of str to str
+        Names of the input files by key.
+    """
+    found = [names[str(task.args["source"])]] if task.args.get("source") in names else []
+    found += [str(path) for path in task.args.get("paths", ())]
+    for kind, name in task.needs:
+        word = _WORDS.get(kind)
+        if word == "file":
+            found.append(names.get(name, name))
+        elif word is not None:
+            found.append(f"{word} {name}")
+    return list(dict.fromkeys(found))
+
+
+def _remedy(one: Failed) -> str:
+    again = "run again: only what failed is tried"
+    if not one.receipt.reason.startswith(OUT_OF_MEMORY):
+        return again
+    lighter = _LIGHTER.get(one.task.kind)
+    less = f" or lower {lighter}" if lighter else ""
+    return f"raise --memory{less}, and {again}"

@@ -1,0 +1,143 @@
+"""Costs and failures of one run as they come in; what happens is told and logged."""
+
+import os
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from spl_batch.api.events import (
+    Event,
+    Listener,
+    Note,
+    TaskEnded,
+    TaskStarted,
+    WorkersSeen,
+    as_record,
+)
+from spl_batch.api.failures import Failed, Invocation
+from spl_batch.api.repair import Repairs
+from spl_batch.graph import Workers
+from spl_batch.io.atomic import sweep
+from spl_batch.io.store import append_log
+from spl_batch.model import Receipt, Task
+from spl_batch.plan.survey import Survey
+from spl_batch.runner import KINDS
+from spl_batch.runner.summary import StageCost
+
+LOG_WORKERS_S = 10.0
+"""How often the log says how the workers are [s]."""
+
+
+@dataclass
+class Progress:
+    """What has come of a run so far, and who is told.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    listener : callable
+        Told what happens.
+    invocation : Invocation
+        How the run was started.
+    repairs : Repairs
+        Makes damaged files again.
+    """
+
+    output: Path
+    listener: Listener
+    invocation: Invocation
+    repairs: Repairs
+    costs: dict[str, StageCost] = field(default_factory=dict)
+    failures: list[Failed] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    logged_s: float = -1e9
+
+    def __post_init__(self) -> None:
+        end_last_line(self.output / "log.jsonl")
+
+    def tell(self, event: Event) -> None:
+        """Pass an event on, to the log as well."""
+        append_log(self.output, as_record(event))
+        self.listener(event)
+
+    def warn(self, text: str) -> None:
+        """Note something that the report repeats."""
+        if text not in self.notes:
+            self.notes.append(text)
+            self.tell(Note("warning", text))
+
+    def tidy(self) -> None:
+        """Remove what a killed run has left unfinished."""
+        count, total = sweep(self.output)
+        if count:
+            text = f"{count} unfinished files of a killed run removed ({total / 1e6:.1f} MB)"
+            self.tell(Note("info", text))
+
+    @property
+    def failed(self) -> list[Receipt]:
+        """Receipts of tasks that did not do their work."""
+        return [failure.receipt for failure in self.failures]
+
+    def repair(self, survey: Survey) -> bool:
+        """Begin again where files of the store are to be made again."""
+        damaged = self.repairs.begin(self.failed, survey)
+        if damaged:
+            self.tell(Note("info", f"damaged, made again: {', '.join(damaged)}"))
+            self.costs.clear()
+            self.failures.clear()
+        return bool(damaged)
+
+    def ended(self, task: Task, receipt: Receipt) -> None:
+        """Count a task in."""
+        stage = KINDS[task.kind].stage
+        self.costs.setdefault(stage, StageCost()).add(receipt)
+        command = ""
+        if receipt.failed:
+            command = self.invocation.alone(task)
+            self.failures.append(Failed(stage, task, receipt, command))
+        self.tell(
+            TaskEnded(
+                stage,
+                task.kind,
+                task.name,
+                task.points,
+                receipt.wall_s,
+                receipt.reason,
+                receipt.peak_rss_mb,
+                command,
+                receipt.facts.get("traceback", ""),
+            )
+        )
+
+    def started(self, task: Task, worker: str) -> None:
+        """Tell of a task that a worker has begun."""
+        self.tell(TaskStarted(KINDS[task.kind].stage, task.kind, task.name, worker))
+
+    def seen(self, workers: Workers) -> None:
+        """Tell how the workers are; the log hears of it now and then."""
+        event = WorkersSeen(
+            workers.count,
+            workers.threads,
+            round(workers.memory_mb, 1),
+            round(workers.limit_mb, 1),
+        )
+        if time.monotonic() - self.logged_s >= LOG_WORKERS_S:
+            self.logged_s = time.monotonic()
+            self.tell(event)
+        else:
+            self.listener(event)
+
+    def noted(self, text: str) -> None:
+        """Tell of something that has happened to a worker."""
+        self.tell(Note("info", text))
+
+
+def end_last_line(log: Path) -> None:
+    """End the line that a killed run may have left half, so that the next one stands alone."""
+    with suppress(FileNotFoundError), log.open("rb+") as stream:
+        if stream.seek(0, os.SEEK_END):
+            stream.seek(-1, os.SEEK_END)
+            if stream.read(1) != b"\n":
+                stream.write(b"\n")

@@ -1,0 +1,196 @@
+"""The live view of a run: stages, a map of tiles by state, workers, failures, time left."""
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.progress_bar import ProgressBar
+from rich.segment import Segment
+from rich.style import Style
+from rich.table import Table
+from rich.text import Text
+
+from spl_batch.api.status import RunStatus, StageStatus
+from spl_batch.api.tilemap import State, TileMap
+
+COLOURS: Final = {
+    State.NOTHING: None,
+    State.WAITING: "grey42",
+    State.PARTLY: "dark_cyan",
+    State.RUNNING: "yellow3",
+    State.DONE: "green4",
+    State.FAILED: "red3",
+}
+"""Colours of the map."""
+
+SIGNS: Final = {
+    State.NOTHING: " ",
+    State.WAITING: ".",
+    State.PARTLY: "-",
+    State.RUNNING: "o",
+    State.DONE: "#",
+    State.FAILED: "X",
+}
+"""What the map is drawn with where there are no colours."""
+
+WORDS: Final = {
+    State.WAITING: "waiting",
+    State.PARTLY: "partly done",
+    State.RUNNING: "running",
+    State.DONE: "done",
+    State.FAILED: "failed",
+}
+
+_UNITS: Final = {
+    "build_tile": ("shuffle", "tiles"),
+    "denoise": ("denoise", "blocks"),
+    "ground": ("ground", "cells"),
+    "surface": ("surfaces", "cells"),
+    "deliver_tile": ("deliver", "tiles"),
+}
+
+SHOWN: Final = 5
+"""Failures and running tasks that are named [count]."""
+
+
+class Map:
+    """Draws a :class:`TileMap`: two rows of cells in a line of text where there are colours."""
+
+    def __init__(self, tiles: TileMap) -> None:
+        self._states = tiles.states()
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw, no wider than there is room for."""
+        states = self._states[:, : max(options.max_width - 2, 1)]
+        if console.color_system is None:
+            for row in states.tolist():
+                yield Segment("  " + "".join(SIGNS[State(s)] for s in row).rstrip())
+                yield Segment.line()
+            return
+        if len(states) % 2:
+            states = np.vstack([states, np.full_like(states[:1], State.NOTHING)])
+        for upper, lower in zip(states[::2].tolist(), states[1::2].tolist(), strict=True):
+            yield Segment("  ")
+            for above, below in zip(upper, lower, strict=True):
+                yield _pair(COLOURS[State(above)], COLOURS[State(below)])
+            yield Segment.line()
+
+
+def _pair(above: str | None, below: str | None) -> Segment:
+    """Two cells, one above the other, as one character."""
+    if above is None and below is None:
+        return Segment(" ")
+    if above is None:
+        return Segment("▄", Style.parse(str(below)))
+    if below is None:
+        return Segment("▀", Style.parse(above))
+    return Segment("▀", Style.parse(f"{above} on {below}"))
+
+
+def draw(status: RunStatus) -> RenderableType:
+    """Everything that is known about a run that is working, or was stopped."""
+    return Group(bars(status.stages.values()), *details(status))
+
+
+def details(status: RunStatus) -> list[RenderableType]:
+    """Maps, workers, running and failed tasks, time left."""
+    parts: list[RenderableType] = maps(status) if status.tiles else []
+    parts += [Text(line, style="dim") for line in _facts(status)]
+    return [*parts, *_failures(status)]
+
+
+def bars(stages: Iterable[StageStatus]) -> Table:
+    """One line for each stage that has begun."""
+    table = Table.grid(padding=(0, 1))
+    table.add_column(justify="right", min_width=10)
+    table.add_column(width=28)
+    for _ in range(4):
+        table.add_column(no_wrap=True)
+    for stage in stages:
+        if not stage.began_s:
+            continue
+        failed = Text(f"{stage.failed} failed", style="red") if stage.failed else Text("")
+        rate = stage.points_per_s
+        table.add_row(
+            stage.stage,
+            ProgressBar(total=stage.total or 1, completed=stage.total - stage.left, width=28),
+            Text(f"{stage.total - stage.left}/{stage.total}", style="green"),
+            Text(f"{short(rate)} pts/s" if rate else "", style="cyan"),
+            Text(duration(stage.elapsed_s) if stage.total else "", style="yellow"),
+            Text(f"{duration(stage.left_s)} left") if stage.left else failed,
+        )
+    return table
+
+
+def maps(status: RunStatus) -> list[RenderableType]:
+    """Map of the latest kind of task, and of those before it where something failed."""
+    *before, latest = status.tiles
+    shown = [kind for kind in before if status.tiles[kind].failed.any()]
+    parts: list[RenderableType] = []
+    for kind in (*shown[-1:], latest):
+        tiles = status.tiles[kind]
+        stage, word = _UNITS[kind]
+        size = f"{tiles.edge_m:g} m"
+        title = Text(f"  {stage}: {word} of {size}")
+        if tiles.step > 1:
+            title.append(f", {tiles.step} x {tiles.step} in a mark")
+        parts += [title, Map(tiles)]
+    return [*parts, _legend()]
+
+
+def _legend() -> Text:
+    text = Text("  ")
+    for state, word in WORDS.items():
+        text.append(SIGNS[state], style=COLOURS[state] or "")
+        text.append(f" {word}  ", style="dim")
+    return text
+
+
+def _facts(status: RunStatus) -> list[str]:
+    """Workers, running tasks, time left: a line each."""
+    lines = []
+    if status.ended is None and status.left_s > 0:
+        lines.append(f"  time left about {duration(status.left_s)}")
+    if status.workers:
+        used, limit = status.workers["memory_mb"], status.workers["limit_mb"]
+        of = f" of {limit:,.0f}" if limit else ""
+        peak = f", {status.peak_mb:,.0f} at most so far" if status.peak_mb else ""
+        count = f"{status.workers['workers']} workers, {status.workers['threads']} threads"
+        lines.append(f"  {count}; most memory {used:,.0f}{of} MiB{peak}")
+    elif status.peak_mb:
+        lines.append(f"  memory {status.peak_mb:,.0f} MiB at most so far")
+    if status.running:
+        names = [f"{kind} {name}" for kind, name in list(status.running)[:SHOWN]]
+        more = len(status.running) - len(names)
+        lines.append(f"  running {', '.join(names)}" + (f" and {more} more" if more else ""))
+    if status.dashboard and status.ended is None:
+        lines.append(f"  dask dashboard {status.dashboard}")
+    return lines
+
+
+def _failures(status: RunStatus) -> list[RenderableType]:
+    lines: list[RenderableType] = [
+        Text(f"  failed: {one.task}: {one.reason}", style="red") for one in status.failures[:SHOWN]
+    ]
+    more = len(status.failures) - len(lines)
+    if more > 0:
+        lines.append(Text(f"  and {more} more, all in log.jsonl", style="red"))
+    return lines
+
+
+def short(value: float) -> str:
+    """A count in four characters or so."""
+    for limit, suffix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if value >= limit:
+            return f"{value / limit:.1f}{suffix}"
+    return f"{value:.0f}"
+
+
+def duration(seconds: float) -> str:
+    """A time in hours, minutes and seconds."""
+    hours, rest = divmod(round(seconds), 3600)
+    minutes, seconds = divmod(rest, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"

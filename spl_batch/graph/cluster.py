@@ -1,0 +1,93 @@
+"""Workers on this machine, and whether workers that were started elsewhere can do the work."""
+
+import contextlib
+import logging
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from spl_batch.errors import WorkflowError
+from spl_batch.graph.flow import PATIENCE_S, lost
+from spl_batch.graph.work import Footing, misfit
+
+SETTINGS: Final[Mapping[str, Any]] = {
+    "distributed.scheduler.worker-saturation": 1.1,
+    # A task that has ended two workers is not given a third.
+    "distributed.scheduler.allowed-failures": 1,
+    # On a busy machine a worker takes a while to come back; it must not be given up.
+    "distributed.deploy.lost-worker-timeout": f"{PATIENCE_S:.0f}s",
+    "distributed.comm.timeouts.connect": "10s",
+    "distributed.worker.daemon": True,
+    # Data is in files. A worker has nothing to spill, and one that pauses would never go on.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+    "distributed.admin.log-format": "%(name)s - %(levelname)s - %(message)s",
+    "logging.distributed": "critical",
+}
+
+
+@contextlib.contextmanager
+def local_cluster(workers: int, memory_bytes: int) -> Iterator[Any]:
+    """Start worker processes on this machine, and end them."""
+    from distributed import LocalCluster  # noqa: PLC0415
+
+    with contextlib.ExitStack() as stack:
+        with _deaf_children():
+            cluster = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=memory_bytes,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        yield cluster
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Start processes that leave Ctrl-C to this one, which then ends them in order."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def check_workers(client: Any, footing: Footing, memory_bytes: int) -> None:
+    """Refuse workers with other code, another file system or too little memory.
+
+    Those that join later are checked by their first task.
+    """
+    try:
+        found = client.scheduler_info()["workers"]
+        faults = client.run(misfit, footing, on_error="return")
+    except (OSError, TimeoutError) as error:
+        raise lost(error) from error
+    except Exception as error:
+        raise WorkflowError(
+            f"--scheduler: a worker cannot run this spl_batch ({type(error).__name__}: {error}); "
+            "install the same version on all"
+        ) from error
+    for address, fault in sorted(faults.items()):
+        if isinstance(fault, Exception):
+            fault = f"cannot run this spl_batch ({type(fault).__name__}: {fault})"  # noqa: PLW2901
+        if fault:
+            raise WorkflowError(f"--scheduler: worker {address} {fault}")
+    for address, facts in sorted(found.items()):
+        share = facts["memory_limit"] / max(facts["nthreads"], 1)
+        # As sizes are rounded on their way from one command line to another.
+        if 0 < share < 0.99 * memory_bytes:
+            raise WorkflowError(
+                f"--scheduler: worker {address} has {share / 2**20:.0f} MiB for each of its "
+                f"{facts['nthreads']} threads, less than --memory "
+                f"{memory_bytes / 2**20:.0f} MiB; lower --memory, or start it with more"
+            )

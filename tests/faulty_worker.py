@@ -1,0 +1,77 @@
+"""Preloaded by workers of tests: tasks misbehave as a plan file says.
+
+The plan is a list of faults, each with the kind of task, the name of its place (or none for
+any), what happens (raise, kill, eat, wait) and how often. Each worker notes what it was
+given to do in a file beside the plan.
+"""
+
+import dataclasses
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spl_batch import runner
+from spl_batch.runner.context import Context, Produced
+
+VARIABLE = "SPL_BATCH_TEST_FAULTS"
+"""Environment variable that names the plan file."""
+
+EAT_BYTES = 4 << 30
+PIECE_BYTES = 32 << 20
+
+
+def dask_setup(_worker: object) -> None:
+    """Put the faults around every kind of task."""
+    plan = Path(os.environ[VARIABLE])
+    runner.KINDS = {  # type: ignore[misc]
+        kind: dataclasses.replace(entry, function=_faulty(kind, entry.function, plan))
+        for kind, entry in runner.KINDS.items()
+    }
+
+
+def place(args: Mapping[str, Any]) -> str:
+    """Name of the task, as its arguments tell."""
+    keys = ("block", "cell", "tile", "stretch", "source", "name", "line")
+    return next((str(args[key]) for key in keys if key in args), "")
+
+
+def _faulty(
+    kind: str, function: Callable[..., Produced], plan: Path
+) -> Callable[[Mapping[str, Any], Context], Produced]:
+    def perhaps(args: Mapping[str, Any], context: Context) -> Produced:
+        name = place(args)
+        with (plan.parent / "tries.jsonl").open("a") as stream:
+            stream.write(json.dumps({"kind": kind, "name": name, "pid": os.getpid()}) + "\n")
+        for number, fault in enumerate(json.loads(plan.read_text())):
+            if fault["kind"] == kind and fault["name"] in {None, name}:
+                _misbehave(fault, plan.parent / f"fault_{number}")
+        return function(args, context)
+
+    return perhaps
+
+
+def _misbehave(fault: Mapping[str, Any], tally: Path) -> None:
+    """Do what the fault says, unless it has been done often enough."""
+    with tally.open("ab+") as stream:
+        stream.write(b".")
+        stream.flush()
+        if fault["times"] is not None and stream.tell() > fault["times"]:
+            return
+    if fault["what"] == "raise":
+        raise RuntimeError("broken\non purpose")
+    if fault["what"] == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if fault["what"] == "wait":
+        time.sleep(60)
+    if fault["what"] == "eat":
+        eaten = []
+        for _ in range(EAT_BYTES // PIECE_BYTES):
+            eaten.append(np.ones(PIECE_BYTES, np.uint8))
+            time.sleep(0.01)
+        raise AssertionError("nobody has minded")
