@@ -79,6 +79,13 @@ class Cluster:
             *("--local-directory", str(self.folder / name)),
         )
 
+    def wait_for(self, name: str) -> None:
+        """Wait until the scheduler knows a worker."""
+        until = time.monotonic() + 120
+        while "Registered to" not in (self.folder / name / "said.txt").read_text():
+            assert time.monotonic() < until, f"{name} does not start"
+            time.sleep(0.05)
+
     def _start(self, name: str, command: str, *options: str) -> None:
         folder = self.folder / name
         folder.mkdir()
@@ -120,6 +127,8 @@ def cluster(folder: Path, *threads: int) -> Iterator[Cluster]:
         started.start_scheduler()
         for number, count in enumerate(threads):
             started.start_worker(f"worker {number}", threads=count, memory=f"{count}GiB")
+        for number in range(len(threads)):
+            started.wait_for(f"worker {number}")
         yield started
     finally:
         for number in range(len(started.processes)):

@@ -1,0 +1,203 @@
+"""Workers that were started elsewhere: what they must find, and how work flows to them."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import Client, LocalCluster, get_worker
+
+from spl_batch.errors import StoppedError
+from spl_batch.graph import Footing, OnDask, Workers, flow, work
+from spl_batch.model import Receipt, Task
+from tests import clusters, surveys
+from tests.clusters import Cluster
+
+# Processes
+
+
+@pytest.mark.slow
+def test_workers_elsewhere_give_the_same_bytes(
+    small: Path, small_output: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(small.parent)
+    options = ("--scheduler", cluster.address, "--memory", clusters.MEMORY)
+    ended = surveys.command("run", small.name, *options)
+    assert ended.status == 0, ended.text
+    assert cluster.plan.tries("denoise"), "the workers have done it"
+    assert surveys.results(small.parent / "out") == surveys.results(small_output)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("patch", "arguments", "said"),
+    [
+        (("preparing.code_version", lambda: "0.0+other"), (), "here it is 0.0+other"),
+        (("pipeline.lock_file", lambda _: Path("/nowhere")), (), "must share that path"),
+        (None, ("--memory", "3GiB"), "less than --memory 3072 MiB; lower --memory"),
+    ],
+    ids=["code", "path", "memory"],
+)
+def test_workers_that_cannot_do_the_work_are_refused(
+    small: Path,
+    cluster: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
+    patch: Any,
+    arguments: tuple[str, ...],
+    said: str,
+) -> None:
+    if patch is not None:
+        monkeypatch.setattr(f"spl_batch.api.{patch[0]}", patch[1])
+    options = arguments or ("--memory", clusters.MEMORY)
+    ended = surveys.command("run", small, "--scheduler", cluster.address, *options)
+    assert ended.status == 2
+    (line,) = (x for x in ended.err.splitlines() if x.startswith("spl-batch:"))
+    assert line.startswith("spl-batch: --scheduler: worker tcp://127.0.0.1:")
+    assert said in line
+    assert not (small.parent / "out/store/receipts").exists()
+
+
+# The flow of jobs, on workers that are threads of this process
+
+
+class Watcher:
+    """Notes what it is told."""
+
+    def __init__(self) -> None:
+        self.began: list[tuple[str, str]] = []
+        self.looks: list[Workers] = []
+        self.notes: list[str] = []
+
+    def started(self, task: Task, worker: str) -> None:
+        self.began.append((task.name, worker))
+
+    def seen(self, workers: Workers) -> None:
+        self.looks.append(workers)
+
+    def noted(self, text: str) -> None:
+        self.notes.append(text)
+
+
+@pytest.fixture
+def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
+    monkeypatch.setattr(flow, "TICK_S", 0.05)
+    monkeypatch.setattr(work, "misfit", lambda _: "")
+    with LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
+    ) as started:
+        yield started
+
+
+def receipt(task: Task, key: str, reason: str = "") -> Receipt:
+    return Receipt(task.kind, task.name, key, "", reason, {}, {}, 0, 0.0, 0.0)
+
+
+def jobs(count: int) -> list[tuple[Task, str]]:
+    return [(Task("denoise", f"{k}_0", {}), f"key {k}") for k in range(count)]
+
+
+def flow_through(
+    threads: LocalCluster, todo: Any, monkeypatch: pytest.MonkeyPatch, do: Any
+) -> tuple[list[Receipt], Watcher]:
+    """Let jobs flow; ``do`` is what workers do with a task, its key and the context."""
+    monkeypatch.setattr(work, "run_task", do)
+    watcher, found = Watcher(), []
+    with Client(threads) as client:
+        on_dask = OnDask(client, watcher, Footing("", "", ""), local=False)
+        on_dask.run(todo, None, found.append)  # type: ignore[arg-type]
+    return found, watcher
+
+
+def test_a_failure_is_tried_once_more_on_another_worker(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads.scale(2)
+    threads.wait_for_workers(2)
+    tries: list[tuple[str, str]] = []
+
+    def do(task: Task, key: str, _: object) -> Receipt:
+        tries.append((task.name, get_worker().address))
+        before = [name for name, _ in tries].count(task.name)
+        bad = task.name == "3_0" or (task.name == "5_0" and before == 1)
+        return receipt(task, key, "RuntimeError: no" if bad else "")
+
+    found, watcher = flow_through(threads, jobs(8), monkeypatch, do)
+    assert sorted(r.name for r in found) == sorted(task.name for task, _ in jobs(8))
+    assert [r.name for r in found if r.failed] == ["3_0"]
+    for name in ("3_0", "5_0"):
+        workers = [worker for tried, worker in tries if tried == name]
+        assert len(workers) == len(set(workers)) == 2
+    assert len(tries) == 10
+    assert {name for name, _ in watcher.began} == {task.name for task, _ in jobs(8)}
+
+
+def test_few_jobs_are_in_flight_and_workers_that_join_are_used(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken = 0
+    most = 0
+    done = 0
+    seen: set[str] = set()
+    lock = threading.Lock()
+
+    def todo() -> Iterator[tuple[Task, str]]:
+        nonlocal taken, most
+        for job in jobs(60):
+            taken += 1
+            most = max(most, taken - done)
+            yield job
+
+    def do(task: Task, key: str, _: object) -> Receipt:
+        nonlocal done
+        time.sleep(0.03)
+        with lock:
+            seen.add(get_worker().address)
+            if len(seen) == 1 and task.name == "5_0":
+                threads.sync(threads.scale, 2, asynchronous=True)
+            done += 1
+        return receipt(task, key)
+
+    found, watcher = flow_through(threads, todo(), monkeypatch, do)
+    assert len(found) == 60
+    assert len(seen) == 2
+    assert watcher.looks[-1].threads == 2
+    # What is done may not have been heard of yet.
+    assert most <= 2 * flow.IN_FLIGHT_PER_THREAD + 4
+
+
+def test_what_concerns_everything_stops_everything(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> Receipt:
+        raise StoppedError("disk full; free some space and run again")
+
+    with pytest.raises(StoppedError, match="disk full"):
+        flow_through(threads, jobs(3), monkeypatch, full)
+
+
+def test_a_worker_that_joins_with_other_code_stops_the_run(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(work, "misfit", lambda _: "has spl_batch 0.0, here it is 0.1")
+    with pytest.raises(StoppedError, match=r"worker inproc://.* has spl_batch 0.0.*run again"):
+        flow_through(threads, jobs(3), monkeypatch, receipt)
+
+
+def test_a_task_that_cannot_be_sent_fails_alone(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def do(task: Task, key: str, _: object) -> Receipt:
+        if task.name == "1_0":
+            raise LookupError("nothing of the kind here")
+        return receipt(task, key)
+
+    found, _ = flow_through(threads, jobs(3), monkeypatch, do)
+    assert {r.name: r.reason for r in found if r.failed} == {
+        "1_0": "LookupError: nothing of the kind here"
+    }

@@ -1,0 +1,336 @@
+"""What is told of a run while it works: state, maps, log, screen; and who works where."""
+
+import io
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from spl_batch import api
+from spl_batch.api.events import (
+    Note,
+    PhaseStarted,
+    RunEnded,
+    RunStarted,
+    TaskEnded,
+    TaskStarted,
+    WorkersReady,
+    WorkersSeen,
+    as_record,
+)
+from spl_batch.api.lock import holder, lock_file, locked
+from spl_batch.api.progress import end_last_line
+from spl_batch.api.status import Follower, RunStatus
+from spl_batch.api.tilemap import COLUMNS, ROWS, State, TileMap
+from spl_batch.cli import live, screen, view
+from spl_batch.errors import WorkflowError
+from tests import surveys
+
+
+def ended(name: str, reason: str = "", kind: str = "denoise", points: int = 100) -> TaskEnded:
+    return TaskEnded("denoise", kind, name, points, 2.0, reason, 512.0, "spl-batch x")
+
+
+def a_run() -> list[Any]:
+    """Half of a denoise phase: six blocks, one was done before, one fails, one runs."""
+    names = [f"{i}_{j}" for i in range(3) for j in range(2)]
+    tiles = TileMap.of(names[1:], names[:1], 100.0)
+    assert tiles is not None
+    return [
+        RunStarted("w.yaml", 2, "0.1+x", {"denoise": 10.0, "ground": 30.0}),
+        WorkersReady("", "http://127.0.0.1:1/status"),
+        PhaseStarted("denoise", "denoise", 5, 1, 500, tiles.record()),
+        TaskStarted("denoise", "denoise", "0_1", "tcp://a:1"),
+        TaskStarted("denoise", "denoise", "2_1", "tcp://b:1"),
+        ended("0_1"),
+        WorkersSeen(2, 2, 700.0, 1024.0),
+        TaskStarted("denoise", "denoise", "1_0", "tcp://a:1"),
+        ended("1_0", "RuntimeError: broken"),
+    ]
+
+
+def fed(events: Sequence[Any]) -> RunStatus:
+    status = RunStatus()
+    for event in events:
+        status.feed(as_record(event))
+    return status
+
+
+def drawn(thing: Any, **options: Any) -> str:
+    out = io.StringIO()
+    Console(file=out, width=100, **options).print(thing)
+    return out.getvalue()
+
+
+# The map
+
+
+@given(
+    st.sets(st.tuples(st.integers(-300, 300), st.integers(-300, 300)), min_size=1, max_size=60),
+    st.data(),
+)
+def test_a_map_counts_every_unit_once(units: set[tuple[int, int]], data: st.DataObject) -> None:
+    names = [f"{i}_{j}" for i, j in sorted(units)]
+    ready = data.draw(st.sets(st.sampled_from(names)))
+    tiles = TileMap.of([n for n in names if n not in ready], ready, 100.0)
+    assert tiles is not None
+    assert tiles.total.shape[0] <= ROWS
+    assert tiles.total.shape[1] <= COLUMNS
+    assert (tiles.total.sum(), tiles.done.sum()) == (len(names), len(ready))
+    tiles = TileMap.from_record(json.loads(json.dumps(tiles.record())))
+    for number, name in enumerate(n for n in names if n not in ready):
+        tiles.began(name)
+        tiles.ended(name, began=True, failed=number % 3 == 0)
+    assert not tiles.running.any()
+    assert np.array_equal(tiles.done + tiles.failed, tiles.total)
+    states = tiles.states()
+    assert np.all((states == State.NOTHING) == (tiles.total[::-1] == 0))
+    assert np.all((states == State.FAILED) == (tiles.failed[::-1] > 0))
+
+
+def test_the_map_lies_north_up_and_shows_what_deserves_a_look() -> None:
+    tiles = TileMap.of(["0_0", "1_0", "0_1"], ["1_1"], 100.0)
+    assert tiles is not None
+    tiles.began("0_0")
+    tiles.ended("1_0", began=False, failed=True)
+    assert tiles.states().tolist() == [
+        [State.WAITING, State.DONE],
+        [State.RUNNING, State.FAILED],
+    ]
+    assert drawn(live.Map(tiles), no_color=True).split() == [".#", "oX"]
+    coloured = drawn(live.Map(tiles), force_terminal=True, color_system="256")
+    assert coloured.count("▀") == 2, "two cells in a character"
+    assert TileMap.of([], [], 100.0) is None
+
+
+def test_a_million_tiles_fit_a_screen() -> None:
+    names = (f"{k % 1000}_{k // 1000}" for k in range(0, 1_000_000, 7))
+    tiles = TileMap.of(names, [], 100.0)
+    assert tiles is not None
+    lines = drawn(live.Map(tiles), force_terminal=True, color_system="256").splitlines()
+    assert len(lines) <= ROWS // 2 + 1
+    assert len(json.dumps(tiles.record())) < 30_000
+
+
+# The state
+
+
+def test_the_state_of_a_run_in_its_middle() -> None:
+    status = fed(a_run())
+    stage = status.stages["denoise"]
+    assert (stage.total, stage.done, stage.failed, stage.left) == (6, 2, 1, 3)
+    assert (stage.points, stage.left_points) == (100, 300)
+    assert status.running == {("denoise", "2_1"): "tcp://b:1"}
+    assert [f.task for f in status.failures] == ["denoise 1_0"]
+    assert status.peak_mb == 512.0
+    assert status.left_s >= 30.0, "the ground is still to come"
+    text = drawn(live.draw(status), no_color=True)
+    for words in (
+        "3/6",
+        "denoise: blocks of 100 m",
+        "2 workers, 2 threads; most memory 700 of 1,024 MiB",
+        "running denoise 2_1",
+        "failed: denoise 1_0: RuntimeError: broken",
+        "http://127.0.0.1:1/status",
+        "time left",
+    ):
+        assert words in text, words
+    status.feed(as_record(RunEnded(1)))
+    assert status.running == {}
+    assert "time left" not in drawn(live.draw(status))
+    status.feed(as_record(RunStarted("w.yaml", 2, "0.1+x")))
+    assert status == RunStatus(), "a new run starts from nothing"
+
+
+def test_the_rate_is_that_of_all_workers_together() -> None:
+    records = [as_record(event) for event in a_run()]
+    for k, record in enumerate(records):
+        record["time"] = f"2026-01-01T00:00:{2 * k:02d}.000+00:00"
+    status = RunStatus()
+    for record in records:
+        status.feed(record)
+    stage = status.stages["denoise"]
+    assert stage.elapsed_s == 2 * (len(records) - 3)
+    assert stage.points_per_s == 100 / stage.elapsed_s
+    assert stage.left_s == 300 / stage.points_per_s
+
+
+# The log
+
+
+def test_the_log_is_followed_as_it_grows_from_the_latest_run_on(tmp_path: Path) -> None:
+    with pytest.raises(WorkflowError, match=r"no log\.jsonl"):
+        Follower(tmp_path)
+    log = tmp_path / "log.jsonl"
+    lines = [json.dumps(as_record(event)) + "\n" for event in a_run()]
+    log.write_text("".join(lines) + '{"event": "TaskEn')
+    end_last_line(log)
+    end_last_line(log)
+    with log.open("a") as stream:
+        stream.write("".join(lines[:3]))
+        stream.flush()
+        follower = Follower(tmp_path)
+        status = follower.update()
+        assert (status.stages["denoise"].total, status.stages["denoise"].done) == (6, 1)
+        stream.write("".join(lines[3:6]) + lines[6][:20])
+        stream.flush()
+        assert follower.update().stages["denoise"].done == 2
+        assert status.workers == {}
+        stream.write(lines[6][20:])
+    assert follower.update().workers["workers"] == 2
+    assert follower.update().stages["denoise"].done == 2, "no line is counted twice"
+    end_last_line(tmp_path / "none.jsonl")
+
+
+def test_status_says_whether_a_run_works_ended_or_was_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "log.jsonl"
+    log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in a_run()))
+    with locked(tmp_path):
+        said = surveys.command("status", tmp_path).out
+        assert f"working: process {os.getpid()} on {socket.gethostname()}" in said
+        waits = []
+
+        def end(_: float) -> None:
+            waits.append(1)
+            with log.open("a") as stream:
+                stream.write(json.dumps(as_record(RunEnded(3, "disk full"))) + "\n")
+
+        monkeypatch.setattr(screen.time, "sleep", end)
+        surveys.command("status", tmp_path, "--watch")
+        assert waits == [1], "until the run ends"
+    assert "ended with exit status 3: disk full" in surveys.command("status", tmp_path).out
+    log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in a_run()))
+    said = surveys.command("status", tmp_path).out
+    assert "stopped before its end; the same command continues" in said
+    assert "failed: denoise 1_0" in said
+
+
+# The screen
+
+
+def test_a_terminal_sees_the_map_and_a_log_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    out = io.StringIO()
+    terminal = Console(file=out, force_terminal=True, color_system="256", width=100, height=40)
+    monkeypatch.setattr(view, "_ERR", terminal)
+    with view.watching() as watching:
+        watching.simulated(0.5)
+        for event in a_run():
+            watching.on_event(event)
+        assert "blocks of 100 m" in drawn(watching.draw())
+        watching.on_event(Note("warning", "look out"))
+    assert "warning: look out" in out.getvalue()
+    assert "blocks of" not in drawn(watching.draw()), "the stages stay, the map goes"
+    plain = Console(file=io.StringIO(), width=100)
+    monkeypatch.setattr(view, "_ERR", plain)
+    with view.watching() as watching:
+        monkeypatch.setattr(view, "LINE_S", -1.0)
+        for event in a_run():
+            watching.on_event(event)
+    assert isinstance(plain.file, io.StringIO)
+    lines = plain.file.getvalue().splitlines()
+    assert "denoise: denoise: 5 tasks, 1 finished before" in lines
+    assert "failed: denoise 1_0: RuntimeError: broken" in lines
+    assert any(line.startswith("denoise: 2/6") for line in lines)
+    assert "\x1b" not in plain.file.getvalue()
+
+
+def test_a_run_tells_what_it_begins_and_how_it_ends(small: Path) -> None:
+    surveys.run(small, until="denoise")
+    records = [json.loads(x) for x in (small.parent / "out/log.jsonl").read_text().splitlines()]
+    by_name: dict[str, list[Any]] = {}
+    for record in records:
+        by_name.setdefault(record["event"], []).append(record)
+    began = [(r["kind"], r["name"]) for r in by_name["TaskStarted"]]
+    assert began == [(r["kind"], r["name"]) for r in by_name["TaskEnded"]]
+    assert by_name["RunEnded"] == [records[-1]]
+    assert records[-1]["exit_status"] == 0
+    assert set(by_name["RunStarted"][0]["expected_s"]) >= {"index", "denoise", "deliver"}
+    maps = [r["kind"] for r in by_name["PhaseStarted"] if "tiles" in r]
+    assert maps == ["build_tile", "denoise"]
+    ended = surveys.command("run", small, "--workers", 0, "--set", "filter.method=nothing")
+    assert ended.status == 2
+    status = api.status(small.parent / "out")
+    assert np.all(status.tiles["denoise"].done == status.tiles["denoise"].total)
+
+
+# The lock
+
+
+def test_the_lock_says_who_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("spl_batch.api.lock.PATIENCE_S", 0.1)
+    assert holder(tmp_path) is None
+    with locked(tmp_path) as content:
+        assert lock_file(tmp_path).read_text() == content
+        found = holder(tmp_path)
+        assert found is not None
+        assert found["pid"] == os.getpid()
+        with (
+            pytest.raises(WorkflowError, match=rf"process {os.getpid()}, since 20.*wait for it"),
+            locked(tmp_path),
+        ):
+            pass
+    assert holder(tmp_path) is None
+    with locked(tmp_path) as other:
+        assert other != content, "no two runs have the same mark"
+
+
+def test_the_lock_of_a_killed_process_is_free(tmp_path: Path) -> None:
+    code = (
+        "import os, pathlib, signal, sys\n"
+        "from spl_batch.api.lock import locked\n"
+        "with locked(pathlib.Path(sys.argv[1])):\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)  # noqa: S603
+    assert "pid" in lock_file(tmp_path).read_text()
+    assert holder(tmp_path) is None
+    with locked(tmp_path):
+        pass
+
+
+# Night after night
+
+
+def test_another_flightline_redoes_what_it_touches_alone(tmp_path: Path) -> None:
+    far = (surveys.ORIGIN_M[0] + 1000.0, surveys.ORIGIN_M[1])
+    for psid, origin in ((1, surveys.ORIGIN_M), (2, far)):
+        line = surveys.flightline(
+            shots=60, psid=psid, seed=psid, start_s=surveys.START_S + 3 * psid, origin_m=origin
+        )
+        surveys.write_cloud(tmp_path / f"lines/{psid}.laz", line)
+    settings = ("ground.cell_m=100", "tiling.block_tiles=1")
+    workflow = surveys.write_workflow(tmp_path)
+    surveys.run(workflow, *settings)
+    near = (surveys.ORIGIN_M[0] + 1.0, surveys.ORIGIN_M[1] + 1.0)
+    line = surveys.flightline(shots=60, psid=3, seed=3, start_s=surveys.START_S + 20, origin_m=near)
+    surveys.write_cloud(tmp_path / "lines/3.laz", line)
+    events: list[Any] = []
+    result = surveys.run(workflow, *settings, listener=events.append)
+    assert result.exit_status == 0
+    done: dict[str, set[str]] = {}
+    for event in events:
+        if isinstance(event, TaskEnded):
+            done.setdefault(event.kind, set()).add(event.name)
+    skipped = {e.kind: e.skipped for e in events if isinstance(e, PhaseStarted)}
+    for kind in ("index_file", "gather", "fit_line", "scatter"):
+        assert len(done[kind]) == 1, kind
+        assert skipped[kind] == 2, kind
+    for kind in ("build_tile", "denoise", "ground", "surface"):
+        columns = {int(name.split("_")[0]) for name in done[kind]}
+        assert columns <= {2719, 2720}, f"{kind}: the place a kilometre away stays"
+        assert skipped[kind] > 0, kind
+    assert len(done["deliver_file"]) == 2
+    clean = surveys.run(surveys.copy_of(workflow, tmp_path / "clean"), *settings, until="deliver")
+    assert surveys.results(result.output) == surveys.results(clean.output)
