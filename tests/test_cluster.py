@@ -171,6 +171,29 @@ def test_few_jobs_are_in_flight_and_workers_that_join_are_used(
     assert most <= 2 * flow.IN_FLIGHT_PER_THREAD + 4
 
 
+def test_a_second_try_does_not_wait_for_workers_that_are_gone(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads.scale(2)
+    threads.wait_for_workers(2)
+    tries: list[str] = []
+
+    def do(task: Task, key: str, _: object) -> Receipt:
+        tries.append(get_worker().address)
+        if len(tries) == 1:
+            other = next(name for name, w in threads.workers.items() if w.address != tries[0])
+            threads.sync(threads.workers[other].close)
+            return receipt(task, key, "RuntimeError: no")
+        return receipt(task, key)
+
+    # The look at the workers that finds one gone comes after the second try is sent.
+    monkeypatch.setattr(flow, "TICK_S", 0.3)
+    found, watcher = flow_through(threads, jobs(1), monkeypatch, do)
+    assert [r.reason for r in found] == [""]
+    assert len(tries) == 2
+    assert any("is gone" in note for note in watcher.notes)
+
+
 def test_what_concerns_everything_stops_everything(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

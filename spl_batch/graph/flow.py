@@ -67,6 +67,7 @@ class _Try:
     job: Job
     number: int = 1
     began_on: str = ""
+    others: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -123,17 +124,15 @@ class _Flow:
                 return
             self._submit(_Try(job))
 
-    def _submit(self, trial: _Try, avoid: str = "") -> None:
+    def _submit(self, trial: _Try) -> None:
         task, key = trial.job
-        others = [address for address in self.threads if address != avoid] if avoid else []
         try:
             future = self.to.client.submit(
                 work,
                 *(task, key, self.context, self.to.footing, self._topic),
                 pure=False,
-                workers=others or None,
-                # The others may be gone by then, and a task must not wait for them for ever.
-                allow_other_workers=bool(others),
+                # No mere preference: an idle worker would steal it back.
+                workers=trial.others or None,
             )
         except Exception as error:
             raise lost(error) from error
@@ -164,7 +163,8 @@ class _Flow:
         task, _ = trial.job
         worker, receipt, hopeless = self._outcome(future, trial)
         if receipt.failed and trial.number == 1 and not hopeless:
-            self._submit(_Try(trial.job, 2), avoid=worker)
+            others = tuple(address for address in self.threads if address != worker)
+            self._submit(_Try(trial.job, 2, others=others))
             return None
         del self.by_name[task.kind, task.name]
         return receipt
@@ -245,7 +245,17 @@ class _Flow:
             self.to.observer.noted("no worker at present; waiting for some")
         self.waiting = not found
         self.threads = {address: int(facts["nthreads"]) for address, facts in found.items()}
+        if gone:
+            self._free()
         self.to.observer.seen(_workers(found))
+
+    def _free(self) -> None:
+        """Let tasks that wait for workers that are gone run anywhere."""
+        for future, trial in list(self.running.items()):
+            if trial.others and not any(address in self.threads for address in trial.others):
+                del self.running[future]
+                future.cancel()
+                self._submit(_Try(trial.job, trial.number))
 
 
 def _workers(found: Mapping[str, Mapping[str, Any]]) -> Workers:
