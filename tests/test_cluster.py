@@ -1,5 +1,7 @@
 """Workers that were started elsewhere: what they must find, and how work flows to them."""
 
+import ast
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -57,6 +59,28 @@ def test_workers_that_cannot_do_the_work_are_refused(
     assert line.startswith("spl-batch: --scheduler: worker tcp://127.0.0.1:")
     assert said in line
     assert not (small.parent / "out/store/receipts").exists()
+
+
+def test_the_slurm_snippet_of_the_documentation_makes_a_job() -> None:
+    jobqueue = pytest.importorskip("dask_jobqueue")
+    page = (clusters.ROOT / "docs/cluster.md").read_text(encoding="utf-8")
+    (code,) = (
+        c for c in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "SLURMCluster" in c
+    )
+    (call,) = (
+        node
+        for node in ast.walk(ast.parse(code))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "SLURMCluster"
+    )
+    options = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
+    with jobqueue.SLURMCluster(
+        **options, interface="lo", scheduler_options={"dashboard_address": "127.0.0.1:0"}
+    ) as cluster:
+        script = cluster.job_script()
+    for words in ("-p compute", "--cpus-per-task=16", "--mem=96G", "--nworkers 16", "--nthreads 1"):
+        assert words in script, words
+    assert "--memory-limit 6.00GiB" in script, "what --memory says"
+    assert "--lifetime 7h50m" in script
 
 
 # The flow of jobs, on workers that are threads of this process

@@ -76,14 +76,6 @@ def test_a_task_that_always_fails_costs_its_place_alone(
         whole, _, _ = raster(small_output, product)
         # What is left of the signal outside may fill voids, but not this far in.
         inside = (x > corner_m[0] + 3) & (y > corner_m[1] + 3)
-        print(
-            product,
-            np.count_nonzero(inside),
-            np.count_nonzero(inside & (whole > NODATA)),
-            np.count_nonzero(inside & (values > NODATA)),
-            x[inside & (values > NODATA)] - corner_m[0],
-            y[inside & (values > NODATA)] - corner_m[1],
-        )
         assert np.all(values[inside] == NODATA)
         assert np.any(whole[inside] != NODATA)
         assert np.any(values[~inside] != NODATA)
