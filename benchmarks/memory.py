@@ -25,7 +25,8 @@ from unittest import mock
 import laspy
 import yaml
 
-from spl_batch import api, graph
+from spl_batch import api
+from spl_batch.graph import work
 from spl_batch.model import Receipt, Task
 from spl_batch.runner import space_domain
 from spl_batch.runner.context import Context
@@ -75,7 +76,7 @@ class Peak:
 def tasks(workflow: Path, overrides: Sequence[str]) -> None:
     """Print the memory of each kind of task."""
     seen: dict[str, list[tuple[int, int, int]]] = defaultdict(list)
-    plain, read = graph.run_task, space_domain.read_region
+    plain, read = work.run_task, space_domain.read_region
     region: list[int] = []
 
     def counted(*args: Any) -> Any:
@@ -92,7 +93,7 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
         return receipt
 
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        stack.enter_context(mock.patch.object(graph, "run_task", watched))
+        stack.enter_context(mock.patch.object(work, "run_task", watched))
         stack.enter_context(mock.patch.object(space_domain, "read_region", counted))
         for attempt in ("first", "second"):  # the first one loads and compiles
             seen.clear()

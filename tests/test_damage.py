@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spl_batch import api, graph
+from spl_batch import api
 from spl_batch.api.events import Event, TaskEnded
 from spl_batch.constants import NODATA
 from spl_batch.errors import DamagedError
+from spl_batch.graph import work
 from spl_batch.io.cells import create_raster_store, read_window, write_cell
 from spl_batch.io.tables import group_ranges, read_arrays, read_columns, write_arrays, writing
 from spl_batch.io.voxels import add_voxels, write_voxels
@@ -173,7 +174,7 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
     harm: Callable[[Path], None],
 ) -> None:
     harmed: set[str] = set()
-    run_task = graph.run_task
+    run_task = work.run_task
 
     def harming(*args: Any) -> Receipt:
         receipt = run_task(*args)
@@ -184,7 +185,7 @@ def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
                 harm(path)
         return receipt
 
-    monkeypatch.setattr(graph, "run_task", harming)
+    monkeypatch.setattr(work, "run_task", harming)
     result = surveys.run(survey, until="deliver", fresh=True)
     assert harmed == SORTS
     assert result.exit_status == 0
