@@ -370,16 +370,12 @@ class Receipt:
         Small results, plain JSON values.
     points : int
         Points handled [count].
-    wall_s : float
-        Duration [s].
-    peak_rss_mb : float
-        Highest resident memory of the worker so far [MiB].
-    sizes : mapping of str to int
-        Path -> size of the file, or of all files of the directory [byte].
-    written_ns : mapping of str to int
-        Path of a delivered file -> when it was written [ns since 1970].
+    wall_s, peak_rss_mb : float
+        Duration [s]; highest resident memory of the worker so far [MiB].
+    sizes, written_ns : mapping of str to int
+        Output -> size of it and all in it [byte]; delivered file -> time of writing [ns].
     inputs : mapping of str to (int, int)
-        Path of an input that it read from end to end -> size [byte], time of writing [ns].
+        Path of an input -> size [byte] and time of writing [ns].
     """
 
     kind: str

@@ -147,7 +147,12 @@ def copy_object(path: Path, target: Path) -> None:
 
 def _put(file: Path, path: Path) -> None:
     fs, name = file_system(path)
-    fs.put_file(str(file), name)
+    try:
+        fs.put_file(str(file), name)
+    except FileNotFoundError as error:
+        raise StoppedError(
+            f"{path}: no such bucket ({error}); make it, or change outputs.store, and run again"
+        ) from error
 
 
 class RemoteFile(io.RawIOBase):
