@@ -29,7 +29,7 @@ from spl_batch.io.store import read_receipts
 from spl_batch.io.tables import read_columns
 from spl_batch.kernels.kdtree import build
 from spl_batch.model import Task
-from spl_batch.plan.phases import PHASES
+from spl_batch.plan import places
 from spl_batch.runner import space_domain
 from spl_batch.runner.context import Context
 
@@ -89,9 +89,9 @@ def blocks(workflow: Path) -> tuple[list[Task], Context]:
     prepared = prepare(workflow, [])
     survey, context = prepared.survey, prepared.context
     for kind in ("scatter", "build_tile"):
-        survey.done[kind] = {r.name: r for r in read_receipts(context.store, kind)}
-    make = next(phase.tasks for phase in PHASES if phase.kind == "denoise")
-    return list(make(survey)), context
+        for receipt in read_receipts(context.store, kind):
+            survey.of(kind).put(receipt)
+    return list(places.denoise(survey)), context
 
 
 class Block:
