@@ -1,12 +1,21 @@
-"""The verbs of the project, usable from a notebook; the command line only calls these."""
+"""The verbs of the project, usable from a notebook; the command line only calls these.
 
-from spl_batch.api.alone import AloneResult, run_alone
-from spl_batch.api.comparison import ComparisonResult, compare
-from spl_batch.api.pipeline import RunResult, run
-from spl_batch.api.planning import PlanSummary, plan
-from spl_batch.api.reporting import report
-from spl_batch.api.simulation import quickstart, simulate
+A verb is imported when it is asked for: planning needs no pictures, say.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+# At once, for its module has its name: imported later, that would take the verb's place.
 from spl_batch.api.status import Follower, RunStatus, StageStatus, status
+
+if TYPE_CHECKING:
+    from spl_batch.api.alone import AloneResult, run_alone
+    from spl_batch.api.comparison import ComparisonResult, compare
+    from spl_batch.api.pipeline import RunResult, run
+    from spl_batch.api.planning import PlanSummary, plan
+    from spl_batch.api.reporting import report
+    from spl_batch.api.simulation import quickstart, simulate
 
 __all__ = [
     "AloneResult",
@@ -25,3 +34,23 @@ __all__ = [
     "simulate",
     "status",
 ]
+
+_HOMES = {
+    "AloneResult": "alone",
+    "run_alone": "alone",
+    "ComparisonResult": "comparison",
+    "compare": "comparison",
+    "RunResult": "pipeline",
+    "run": "pipeline",
+    "PlanSummary": "planning",
+    "plan": "planning",
+    "report": "reporting",
+    "quickstart": "simulation",
+    "simulate": "simulation",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"spl_batch.api.{_HOMES[name]}"), name)

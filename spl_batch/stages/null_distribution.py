@@ -33,7 +33,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
-from scipy.signal import savgol_filter
 
 from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.null_table import level_of, value_of
@@ -256,6 +255,8 @@ def _drawn(settings: FilterSettings, seed: int, density: float, points: int) -> 
 
 def _smooth(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows smoothed by a parabola through each and its neighbours."""
+    from scipy.signal import savgol_filter  # noqa: PLC0415 - drags scipy.stats in, 1 s
+
     smooth: NDArray[np.float64] = savgol_filter(drawn, SMOOTH, 2, axis=0)
     return smooth
 
