@@ -11,6 +11,7 @@ from spl_batch.errors import StoreError
 from spl_batch.io.tables import (
     group_ranges,
     read_arrays,
+    read_between,
     read_columns,
     read_table,
     write_arrays,
@@ -70,6 +71,20 @@ def test_footers_tell_the_range_of_each_group(tmp_path: Path) -> None:
     assert group_ranges(path, "gps_time") == [(5, 9), (-3, -3), (0, -1)]
     assert len(read_columns(path, ["row"])["row"]) == 4
     assert len(read_columns(path, ["row"], [])["row"]) == 0
+
+
+def test_only_groups_that_meet_every_span_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "t.parquet"
+    with writing(path, {"x": np.int64, "row": np.uint32}) as writer:
+        for low in (0, 10, 20, 30):
+            rows = np.arange(low, low + 10)
+            writer.write({"x": 2 * rows, "row": rows.astype(np.uint32)})
+    columns, row = read_between(path, ["x"], {"x": (25, 41), "row": (0, 25)})
+    assert row.tolist() == list(range(10, 30))
+    assert (columns["x"] == 2 * row).all()
+    columns, row = read_between(path, ["row"], {"x": (79, 90)})
+    assert len(row) == 0
+    assert len(columns["row"]) == 0
 
 
 def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path) -> None:

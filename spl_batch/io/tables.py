@@ -131,7 +131,8 @@ def read_groups(
 ) -> dict[str, NDArray[Any]]:
     """Columns of some row groups, or of all, of a file from :func:`reading`."""
     wanted = list(range(file.num_row_groups) if groups is None else groups)
-    arrow = file.read_row_groups(wanted, columns=list(names))
+    # A worker has one thread; more of pyarrow's would be in the way of other workers.
+    arrow = file.read_row_groups(wanted, columns=list(names), use_threads=False)
     # A damaged page header can hide its page; the footer is known to be sound.
     rows = sum(file.metadata.row_group(g).num_rows for g in wanted)
     if arrow.num_rows != rows:
