@@ -1,6 +1,5 @@
 """What goes wrong is isolated, named and mended; the rest is finished."""
 
-import contextlib
 import json
 import os
 import shlex
@@ -262,6 +261,6 @@ def test_ctrl_c_ends_a_run_in_order(small: Path, small_output: Path) -> None:
     assert process.returncode == 3
     assert b"interrupted; the same command continues" in said
     assert b"Traceback" not in said
-    with contextlib.suppress(psutil.NoSuchProcess):
-        assert not [c for c in children if c.is_running() and c.status() != "zombie"]
+    _, left = psutil.wait_procs(children, timeout=10)
+    assert not left
     assert_mended(small, small_output)

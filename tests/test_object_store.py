@@ -12,8 +12,9 @@ import boto3
 import pytest
 from moto.server import ThreadedMotoServer
 
-from spl_batch import api, graph
+from spl_batch import api
 from spl_batch.errors import StoppedError, WorkflowError
+from spl_batch.graph import work
 from spl_batch.io import remote
 from spl_batch.io.store import Store, read_receipts
 from spl_batch.model import Receipt
@@ -61,7 +62,7 @@ def test_results_are_those_of_a_local_store(
     survey: Path, expected: Results, bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     url = f"outputs.store={bucket}/one"
-    run_task = graph.run_task
+    run_task = work.run_task
     calls = 0
 
     def killed(*args: Any) -> Receipt:
@@ -72,7 +73,7 @@ def test_results_are_those_of_a_local_store(
         return run_task(*args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(graph, "run_task", killed)
+        patch.setattr(work, "run_task", killed)
         with pytest.raises(KeyboardInterrupt):
             surveys.run(survey, url, until="deliver")
     result = surveys.run(survey, url)

@@ -14,7 +14,7 @@ from spl_batch.kernels.detection_rate import most_likely
 from spl_batch.kernels.fired_beams import Grid, trace
 from spl_batch.kernels.sim_reflectance import mean_reflectance
 from spl_batch.model import BeamTable, PointTable, ShotClock
-from spl_batch.plan.space import fired_parts
+from spl_batch.plan.space import fired_index
 from spl_batch.sensor import load_preset
 from spl_batch.settings import ProductSettings
 from spl_batch.simulate.layout import lay_out
@@ -353,5 +353,6 @@ def test_true_reflectance_is_that_of_the_top() -> None:
 
 def test_stretches_are_chosen_by_where_they_fired() -> None:
     boxes = {"b": [0, 0, 10, 10], "a": [5, 5, 20, 20], "c": [50, 0, 60, 10]}
-    assert fired_parts(boxes, Bounds(8_000, 8_000, 9_000, 9_000)) == ["a", "b"]
-    assert fired_parts(boxes, Bounds(20_000, 20_000, 30_000, 30_000)) == []
+    index = fired_index(boxes)
+    assert index.overlapping(Bounds(8_000, 8_000, 9_000, 9_000)) == ["a", "b"]
+    assert index.overlapping(Bounds(20_000, 20_000, 30_000, 30_000)) == []

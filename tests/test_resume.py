@@ -126,11 +126,11 @@ def test_a_damaged_reference_costs_neither_the_report_nor_the_rest(survey: Path)
     intact = api.run(survey, workers=0, overrides=["reference.points=reference.laz"])
     assert intact.exit_status == 0
 
-    def broken(path: Path) -> None:
+    def broken(path: Path, *_: Any) -> None:
         raise InputError(str(path), "point 17 cannot be decoded: copy the file again")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accuracy, "_read", broken)
+        patch.setattr(accuracy, "read_reference", broken)
         result = api.run(survey, workers=0, overrides=["reference.points=reference.laz"])
     assert result.exit_status == 1
     assert result.report is not None

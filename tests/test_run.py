@@ -321,7 +321,7 @@ def test_stretches_do_not_matter(
     monkeypatch: pytest.MonkeyPatch,
     stretch_points: int,
 ) -> None:
-    def short(receipts: Any, workflow: Any) -> Any:
+    def short(receipts: Any, workflow: Any, _points: int) -> Any:
         return find_flightlines(receipts, workflow, stretch_points)
 
     monkeypatch.setattr(survey_module, "find_flightlines", short)
@@ -459,7 +459,7 @@ def test_too_little_memory_is_refused_before_any_work(tiny_survey: Path, tmp_pat
     workflow = surveys.copy_of(tiny_survey, tmp_path)
     ended = surveys.command("run", workflow, "--workers", 0, "--memory", "300MiB")
     assert ended.status == 2
-    assert "--memory 300 MiB; raise it or lower" in ended.err
+    assert "more than a task may use of --memory 300 MiB (270 MiB); raise it" in ended.err
     assert not (tmp_path / "out/store/receipts").exists()
 
 

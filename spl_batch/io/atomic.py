@@ -200,7 +200,7 @@ def names_in(folder: Path, suffix: str) -> list[str]:
     """Names of the files of a folder that end so, in order, without their ends."""
     try:
         names = files_below(folder) if is_remote(folder) else os.listdir(folder)  # noqa: PTH208
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return []
     return sorted(n.removesuffix(suffix) for n in names if n.endswith(suffix) and n[0] != ".")
 
