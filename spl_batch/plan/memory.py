@@ -29,12 +29,12 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "gather": 380,
         "gather_range": 300,
         "observe": 380,
-        "scatter": 480,
-        "build_tile": 240,
-        "denoise": 320,
-        "ground": 280,
-        "surface": 330,
-        "deliver_tile": 240,
+        "scatter": 540,
+        "build_tile": 280,
+        "denoise": 290,
+        "ground": 150,
+        "surface": 210,
+        "deliver_tile": 280,
     }
 )
 """Peak memory of a task by each of the points that it holds at once [byte]."""
