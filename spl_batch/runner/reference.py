@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from spl_batch.accuracy import Reference
 from spl_batch.constants import QUANTUM_M
+from spl_batch.io.atomic import scratch_folder
 from spl_batch.io.las import inspect, iter_points
 from spl_batch.model import PointTable
 from spl_batch.tiling import Bounds, CellId, cell_bounds, inside, quanta
@@ -57,10 +57,10 @@ def read_reference(path: Path, folder: Path, cell_m: float) -> Iterator[Referenc
     margin = max(quanta(MARGIN_M), MARGIN_CELLS * cell)
     wanted = quanta((width * height * SQUARE_POINTS / facts.n_points) ** 0.5)
     edge = max(wanted // cell, 1 + 2 * margin // cell) * cell
-    with TemporaryDirectory(prefix=".reference.", dir=folder) as squares:
+    with scratch_folder(folder / "reference") as squares:
         for table in iter_points(path, channel_dimension=None, source=0):
-            _put_down(_records(table), Path(squares), edge, margin)
-        for square in sorted(Path(squares).iterdir()):
+            _put_down(_records(table), squares, edge, margin)
+        for square in sorted(squares.iterdir()):
             i, j = map(int, square.name.split("_"))
             core = cell_bounds(CellId(i, j), edge)
             yield _reference(np.fromfile(square, _RECORD), core)
