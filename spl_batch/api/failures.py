@@ -8,6 +8,7 @@ from typing import Final
 
 from spl_batch.graph import OUT_OF_MEMORY
 from spl_batch.model import Receipt, Task
+from spl_batch.plan.memory import REMEDIES
 from spl_batch.plan.survey import Survey
 from spl_batch.report.model import Failure
 
@@ -23,14 +24,6 @@ _WORDS: Final[Mapping[str, str]] = {
     "surface": "ground cell",
 }
 """What a user calls the result of a kind of task."""
-
-_LIGHTER: Final[Mapping[str, str]] = {
-    "denoise": "tiling.tile_m",
-    "build_tile": "tiling.tile_m",
-    "ground": "ground.cell_m",
-    "surface": "ground.cell_m",
-}
-"""Setting that makes a kind of task need less memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +128,5 @@ def _remedy(one: Failed) -> str:
     again = "run again: only what failed is tried"
     if not one.receipt.reason.startswith(OUT_OF_MEMORY):
         return again
-    lighter = _LIGHTER.get(one.task.kind)
-    less = f" or lower {lighter}" if lighter else ""
-    return f"raise --memory{less}, and {again}"
+    remedies = filter(None, ("raise --memory", REMEDIES.get(one.task.kind)))
+    return f"{' or '.join(remedies)}, and {again}"

@@ -31,12 +31,12 @@ from spl_batch.model import Receipt
 from spl_batch.plan.cost import RATES_POINTS_PER_S, Cost
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.phases import PHASES, Phase
-from spl_batch.plan.places import PRODUCTS
 from spl_batch.plan.survey import Survey, mosaic_parts, timeless_sources
 from spl_batch.plan.worklist import Worklist
 from spl_batch.report.model import Report
 from spl_batch.runner import KINDS, STAGES
 from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
+from spl_batch.stages.surface import PRODUCTS
 from spl_batch.tiling import quanta
 
 

@@ -5,10 +5,8 @@ from pathlib import Path
 
 from spl_batch.errors import DamagedError
 from spl_batch.io.store import Store, read_json, read_receipts, write_json
+from spl_batch.plan.shelf import DELIVERING
 from spl_batch.plan.survey import Survey
-
-KINDS = ("deliver_file", "deliver_tile", "mosaic")
-"""Kinds of tasks whose outputs a user sees."""
 
 
 def withdraw_stale(survey: Survey, output: Path) -> list[str]:
@@ -30,7 +28,12 @@ def withdraw_stale(survey: Survey, output: Path) -> list[str]:
     """
     manifest = output / "store" / "delivered.json"
     current = sorted(
-        {path for kind in KINDS for receipt in survey.of(kind).values() for path in receipt.outputs}
+        {
+            path
+            for kind in DELIVERING
+            for receipt in survey.of(kind).values()
+            for path in receipt.outputs
+        }
     )
     stale = sorted(
         set(_read(manifest, Store(output, survey.workflow.outputs.store))) - set(current)
@@ -46,5 +49,7 @@ def _read(manifest: Path, store: Store) -> Iterable[str]:
     try:
         delivered: list[str] = read_json(manifest)["delivered"]
     except (DamagedError, KeyError):
-        return [path for kind in KINDS for r in read_receipts(store, kind) for path in r.outputs]
+        return [
+            path for kind in DELIVERING for r in read_receipts(store, kind) for path in r.outputs
+        ]
     return delivered

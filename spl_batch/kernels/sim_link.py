@@ -25,9 +25,6 @@ Noise rates are per metre of slant range (two-way, :math:`c/2` metres per second
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from spl_batch.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
 
@@ -139,18 +136,6 @@ def transmission_above(extinction_per_m: float, altitude_m: float, scale_height_
     [W17] Eq. 2.3 with :math:`\mu(z) = \mu(0) \exp(-z / h_{sc})`.
     """
     return math.exp(-extinction_per_m * scale_height_m * math.exp(-altitude_m / scale_height_m))
-
-
-def detection_probability(expected: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Probability of at least one photo-electron [W17 Eq. 2.7].
-
-    Parameters
-    ----------
-    expected : float or ndarray of float64
-        Expected photo-electrons.
-    """
-    probability: NDArray[np.float64] = -np.expm1(-np.asarray(expected, dtype=np.float64))
-    return probability
 
 
 def rate_per_m(rate_hz: float) -> float:

@@ -18,6 +18,7 @@ from spl_batch.plan.space import choose_block_tiles
 from spl_batch.plan.survey import Survey
 from spl_batch.runner import KINDS
 from spl_batch.runner.context import Context
+from spl_batch.stages.surface import PRODUCTS
 from spl_batch.tiling import Bounds
 
 STORE_BYTES_PER_POINT: Final = 60
@@ -42,9 +43,6 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
 
 SAMPLE: Final = 1000
 """Receipts of a kind that measured rates are taken from, at most [count]."""
-
-PRODUCTS: Final = 6
-"""Mosaics of a survey in one piece [count]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +108,11 @@ def estimate(survey: Survey, context: Context | None = None) -> Cost:
     stretches = sum(-(-s.facts.n_points // stretch_points(survey.memory_bytes)) for s in sources)
     heaviest = _heaviest(survey, pieces)
     rates, measured = _rates(context)
-    delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0) + PRODUCTS
+    delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     # every file is indexed and most likely is a flightline of its own; each stretch is
-    # gathered and scattered
-    tasks = 2 * len(sources) + 2 * stretches + tiles + blocks + 2 * cells + delivered
+    # gathered and scattered; the noise map is a mosaic too
+    mosaics = len(PRODUCTS) + 1
+    tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks + delivered + mosaics
     return Cost(
         points,
         stretches,

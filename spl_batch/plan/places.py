@@ -13,10 +13,8 @@ from spl_batch.plan.space import Unit, fired_index, owners, units, voxel_index
 from spl_batch.plan.survey import Survey, mosaic_parts
 from spl_batch.runner.space_domain import parse_cell
 from spl_batch.stages.local_noise import MARGIN_VOXELS
+from spl_batch.stages.surface import PRODUCTS
 from spl_batch.tiling import CellId, grow, quanta
-
-PRODUCTS = ("dtm", "dsm", "chm", "density", "intensity")
-"""Rasters that are delivered."""
 
 MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
 """What the intensity raster holds, as its band is called."""

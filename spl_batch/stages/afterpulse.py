@@ -31,7 +31,6 @@ from spl_batch.stages.gate import GATE_ASSUMED_M
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
 COLUMNS_ADDED: Final = ("afterpulse",)
-BYTES_PER_POINT: Final = 140
 
 
 def probability(

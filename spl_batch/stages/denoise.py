@@ -44,9 +44,6 @@ from spl_batch.tiling import quanta
 COLUMNS_NEEDED: Final = echoes.COLUMNS_NEEDED
 """Columns of a table to filter."""
 
-BYTES_PER_POINT: Final = 140
-"""Peak memory beside the table [bytes per point of block and halo]."""
-
 
 class Method(NamedTuple):
     """How one filter judges, and how far it looks [m]."""

@@ -37,7 +37,6 @@ from spl_batch.stages.line_model import LineModel
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("z", "channel", "shot")
 COLUMNS_ADDED: Final = ()
-BYTES_PER_POINT: Final = 80
 
 BLOCK_SHOTS: Final = 60
 """Longest block: within 2 ms a scan of 25 Hz turns by 18 degrees, a cubic to millimetres."""

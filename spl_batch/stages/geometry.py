@@ -21,7 +21,6 @@ from spl_batch.model import BeamTable, PointTable, Trajectory
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "scan_angle")
 COLUMNS_ADDED: Final = ()
-BYTES_PER_POINT: Final = 160
 
 STAND_IN_HEIGHT_M: Final = 10_000.0
 """Height of stand-in origins [m]; above every terrain and every survey flight."""

@@ -29,13 +29,10 @@ from spl_batch.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.stages.followers import dependents
 
 DOMAIN: Final = "space"
-BYTES_PER_POINT: Final = 160
-"""Peak of temporary arrays for each point of cell and buffer [bytes]."""
-
-NEEDS: Final = ("x", "y", "z")
+COLUMNS_NEEDED: Final = ("x", "y", "z")
 """And ``afterpulse`` where the time domain ran."""
 
-ADDS: Final = ("ground",)
+COLUMNS_ADDED: Final = ("ground",)
 
 _INSERT_M = 0.05
 """Nearer candidates leave the surface as it is: a third of the ranging noise of one

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from spl_batch.stages.gate import Kind
 
-_PER_INTERVAL = ("interval", "rate", "first", "last", "near", "far", "seen_fraction")
-
 
 @dataclass(frozen=True, slots=True)
 class LineModel:

@@ -33,7 +33,6 @@ __all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ("line_density",)
-BYTES_PER_POINT: Final = 120
 
 SEEN_TARGET: Final = 15.0
 """Beamlets seen that a window of shots should have; exp(-15) of the windows are empty."""

@@ -54,7 +54,6 @@ from spl_batch.tiling import Bounds, grow, inside, quanta
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
-BYTES_PER_POINT: Final = 120
 
 FIRED_MIN: Final = 5
 """Cells that fewer beamlets were fired at hold nothing [count]."""

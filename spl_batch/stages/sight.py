@@ -33,7 +33,6 @@ from spl_batch.model import PointTable, Trajectory
 DOMAIN: Final = "time"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ()
-BYTES_PER_POINT: Final = 160
 
 PER_INTERVAL: Final = 2
 """Lines kept of each interval of shots: those with the largest spread [count]."""

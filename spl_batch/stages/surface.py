@@ -73,10 +73,7 @@ COLUMNS_NEEDED: Final = (
 )
 """Columns that :func:`surfaces` reads, and ``afterpulse`` where the time domain ran."""
 
-BYTES_PER_POINT: Final = 100
-"""Peak of the working arrays per point of the table, the table itself not counted [bytes]."""
-
-PRODUCTS: Final = ("dtm", "dsm", "chm", "intensity", "density")
+PRODUCTS: Final = ("dtm", "dsm", "chm", "density", "intensity")
 """Names of the rasters."""
 
 GROUND_FLOOR_M: Final = 0.15

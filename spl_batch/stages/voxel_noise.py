@@ -37,7 +37,6 @@ UNEVEN: Final = 1.15
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
 COLUMNS_ADDED: Final = ()
-BYTES_PER_POINT: Final = 240
 
 
 def sphere_radius_m(voxel_m: float) -> float:
