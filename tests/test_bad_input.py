@@ -190,7 +190,8 @@ def test_unknown_keys_and_options(survey: Path) -> None:
     assert run(survey, "--until", "nowhere").status == 2
     assert run(survey, "--no-such-option").status == 2
     assert surveys.command("run").status == 2
-    refused(surveys.command("run", survey, "--workers", -1), "--workers -1")
+    for verb in ("plan", "run"):
+        refused(surveys.command(verb, survey, "--workers", -1), "--workers -1")
 
 
 def line_without_time() -> surveys.Columns:

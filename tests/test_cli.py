@@ -45,7 +45,15 @@ def test_version_and_module_entry() -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [["nonsense"], ["run"], ["run", "a", "b"], ["run", "a", "--workers", "many"]]
+    "arguments",
+    [
+        ["nonsense"],
+        ["run"],
+        ["run", "a", "b"],
+        ["run", "a", "--workers", "many"],
+        ["run", "a", "--only", "denoise 0_0", "--fresh"],
+        ["run", "a", "--only", "denoise 0_0", "--until", "ground"],
+    ],
 )
 def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
     ended = surveys.command(*arguments)

@@ -108,8 +108,6 @@ def run(
     start = time.perf_counter()
     if until is not None and until not in STAGES:
         raise WorkflowError(f"--until {until}: write one of {', '.join(STAGES)}")
-    if workers < 0:
-        raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     cost = fitting_cost(prepared)
     output = prepared.context.output

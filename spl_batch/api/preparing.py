@@ -48,9 +48,11 @@ def prepare(
     Raises
     ------
     WorkflowError
-        If the workflow is wrong, or no input is usable.
+        If the workflow or a limit is wrong, or no input is usable.
     """
     limit = parse_bytes(memory)
+    if workers < 0:
+        raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
     workflow = load_workflow(path, overrides)
     base = path.resolve().parent
     output = (base / workflow.output).resolve()

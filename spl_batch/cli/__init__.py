@@ -127,6 +127,8 @@ def run(
     from spl_batch.cli.view import watching  # noqa: PLC0415
 
     if only is not None:
+        if scheduler or fresh or verify or until:
+            raise click.UsageError("--only goes with --workers, --memory and --set alone")
         alone = api.run_alone(workflow, only, workers=workers, memory=memory, overrides=overrides)
         screen.print_alone(alone)
         return alone.exit_status
