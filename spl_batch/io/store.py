@@ -5,16 +5,26 @@
     store/receipts/KIND/NAME.json      what is done, what failed and why
     store/trajectory.parquet           positions in the survey's CRS and the points' time
     store/index/SOURCE.npz             time range of each run of points of an input file
+    store/sorted/SOURCE.parquet        points in time order, of input files that are not
     store/stretches/LINE/K.parquet     whole shots in time order
     store/sights/LINE/K.npz            lines of sight of a stretch, without a trajectory
     store/paths/LINE.parquet           where they meet: the path of the sensor
-    store/lines/LINE.npz               line noise model of a flightline
+    store/observed/LINE/K.npz          noise and afterpulse statistics of a stretch
+    store/lines/LINE.npz               noise model and afterpulse law of a flightline
     store/voxels/LINE/K.zarr           a stretch's share of the expected noise
     store/fired/LINE/K.npz             where a stretch's beamlets pointed, silent ones too
     store/scatter/LINE/K.parquet       the stretch's points, a row group for each tile
     store/tiles/I_J.parquet            points of a tile, in canonical order
     store/{noise,ground,classes}/      labels by work unit, a row group for each tile
     store/rasters_G_P.zarr             raster cells, for edges of ground and raster cells
+
+Always on the file system, wherever the store lies::
+
+    store/lock                         held by the run at work
+    store/run.json                     what the report is written from
+    store/delivered.json               what was delivered, so that stale files can go
+    store/noise.tif                    map of the noise, for the report
+    store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
 """
 
 import dataclasses

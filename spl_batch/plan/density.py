@@ -19,7 +19,7 @@ from spl_batch.tiling import Bounds, CellId
 MAX_SQUARES = 8_000_000
 """Squares of a piece; a larger one is counted in squares of twice the edge, and so on."""
 
-FAR_M = 10_000_000
+FAR_Q = 10_000_000
 """Straight gap beyond which what lies on either side is a piece of its own [quanta]."""
 
 _TOUCHED = 1e-6
@@ -172,7 +172,7 @@ def from_counts(counts: Mapping[CellId, int], edge: int) -> Iterator[Piece]:
     cells = np.fromiter((v for cell in counts for v in cell), np.int64, 2 * len(counts))
     cells = cells.reshape(-1, 2)
     values = np.fromiter(counts.values(), np.float64, len(counts))
-    for rows in _clusters(cells, max(FAR_M // edge, 1)):
+    for rows in _clusters(cells, max(FAR_Q // edge, 1)):
         extent = (np.ptp(cells[rows], axis=0) + 1) * edge
         size = _coarse(int(extent[0]), int(extent[1]), edge)
         square = cells[rows] * edge // size
@@ -248,7 +248,7 @@ def _split(boxes: Sequence[Box], axis: int) -> list[list[Box]]:
     parts: list[list[Box]] = []
     end = -math.inf
     for box in sorted(boxes, key=lambda b: b.bounds[axis]):
-        if box.bounds[axis] > end + FAR_M:
+        if box.bounds[axis] > end + FAR_Q:
             parts.append([])
         parts[-1].append(box)
         end = max(end, box.bounds[axis + 2])

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from spl_batch.plan.density import FAR_Q
 from spl_batch.tiling import Bounds, CellId, cell_bounds
 
 LARGEST_SPARSE = 1_000_000_000
@@ -9,9 +10,6 @@ LARGEST_SPARSE = 1_000_000_000
 
 LEAST_FILL = 0.02
 """Share of a larger mosaic that must be covered by ground cells."""
-
-FAR_M = 10_000_000
-"""Pieces farther apart than about this get rasters of their own [quanta]."""
 
 
 def split_mosaic(
@@ -63,8 +61,8 @@ def _region(
 
 
 def _pieces(cells: Iterable[CellId], cell_q: int) -> list[list[CellId]]:
-    """Ground cells that are joined through neighbouring squares of :data:`FAR_M`."""
-    step = max(FAR_M // cell_q, 1)
+    """Ground cells that are joined through neighbouring squares of :data:`FAR_Q`."""
+    step = max(FAR_Q // cell_q, 1)
     squares: dict[tuple[int, int], list[CellId]] = {}
     for cell in cells:
         squares.setdefault((cell.i // step, cell.j // step), []).append(cell)

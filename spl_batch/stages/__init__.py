@@ -1,1 +1,1 @@
-"""Tables in, tables out; each module says its domain, reach and bytes per point."""
+"""Tables in, tables out; each module says its domain, columns and reach."""
