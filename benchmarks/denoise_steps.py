@@ -28,10 +28,10 @@ from spl_batch.api.preparing import prepare
 from spl_batch.io.store import read_receipts
 from spl_batch.io.tables import read_columns
 from spl_batch.kernels.kdtree import build
-from spl_batch.model import Task
 from spl_batch.plan import places
 from spl_batch.runner import space_domain
 from spl_batch.runner.context import Context
+from spl_batch.task import Task
 
 STEPS: Final = {
     "runner.space_domain": ("read_region", "expected_noise"),

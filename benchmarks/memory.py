@@ -27,11 +27,11 @@ import yaml
 
 from spl_batch import api
 from spl_batch.graph import work
-from spl_batch.model import Receipt, Task
 from spl_batch.runner import space_domain
 from spl_batch.runner.context import Context
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import Scene
+from spl_batch.task import Receipt, Task
 
 AREAS = (1, 2, 4, 8)
 """Lengths of the strips, in lengths of the shortest."""

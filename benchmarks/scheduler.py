@@ -23,12 +23,12 @@ import dask
 from distributed import Client, LocalCluster, as_completed
 
 from spl_batch.io.las import LasFacts
-from spl_batch.model import Receipt, Task
 from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey
 from spl_batch.plan.worklist import Worklist
 from spl_batch.runner.context import Context
+from spl_batch.task import Receipt, Task
 from spl_batch.workflow import parse_workflow
 
 SPACE = ("build_tile", "denoise", "ground", "surface", "deliver_file", "mosaic")

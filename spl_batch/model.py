@@ -6,7 +6,7 @@ something that a partition of the survey decides.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntFlag
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -320,79 +320,3 @@ TILE_COLUMNS: Final = (
     "afterpulse_share",
 )
 """Columns of a point tile."""
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One unit of work: small enough to travel in a message, named so that it can be repeated.
-
-    Parameters
-    ----------
-    kind : str
-        What is done; a key of the runner's table.
-    name : str
-        Which one; unique within its kind, stable between runs.
-    args : mapping
-        Plain JSON values, nothing large.
-    needs : tuple of (str, str)
-        Kind and name of the tasks whose results it reads.
-    points : int
-        Points that it handles, for progress [count].
-    refused : str
-        Why it cannot be started, with a remedy; empty where it can.
-    """
-
-    kind: str
-    name: str
-    args: Mapping[str, Any]
-    needs: tuple[tuple[str, str], ...] = ()
-    points: int = 0
-    refused: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Receipt:
-    """What a task leaves behind, written last: a matching one means that it is done.
-
-    Parameters
-    ----------
-    kind, name : str
-        The task.
-    key : str
-        Hash of code, parameters and inputs; another key means that the work is stale.
-    digest : str
-        Hash of what was produced; it enters the keys of those who read it.
-    reason : str
-        Why the task failed; empty when it did not.
-    outputs : mapping of str to str
-        Path below the output folder (the store is ``store``) -> checksum of file or directory.
-    facts : mapping
-        Small results, plain JSON values.
-    points : int
-        Points handled [count].
-    wall_s, peak_rss_mb : float
-        Duration [s]; highest resident memory of the worker so far [MiB].
-    sizes, written_ns : mapping of str to int
-        Output -> size of it and all in it [byte]; delivered file -> time of writing [ns].
-    inputs : mapping of str to (int, int)
-        Path of an input -> size [byte] and time of writing [ns].
-    """
-
-    kind: str
-    name: str
-    key: str
-    digest: str
-    reason: str
-    outputs: Mapping[str, str]
-    facts: Mapping[str, Any]
-    points: int
-    wall_s: float
-    peak_rss_mb: float
-    sizes: Mapping[str, int] = field(default_factory=dict)
-    written_ns: Mapping[str, int] = field(default_factory=dict)
-    inputs: Mapping[str, Sequence[int]] = field(default_factory=dict)
-
-    @property
-    def failed(self) -> bool:
-        """Whether the task did not do its work."""
-        return bool(self.reason)

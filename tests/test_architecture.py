@@ -20,7 +20,7 @@ STOREYS: list[set[str]] = [
     {"io"},
     {"kernels"},
     {"tiling"},
-    {"model"},
+    {"model", "task"},
     {"workflow", "settings", "sensor", "sensors", "constants", "errors", "order", "__init__"},
 ]
 """Modules by storey, the top one first; a module may import its own storey and below."""

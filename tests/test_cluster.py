@@ -13,7 +13,7 @@ from distributed import Client, LocalCluster, get_worker
 
 from spl_batch.errors import StoppedError
 from spl_batch.graph import Footing, OnDask, Workers, flow, work
-from spl_batch.model import Receipt, Task
+from spl_batch.task import Receipt, Task
 from tests import clusters, surveys
 from tests.clusters import Cluster
 

@@ -15,11 +15,12 @@ from spl_batch.api.events import TaskEnded
 from spl_batch.errors import WorkflowError
 from spl_batch.io.links import share_finished
 from spl_batch.io.store import Store, read_receipt, write_receipt
-from spl_batch.model import PointTable, Receipt
+from spl_batch.model import PointTable
 from spl_batch.report.html import HOW, render
 from spl_batch.report.model import Noise
 from spl_batch.runner.comparison import Contrast, _far, _fullest_strip
 from spl_batch.stages.denoise import METHODS as METHODS_KNOWN
+from spl_batch.task import Receipt
 from spl_batch.tiling import Bounds
 from tests import surveys
 from tests.report_data import make_report

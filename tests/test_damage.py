@@ -18,7 +18,8 @@ from spl_batch.graph import work
 from spl_batch.io.cells import create_raster_store, read_window, write_cell
 from spl_batch.io.tables import group_ranges, read_arrays, read_columns, write_arrays, writing
 from spl_batch.io.voxels import add_voxels, write_voxels
-from spl_batch.model import Receipt, VoxelPart
+from spl_batch.model import VoxelPart
+from spl_batch.task import Receipt
 from spl_batch.tiling import CellId, cell_bounds
 from tests import surveys
 

@@ -18,7 +18,8 @@ from spl_batch.io.store import Store, append_log, write_receipt
 from spl_batch.io.tables import write_arrays, write_table
 from spl_batch.io.trajectory import write_trajectory
 from spl_batch.io.voxels import write_voxels
-from spl_batch.model import PointTable, Receipt, Trajectory, VoxelPart
+from spl_batch.model import PointTable, Trajectory, VoxelPart
+from spl_batch.task import Receipt
 from spl_batch.tiling import CellId
 from tests import surveys
 

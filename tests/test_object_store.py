@@ -17,7 +17,7 @@ from spl_batch.errors import StoppedError, WorkflowError
 from spl_batch.graph import work
 from spl_batch.io import remote
 from spl_batch.io.store import Store, read_receipts
-from spl_batch.model import Receipt
+from spl_batch.task import Receipt
 from tests import surveys
 
 Results = dict[str, bytes]

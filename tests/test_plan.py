@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from spl_batch.api.preparing import parse_bytes
 from spl_batch.errors import WorkflowError
-from spl_batch.model import Receipt
 from spl_batch.plan import mosaics
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
@@ -20,6 +19,7 @@ from spl_batch.plan.inputs import source_key
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import choose_block_tiles, owners, tile_counts, units, voxel_index
 from spl_batch.runner.index import merge_spans
+from spl_batch.task import Receipt
 from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, grow, overlap
 from spl_batch.workflow import Workflow, parse_workflow
 

@@ -18,7 +18,8 @@ from spl_batch.io.store import (
     write_receipt,
 )
 from spl_batch.io.voxels import add_voxels, write_voxels
-from spl_batch.model import Receipt, VoxelPart
+from spl_batch.model import VoxelPart
+from spl_batch.task import Receipt
 
 
 def receipt(name: str = "00001_5/3", **changes: object) -> Receipt:

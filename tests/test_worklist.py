@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from spl_batch.io.store import Store, write_receipt
-from spl_batch.model import Receipt, Task
 from spl_batch.plan import memory
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.inputs import Inputs
@@ -18,6 +17,7 @@ from spl_batch.plan.shelf import Shelf
 from spl_batch.plan.survey import Survey
 from spl_batch.plan.worklist import Worklist
 from spl_batch.runner.context import Context
+from spl_batch.task import Receipt, Task
 from spl_batch.tiling import CellId
 from spl_batch.workflow import parse_workflow
 

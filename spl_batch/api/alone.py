@@ -10,10 +10,10 @@ from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
 from spl_batch.errors import WorkflowError
 from spl_batch.graph import Job
 from spl_batch.io.atomic import write_bytes
-from spl_batch.model import Receipt
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.worklist import Worklist
 from spl_batch.runner import KINDS, run_task
+from spl_batch.task import Receipt
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from spl_batch.graph import OUT_OF_MEMORY
-from spl_batch.model import Receipt, Task
 from spl_batch.plan.memory import REMEDIES
 from spl_batch.plan.survey import Survey
 from spl_batch.report.model import Failure
+from spl_batch.task import Receipt, Task
 
 _WORDS: Final[Mapping[str, str]] = {
     "index_file": "file",

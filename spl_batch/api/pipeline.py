@@ -27,7 +27,6 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import SplBatchError, StoppedError, StoreError, WorkflowError
 from spl_batch.graph import Executor, Footing, executor
 from spl_batch.io.cells import create_raster_store
-from spl_batch.model import Receipt
 from spl_batch.plan.cost import RATES_POINTS_PER_S, Cost
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.phases import PHASES, Phase
@@ -37,6 +36,7 @@ from spl_batch.report.model import Report
 from spl_batch.runner import KINDS, STAGES
 from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
 from spl_batch.stages.surface import PRODUCTS
+from spl_batch.task import Receipt
 from spl_batch.tiling import quanta
 
 

@@ -20,10 +20,10 @@ from spl_batch.api.repair import Repairs
 from spl_batch.graph import Workers
 from spl_batch.io.atomic import sweep
 from spl_batch.io.store import append_log
-from spl_batch.model import Receipt, Task
 from spl_batch.plan.survey import Survey
 from spl_batch.runner import KINDS
 from spl_batch.runner.summary import StageCost
+from spl_batch.task import Receipt, Task
 
 LOG_WORKERS_S = 10.0
 """How often the log says how the workers are [s]."""

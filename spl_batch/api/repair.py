@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import PurePosixPath
 
 from spl_batch.io.store import Store, forget_receipt, read_receipts
-from spl_batch.model import Receipt
 from spl_batch.plan.survey import Survey
+from spl_batch.task import Receipt
 
 TRIES = 3
 """Times that a run makes a damaged file again: a disk that fails for good fails each time."""

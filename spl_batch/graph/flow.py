@@ -15,9 +15,9 @@ from typing import Any, Final
 from spl_batch.errors import StoppedError
 from spl_batch.graph.work import Footing, Job, Observer, OnReceipt, Workers, work
 from spl_batch.io.store import write_receipt
-from spl_batch.model import Receipt
 from spl_batch.runner import failure
 from spl_batch.runner.context import Context
+from spl_batch.task import Receipt
 
 IN_FLIGHT_PER_THREAD: Final = 3
 """Tasks handed to the scheduler for each worker thread [count]."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Protocol
 
 from spl_batch.errors import StoppedError
-from spl_batch.model import Receipt, Task
 from spl_batch.runner import code_version, run_task
 from spl_batch.runner.context import Context
+from spl_batch.task import Receipt, Task
 
 Job = tuple[Task, str]
 """A task and its key."""

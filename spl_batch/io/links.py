@@ -12,7 +12,7 @@ from pathlib import Path
 from spl_batch.io.atomic import replacing, size
 from spl_batch.io.remote import copy_object, is_remote
 from spl_batch.io.store import Store, forget_receipt, read_receipt, read_receipts
-from spl_batch.model import Receipt
+from spl_batch.task import Receipt
 
 
 def share_finished(source: Store, target: Store, kinds: Iterable[str]) -> int:

@@ -37,7 +37,7 @@ from typing import Any, Final
 from spl_batch.errors import DamagedError, StoppedError
 from spl_batch.io.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
 from spl_batch.io.remote import is_remote, remote_path
-from spl_batch.model import Receipt
+from spl_batch.task import Receipt
 
 _DIGEST: Final = "blake2b"
 

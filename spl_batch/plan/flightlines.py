@@ -4,8 +4,9 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from spl_batch.model import Receipt, ShotClock
+from spl_batch.model import ShotClock
 from spl_batch.plan.memory import STRETCH_POINTS
+from spl_batch.task import Receipt
 from spl_batch.workflow import Workflow
 
 FALLBACK_PRF_HZ = 50_000.0

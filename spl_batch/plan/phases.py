@@ -7,11 +7,11 @@ its points stay unlabelled, the rest goes on.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from spl_batch.model import Task
 from spl_batch.plan import places
 from spl_batch.plan.flightlines import Flightline
 from spl_batch.plan.inputs import Source, source_args
 from spl_batch.plan.survey import Survey
+from spl_batch.task import Task
 
 RANGE_POINTS = 2_000_000
 """Points of a piece of a file without times [count]."""

@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from spl_batch.model import Receipt
+from spl_batch.task import Receipt
 
 UNREAD_FACTS: Final[Mapping[str, frozenset[str]]] = {
     "build_tile": frozenset({"z"}),

@@ -4,10 +4,10 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from spl_batch.model import Receipt
 from spl_batch.plan.density import Piece, largest
 from spl_batch.plan.memory import halo_m, points_within
 from spl_batch.runner.space_domain import parse_cell
+from spl_batch.task import Receipt
 from spl_batch.tiling import (
     Bounds,
     BoxIndex,

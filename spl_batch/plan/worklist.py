@@ -7,11 +7,11 @@ and only those on their way to a worker exist.
 
 from collections.abc import Iterator
 
-from spl_batch.model import Receipt, Task
 from spl_batch.plan.phases import Phase
 from spl_batch.plan.survey import Survey
 from spl_batch.runner import failure, finished, task_key
 from spl_batch.runner.context import Context
+from spl_batch.task import Receipt, Task
 
 
 class Worklist:

@@ -23,10 +23,10 @@ from spl_batch import __version__
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError
 from spl_batch.io.atomic import checksum, size, stop_if_full
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
-from spl_batch.model import Receipt, Task
 from spl_batch.runner import delivery, index, lines_of_sight, space_domain, time_domain
 from spl_batch.runner.context import Context, TaskFunction
 from spl_batch.settings import AfterpulseSettings
+from spl_batch.task import Receipt, Task
 
 STAGES: Final = (
     "index",

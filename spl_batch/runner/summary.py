@@ -16,7 +16,6 @@ from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.errors import InputError, StoreError
 from spl_batch.io.atomic import checksum, write_bytes
 from spl_batch.io.raster_parts import Part, read_overview
-from spl_batch.model import Receipt
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import (
     Accuracy,
@@ -38,6 +37,7 @@ from spl_batch.report.write import write_report
 from spl_batch.runner.accuracy import Comparison, compare
 from spl_batch.runner.context import Context
 from spl_batch.runner.profile import cut_profile
+from spl_batch.task import Receipt
 
 Receipts = Mapping[str, Mapping[str, Receipt]]
 
