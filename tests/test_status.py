@@ -310,12 +310,17 @@ def test_another_flightline_redoes_what_it_touches_alone(tmp_path: Path) -> None
             shots=60, psid=psid, seed=psid, start_s=surveys.START_S + 3 * psid, origin_m=origin
         )
         surveys.write_cloud(tmp_path / f"lines/{psid}.laz", line)
+    trajectory = tmp_path / "trajectory.csv"
+    surveys.write_trajectory(trajectory, stop_s=surveys.START_S + 100)
     settings = ("ground.cell_m=100", "tiling.block_tiles=1")
     workflow = surveys.write_workflow(tmp_path)
     surveys.run(workflow, *settings)
     near = (surveys.ORIGIN_M[0] + 1.0, surveys.ORIGIN_M[1] + 1.0)
-    line = surveys.flightline(shots=60, psid=3, seed=3, start_s=surveys.START_S + 20, origin_m=near)
+    line = surveys.flightline(
+        shots=60, psid=3, seed=3, start_s=surveys.START_S + 200, origin_m=near
+    )
     surveys.write_cloud(tmp_path / "lines/3.laz", line)
+    surveys.write_trajectory(trajectory, stop_s=surveys.START_S + 210)
     events: list[Any] = []
     result = surveys.run(workflow, *settings, listener=events.append)
     assert result.exit_status == 0

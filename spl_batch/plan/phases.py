@@ -4,17 +4,21 @@ A phase looks only at receipts of the phases before it. What failed there is lef
 its points stay unlabelled, the rest goes on.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from spl_batch.plan import places
 from spl_batch.plan.flightlines import Flightline
 from spl_batch.plan.inputs import Source, source_args
 from spl_batch.plan.survey import Survey
+from spl_batch.runner.index import POSITIONS_S
 from spl_batch.task import Task
 
 RANGE_POINTS = 2_000_000
 """Points of a piece of a file without times [count]."""
+
+POSITIONS_MARGIN_S = 10.0
+"""More than the longest gap of a trajectory that is interpolated over [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +74,12 @@ def _sort(survey: Survey) -> Iterator[Task]:
 
 def _gather(survey: Survey) -> Iterator[Task]:
     by_key = {str(s.key): s for s in survey.inputs.sources}
-    trajectory = (("trajectory", "all"),) if survey.of("trajectory") else ()
+    positions = _positions(survey)
     for line in survey.flightlines:
         sources = [
             {**source_args(by_key[k]), "sorted": k in survey.of("sort_file")} for k in line.sources
         ]
-        needs = (*(("index_file", k) for k in line.sources), *trajectory)
+        needs = tuple(("index_file", k) for k in line.sources)
         needs += tuple(("sort_file", k) for k in line.sources if k in survey.of("sort_file"))
         stretches = list(line.stretches())
         for name, k in stretches:
@@ -86,6 +90,7 @@ def _gather(survey: Survey) -> Iterator[Task]:
                 "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
                 "window_s": line.window_s(k),
                 "span_s": [line.first_s, line.last_s],
+                "positions": _near(positions, line, k),
             }
             yield Task("gather", name, args, needs, line.points // len(stretches))
 
@@ -155,14 +160,16 @@ def _scatter(survey: Survey) -> Iterator[Task]:
     filtering = survey.workflow.filter
     # Only that one filter reads what shots say: the others share the points as they are.
     dcc = filtering.dcc.model_dump() if filtering.method == "dcc" else None
+    positions = _positions(survey)
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
-        for name, _ in line.stretches():
+        for name, k in line.stretches():
             receipt = survey.of("gather").get(name)
             if receipt and receipt.facts["points"]:
                 args = {**_line_args(survey, line), "stretch": name, "timeless": False}
                 args["dcc"] = dcc
+                args["positions"] = _near(positions, line, k)
                 args["polygons"] = list(survey.inputs.polygons)
                 needs = (("gather", name), ("fit_line", line.name), *_path_needs(survey, line))
                 yield Task("scatter", name, args, needs, receipt.points)
@@ -212,6 +219,20 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
         "sensor_path": bool(path and path.facts["found"]),
         "heading_rad": heading.facts["heading_rad"] if heading else None,
     }
+
+
+def _positions(survey: Survey) -> Mapping[str, str]:
+    """Hashes of the trajectory by span: a night that is added leaves those of others alone."""
+    receipt = survey.of("trajectory").get("all")
+    return receipt.facts["positions"] if receipt else {}
+
+
+def _near(positions: Mapping[str, str], line: Flightline, k: int) -> list[str]:
+    """Hashes of the positions that beams of a stretch are interpolated from."""
+    low_s, high_s = line.window_s(k)
+    first = int((max(low_s, line.first_s) - POSITIONS_MARGIN_S) // POSITIONS_S)
+    last = int((min(high_s, line.last_s) + POSITIONS_MARGIN_S) // POSITIONS_S)
+    return [positions.get(str(span), "") for span in range(first, last + 1)]
 
 
 def _path_needs(survey: Survey, line: Flightline) -> tuple[tuple[str, str], ...]:

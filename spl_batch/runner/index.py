@@ -1,7 +1,9 @@
 """Stage ``index``: what is in each input file, and where in it; the trajectory in one piece."""
 
+import hashlib
 from collections.abc import Mapping
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,9 @@ from spl_batch.stages.geometry import (
 )
 
 Track = dict[str, NDArray[np.int64]]
+
+POSITIONS_S = 64
+"""Span of the trajectory that has one hash [s]: what reads of it is done again if that changes."""
 
 RUN_POINTS = 65_536
 """Points of one entry of the time index [count]."""
@@ -174,7 +179,19 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "records": len(time),
         "span_s": [float(time[0]), float(time[-1])],
+        "positions": _hashes(time, loaded.trajectory.xyz_m),
         "warnings": list(loaded.warnings),
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
     }
     return Produced([path], facts)
+
+
+def _hashes(time_s: NDArray[np.float64], xyz_m: NDArray[np.float64]) -> dict[str, str]:
+    """Hash of the positions in each span of :data:`POSITIONS_S` that has some, by its number."""
+    span = np.floor_divide(time_s, POSITIONS_S).astype(np.int64)
+    cuts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
+    records = np.column_stack([time_s, xyz_m])
+    return {
+        str(span[a]): hashlib.blake2b(records[a:b].tobytes(), digest_size=8).hexdigest()
+        for a, b in pairwise(cuts)
+    }
