@@ -29,13 +29,13 @@ DELIVERED_BYTES_PER_POINT: Final = 12
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
-        "index": 0.81e6,
-        "shots": 0.45e6,
-        "shuffle": 0.23e6,
-        "denoise": 0.075e6,
-        "ground": 0.17e6,
-        "surfaces": 0.19e6,
-        "deliver": 0.77e6,
+        "index": 1.1e6,
+        "shots": 0.42e6,
+        "shuffle": 0.25e6,
+        "denoise": 0.089e6,
+        "ground": 0.32e6,
+        "surfaces": 0.22e6,
+        "deliver": 0.51e6,
     }
 )
 """Points per second and worker until a store has measured its own; `benchmarks/stages.py`."""

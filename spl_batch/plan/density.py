@@ -75,7 +75,7 @@ class Piece:
         share = self._sums(self._total_touched, step, (step, 0))
         return int(np.count_nonzero(share > _TOUCHED)) * (step // unit_q) ** 2
 
-    def peak(self, unit_q: int, halo_q: int, *, whole: bool = False) -> Peak:
+    def peak(self, unit_q: int, halo_q: int) -> Peak:
         """The unit that reads most, of those that own part of the survey.
 
         Where squares are larger than units, one unit of each square is looked at.
@@ -84,11 +84,9 @@ class Piece:
         ----------
         unit_q, halo_q : int
             Edge of a unit and its halo [quanta].
-        whole : bool
-            Count squares whole that a unit touches, instead of their share.
         """
         step = max(unit_q, self.edge)
-        read = self._sums(self._total, step, (unit_q, halo_q), whole=whole)
+        read = self._sums(self._total, step, (unit_q, halo_q))
         read[self._sums(self._total_touched, step, (step, 0)) <= _TOUCHED] = -1.0
         row, column = np.unravel_index(int(np.argmax(read)), read.shape)
         west = (self.first.i * self.edge // step + int(column)) * step
@@ -104,25 +102,14 @@ class Piece:
         return _integral(self.touched.astype(np.float64))
 
     def _sums(
-        self,
-        total: NDArray[np.float64],
-        step: int,
-        reach: tuple[int, int],
-        *,
-        whole: bool = False,
+        self, total: NDArray[np.float64], step: int, reach: tuple[int, int]
     ) -> NDArray[np.float64]:
         """What units hold that begin every so often and are so wide, with a halo."""
-        along_y = self._between(total, 0, step, reach, whole=whole)
-        return self._between(along_y, 1, step, reach, whole=whole)
+        along_y = self._between(total, 0, step, reach)
+        return self._between(along_y, 1, step, reach)
 
     def _between(
-        self,
-        total: NDArray[np.float64],
-        axis: int,
-        step: int,
-        reach: tuple[int, int],
-        *,
-        whole: bool,
+        self, total: NDArray[np.float64], axis: int, step: int, reach: tuple[int, int]
     ) -> NDArray[np.float64]:
         """Differences of running totals over the extents of all units along one axis."""
         first, squares = self.first[1 - axis], total.shape[axis] - 1
@@ -130,8 +117,6 @@ class Piece:
         units = np.arange(first * self.edge // step, -(-(first + squares) * self.edge // step))
         low = (units * step - halo_q) / self.edge - first
         high = (units * step + unit_q + halo_q) / self.edge - first
-        if whole:
-            low, high = np.floor(low), np.ceil(high)
         return _at(total, high, axis) - _at(total, low, axis)
 
 

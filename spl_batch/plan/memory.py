@@ -31,7 +31,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "observe": 380,
         "scatter": 540,
         "build_tile": 280,
-        "denoise": 290,
+        "denoise": 280,
         "ground": 150,
         "surface": 210,
         "deliver_tile": 280,

@@ -23,8 +23,9 @@ from spl_batch.workflow import Workflow
 MAX_BLOCK_TILES = 8
 """Tiles along one side of a block, at most [count]."""
 
-BLOCK_SHARE = 0.75
-"""Part of the points that a worker can hold which a block of several tiles may have."""
+BLOCK_SHARE = 0.9
+"""Part of the points that a worker can hold which a block of several tiles may have: within
+a tile they may lie on the side of the halo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,7 @@ def choose_block_tiles(
     budget = points_within("denoise", memory_bytes) * BLOCK_SHARE
     best = 1
     for n in range(2, MAX_BLOCK_TILES + 1):
-        heaviest = largest(piece.peak(n * tile_q, halo_q, whole=True) for piece in pieces)
+        heaviest = largest(piece.peak(n * tile_q, halo_q) for piece in pieces)
         blocks = sum(piece.units(n * tile_q) for piece in pieces)
         if heaviest.points > budget or blocks < 3 * workers:
             break
