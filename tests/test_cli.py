@@ -14,6 +14,7 @@ import pytest
 import spl_batch
 from spl_batch.cli import _STAGES, cli, main
 from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError
+from spl_batch.graph import cluster
 from spl_batch.runner import STAGES
 from tests import surveys
 
@@ -125,7 +126,10 @@ def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     }
 
 
-def test_a_scheduler_that_is_not_there(small_lines: Path, tmp_path: Path) -> None:
+def test_a_scheduler_that_is_not_there(
+    small_lines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(cluster.SETTINGS, "distributed.comm.timeouts.connect", "1s")
     workflow = surveys.copy_of(small_lines, tmp_path)
     ended = surveys.command("run", workflow, "--scheduler", "tcp://127.0.0.1:9")
     assert ended.status == 3

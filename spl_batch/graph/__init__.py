@@ -77,7 +77,7 @@ def executor(
         if scheduler is None:
             address = stack.enter_context(local_cluster(workers, memory_bytes))
         try:
-            client = stack.enter_context(Client(address, timeout="10s"))
+            client = stack.enter_context(Client(address))
         except (OSError, TimeoutError, ValueError) as error:
             raise StoppedError(
                 f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
