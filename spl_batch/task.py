@@ -1,4 +1,4 @@
-"""A task and the receipt that it leaves: what travels between plan, workers and store."""
+"""A task, the receipt that it leaves, and how workers are: what travels between the storeys."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -79,3 +79,21 @@ class Receipt:
     def failed(self) -> bool:
         """Whether the task did not do its work."""
         return bool(self.reason)
+
+
+@dataclass(frozen=True, slots=True)
+class WorkersSeen:
+    """How the workers are at a moment.
+
+    Parameters
+    ----------
+    workers, threads : int
+        How many there are [count].
+    memory_mb, limit_mb : float
+        Memory of the worker that has most, and the smallest limit; 0 where unknown [MiB].
+    """
+
+    workers: int
+    threads: int
+    memory_mb: float
+    limit_mb: float

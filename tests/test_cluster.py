@@ -12,8 +12,8 @@ import pytest
 from distributed import Client, LocalCluster, get_worker
 
 from spl_batch.errors import StoppedError
-from spl_batch.graph import Footing, OnDask, Workers, flow, work
-from spl_batch.task import Receipt, Task
+from spl_batch.graph import Footing, OnDask, flow, work
+from spl_batch.task import Receipt, Task, WorkersSeen
 from tests import clusters, surveys
 from tests.clusters import Cluster
 
@@ -91,13 +91,13 @@ class Watcher:
 
     def __init__(self) -> None:
         self.began: list[tuple[str, str]] = []
-        self.looks: list[Workers] = []
+        self.looks: list[WorkersSeen] = []
         self.notes: list[str] = []
 
     def started(self, task: Task, worker: str) -> None:
         self.began.append((task.name, worker))
 
-    def seen(self, workers: Workers) -> None:
+    def seen(self, workers: WorkersSeen) -> None:
         self.looks.append(workers)
 
     def noted(self, text: str) -> None:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from spl_batch.task import WorkersSeen
+
 
 @dataclass(frozen=True, slots=True)
 class RunStarted:
@@ -120,24 +122,6 @@ class TaskEnded:
     peak_rss_mb: float = 0.0
     command: str = ""
     traceback: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class WorkersSeen:
-    """How the workers are at a moment.
-
-    Parameters
-    ----------
-    workers, threads : int
-        How many there are [count].
-    memory_mb, limit_mb : float
-        Memory of the worker that has most, and the smallest limit; 0 where unknown [MiB].
-    """
-
-    workers: int
-    threads: int
-    memory_mb: float
-    limit_mb: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,18 +12,16 @@ from spl_batch.api.events import (
     Note,
     TaskEnded,
     TaskStarted,
-    WorkersSeen,
     as_record,
 )
 from spl_batch.api.failures import Failed, Invocation
 from spl_batch.api.repair import Repairs
-from spl_batch.graph import Workers
 from spl_batch.io.atomic import sweep
 from spl_batch.io.store import append_log
 from spl_batch.plan.survey import Survey
 from spl_batch.runner import KINDS
 from spl_batch.runner.summary import StageCost
-from spl_batch.task import Receipt, Task
+from spl_batch.task import Receipt, Task, WorkersSeen
 
 LOG_WORKERS_S = 10.0
 """How often the log says how the workers are [s]."""
@@ -115,19 +113,13 @@ class Progress:
         """Tell of a task that a worker has begun."""
         self.tell(TaskStarted(KINDS[task.kind].stage, task.kind, task.name, worker))
 
-    def seen(self, workers: Workers) -> None:
+    def seen(self, workers: WorkersSeen) -> None:
         """Tell how the workers are; the log hears of it now and then."""
-        event = WorkersSeen(
-            workers.count,
-            workers.threads,
-            round(workers.memory_mb, 1),
-            round(workers.limit_mb, 1),
-        )
         if time.monotonic() - self.logged_s >= LOG_WORKERS_S:
             self.logged_s = time.monotonic()
-            self.tell(event)
+            self.tell(workers)
         else:
-            self.listener(event)
+            self.listener(workers)
 
     def noted(self, text: str) -> None:
         """Tell of something that has happened to a worker."""

@@ -12,7 +12,7 @@ from typing import Any
 from spl_batch.errors import StoppedError
 from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster
 from spl_batch.graph.flow import OUT_OF_MEMORY, OnDask
-from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer, Workers
+from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer
 
 __all__ = [
     "OUT_OF_MEMORY",
@@ -22,7 +22,6 @@ __all__ = [
     "Job",
     "Observer",
     "OnDask",
-    "Workers",
     "executor",
 ]
 

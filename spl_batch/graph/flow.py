@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from spl_batch.errors import StoppedError
-from spl_batch.graph.work import Footing, Job, Observer, OnReceipt, Workers, work
+from spl_batch.graph.work import Footing, Job, Observer, OnReceipt, work
 from spl_batch.io.store import write_receipt
 from spl_batch.runner import failure
 from spl_batch.runner.context import Context
-from spl_batch.task import Receipt
+from spl_batch.task import Receipt, WorkersSeen
 
 IN_FLIGHT_PER_THREAD: Final = 3
 """Tasks handed to the scheduler for each worker thread [count]."""
@@ -258,14 +258,14 @@ class _Flow:
                 self._submit(_Try(trial.job, trial.number))
 
 
-def _workers(found: Mapping[str, Mapping[str, Any]]) -> Workers:
+def _workers(found: Mapping[str, Mapping[str, Any]]) -> WorkersSeen:
     used = [float(facts["metrics"].get("memory", 0)) for facts in found.values()]
     limits = [float(f["memory_limit"]) for f in found.values() if f["memory_limit"]]
-    return Workers(
+    return WorkersSeen(
         len(found),
         sum(int(facts["nthreads"]) for facts in found.values()),
-        max(used, default=0.0) / 2**20,
-        min(limits, default=0.0) / 2**20,
+        round(max(used, default=0.0) / 2**20, 1),
+        round(min(limits, default=0.0) / 2**20, 1),
     )
 
 

@@ -11,30 +11,12 @@ from typing import Protocol
 from spl_batch.errors import StoppedError
 from spl_batch.runner import code_version, run_task
 from spl_batch.runner.context import Context
-from spl_batch.task import Receipt, Task
+from spl_batch.task import Receipt, Task, WorkersSeen
 
 Job = tuple[Task, str]
 """A task and its key."""
 
 OnReceipt = Callable[[Receipt], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Workers:
-    """What the workers are like at a moment.
-
-    Parameters
-    ----------
-    count, threads : int
-        Workers and their threads [count].
-    memory_mb, limit_mb : float
-        Memory of the worker that has most, and the smallest limit; 0 where unknown [MiB].
-    """
-
-    count: int
-    threads: int
-    memory_mb: float
-    limit_mb: float
 
 
 class Observer(Protocol):
@@ -43,7 +25,7 @@ class Observer(Protocol):
     def started(self, task: Task, worker: str) -> None:
         """Tell of a task that a worker has begun."""
 
-    def seen(self, workers: Workers) -> None:
+    def seen(self, workers: WorkersSeen) -> None:
         """Tell how the workers are."""
 
     def noted(self, text: str) -> None:

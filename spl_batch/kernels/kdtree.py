@@ -10,6 +10,7 @@ Squared distances are sums of squared integer differences in float64: exact belo
 on the neighbours alone and neither on the tree nor on what else the table holds.
 """
 
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -95,11 +96,23 @@ def nearest(
     found : (m,) int32
         Neighbours found [count].
     """
+    return search(_nearest_all, xyz, query, neighbours, cap)
+
+
+def search(
+    kernel: Callable[..., None],
+    xyz: NDArray[np.int32],
+    query: NDArray[np.bool_],
+    neighbours: int,
+    cap: int,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Rows and counts that a kernel finds for query points; see :func:`nearest`."""
     check_cap(cap)
     rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
     found = np.zeros(len(xyz), dtype=np.int32)
     tree = build(xyz)
-    _nearest_all(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
+    if len(xyz):
+        kernel(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
     return rows[query], found[query]
 
 

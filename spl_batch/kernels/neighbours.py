@@ -28,9 +28,8 @@ from spl_batch.kernels.kdtree import (
     U2,
     U3,
     box_distance,
-    build,
-    check_cap,
     leaf_slots,
+    search,
 )
 
 GUESSES: Final = 6
@@ -67,13 +66,7 @@ def nearest_sets(
     found : (m,) int32
         Neighbours found [count].
     """
-    check_cap(cap)
-    rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
-    found = np.zeros(len(xyz), dtype=np.int32)
-    tree = build(xyz)
-    if len(xyz):
-        _nearest_all(tree.points, tree.boxes, tree.depth, query, neighbours, cap, rows, found)
-    return rows[query], found[query]
+    return search(_nearest_all, xyz, query, neighbours, cap)
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -270,9 +263,9 @@ def workspace(k):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _nearest_all(points, boxes, depth, query, k, cap, rows, found):  # type: ignore[no-untyped-def]
+def _nearest_all(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
     """Neighbours of every query point, in tree order, so that the cache stays warm."""
-    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    n, depth, k = np.uint64(points.shape[1]), np.uint64(depth), rows.shape[1]
     distance, near, kept, stack = workspace(k)
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
