@@ -87,7 +87,7 @@ def watched(seconds: dict[str, float]) -> Iterator[None]:
 def blocks(workflow: Path) -> tuple[list[Task], Context]:
     """Denoise tasks of a finished run."""
     prepared = prepare(workflow, [])
-    survey, context = prepared.survey, prepared.context
+    survey, context = prepared.ledger, prepared.context
     for kind in ("scatter", "build_tile"):
         for receipt in read_receipts(context.store, kind):
             survey.of(kind).put(receipt)

@@ -1,40 +1,43 @@
 """The workflow file: one model of every setting, from which ``schemas/`` is generated.
 
 Each default is written here and nowhere else, each key has its unit in its name or in
-its description, and an unknown key is an error that names the nearest known one.
+its description, and an unknown key is an error that names the nearest known one. The model
+here is that of an airborne survey; other receivers have their own (:mod:`spl_batch.receivers`).
 """
 
 import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field
 
 from spl_batch.errors import WorkflowError
+from spl_batch.receivers import HOMES, IMAGING, workflow_model
 from spl_batch.sensor import Sensor, load_preset
 from spl_batch.settings import (
     AcquisitionSettings,
     AfterpulseSettings,
+    BaseWorkflow,
     FilterSettings,
     GroundSettings,
     NoiseSettings,
     OutputSettings,
     ProductSettings,
     ReferenceSettings,
-    Section,
     SurveySettings,
     TilingSettings,
 )
+from spl_batch.settings.faults import validated
 
 
-class Workflow(Section):
-    """Everything that a run needs to know."""
+class Workflow(BaseWorkflow):
+    """Everything that a run on an airborne survey needs to know."""
 
+    kind: Literal["imaging"] = Field("imaging", description="Airborne single-photon lidar.")
     survey: SurveySettings
     reference: ReferenceSettings | None = None
-    output: str = Field(description="Folder of the results, relative to this file.")
     tiling: TilingSettings = TilingSettings()
     acquisition: AcquisitionSettings = AcquisitionSettings()
     noise: NoiseSettings = NoiseSettings()
@@ -54,9 +57,13 @@ class Workflow(Section):
         given = self.acquisition.model_dump(exclude_none=True)
         return sensor.model_copy(update=given)
 
+    def check(self) -> None:
+        """Find faults that no single key shows: a preset that is not there."""
+        self.sensor  # noqa: B018
 
-def parse_workflow(content: Mapping[str, Any], where: str) -> Workflow:
-    """Check a workflow's content.
+
+def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
+    """Check a workflow's content, whatever its receiver.
 
     Parameters
     ----------
@@ -70,17 +77,54 @@ def parse_workflow(content: Mapping[str, Any], where: str) -> Workflow:
     WorkflowError
         One line that lists every fault.
     """
-    try:
-        workflow = Workflow.model_validate(content)
-    except ValidationError as error:
-        faults = "; ".join(_fault(e) for e in error.errors(include_url=False))
-        raise WorkflowError(f"{where}: {faults}") from None
-    workflow.sensor  # noqa: B018 - an unknown preset is a fault of the file, found here
+    model: type[BaseWorkflow] = workflow_model(known_kind(content, where))
+    workflow = validated(model, content, where)
+    workflow.check()
+    return workflow
+
+
+def known_kind(content: Mapping[str, Any], where: str) -> str:
+    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none.
+
+    Raises
+    ------
+    WorkflowError
+        If there is no such receiver.
+    """
+    kind = content.get("kind", IMAGING)
+    if kind not in HOMES:
+        near = difflib.get_close_matches(str(kind), HOMES, n=1, cutoff=0.0)
+        raise WorkflowError(f"{where}: kind: no receiver {kind!r}; the nearest is {near[0]!r}")
+    return str(kind)
+
+
+def parse_workflow(content: Mapping[str, Any], where: str) -> Workflow:
+    """Check the content of an airborne survey's workflow; see :func:`parse_any`.
+
+    Raises
+    ------
+    WorkflowError
+        If it has a fault, or is for another receiver.
+    """
+    workflow = parse_any(content, where)
+    if not isinstance(workflow, Workflow):
+        raise WorkflowError(f"{where}: kind: {workflow.kind}; this is for airborne surveys only")
     return workflow
 
 
 def load_workflow(path: Path, overrides: Sequence[str] = ()) -> Workflow:
-    """Read a workflow file.
+    """Read the workflow file of an airborne survey; see :func:`load_any`.
+
+    Raises
+    ------
+    WorkflowError
+        If the file has a fault, or is for another receiver.
+    """
+    return parse_workflow(_content(path, overrides), str(path))
+
+
+def load_any(path: Path, overrides: Sequence[str] = ()) -> BaseWorkflow:
+    """Read a workflow file, whatever its receiver.
 
     Parameters
     ----------
@@ -94,10 +138,14 @@ def load_workflow(path: Path, overrides: Sequence[str] = ()) -> Workflow:
     WorkflowError
         If the file cannot be read, is not YAML, or has a fault.
     """
+    return parse_any(_content(path, overrides), str(path))
+
+
+def _content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
     content = read_mapping(path, "a workflow is a mapping with survey: and output:")
     for override in overrides:
         _apply(content, override)
-    return parse_workflow(content, str(path))
+    return content
 
 
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
@@ -146,36 +194,3 @@ def _apply(content: dict[str, Any], override: str) -> None:
         raise WorkflowError(
             f"--set {override}: the value is not valid YAML; quote it: key='*.laz'"
         ) from None
-
-
-def _fault(error: Any) -> str:
-    place = ".".join(str(part) for part in error["loc"])
-    if error["type"] == "extra_forbidden":
-        # pydantic names the member of a union on the way, as in survey.sensor.Sensor.prf.
-        near = _nearest([str(p) for p in error["loc"] if p != "Sensor"])
-        return f"{place}: no such key; the nearest known key is {near!r}"
-    given = error.get("input")
-    shown = "" if isinstance(given, dict) else f" (found {given!r})"
-    return f"{place}: {error['msg'][0].lower()}{error['msg'][1:]}{shown}"
-
-
-def _nearest(place: Sequence[str]) -> str:
-    """Known key most like an unknown one, those of its own section first."""
-    known = _keys(Workflow)
-    own = [key for key in known if key[:-1] == tuple(place[:-1])]
-    for keys, cutoff in ((own, 0.6), (known, 0.0)):
-        near = difflib.get_close_matches(place[-1], [key[-1] for key in keys], n=1, cutoff=cutoff)
-        if near:
-            return ".".join(next(key for key in keys if key[-1] == near[0]))
-    return ""
-
-
-def _keys(model: type[BaseModel], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Path of every key of a section and of those below it."""
-    found: list[tuple[str, ...]] = []
-    for name, field in model.model_fields.items():
-        found.append((*above, name))
-        for part in (field.annotation, *get_args(field.annotation)):
-            if isinstance(part, type) and issubclass(part, BaseModel):
-                found += _keys(part, (*above, name))
-    return found

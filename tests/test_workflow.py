@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from spl_batch.errors import WorkflowError
 from spl_batch.sensor import Sensor, load_preset, preset_names
-from spl_batch.workflow import Workflow, load_workflow, parse_workflow
+from spl_batch.workflow import Workflow, load_any, load_workflow, parse_workflow
 
 MINIMAL: dict[str, Any] = {"survey": {"flightlines": "*.laz"}, "output": "out"}
 
@@ -221,3 +221,10 @@ def test_settings_are_frozen() -> None:
     workflow = parse_workflow(MINIMAL, "w")
     with pytest.raises(ValueError, match="frozen"):
         workflow.output = "elsewhere"  # type: ignore[misc]
+
+
+def test_a_receiver_that_is_not_there_is_named_with_the_nearest(tmp_path: Path) -> None:
+    path = write(tmp_path / "w.yaml", {**MINIMAL, "kind": "imagin"})
+    with pytest.raises(WorkflowError, match=r"w\.yaml: kind: no receiver 'imagin'.*'imaging'"):
+        load_any(path)
+    assert load_any(path, ["kind=imaging"]) == load_workflow(write(path, MINIMAL))

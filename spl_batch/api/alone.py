@@ -3,16 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from spl_batch.api.lock import locked
-from spl_batch.api.pipeline import make_rasters
-from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
+from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
+from spl_batch.api.receiver import Prepared
 from spl_batch.errors import WorkflowError
 from spl_batch.graph import Job
 from spl_batch.io.atomic import write_bytes
-from spl_batch.plan.phases import PHASES
 from spl_batch.plan.worklist import Worklist
-from spl_batch.runner import KINDS, run_task
+from spl_batch.runner import kinds, run_task
 from spl_batch.task import Receipt
 
 
@@ -68,8 +68,8 @@ def run_alone(
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     with locked(prepared.context.output):
         job, key = _find(task, prepared)
-        if job.kind == "surface":
-            make_rasters(prepared)
+        phases = {phase.kind: phase for phase in prepared.receiver.phases}
+        prepared.receiver.before(phases[job.kind], prepared)
         receipt = run_task(job, key, prepared.context)
     if not receipt.failed:
         return AloneResult(receipt, None)
@@ -79,23 +79,24 @@ def run_alone(
     return AloneResult(receipt, path)
 
 
-def _find(wanted: str, prepared: Prepared) -> Job:
+def _find(wanted: str, prepared: Prepared[Any, Any]) -> Job:
     """The task of a name, made from what is finished."""
     kind, _, name = wanted.strip().partition(" ")
-    if kind not in KINDS or not name:
+    known = kinds(prepared.context.workflow.kind)
+    if kind not in known or not name:
         raise WorkflowError(
             f"--only {wanted!r}: write kind and name of a task, such as 'denoise 3_4'; kinds are "
-            f"{', '.join(KINDS)}"
+            f"{', '.join(known)}"
         )
-    for phase in PHASES:
-        work = Worklist(phase, prepared.survey, prepared.context)
+    for phase in prepared.receiver.phases:
+        work = Worklist(phase, prepared.ledger, prepared.context)
         if phase.kind == kind:
             break
         for _ in work.look():
             pass  # what is finished is put where later phases find it
-        prepared.survey.of(phase.kind).sort()
+        prepared.ledger.of(phase.kind).sort()
     jobs = []
-    for task in phase.tasks(prepared.survey):
+    for task in phase.tasks(prepared.ledger):
         if task.name == name:
             return task, work.key(task)
         jobs.append(task.name)

@@ -1,6 +1,6 @@
 """What a run tells those who watch it; each event is also a line of ``log.jsonl``."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -22,12 +22,15 @@ class RunStarted:
         Version of the code.
     expected_s : mapping of str to float
         Time that each stage is expected to take if nothing of it is finished [s].
+    stages : sequence of str
+        Names of all stages, in order.
     """
 
     workflow: str
     workers: int
     code: str
     expected_s: Mapping[str, float] = field(default_factory=dict)
+    stages: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)

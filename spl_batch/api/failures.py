@@ -4,26 +4,12 @@ import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any
 
+from spl_batch.api.receiver import Prepared
 from spl_batch.graph import OUT_OF_MEMORY
-from spl_batch.plan.memory import REMEDIES
-from spl_batch.plan.survey import Survey
 from spl_batch.report.model import Failure
 from spl_batch.task import Receipt, Task
-
-_WORDS: Final[Mapping[str, str]] = {
-    "index_file": "file",
-    "build_tile": "tile",
-    "gather": "stretch",
-    "gather_range": "stretch",
-    "scatter": "stretch",
-    "fit_line": "flightline",
-    "denoise": "block",
-    "ground": "ground cell",
-    "surface": "ground cell",
-}
-"""What a user calls the result of a kind of task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +64,10 @@ class Failed:
     command: str
 
 
-def failures(survey: Survey, failed: Iterable[Failed]) -> Iterator[Failure]:
+def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator[Failure]:
     """What did not make it, inputs first."""
-    for bad in survey.inputs.bad:
+    ledger, receiver = prepared.ledger, prepared.receiver
+    for bad in ledger.inputs.bad:
         reason = "; ".join(bad.faults)
         yield Failure(
             stage="index",
@@ -89,21 +76,21 @@ def failures(survey: Survey, failed: Iterable[Failed]) -> Iterator[Failure]:
             remedy="mend or remove it",
             inputs=(bad.path,),
         )
-    names = {str(s.key): s.name for s in survey.inputs.sources}
+    names = {str(s.key): s.name for s in ledger.inputs.sources}
     for one in failed:
         task = one.task
         yield Failure(
             stage=one.stage,
             place=names.get(task.name, task.name),
             reason=one.receipt.reason,
-            remedy=_remedy(one),
+            remedy=_remedy(one, receiver.remedies),
             task=f"{task.kind} {task.name}",
-            inputs=tuple(inputs(task, names)),
+            inputs=tuple(inputs(task, names, receiver.words)),
             command=one.command,
         )
 
 
-def inputs(task: Task, names: Mapping[str, str]) -> list[str]:
+def inputs(task: Task, names: Mapping[str, str], words: Mapping[str, str]) -> list[str]:
     """Files, tiles and stretches that a task reads, in the words of a user.
 
     Parameters
@@ -112,11 +99,13 @@ def inputs(task: Task, names: Mapping[str, str]) -> list[str]:
         The task.
     names : mapping of str to str
         Names of the input files by key.
+    words : mapping of str to str
+        What a user calls the result of a kind of task.
     """
     found = [names[str(task.args["source"])]] if task.args.get("source") in names else []
     found += [str(path) for path in task.args.get("paths", ())]
     for kind, name in task.needs:
-        word = _WORDS.get(kind)
+        word = words.get(kind)
         if word == "file":
             found.append(names.get(name, name))
         elif word is not None:
@@ -124,9 +113,9 @@ def inputs(task: Task, names: Mapping[str, str]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _remedy(one: Failed) -> str:
+def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
     again = "run again: only what failed is tried"
     if not one.receipt.reason.startswith(OUT_OF_MEMORY):
         return again
-    remedies = filter(None, ("raise --memory", REMEDIES.get(one.task.kind)))
-    return f"{' or '.join(remedies)}, and {again}"
+    helping = filter(None, ("raise --memory", remedies.get(one.task.kind)))
+    return f"{' or '.join(helping)}, and {again}"

@@ -1,12 +1,13 @@
-"""What a run will do, from headers alone: points, tiles, tasks, disk, memory, time."""
+"""What a run will do, from headers alone: points, tasks, disk, memory, time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from spl_batch.api.preparing import DEFAULT_MEMORY, Prepared, prepare
-from spl_batch.plan.cost import Cost, estimate, refuse_too_large
-from spl_batch.plan.memory import surface_reach_m
+from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
+from spl_batch.api.receiver import Prepared
+from spl_batch.plan.budget import Cost, refuse_too_large
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,33 +18,25 @@ class PlanSummary:
     ----------
     files : int
         Usable input files [count].
-    area_km2 : float
-        Area of the tiles that the files' bounding boxes touch, overlaps once [km2].
-    ground_buffer_m, surface_reach_m : float
-        What a ground cell reads around it for its ground and for its rasters [m].
     cost : Cost
-        Points, stretches, tiles, blocks, tasks, disk, memory and time.
+        Points, tasks, disk, memory and time; of an airborne survey, a
+        :class:`~spl_batch.plan.cost.SurveyCost`.
+    rows : tuple of (str, str)
+        Label and value of what the receiver tells beside them.
     faults, warnings : tuple of str
         What is wrong with the inputs; what is odd about them.
     """
 
     files: int
-    area_km2: float
-    ground_buffer_m: float
-    surface_reach_m: float
-    cost: Cost
+    cost: Any
+    rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
 
     @property
     def points(self) -> int:
         """Points of all usable files [count]."""
-        return self.cost.points
-
-    @property
-    def tiles(self) -> int:
-        """Tiles that the files' bounding boxes touch [count]."""
-        return self.cost.tiles
+        return int(self.cost.points)
 
 
 def plan(
@@ -74,20 +67,17 @@ def plan(
         If a task cannot fit into the memory limit.
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
-    survey, cost = prepared.survey, fitting_cost(prepared)
-    settings = survey.workflow
+    cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
     return PlanSummary(
-        len(survey.inputs.sources),
-        cost.tiles * settings.tiling.tile_m**2 / 1e6,
-        settings.ground.buffer_m,
-        surface_reach_m(settings),
+        len(inputs.sources),
         cost,
-        tuple(str(b) for b in survey.inputs.bad),
-        survey.inputs.warnings,
+        tuple(prepared.receiver.plan_rows(prepared, cost)),
+        tuple(str(bad) for bad in inputs.bad),
+        tuple(inputs.warnings),
     )
 
 
-def fitting_cost(prepared: Prepared) -> Cost:
+def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
     """Cost of a run that fits into its memory limit.
 
     Raises
@@ -95,6 +85,6 @@ def fitting_cost(prepared: Prepared) -> Cost:
     PlanError
         If a task cannot; it names the heaviest one.
     """
-    cost = estimate(prepared.survey, prepared.context)
-    refuse_too_large(cost, prepared.survey.memory_bytes)
+    cost = prepared.receiver.cost(prepared)
+    refuse_too_large(cost, prepared.ledger.memory_bytes)
     return cost

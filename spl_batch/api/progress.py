@@ -2,9 +2,11 @@
 
 import os
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from spl_batch.api.events import (
     Event,
@@ -18,9 +20,9 @@ from spl_batch.api.failures import Failed, Invocation
 from spl_batch.api.repair import Repairs
 from spl_batch.io.atomic import sweep
 from spl_batch.io.store import append_log
-from spl_batch.plan.survey import Survey
-from spl_batch.runner import KINDS
-from spl_batch.runner.summary import StageCost
+from spl_batch.plan.ledger import Ledger
+from spl_batch.runner import Kind
+from spl_batch.runner.remember import StageCost
 from spl_batch.task import Receipt, Task, WorkersSeen
 
 LOG_WORKERS_S = 10.0
@@ -41,12 +43,15 @@ class Progress:
         How the run was started.
     repairs : Repairs
         Makes damaged files again.
+    kinds : mapping of str to Kind
+        What each kind of task is.
     """
 
     output: Path
     listener: Listener
     invocation: Invocation
     repairs: Repairs
+    kinds: Mapping[str, Kind]
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -54,6 +59,10 @@ class Progress:
 
     def __post_init__(self) -> None:
         end_last_line(self.output / "log.jsonl")
+
+    def stage(self, kind: str) -> str:
+        """Stage that a kind of task belongs to."""
+        return self.kinds[kind].stage
 
     def tell(self, event: Event) -> None:
         """Pass an event on, to the log as well."""
@@ -78,9 +87,9 @@ class Progress:
         """Receipts of tasks that did not do their work."""
         return [failure.receipt for failure in self.failures]
 
-    def repair(self, survey: Survey) -> bool:
+    def repair(self, ledger: Ledger[Any, Any]) -> bool:
         """Begin again where files of the store are to be made again."""
-        damaged = self.repairs.begin(self.failed, survey)
+        damaged = self.repairs.begin(self.failed, ledger)
         if damaged:
             self.tell(Note("info", f"damaged, made again: {', '.join(damaged)}"))
             self.costs.clear()
@@ -89,7 +98,7 @@ class Progress:
 
     def ended(self, task: Task, receipt: Receipt) -> None:
         """Count a task in."""
-        stage = KINDS[task.kind].stage
+        stage = self.stage(task.kind)
         self.costs.setdefault(stage, StageCost()).add(receipt)
         command = ""
         if receipt.failed:
@@ -111,7 +120,7 @@ class Progress:
 
     def started(self, task: Task, worker: str) -> None:
         """Tell of a task that a worker has begun."""
-        self.tell(TaskStarted(KINDS[task.kind].stage, task.kind, task.name, worker))
+        self.tell(TaskStarted(self.stage(task.kind), task.kind, task.name, worker))
 
     def seen(self, workers: WorkersSeen) -> None:
         """Tell how the workers are; the log hears of it now and then."""

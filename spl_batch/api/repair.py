@@ -4,9 +4,10 @@ from collections import Counter
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import PurePosixPath
+from typing import Any
 
 from spl_batch.io.store import Store, forget_receipt, read_receipts
-from spl_batch.plan.survey import Survey
+from spl_batch.plan.ledger import Ledger
 from spl_batch.task import Receipt
 
 TRIES = 3
@@ -26,14 +27,16 @@ class Repairs:
         self.store = store
         self.times: Counter[str] = Counter()
 
-    def wanted(self, failed: Iterable[Receipt], survey: Survey) -> dict[str, tuple[str, str]]:
+    def wanted(
+        self, failed: Iterable[Receipt], ledger: Ledger[Any, Any]
+    ) -> dict[str, tuple[str, str]]:
         """Damaged files that can be made again, with kind and name of the task that does it.
 
         Parameters
         ----------
         failed : iterable of Receipt
             Of tasks that did not do their work.
-        survey : Survey
+        ledger : Ledger
             Knows who made what.
         """
         damaged = {self.store.name_of(r.facts["damaged"]) for r in failed if "damaged" in r.facts}
@@ -41,7 +44,7 @@ class Repairs:
             return {}
         makers = {
             output: (kind, receipt.name)
-            for kind in survey.done
+            for kind in ledger.done
             for receipt in read_receipts(self.store, kind)
             for output in receipt.outputs
         }
@@ -53,21 +56,21 @@ class Repairs:
                     found[part] = makers[part]
         return found
 
-    def begin(self, failed: Iterable[Receipt], survey: Survey) -> list[str]:
-        """Forget the tasks that made damaged files, and what the survey knows of finished ones.
+    def begin(self, failed: Iterable[Receipt], ledger: Ledger[Any, Any]) -> list[str]:
+        """Forget the tasks that made damaged files, and what the ledger knows of finished ones.
 
         Returns
         -------
         list of str
             The files, as receipts call them; none if there is nothing to be done again.
         """
-        found = self.wanted(failed, survey)
+        found = self.wanted(failed, ledger)
         for name, maker in found.items():
             self.times[name] += 1
             forget_receipt(self.store, *maker)
         if found:
-            survey.done.clear()
-            for name, member in vars(type(survey)).items():
+            ledger.done.clear()
+            for name, member in vars(type(ledger)).items():
                 if isinstance(member, cached_property):
-                    survey.__dict__.pop(name, None)
+                    ledger.__dict__.pop(name, None)
         return list(found)

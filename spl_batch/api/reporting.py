@@ -1,16 +1,20 @@
 """Write a report again from what is on disk."""
 
 from pathlib import Path
+from typing import Any
 
+from spl_batch.api.pipeline import RunResult
+from spl_batch.api.receiver import Place, Receiver
 from spl_batch.io.store import Store, read_receipt
 from spl_batch.plan.shelf import Shelf
-from spl_batch.report.model import Failure, Report
-from spl_batch.runner.context import Context
-from spl_batch.runner.summary import RunFacts, StageCost, recall, summarise
-from spl_batch.workflow import parse_workflow
+from spl_batch.receivers import receiver
+from spl_batch.report.model import Failure
+from spl_batch.runner.context import RunContext
+from spl_batch.runner.remember import RunFacts, StageCost, recall
+from spl_batch.workflow import parse_any
 
 
-def report(output: Path | str) -> Report:
+def report(output: Path | str) -> RunResult:
     """Write ``report.json`` and ``report.html`` of an output folder again.
 
     Parameters
@@ -23,12 +27,16 @@ def report(output: Path | str) -> Report:
     StoreError
         If no run has finished there.
     """
-    done, context, facts = recalled(Path(output).resolve())
-    return summarise(done, context, facts)
+    folder = Path(output).resolve()
+    done, context, facts = recalled(folder)
+    found: Receiver[Any, Any] = receiver(context.workflow.kind)
+    written = found.report(done, context, facts)
+    screen, results = tuple(found.screen(written)), tuple(found.results(folder))
+    return RunResult(int(bool(written.failures)), folder, written, screen, results)
 
 
-def recalled(folder: Path) -> tuple[dict[str, Shelf], Context, RunFacts]:
-    """What the last run of an output folder did: finished tasks, settings, facts.
+def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
+    """What the last run of an output folder did: finished tasks, context, facts.
 
     Raises
     ------
@@ -36,13 +44,11 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Context, RunFacts]:
         If no run has finished there.
     """
     kept = recall(folder)
-    context = Context(
-        parse_workflow(kept["workflow"], str(folder / "store" / "run.json")),
-        Path(kept["base"]),
-        folder,
-        kept["crs_wkt"],
-        kept["code"],
-    )
+    file = folder / "store" / "run.json"
+    workflow = parse_any(kept["workflow"], str(file))
+    found: Receiver[Any, Any] = receiver(workflow.kind)
+    place = Place(file, Path(kept["base"]), folder)
+    context: RunContext[Any] = found.context(workflow, place, kept["crs_wkt"], kept["code"])
     facts = RunFacts(
         kept["wall_s"],
         kept["workers"],

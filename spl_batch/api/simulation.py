@@ -3,35 +3,44 @@
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from spl_batch.api.events import Listener, ignore
 from spl_batch.api.pipeline import RunResult, run
 from spl_batch.api.preparing import DEFAULT_MEMORY
-
-if TYPE_CHECKING:
-    from spl_batch.simulate.survey import SimulationSummary
+from spl_batch.receivers import IMAGING, simulator
+from spl_batch.workflow import known_kind, read_mapping
 
 
 def simulate(
     scene: Path | str, output: Path | str, *, progress: Callable[[float], None] | None = None
-) -> "SimulationSummary":
-    """Fly a synthetic survey.
+) -> Any:
+    """Make synthetic data with truth: fly a survey, say.
 
     Parameters
     ----------
     scene : Path or str
-        Scene file.
+        Scene file; its ``kind`` names the receiver, an airborne survey where it has none.
     output : Path or str
-        Folder to write to: flightlines, trajectory, reference, truth, workflow.
+        Folder to write to; an airborne survey has flightlines, trajectory, reference, truth
+        and workflow.
     progress : callable, optional
         Told the share that is done, 0..1.
-    """
-    # The simulator's kernels load slowly, and a run has no use for them.
-    from spl_batch.simulate import load_scene  # noqa: PLC0415
-    from spl_batch.simulate import simulate as fly  # noqa: PLC0415
 
-    return fly(load_scene(Path(scene)), Path(output), progress=progress)
+    Returns
+    -------
+    object
+        What was made, of which ``rows`` tells; of an airborne survey, a
+        :class:`~spl_batch.simulate.survey.SimulationSummary`.
+
+    Raises
+    ------
+    WorkflowError
+        If the scene has a fault.
+    """
+    content = read_mapping(Path(scene), "a scene is a mapping with extent_m: and flights:")
+    kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
+    return simulator(kind)(Path(scene), Path(output), progress=progress)
 
 
 def quickstart(

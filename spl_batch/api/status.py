@@ -6,7 +6,7 @@ log, which any other process may read while it grows.
 
 import json
 import mmap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -123,6 +123,8 @@ class RunStatus:
         Host, process and start of the run that works here now; None where none does.
     kinds : set of str
         Kinds of task that have begun.
+    order : sequence of str
+        Names of the stages, in order.
     """
 
     stages: dict[str, StageStatus] = field(default_factory=dict)
@@ -135,16 +137,17 @@ class RunStatus:
     ended: Mapping[str, Any] | None = None
     holder: Mapping[str, Any] | None = None
     kinds: set[str] = field(default_factory=set)
+    order: Sequence[str] = STAGES
 
     def __post_init__(self) -> None:
-        self.stages = {name: StageStatus(name) for name in STAGES}
+        self.stages = {name: StageStatus(name) for name in self.order}
 
     @property
     def left_s(self) -> float:
         """Time that the run will still take, as far as can be told [s]."""
         known = [stage for stage in self.stages.values() if stage.began_s]
-        first = STAGES.index(known[-1].stage) if known else 0
-        return sum(self.stages[name].left_s for name in STAGES[first:])
+        first = self.order.index(known[-1].stage) if known else 0
+        return sum(self.stages[name].left_s for name in self.order[first:])
 
     def feed(self, record: Mapping[str, Any]) -> None:
         """Take in an event, as :func:`spl_batch.api.events.as_record` gives it."""
@@ -161,7 +164,7 @@ class RunStatus:
             take(record)
 
     def _run_started(self, record: Mapping[str, Any]) -> None:
-        fresh = RunStatus()
+        fresh = RunStatus(order=tuple(record.get("stages") or STAGES))
         for name in self.__slots__:
             setattr(self, name, getattr(fresh, name))
         for name, seconds in record.get("expected_s", {}).items():

@@ -14,7 +14,7 @@ import click
 from spl_batch import __version__
 from spl_batch.errors import SplBatchError
 
-_STAGES = ("index", "shots", "shuffle", "denoise", "ground", "surfaces", "deliver", "report")
+_STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
 
 
 def _limits(command: Any) -> Any:
@@ -103,7 +103,7 @@ def plan(workflow: Path, workers: int, memory: str, overrides: tuple[str, ...]) 
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Use a running dask scheduler.")
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
 @click.option("--verify", is_flag=True, help="Compare all that is finished with its checksum.")
-@click.option("--until", type=click.Choice(_STAGES), help="Stop after this stage.")
+@click.option("--until", metavar="STAGE", help=f"Stop after this stage: {_STAGES}.")
 @click.option(
     "--only",
     metavar="'KIND NAME'",
@@ -201,7 +201,7 @@ def report(output: Path) -> int:
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
-    screen.print_report(api.report(output), output)
+    screen.print_result(api.report(output))
     return 0
 
 

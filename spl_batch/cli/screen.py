@@ -20,8 +20,6 @@ from spl_batch.api import (
 )
 from spl_batch.cli.live import details, duration, short
 from spl_batch.report.format import centimetres, number, percent, significant
-from spl_batch.report.model import Report
-from spl_batch.report.summary import screen_summary
 
 _OUT = Console()
 
@@ -31,15 +29,9 @@ def print_result(result: RunResult) -> None:
     if result.report is None:
         _OUT.print(f"stopped as asked; run again to continue in {result.output}")
         return
-    print_report(result.report, result.output)
-
-
-def print_report(report: Report, output: Path) -> None:
-    """Print the numbers that a user cares about, and where the rest is."""
-    _pairs(screen_summary(report))
-    _path("report", output / "report.html")
-    _path("rasters", output / "dtm.tif", output / "dsm.tif")
-    _path("clouds", output / "laz")
+    _pairs(result.screen)
+    for label, paths in result.results:
+        _path(label, *paths)
 
 
 def print_comparison(result: ComparisonResult) -> None:
@@ -64,7 +56,7 @@ def print_comparison(result: ComparisonResult) -> None:
 
 def print_simulation(summary: Any, output: Path) -> None:
     """Print what was simulated."""
-    _pairs([("returns", f"{summary.points:,}"), ("flightlines", str(len(summary.lines)))])
+    _pairs(summary.rows)
     _path("workflow", output / "workflow.yaml")
 
 
@@ -72,20 +64,11 @@ def print_plan(summary: PlanSummary) -> None:
     """Print what a run would do."""
     cost = summary.cost
     basis = "as measured here" if cost.measured else "typical rates"
-    halo = (
-        f"{cost.halo_m:g} m around a block; around a ground cell {summary.ground_buffer_m:g} m "
-        f"for the ground, {summary.surface_reach_m:g} m for its rasters"
-    )
     _pairs(
         [
             ("files", f"{summary.files:,}"),
             ("points", f"{summary.points:,}"),
-            ("area", f"{summary.area_km2:,.3f} km2 of tiles"),
-            ("stretches", f"{cost.stretches:,} of flightlines"),
-            ("tiles", f"{cost.tiles:,}"),
-            ("blocks", f"{cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles"),
-            ("ground cells", f"{cost.cells:,}"),
-            ("halo", halo),
+            *summary.rows,
             ("tasks", f"{cost.tasks:,}"),
             ("disk", f"{cost.disk_bytes / 2**30:,.2f} GiB"),
             ("memory", f"{cost.memory_bytes / 2**20:,.0f} MiB a worker, for {cost.heaviest}"),

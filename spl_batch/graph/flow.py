@@ -16,7 +16,7 @@ from spl_batch.errors import StoppedError
 from spl_batch.graph.work import Footing, Job, Observer, OnReceipt, work
 from spl_batch.io.store import write_receipt
 from spl_batch.runner import failure
-from spl_batch.runner.context import Context
+from spl_batch.runner.context import RunContext
 from spl_batch.task import Receipt, WorkersSeen
 
 IN_FLIGHT_PER_THREAD: Final = 3
@@ -44,7 +44,7 @@ class OnDask:
     footing: Footing
     local: bool
 
-    def run(self, jobs: Iterable[Job], context: Context, on_receipt: OnReceipt) -> None:
+    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
         """Do jobs as workers become free, those that join later included.
 
         Raises
@@ -75,7 +75,7 @@ class _Flow:
     """Jobs going out, receipts coming in."""
 
     to: OnDask
-    context: Context
+    context: RunContext[Any]
     jobs: Iterator[Job]
     signs: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     running: dict[Any, _Try] = field(default_factory=dict)

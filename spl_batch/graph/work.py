@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from spl_batch.errors import StoppedError
 from spl_batch.runner import code_version, run_task
-from spl_batch.runner.context import Context
+from spl_batch.runner.context import RunContext
 from spl_batch.task import Receipt, Task, WorkersSeen
 
 Job = tuple[Task, str]
@@ -35,7 +35,7 @@ class Observer(Protocol):
 class Executor(Protocol):
     """Something that does jobs."""
 
-    def run(self, jobs: Iterable[Job], context: Context, on_receipt: OnReceipt) -> None:
+    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
         """Do jobs in any order and report each receipt as it comes."""
 
 
@@ -64,7 +64,7 @@ class InProcess:
 
     observer: Observer
 
-    def run(self, jobs: Iterable[Job], context: Context, on_receipt: OnReceipt) -> None:
+    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
         """Do jobs in order; there is no other worker that could try one again."""
         for task, key in jobs:
             self.observer.started(task, "this process")
@@ -72,7 +72,7 @@ class InProcess:
 
 
 def work(
-    task: Task, key: str, context: Context, footing: Footing, topic: str
+    task: Task, key: str, context: RunContext[Any], footing: Footing, topic: str
 ) -> tuple[str, Receipt]:
     """Do a task on a worker; its address and the receipt."""
     from distributed import get_worker  # noqa: PLC0415

@@ -93,10 +93,10 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         If the request as a whole is wrong; one line with every fault.
     """
     faults: list[str] = []
-    paths = _expand(workflow.survey.flightlines, base, "survey.flightlines", faults)
-    trajectory = _expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
+    paths = expand(workflow.survey.flightlines, base, "survey.flightlines", faults)
+    trajectory = expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
     reference_names = workflow.reference.points if workflow.reference else None
-    reference = _expand(reference_names, base, "reference.points", faults)
+    reference = expand(reference_names, base, "reference.points", faults)
     for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
         if name is not None and not (base / name).exists():
             faults.append(f"{key}: {base / name} does not exist")
@@ -119,7 +119,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         )
     names = _delivered_names([f.path for f in good], base)
     sources = tuple(
-        Source(f.path, _name(f.path, base), name, source_key(name), f)
+        Source(f.path, name_below(f.path, base), name, source_key(name), f)
         for f, name in zip(good, names, strict=True)
     )
     if len({s.key for s in sources}) < len(sources):
@@ -156,10 +156,22 @@ def source_args(source: Source) -> dict[str, str]:
     return {"source": str(source.key), "path": str(source.path)}
 
 
-def _expand(
+def expand(
     names: str | Sequence[str] | None, base: Path, key: str, faults: list[str]
 ) -> tuple[Path, ...]:
-    """Paths that patterns stand for, each once; a pattern that matches nothing is a fault."""
+    """Paths that patterns stand for, each once.
+
+    Parameters
+    ----------
+    names : str or sequence of str, optional
+        Paths or patterns.
+    base : Path
+        Folder that relative ones start from.
+    key : str
+        Key of the workflow that they come from.
+    faults : list of str
+        A pattern that matches nothing is added to it.
+    """
     if names is None:
         return ()
     found: dict[Path, None] = {}
@@ -287,7 +299,8 @@ def _check_reference(paths: Iterable[Path], workflow: Workflow, crs: CRS | None)
         raise WorkflowError("; ".join(faults))
 
 
-def _name(path: Path, base: Path) -> str:
+def name_below(path: Path, base: Path) -> str:
+    """What messages call a file: relative to the workflow's folder where it lies below it."""
     return path.relative_to(base).as_posix() if path.is_relative_to(base) else str(path)
 
 

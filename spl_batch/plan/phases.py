@@ -4,12 +4,12 @@ A phase looks only at receipts of the phases before it. What failed there is lef
 its points stay unlabelled, the rest goes on.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 from spl_batch.plan import places
 from spl_batch.plan.flightlines import Flightline
 from spl_batch.plan.inputs import Source, source_args
+from spl_batch.plan.ledger import Phase
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.index import POSITIONS_S
 from spl_batch.task import Task
@@ -19,14 +19,6 @@ RANGE_POINTS = 2_000_000
 
 POSITIONS_MARGIN_S = 10.0
 """More than the longest gap of a trajectory that is interpolated over [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Phase:
-    """Tasks of one kind, made when everything before them is finished."""
-
-    kind: str
-    tasks: Callable[[Survey], Iterator[Task]]
 
 
 def _index(survey: Survey) -> Iterator[Task]:

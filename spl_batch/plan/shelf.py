@@ -19,15 +19,17 @@ UNREAD_FACTS: Final[Mapping[str, frozenset[str]]] = {
 }
 """Facts that only the receipts on disk have, by kind of task."""
 
-DELIVERING: Final = frozenset({"deliver_file", "deliver_tile", "mosaic"})
-"""Kinds whose outputs are what a user sees: which ones there are is asked at the end."""
+
+def delivers(kind: str) -> bool:
+    """Whether outputs of a kind are what a user sees: which ones there are is asked at the end."""
+    return kind.startswith("deliver_") or kind == "mosaic"
 
 
 class Shelf(Mapping[str, Receipt]):
     """Receipts of the finished tasks of one kind, by name.
 
     Those that it gives back lack the key, the cost and what :data:`UNREAD_FACTS` names,
-    and unless their kind is one of :data:`DELIVERING` the outputs.
+    and unless :func:`delivers` says that a user sees them the outputs.
 
     Parameters
     ----------
@@ -43,7 +45,7 @@ class Shelf(Mapping[str, Receipt]):
         """Keep a receipt, in place of an earlier one of that name."""
         unread = UNREAD_FACTS.get(self.kind, frozenset())
         facts = {k: v for k, v in receipt.facts.items() if k not in unread}
-        outputs = dict(receipt.outputs) if self.kind in DELIVERING else {}
+        outputs = dict(receipt.outputs) if delivers(self.kind) else {}
         content = [receipt.digest, receipt.points, outputs, facts]
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         self._kept[receipt.name] = text.encode()

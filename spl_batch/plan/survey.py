@@ -1,15 +1,15 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.inputs import Inputs, Source
+from spl_batch.plan.ledger import Ledger
 from spl_batch.plan.memory import halo_m, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
-from spl_batch.plan.shelf import Shelf
 from spl_batch.plan.space import Unit, choose_block_tiles, tile_counts, units
 from spl_batch.runner.space_domain import parse_cell
 from spl_batch.tiling import Bounds, CellId, quanta
@@ -17,18 +17,8 @@ from spl_batch.workflow import Workflow
 
 
 @dataclass
-class Survey:
-    """What a run knows so far: inputs, limits, and the receipts of what is finished."""
-
-    inputs: Inputs
-    workflow: Workflow
-    memory_bytes: int
-    workers: int
-    done: dict[str, Shelf] = field(default_factory=dict)
-
-    def of(self, kind: str) -> Shelf:
-        """Finished tasks of a kind, by name."""
-        return self.done.setdefault(kind, Shelf(kind))
+class Survey(Ledger[Inputs, Workflow]):
+    """What a run on an airborne survey knows so far."""
 
     @property
     def beamlets(self) -> int:

@@ -6,11 +6,11 @@ and only those on their way to a worker exist.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
-from spl_batch.plan.phases import Phase
-from spl_batch.plan.survey import Survey
+from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.runner import failure, finished, task_key
-from spl_batch.runner.context import Context
+from spl_batch.runner.context import RunContext
 from spl_batch.task import Receipt, Task
 
 
@@ -21,9 +21,9 @@ class Worklist:
     ----------
     phase : Phase
         The phase; those before it are done.
-    survey : Survey
+    ledger : Ledger
         What is finished so far; what this phase finishes is added to it.
-    context : Context
+    context : RunContext
         The run.
     verify : bool
         Whether finished outputs are compared with their checksums.
@@ -39,20 +39,25 @@ class Worklist:
     """
 
     def __init__(
-        self, phase: Phase, survey: Survey, context: Context, *, verify: bool = False
+        self,
+        phase: Phase,
+        ledger: Ledger[Any, Any],
+        context: RunContext[Any],
+        *,
+        verify: bool = False,
     ) -> None:
         self.left = self.ready = self.points = 0
         self.refused: list[Receipt] = []
-        self._phase, self._survey, self._context = phase, survey, context
+        self._phase, self._ledger, self._context = phase, ledger, context
         self._verify = verify
-        self._done = survey.of(phase.kind)
+        self._done = ledger.of(phase.kind)
         self._out: dict[str, Task] = {}
 
     def look(self) -> Iterator[tuple[Task, Receipt | None]]:
         """Count the tasks; each, with its receipt where it is finished already."""
         self.left = self.ready = self.points = 0
         self.refused.clear()
-        for task in self._phase.tasks(self._survey):
+        for task in self._phase.tasks(self._ledger):
             key = self.key(task)
             receipt = finished(task, key, self._context, verify=self._verify)
             if receipt is not None:
@@ -68,7 +73,7 @@ class Worklist:
 
     def jobs(self) -> Iterator[tuple[Task, str]]:
         """Tasks to do, and their keys, made when they are asked for."""
-        for task in self._phase.tasks(self._survey):
+        for task in self._phase.tasks(self._ledger):
             if not task.refused and task.name not in self._done:
                 self._out[task.name] = task
                 yield task, self.key(task)
@@ -81,5 +86,5 @@ class Worklist:
 
     def key(self, task: Task) -> str:
         """Hash of everything that a task's result depends on."""
-        digests = (self._survey.of(kind).digest(name) for kind, name in task.needs)
+        digests = (self._ledger.of(kind).digest(name) for kind, name in task.needs)
         return task_key(task, self._context, digests)

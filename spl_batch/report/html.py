@@ -1,21 +1,22 @@
-"""One HTML page that opens anywhere, without a network: text, tables and pictures inside."""
+"""The page of an airborne survey: what its report shows beside what all reports have."""
 
-import datetime as dt
-import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import Any, Final
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from typing import Final
 
 from spl_batch.report import format as text
-from spl_batch.report.model import Counts, Report, StagePerformance
+from spl_batch.report.model import Counts, Report, Survey
+from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
 from spl_batch.report.summary import noise_removed, terrain_statistics, verdicts
 
-LONGEST_TABLE: Final = 200
-"""More rows than this are in ``report.json`` only: a page is for reading."""
-
+SECTIONS: Final = (
+    ("accuracy", "Accuracy"),
+    ("surfaces", "Surfaces"),
+    ("noise", "Noise"),
+    ("survey", "Survey"),
+)
+"""Anchor and name of each section of its own."""
 
 HOW: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -45,7 +46,7 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def render(report: Report, pictures: Mapping[str, Picture]) -> str:
-    """The page.
+    """The page of an airborne survey.
 
     Parameters
     ----------
@@ -59,49 +60,39 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
     str
         HTML without any reference to another file; the same input gives the same text.
     """
-    template = environment().get_template("template.html.j2")
-    return template.render(
-        report=report,
+    return render_page(
+        "template.html.j2",
+        report,
+        Front(
+            title=report.survey.name,
+            kicker="Single-photon lidar",
+            facts=tuple(_facts(report.survey)),
+            sections=SECTIONS,
+            verdicts=tuple(verdicts(report)),
+            cards=tuple(_cards(report)),
+        ),
         pictures=pictures,
-        verdicts=verdicts(report),
-        cards=_cards(report),
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
-        stages=_stages(report.performance.stages),
         survivors=_survivors(report),
         how=HOW,
-        written=_written(report.provenance.created),
-        parameters=json.dumps(report.provenance.parameters, indent=2, ensure_ascii=False),
-        longest=LONGEST_TABLE,
     )
 
 
-def environment() -> Environment:
-    """Templates of this package, with the numbers' formats as filters."""
-    environment = Environment(
-        loader=PackageLoader("spl_batch.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(
-        {
-            name: getattr(text, name)
-            for name in (
-                "number",
-                "plain",
-                "significant",
-                "percent",
-                "large",
-                "duration",
-                "size",
-                "centimetres",
-                "surface_name",
-            )
-        }
-    )
-    return environment
+def _facts(survey: Survey) -> Iterator[str]:
+    """What stands below the title."""
+    if survey.area_km2 is not None:
+        yield f"{text.significant(survey.area_km2)} km\N{SUPERSCRIPT TWO}"
+    if survey.flightlines:
+        n = len(survey.flightlines)
+        yield f"{n} flightline{'s' * (n != 1)}"
+    if survey.sensor:
+        yield survey.sensor
+    if survey.crs:
+        words = survey.crs_name and survey.crs_name != survey.crs
+        yield f"{survey.crs} ({survey.crs_name})" if words else survey.crs
+    else:
+        yield "no CRS"
 
 
 def _cards(report: Report) -> list[tuple[str, str, str]]:
@@ -165,34 +156,9 @@ def _set_aside(counts: Counts) -> list[tuple[str, int]]:
     return [(reason, count) for reason, count in reasons if count]
 
 
-def _stages(stages: Mapping[str, StagePerformance]) -> list[dict[str, Any]]:
-    """Rows of the table of stages, with the lengths of their bars in percent."""
-    most_time = max((s.wall_s or 0.0 for s in stages.values()), default=0.0) or 1.0
-    most_memory = max((s.peak_rss_mb or 0.0 for s in stages.values()), default=0.0) or 1.0
-    return [
-        {
-            "name": name,
-            "cost": stage,
-            "time_bar": f"{100 * (stage.wall_s or 0.0) / most_time:.1f}",
-            "memory_bar": f"{100 * (stage.peak_rss_mb or 0.0) / most_memory:.1f}",
-        }
-        for name, stage in stages.items()
-    ]
-
-
 def _survivors(report: Report) -> float | None:
     """Background returns that a test at alpha is expected to have let through [count]."""
     alpha = report.noise.alpha
     if alpha is None or not 0 < alpha < 1 or report.noise.test == "published":
         return None
     return report.counts.background * alpha / (1 - alpha)
-
-
-def _written(created: str) -> str:
-    """Time stamp as people read it; left as it is where it is no ISO time."""
-    try:
-        moment = dt.datetime.fromisoformat(created)
-    except ValueError:
-        return created
-    zone = moment.tzname() or ""
-    return f"{moment.day} {moment:%B %Y, %H:%M} {zone}".strip()

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from spl_batch.report.model import Report
-from spl_batch.workflow import Workflow
+from spl_batch.receivers import HOMES, IMAGING, report_model, workflow_model
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -21,12 +20,19 @@ def schemas() -> dict[str, str]:
     dict of str to str
         JSON with a stable order of keys and a newline at its end.
     """
-    workflow = Workflow.model_json_schema(mode="validation")
-    report = Report.model_json_schema(mode="serialization")
-    return {
-        "report.schema.json": _text({**report, "title": "spl-batch report"}),
-        "workflow.schema.json": _text({**workflow, "title": "spl-batch workflow"}),
-    }
+    found = {}
+    for kind in HOMES:
+        before = "" if kind == IMAGING else f"{kind}_"
+        workflow = workflow_model(kind).model_json_schema(mode="validation")
+        report = report_model(kind).model_json_schema(mode="serialization")
+        words = "" if kind == IMAGING else f" ({kind})"
+        found[f"{before}report.schema.json"] = _text(
+            {**report, "title": f"spl-batch report{words}"}
+        )
+        found[f"{before}workflow.schema.json"] = _text(
+            {**workflow, "title": f"spl-batch workflow{words}"}
+        )
+    return found
 
 
 def stale(folder: Path) -> list[str]:

@@ -1,5 +1,6 @@
 """The few numbers and sentences that a reader wants first, for the console and the page."""
 
+from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 from spl_batch.report.format import (
@@ -14,7 +15,7 @@ from spl_batch.report.format import (
     significant,
     surface_name,
 )
-from spl_batch.report.model import Report, Statistics
+from spl_batch.report.model import Failure, Report, Statistics
 
 Tone = Literal["good", "attention", "bad", "neutral"]
 
@@ -41,7 +42,11 @@ def verdicts(report: Report) -> list[Verdict]:
     list of Verdict
         Always three: accuracy, conservation of points, failures; bad news before the others.
     """
-    found = [_accuracy_verdict(report), _conservation_verdict(report), _failure_verdict(report)]
+    found = [
+        _accuracy_verdict(report),
+        _conservation_verdict(report),
+        failure_verdict(report.failures, report.warnings),
+    ]
     return sorted(found, key=lambda verdict: verdict.tone != "bad")
 
 
@@ -123,8 +128,17 @@ def _conservation_verdict(report: Report) -> Verdict:
     return Verdict("bad", f"{change}: do not use the clouds before this is explained.")
 
 
-def _failure_verdict(report: Report) -> Verdict:
-    failed, warned = len(report.failures), len(report.warnings)
+def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Verdict:
+    """Sentence that says what has failed.
+
+    Parameters
+    ----------
+    failures : sequence of Failure
+        What did not make it.
+    warnings : sequence of str
+        What a reader has to know.
+    """
+    failed, warned = len(failures), len(warnings)
     remarks = f"{number(warned)} warning{'s' * (warned != 1)}" if warned else "no warnings"
     if failed:
         return Verdict(

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pydantic import BaseModel
+
 from spl_batch.io.atomic import write_bytes
 from spl_batch.report.model import Report
 
@@ -12,7 +14,7 @@ if TYPE_CHECKING:  # matplotlib is loaded only where one draws
     from spl_batch.report.pictures import Picture
 
 
-def report_json(report: Report) -> str:
+def report_json(report: BaseModel) -> str:
     """Text of ``report.json``: fields in the model's order, every number finite or null."""
     content = report.model_dump(mode="json")
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -52,6 +54,27 @@ def write_report(out: Path, report: Report, pictures: Mapping[str, "Picture"]) -
     """
     from spl_batch.report.html import render  # noqa: PLC0415
 
-    page = render(report, pictures)
+    write_both(out, report, render(report, pictures))
+
+
+def write_both(out: Path, report: BaseModel, page: str) -> None:
+    """Write any receiver's report into a folder.
+
+    Parameters
+    ----------
+    out : Path
+        Folder; made where it is missing.
+    report : BaseModel
+        What is said.
+    page : str
+        The same as HTML.
+
+    Raises
+    ------
+    StoppedError
+        If the disk is full; an earlier report is then left as it was.
+    WorkflowError
+        If the folder cannot be written.
+    """
     write_bytes(out / "report.json", report_json(report).encode())
     write_bytes(out / "report.html", page.encode())

@@ -1,7 +1,8 @@
 """One task: read, run the stage, write atomically, leave a receipt.
 
-:data:`KINDS` is the whole list of what can be done: the function, the stage of the
-command line that it belongs to, and the parts of the workflow that its result depends on.
+:data:`KINDS` is the whole list of what can be done with an airborne survey: the function, the
+stage of the command line that it belongs to, and the parts of the workflow that its result
+depends on. Other receivers have lists of their own; :func:`kinds` finds the one of a workflow.
 """
 
 import dataclasses
@@ -17,14 +18,15 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from spl_batch import __version__
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError
 from spl_batch.io.atomic import checksum, size, stop_if_full
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
+from spl_batch.receivers import task_kinds
 from spl_batch.runner import delivery, index, lines_of_sight, space_domain, time_domain
-from spl_batch.runner.context import Context, TaskFunction
+from spl_batch.runner.context import RunContext, TaskFunction
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.task import Receipt, Task
 
@@ -38,7 +40,7 @@ STAGES: Final = (
     "deliver",
     "report",
 )
-"""Stages of the command line, in order."""
+"""Stages of an airborne survey's run, in order."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -87,40 +89,73 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
 )
 
 
+def kinds(receiver: str) -> Mapping[str, Kind]:
+    """What the tasks of a receiver do, by kind of task.
+
+    Parameters
+    ----------
+    receiver : str
+        A workflow's ``kind``.
+    """
+    found: Mapping[str, Kind] = task_kinds(receiver)
+    return found
+
+
+def stages(receiver: str) -> tuple[str, ...]:
+    """Stages of a receiver's run, in order; the report comes last."""
+    return (*dict.fromkeys(kind.stage for kind in kinds(receiver).values()), "report")
+
+
 @cache
 def code_version() -> str:
     """Version of the project, hash of the modules and of the libraries that decide results."""
     root = Path(__file__).parent.parent
     digest = hashlib.blake2b(digest_size=8)
-    for folder in (".", "io", "kernels", "plan", "runner", "stages", "sensors"):
-        for path in sorted((root / folder).glob("*")):
-            if path.suffix in {".py", ".yaml", ".json"}:
-                digest.update(path.name.encode() + path.read_bytes())
+    for path in _code(root):
+        digest.update(path.name.encode() + path.read_bytes())
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}".encode())
     return f"{__version__}+{digest.hexdigest()}"
 
 
-def task_key(task: Task, context: Context, digests: Iterable[str]) -> str:
+def _code(root: Path) -> Iterable[Path]:
+    """Files that decide results."""
+    for folder in (".", "io", "kernels", "plan", "runner", "stages", "sensors"):
+        yield from _sources((root / folder).glob("*"))
+    for folder in ("altimetry", "geiger"):
+        yield from _sources((root / folder).rglob("*"))
+
+
+def _sources(paths: Iterable[Path]) -> Iterable[Path]:
+    return sorted(path for path in paths if path.suffix in {".py", ".yaml", ".json"})
+
+
+def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> str:
     """Hash of everything that a task's result depends on.
 
     Parameters
     ----------
     task : Task
         The task.
-    context : Context
+    context : RunContext
         Settings and code version.
     digests : iterable of str
         Digests of the receipts that the task needs, in the order of ``task.needs``.
     """
     content = context.workflow.model_dump(mode="json")
-    settings = {path: _at(content, path) for path in KINDS[task.kind].settings}
+    settings = {path: _at(content, path) for path in _kind(task, context).settings}
     parts = [task.kind, task.name, task.args, settings, context.crs_wkt, context.code]
     text = json.dumps([*parts, list(digests)], sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def finished(task: Task, key: str, context: Context, *, verify: bool = False) -> Receipt | None:
+def _kind(task: Task, context: RunContext[Any]) -> Kind:
+    return kinds(context.workflow.kind)[task.kind]
+
+
+def finished(
+    task: Task, key: str, context: RunContext[Any], *, verify: bool = False
+) -> Receipt | None:
     """Receipt of a task that needs no doing: it matches, and its outputs are there.
 
     Outputs are known by their size. What lies in the store is verified where it is read; what
@@ -133,7 +168,7 @@ def finished(task: Task, key: str, context: Context, *, verify: bool = False) ->
         The task.
     key : str
         From :func:`task_key`.
-    context : Context
+    context : RunContext
         The run.
     verify : bool
         Compare the checksums of all outputs, which reads all of them.
@@ -146,7 +181,7 @@ def finished(task: Task, key: str, context: Context, *, verify: bool = False) ->
     return receipt
 
 
-def _unchanged(name: str, receipt: Receipt, context: Context, *, verify: bool) -> bool:
+def _unchanged(name: str, receipt: Receipt, context: RunContext[Any], *, verify: bool) -> bool:
     path = context.store.named(name)
     if size(path) != receipt.sizes.get(name):
         return False
@@ -159,7 +194,7 @@ def _written_ns(path: Path) -> int:
     return path.stat().st_mtime_ns
 
 
-def run_task(task: Task, key: str, context: Context) -> Receipt:
+def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     """Do one task and leave its receipt, also when it fails.
 
     Parameters
@@ -168,7 +203,7 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
         What to do.
     key : str
         From :func:`task_key`.
-    context : Context
+    context : RunContext
         The run.
 
     Returns
@@ -186,7 +221,7 @@ def run_task(task: Task, key: str, context: Context) -> Receipt:
     # them if this task is killed half-way.
     forget_receipt(context.store, task.kind, task.name)
     try:
-        produced = KINDS[task.kind].function(task.args, context)
+        produced = _kind(task, context).function(task.args, context)
         paths = {context.store.name_of(path): path for path in produced.outputs}
         outputs = {name: checksum(path) for name, path in paths.items()}
         receipt = Receipt(

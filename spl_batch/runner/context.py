@@ -3,34 +3,37 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from pyproj import CRS
 
 from spl_batch.io.store import Store
+from spl_batch.settings import BaseWorkflow
 from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow
 
+W = TypeVar("W", bound=BaseWorkflow)
+
 
 @dataclass(frozen=True, slots=True)
-class Context:
+class RunContext(Generic[W]):
     """What a run is: the same for every task, small enough to send along.
 
     Parameters
     ----------
-    workflow : Workflow
+    workflow : BaseWorkflow
         The settings.
     base : Path
         Folder that relative paths of the workflow start from.
     output : Path
         Folder of the results.
     crs_wkt : str
-        CRS of the survey as WKT; empty where none is known.
+        CRS of what is processed as WKT; empty where none is known.
     code : str
         Version of the code, part of every key.
     """
 
-    workflow: Workflow
+    workflow: W
     base: Path
     output: Path
     crs_wkt: str
@@ -43,18 +46,23 @@ class Context:
 
     @property
     def crs(self) -> CRS | None:
-        """CRS of the survey."""
+        """CRS of what is processed."""
         return CRS.from_wkt(self.crs_wkt) if self.crs_wkt else None
+
+    def resolve(self, name: str) -> Path:
+        """Path of the workflow, seen from its folder."""
+        return (self.base / name).resolve()
+
+
+@dataclass(frozen=True, slots=True)
+class Context(RunContext[Workflow]):
+    """What a run on an airborne survey is."""
 
     @property
     def rasters(self) -> Path:
         """Raster cells of the working store."""
         workflow = self.workflow
         return self.store.rasters(quanta(workflow.ground.cell_m), quanta(workflow.products.cell_m))
-
-    def resolve(self, name: str) -> Path:
-        """Path of the workflow, seen from its folder."""
-        return (self.base / name).resolve()
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,5 +87,5 @@ class Produced:
     inputs: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
 
-TaskFunction = Callable[[Mapping[str, Any], Context], Produced]
+TaskFunction = Callable[[Mapping[str, Any], Any], Produced]
 """Does one task: arguments and context in, what it produced out."""

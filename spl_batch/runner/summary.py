@@ -1,20 +1,12 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
-import json
-import platform
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
-from importlib.metadata import version
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from spl_batch import __version__
 from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import InputError, StoreError
-from spl_batch.io.atomic import checksum, write_bytes
+from spl_batch.errors import InputError
 from spl_batch.io.raster_parts import Part, read_overview
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import (
@@ -25,10 +17,8 @@ from spl_batch.report.model import (
     Flightline,
     InputFile,
     Noise,
-    Performance,
     Provenance,
     Report,
-    StagePerformance,
     Statistics,
     Survey,
 )
@@ -37,70 +27,14 @@ from spl_batch.report.write import write_report
 from spl_batch.runner.accuracy import Comparison, compare
 from spl_batch.runner.context import Context
 from spl_batch.runner.profile import cut_profile
-from spl_batch.task import Receipt
-
-Receipts = Mapping[str, Mapping[str, Receipt]]
-
-LIBRARIES = ("dask", "distributed", "laspy", "lazrs", "numba", "numpy", "pyarrow", "pyproj")
-"""Libraries whose versions the report names, and those that decide results."""
-
-
-@dataclass
-class StageCost:
-    """What one stage has cost."""
-
-    wall_s: float = 0.0
-    tasks: int = 0
-    skipped: int = 0
-    failed: int = 0
-    points: int = 0
-    peak_rss_mb: float = 0.0
-
-    def add(self, receipt: Receipt) -> None:
-        """Count a task that was done."""
-        self.tasks += 1
-        self.failed += receipt.failed
-        self.wall_s += receipt.wall_s
-        self.points += receipt.points
-        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
-
-    def skip(self, receipt: Receipt) -> None:
-        """Count a task that an earlier run did, with what it cost then."""
-        self.skipped += 1
-        self.wall_s += receipt.wall_s
-        self.points += receipt.points
-        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
-
-
-@dataclass(frozen=True)
-class RunFacts:
-    """What the receipts do not say.
-
-    Parameters
-    ----------
-    wall_s : float
-        Duration of the run so far [s].
-    workers : int
-        Worker processes [count].
-    costs : mapping of str to StageCost
-        Cost of each stage.
-    failures : list of Failure
-        What did not make it.
-    notes : list of str
-        Warnings.
-    reference : list of str
-        Reference files.
-    not_read : int
-        Points that unreadable files promise [count].
-    """
-
-    wall_s: float
-    workers: int
-    costs: Mapping[str, StageCost] = field(default_factory=dict)
-    failures: Iterable[Failure] = ()
-    notes: Iterable[str] = ()
-    reference: Iterable[str] = ()
-    not_read: int = 0
+from spl_batch.runner.remember import (
+    Receipts,
+    RunFacts,
+    input_file,
+    performance,
+    provenance,
+    remember,
+)
 
 
 def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
@@ -124,7 +58,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         accuracy=_accuracy(compared),
         density=_density(context),
         noise=_noise(context),
-        performance=_performance(done, facts),
+        performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=failures,
         warnings=(*facts.notes, *_uncovered(done)),
         provenance=_provenance(done, context, facts.reference),
@@ -137,25 +71,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
 def _reference_failure(error: InputError) -> Failure:
     reason = "; ".join(error.faults)
     return Failure(stage="report", place=error.path, reason=reason, remedy="mend or remove it")
-
-
-def remember(done: Receipts, context: Context, facts: RunFacts) -> None:
-    """Keep what a later ``report`` needs."""
-    content = {
-        "workflow": context.workflow.model_dump(mode="json"),
-        "base": str(context.base),
-        "crs_wkt": context.crs_wkt,
-        "code": context.code,
-        "wall_s": facts.wall_s,
-        "workers": facts.workers,
-        "costs": {k: asdict(v) for k, v in facts.costs.items()},
-        "failures": [f.model_dump() for f in facts.failures],
-        "notes": list(facts.notes),
-        "reference": list(facts.reference),
-        "not_read": facts.not_read,
-        "done": {kind: list(names) for kind, names in done.items()},
-    }
-    write_bytes(context.store.local / "run.json", json.dumps(content).encode())
 
 
 def _survey(done: Receipts, context: Context) -> Survey:
@@ -265,27 +180,6 @@ def _noise(context: Context) -> Noise:
     )
 
 
-def _performance(done: Receipts, facts: RunFacts) -> Performance:
-    points = sum(r.facts["points"] for r in done["index_file"].values())
-    return Performance(
-        wall_s=facts.wall_s,
-        points_per_s=points / facts.wall_s if facts.wall_s > 0 else None,
-        peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
-        workers=facts.workers,
-        stages={
-            stage: StagePerformance(
-                wall_s=cost.wall_s,
-                tasks=cost.tasks,
-                skipped=cost.skipped,
-                failed=cost.failed,
-                points_per_s=cost.points / cost.wall_s if cost.wall_s > 0 else None,
-                peak_rss_mb=cost.peak_rss_mb,
-            )
-            for stage, cost in facts.costs.items()
-        },
-    )
-
-
 def _uncovered(done: Receipts) -> Iterable[str]:
     """One sentence for each flightline that the trajectory does not cover."""
     spans: dict[str, tuple[int, float, float]] = {}
@@ -314,28 +208,15 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     ]
     for receipt in done.get("trajectory", {}).values():
         inputs.extend(
-            _input_file(Path(item["path"]), "trajectory", item["hash"])
+            input_file(Path(item["path"]), "trajectory", item["hash"])
             for item in receipt.facts["inputs"]
         )
-    inputs.extend(_input_file(Path(path), "reference") for path in reference)
+    inputs.extend(input_file(Path(path), "reference") for path in reference)
     for role in ("aoi", "water"):
         name = getattr(context.workflow, role)
         if name is not None:
-            inputs.append(_input_file(context.resolve(name), role))
-    return Provenance(
-        version=context.code,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        python=platform.python_version(),
-        platform=f"{platform.system()} {platform.machine()}",
-        libraries={"spl-batch": __version__, **{name: version(name) for name in LIBRARIES}},
-        parameters=context.workflow.model_dump(mode="json"),
-        inputs=tuple(inputs),
-    )
-
-
-def _input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
-    found = digest if digest is not None else checksum(path)
-    return InputFile(path=path.name, role=role, size=path.stat().st_size, hash=f"blake2b:{found}")
+            inputs.append(input_file(context.resolve(name), role))
+    return provenance(context, inputs)
 
 
 def _pictures(done: Receipts, context: Context, compared: Comparison | None) -> PictureInputs:
@@ -362,19 +243,3 @@ def _overview(path: Path) -> Part | None:
 def _covered_km2(context: Context) -> float | None:
     part = _overview(context.output / "density.tif")
     return None if part is None else float(np.count_nonzero(part.values > 0)) * part.cell_m**2 / 1e6
-
-
-def recall(output: Path) -> dict[str, Any]:
-    """What :func:`remember` kept.
-
-    Raises
-    ------
-    StoreError
-        If no run has finished there.
-    """
-    path = output / "store" / "run.json"
-    try:
-        content: dict[str, Any] = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        raise StoreError(f"{output}: no finished run here; `spl-batch run` comes first") from None
-    return content

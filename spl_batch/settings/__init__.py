@@ -4,9 +4,11 @@ Each key has its unit in its name or in its description.
 """
 
 from spl_batch.settings.base import (
+    BaseWorkflow,
     Positive,
     Section,
     Share,
+    StoreSettings,
 )
 from spl_batch.settings.filters import (
     AesSettings,
@@ -39,6 +41,7 @@ __all__ = [
     "AcquisitionSettings",
     "AesSettings",
     "AfterpulseSettings",
+    "BaseWorkflow",
     "CylinderSettings",
     "DccSettings",
     "FilterSettings",
@@ -53,6 +56,7 @@ __all__ = [
     "Section",
     "Share",
     "SmrfSettings",
+    "StoreSettings",
     "SurveySettings",
     "TilingSettings",
     "VoxelSettings",

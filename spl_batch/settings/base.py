@@ -1,4 +1,4 @@
-"""Base of the workflow's sections, and the kinds of numbers in them."""
+"""Base of the workflow and of its sections, and the kinds of numbers in them."""
 
 from typing import Annotated
 
@@ -12,3 +12,31 @@ class Section(BaseModel):
     """Base of every part of the workflow: frozen, and strict about its keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StoreSettings(Section):
+    """Where the working store lies."""
+
+    store: str | None = Field(
+        None,
+        pattern=r"^[a-z][a-z0-9+.-]*://.+",
+        description="Working store on an object store, a URL for fsspec such as "
+        "s3://bucket/survey; by default the folder store of the output.",
+    )
+
+
+class BaseWorkflow(Section):
+    """What the engine needs to know of a workflow, whatever its receiver."""
+
+    kind: str = Field(description="Receiver that the workflow is for.")
+    output: str = Field(description="Folder of the results, relative to this file.")
+    outputs: StoreSettings = StoreSettings()
+
+    def check(self) -> None:
+        """Find faults that no single key shows.
+
+        Raises
+        ------
+        WorkflowError
+            If there are some.
+        """

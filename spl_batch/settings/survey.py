@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from spl_batch.sensor import Sensor
-from spl_batch.settings.base import Positive, Section
+from spl_batch.settings.base import Positive, Section, StoreSettings
 
 
 class SurveySettings(Section):
@@ -56,14 +56,8 @@ class AcquisitionSettings(Section):
     gate_m: Positive | None = Field(None, description="Slant length of the range gate [m].")
 
 
-class OutputSettings(Section):
+class OutputSettings(StoreSettings):
     """What is written beside the classified clouds."""
 
     diagnostics: bool = Field(False, description="Extra bytes noise_density and p_value.")
     tiles: Literal["none", "laz", "copc"] = Field("none", description="Points by tile as well.")
-    store: str | None = Field(
-        None,
-        pattern=r"^[a-z][a-z0-9+.-]*://.+",
-        description="Working store on an object store, a URL for fsspec such as "
-        "s3://bucket/survey; by default the folder store of the output.",
-    )

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from spl_batch.simulate.scene import Scene
     from spl_batch.simulate.survey import SimulationSummary
 
-__all__ = ["load_scene", "preset_scene", "preset_scenes", "simulate"]
+__all__ = ["load_scene", "preset_scene", "preset_scenes", "simulate", "simulate_file"]
 
 
 def load_scene(path: Path) -> "Scene":
@@ -50,6 +50,13 @@ def preset_scene(name: str) -> "Scene":
         raise WorkflowError(f"no scene {name!r}; known are {', '.join(known)}")
     with resources.as_file(resources.files("spl_batch.simulate") / "scenes" / f"{name}.yaml") as p:
         return load_scene(p)
+
+
+def simulate_file(
+    scene: Path, out: Path, *, progress: Callable[[float], None] | None = None
+) -> "SimulationSummary":
+    """Simulate the survey of a scene file; see :func:`simulate`."""
+    return simulate(load_scene(scene), out, progress=progress)
 
 
 def simulate(

@@ -4,18 +4,17 @@ Places are metres east and north of the scene's origin. Defaults are written her
 nowhere else; an unknown key is an error that names the nearest known one.
 """
 
-import difflib
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from spl_batch.errors import WorkflowError
 from spl_batch.sensor import Sensor, load_preset
+from spl_batch.settings.faults import validated
 from spl_batch.workflow import read_mapping
 
 Positive = Annotated[float, Field(gt=0)]
@@ -162,6 +161,7 @@ class Reference(Section):
 class Scene(Section):
     """A survey to be simulated."""
 
+    kind: Literal["imaging"] = Field("imaging", description="Airborne single-photon lidar.")
     name: str = Field("scene", description="Title of the survey.")
     crs: str = Field("EPSG:32615", description="Projected CRS in metres.")
     origin_m: tuple[float, float, float] = Field(
@@ -220,11 +220,7 @@ def parse_scene(content: Mapping[str, Any], where: str) -> Scene:
     WorkflowError
         One line that lists every fault.
     """
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        faults = "; ".join(_fault(e) for e in error.errors(include_url=False))
-        raise WorkflowError(f"{where}: {faults}") from None
+    return validated(Scene, content, where)
 
 
 def load_scene(path: Path) -> Scene:
@@ -242,22 +238,3 @@ def load_scene(path: Path) -> Scene:
     """
     content = read_mapping(path, "a scene is a mapping with extent_m: and flights:")
     return parse_scene(content, str(path))
-
-
-def _fault(error: Any) -> str:
-    place = ".".join(str(part) for part in error["loc"])
-    if error["type"] == "extra_forbidden":
-        key = str(error["loc"][-1])
-        near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.0)
-        return f"{place}: no such key; the nearest known key is {near[0]!r}"
-    message = error["msg"].removeprefix("Value error, ")
-    given = error.get("input")
-    shown = "" if isinstance(given, dict) else f" (found {given!r})"
-    return f"{place}: {message}{shown}" if place else message
-
-
-def known_keys() -> list[str]:
-    """Every key of every section of a scene, sorted."""
-    schema = Scene.model_json_schema()
-    sections = [schema, *schema["$defs"].values()]
-    return sorted({key for section in sections for key in section.get("properties", {})})

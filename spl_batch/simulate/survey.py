@@ -92,6 +92,11 @@ class SimulationSummary:
     kinds: dict[str, int]
     wall_s: float
 
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Label and value of what a user is told."""
+        return [("returns", f"{self.points:,}"), ("flightlines", str(len(self.lines)))]
+
 
 @dataclass(frozen=True, slots=True)
 class _Rig:

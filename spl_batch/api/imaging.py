@@ -1,0 +1,226 @@
+"""Airborne single-photon lidar: the receiver that the project began with."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Final
+
+from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import WorkflowError
+from spl_batch.io.cells import create_raster_store
+from spl_batch.plan.cost import SurveyCost, estimate
+from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
+from spl_batch.plan.inputs import gather_inputs
+from spl_batch.plan.ledger import Phase
+from spl_batch.plan.memory import REMEDIES, surface_reach_m
+from spl_batch.plan.phases import PHASES
+from spl_batch.plan.survey import Survey, mosaic_parts, timeless_sources
+from spl_batch.report.model import Report
+from spl_batch.report.summary import screen_summary
+from spl_batch.runner import code_version
+from spl_batch.runner.context import Context
+from spl_batch.runner.remember import Receipts, RunFacts
+from spl_batch.settings import BaseWorkflow
+from spl_batch.stages.surface import PRODUCTS
+from spl_batch.task import Receipt
+from spl_batch.tiling import quanta
+from spl_batch.workflow import Workflow
+
+_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "index_file": "file",
+        "build_tile": "tile",
+        "gather": "stretch",
+        "gather_range": "stretch",
+        "scatter": "stretch",
+        "fit_line": "flightline",
+        "denoise": "block",
+        "ground": "ground cell",
+        "surface": "ground cell",
+    }
+)
+
+
+class Imaging(Receiver[Survey, Context]):
+    """Flightlines to classified clouds, terrain and surface rasters."""
+
+    phases: ClassVar[Sequence[Phase]] = PHASES
+    words: ClassVar[Mapping[str, str]] = _WORDS
+    remedies: ClassVar[Mapping[str, str]] = REMEDIES
+
+    def prepare(
+        self, workflow: Workflow, place: Place, limits: Limits
+    ) -> Prepared[Survey, Context]:
+        """Find and check every file of a workflow, from headers alone."""
+        _check_cells(workflow, place.workflow)
+        inputs = gather_inputs(workflow, place.base, place.output)
+        if not inputs.sources:
+            raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
+        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
+        context = Context(workflow, place.base, place.output, crs_wkt, code_version())
+        survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
+        return Prepared(self, survey, context)
+
+    def context(self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str) -> Context:
+        """What its tasks are given."""
+        if not isinstance(workflow, Workflow):
+            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no airborne survey")
+        return Context(workflow, place.base, place.output, crs_wkt, code)
+
+    def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
+        """What a run is expected to cost."""
+        return estimate(prepared.ledger, prepared.context)
+
+    def plan_rows(
+        self, prepared: Prepared[Survey, Context], cost: SurveyCost
+    ) -> list[tuple[str, str]]:
+        """Label and value of what a plan tells beside disk, memory and time."""
+        settings = prepared.ledger.workflow
+        area_km2 = cost.tiles * settings.tiling.tile_m**2 / 1e6
+        halo = (
+            f"{cost.halo_m:g} m around a block; around a ground cell "
+            f"{settings.ground.buffer_m:g} m for the ground, "
+            f"{surface_reach_m(settings):g} m for its rasters"
+        )
+        return [
+            ("area", f"{area_km2:,.3f} km2 of tiles"),
+            ("stretches", f"{cost.stretches:,} of flightlines"),
+            ("tiles", f"{cost.tiles:,}"),
+            ("blocks", f"{cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles"),
+            ("ground cells", f"{cost.cells:,}"),
+            ("halo", halo),
+        ]
+
+    def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
+        """Make room for the raster cells of the ``surfaces`` stage."""
+        if phase.kind == "surface":
+            workflow = prepared.context.workflow
+            create_raster_store(
+                prepared.context.rasters,
+                (*PRODUCTS, "noise"),
+                ground_cell=quanta(workflow.ground.cell_m),
+                raster_cell=quanta(workflow.products.cell_m),
+            )
+
+    def after(
+        self, phase: Phase, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]
+    ) -> Iterable[str]:
+        """Warn of what a phase has brought to light, or stop."""
+        survey = prepared.ledger
+        if phase.kind == "index_file":
+            yield from _judge_index(survey, [r for r in failed if r.kind == "index_file"])
+        if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
+            failures = [r.reason for r in failed if r.kind == "trajectory"]
+            if failures:
+                raise WorkflowError(f"survey.trajectory: {failures[-1]}")
+        if phase.kind == "sensor_path" and survey.of("sensor_path"):
+            yield _beams_without_trajectory(survey)
+        if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
+            yield (
+                "the survey lies in pieces far apart: each has rasters of its own "
+                "(dtm.tif, dtm_2.tif, ...), the largest piece comes first"
+            )
+
+    def edge_m(self, kind: str, ledger: Survey) -> float:
+        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
+        if kind in {"build_tile", "deliver_tile"}:
+            return ledger.tile_q / QUANTA_PER_M
+        if kind == "denoise":
+            return ledger.block_q / QUANTA_PER_M
+        return ledger.cell_q / QUANTA_PER_M if kind in {"ground", "surface"} else 0.0
+
+    def reference(self, ledger: Survey) -> list[str]:
+        """Files that the results are compared with."""
+        return [str(path) for path in ledger.inputs.reference]
+
+    def not_read(self, ledger: Survey) -> int:
+        """Points that the headers of files promise which could not be read to their end [count]."""
+        indexed = ledger.of("index_file")
+        sources = ledger.inputs.sources
+        return sum(s.facts.n_points for s in sources if str(s.key) not in indexed)
+
+    def report(self, done: Receipts, context: Context, facts: RunFacts) -> Report:
+        """Write ``report.json`` and ``report.html``."""
+        from spl_batch.runner.summary import summarise  # noqa: PLC0415 - a plan draws nothing
+
+        return summarise(done, context, facts)
+
+    def screen(self, report: Report) -> list[tuple[str, str]]:
+        """Label and value of each number that the console shows after a run."""
+        return screen_summary(report)
+
+    def results(self, output: Path) -> list[tuple[str, list[Path]]]:
+        """What a user looks at first."""
+        return [
+            ("report", [output / "report.html"]),
+            ("rasters", [output / "dtm.tif", output / "dsm.tif"]),
+            ("clouds", [output / "laz"]),
+        ]
+
+
+RECEIVER: Final[Receiver[Any, Any]] = Imaging()
+"""The one there is."""
+
+
+def _judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
+    """Stop where no input is usable; say which ones have no time."""
+    usable = survey.of("index_file")
+    if not usable or not any(r.points for r in usable.values()):
+        reasons = [*(str(b) for b in survey.inputs.bad), *(r.reason for r in failures)]
+        raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
+    timeless = timeless_sources(survey)
+    for source in timeless:
+        yield (
+            f"{source.name}: no usable gps_time (none, not finite, or the same for every "
+            "point); its points are delivered unfiltered and take part in nothing"
+        )
+    guessed = [line.name for line in survey.flightlines if line.prf_basis == "assumed"]
+    if guessed:
+        yield (
+            f"{', '.join(guessed[:5])}: gps_time does not tell the pulse rate; "
+            f"{FALLBACK_PRF_HZ:.0f} Hz assumed; state acquisition.prf_hz"
+        )
+    if survey.filtering and not survey.flightlines:
+        names = ", ".join(source.name for source in timeless[:5])
+        raise WorkflowError(
+            f"{names}: no point has a usable gps_time, so there are no shots to filter by; "
+            "set filter.method: none and afterpulse.enabled: false for ground and surfaces"
+        )
+
+
+def _beams_without_trajectory(survey: Survey) -> str:
+    """What beams are taken from where there is no trajectory."""
+    paths = survey.of("sensor_path")
+    found = [name for name, receipt in paths.items() if receipt.facts["found"]]
+    headings = survey.of("heading")
+    left = [headings[name] for name in paths if name not in found and name in headings]
+    angled = sum(r.facts["heading_rad"] is not None for r in left)
+    return (
+        "no trajectory: the sensor is found where lines of sight through several returns meet "
+        f"on {len(found)} flightlines; beams are taken from scan_angle and the flight direction "
+        f"on {angled} and are vertical on {len(paths) - len(found) - angled}, whose returns, "
+        "scan_angle or course do not tell them"
+    )
+
+
+def _check_cells(workflow: Workflow, path: Path) -> None:
+    """Edges are whole millimetres, and raster cells fill a ground cell."""
+    edges = {
+        "tiling.tile_m": workflow.tiling.tile_m,
+        "ground.cell_m": workflow.ground.cell_m,
+        "products.cell_m": workflow.products.cell_m,
+        "noise.voxel_m": workflow.noise.voxel_m,
+    }
+    faults = [
+        f"{key}: {edge:g} is not a whole number of millimetres"
+        for key, edge in edges.items()
+        if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
+    ]
+    if not faults and quanta(workflow.ground.cell_m) % quanta(workflow.products.cell_m):
+        faults.append(
+            f"ground.cell_m ({workflow.ground.cell_m:g}) must be a whole multiple of "
+            f"products.cell_m ({workflow.products.cell_m:g})"
+        )
+    if faults:
+        raise WorkflowError(f"{path}: {'; '.join(faults)}")

@@ -1,0 +1,152 @@
+"""What the verbs need of a receiver: inputs, phases, cost, remarks on the way, a report.
+
+Everything else, tasks on workers, receipts, resume, isolation of failures, progress, is the
+same for all of them. A receiver is named by the ``kind`` of a workflow
+(:mod:`spl_batch.receivers`).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Generic, TypeVar
+
+from spl_batch.plan.budget import Cost
+from spl_batch.plan.ledger import Ledger, Phase
+from spl_batch.runner.context import RunContext
+from spl_batch.runner.remember import Receipts, RunFacts
+from spl_batch.settings import BaseWorkflow
+from spl_batch.task import Receipt
+
+L = TypeVar("L", bound=Ledger[Any, Any])
+C = TypeVar("C", bound=RunContext[Any])
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared(Generic[L, C]):
+    """A run that could start."""
+
+    receiver: "Receiver[L, C]"
+    ledger: L
+    context: C
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How much of a machine may be used.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        Memory limit of a worker [byte].
+    workers : int
+        Worker processes, 1 at the least [count].
+    """
+
+    memory_bytes: int
+    workers: int
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a workflow stands, and where its results go.
+
+    Parameters
+    ----------
+    workflow : Path
+        The file, as it was given.
+    base : Path
+        Folder that its relative paths start from.
+    output : Path
+        Folder of the results.
+    """
+
+    workflow: Path
+    base: Path
+    output: Path
+
+
+class Receiver(ABC, Generic[L, C]):
+    """What the verbs need of a receiver.
+
+    Attributes
+    ----------
+    phases : sequence of Phase
+        Every phase of a run, in order.
+    words : mapping of str to str
+        What a user calls the result of a kind of task.
+    remedies : mapping of str to str
+        What makes a kind of task lighter, where memory was too little.
+    """
+
+    phases: ClassVar[Sequence[Phase]]
+    words: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    remedies: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    @abstractmethod
+    def prepare(self, workflow: Any, place: Place, limits: Limits) -> Prepared[L, C]:
+        """Find and check every file of a workflow, from headers alone.
+
+        Raises
+        ------
+        WorkflowError
+            If nothing can be started; one line with every fault.
+        """
+
+    @abstractmethod
+    def context(
+        self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
+    ) -> RunContext[Any]:
+        """What its tasks are given."""
+
+    @abstractmethod
+    def cost(self, prepared: Prepared[L, C]) -> Cost:
+        """What a run is expected to cost."""
+
+    @abstractmethod
+    def plan_rows(self, prepared: Prepared[L, C], cost: Any) -> list[tuple[str, str]]:
+        """Label and value of what a plan tells beside disk, memory and time."""
+
+    def before(self, phase: Phase, prepared: Prepared[L, C]) -> None:
+        """Get ready for the tasks of a phase."""
+
+    def after(
+        self, phase: Phase, prepared: Prepared[L, C], failed: Sequence[Receipt]
+    ) -> Iterable[str]:
+        """Warn of what a phase has brought to light.
+
+        Raises
+        ------
+        WorkflowError
+            If nothing is left to go on with.
+        """
+        del phase, prepared, failed
+        return ()
+
+    def edge_m(self, kind: str, ledger: L) -> float:
+        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
+        del kind, ledger
+        return 0.0
+
+    def reference(self, ledger: L) -> list[str]:
+        """Files that the results are compared with."""
+        del ledger
+        return []
+
+    def not_read(self, ledger: L) -> int:
+        """Points that files promise which could not be read to their end [count]."""
+        del ledger
+        return 0
+
+    @abstractmethod
+    def report(self, done: Receipts, context: C, facts: RunFacts) -> Any:
+        """Write ``report.json`` and ``report.html``; the model of what they say."""
+
+    @abstractmethod
+    def screen(self, report: Any) -> list[tuple[str, str]]:
+        """Label and value of each number that the console shows after a run."""
+
+    @abstractmethod
+    def results(self, output: Path) -> list[tuple[str, list[Path]]]:
+        """Label and paths of what a user looks at first; those that are missing are left out."""

@@ -1,0 +1,115 @@
+"""What any run is expected to cost, what cannot fit, and rates that a store has measured."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Final
+
+from spl_batch.errors import PlanError
+from spl_batch.io.store import read_receipts
+from spl_batch.plan.memory import usable_bytes
+from spl_batch.runner import kinds
+from spl_batch.runner.context import RunContext
+
+SAMPLE: Final = 1000
+"""Receipts of a kind that measured rates are taken from, at most [count]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """What a run is expected to cost.
+
+    Parameters
+    ----------
+    points : int
+        Points of all usable files [count].
+    tasks : int
+        Tasks of all stages [count].
+    disk_bytes : int
+        Working store and results [byte].
+    memory_bytes : int
+        Memory of the heaviest task, its worker included [byte].
+    heaviest, remedy : str
+        That task, and the setting that makes it lighter.
+    stages_s : mapping of str to float
+        Time of each stage on one worker [s].
+    workers : int
+        Worker processes [count].
+    measured : bool
+        Whether the rates were measured on this store.
+    """
+
+    points: int
+    tasks: int
+    disk_bytes: int
+    memory_bytes: int
+    heaviest: str
+    remedy: str
+    stages_s: Mapping[str, float]
+    workers: int
+    measured: bool
+
+    @property
+    def time_s(self) -> float:
+        """Wall time with these workers [s]."""
+        return sum(self.stages_s.values()) / self.workers
+
+
+def refuse_too_large(cost: Cost, limit: int) -> None:
+    """Refuse a run whose heaviest task cannot fit into a worker.
+
+    Parameters
+    ----------
+    cost : Cost
+        What the run is expected to cost.
+    limit : int
+        Memory limit of a worker [byte].
+
+    Raises
+    ------
+    PlanError
+        It names that task and what makes it lighter.
+    """
+    if cost.memory_bytes > usable_bytes(limit):
+        remedies = " or ".join(filter(None, ("raise it", cost.remedy)))
+        raise PlanError(
+            f"{cost.heaviest} needs {cost.memory_bytes / 2**20:,.0f} MiB, more than a task may "
+            f"use of --memory {limit / 2**20:,.0f} MiB ({usable_bytes(limit) / 2**20:,.0f} MiB); "
+            f"{remedies}"
+        )
+
+
+def measured_rates(
+    typical: Mapping[str, float], context: RunContext[Any] | None
+) -> tuple[Mapping[str, float], bool]:
+    """Points per second by stage: measured where the store holds receipts.
+
+    Parameters
+    ----------
+    typical : mapping of str to float
+        Points per second and worker where nothing was measured.
+    context : RunContext, optional
+        Where measured rates may lie.
+
+    Returns
+    -------
+    rates : mapping of str to float
+        Points per second and worker.
+    measured : bool
+        Whether any of them was measured.
+    """
+    if context is None:
+        return typical, False
+    rates = dict(typical)
+    measured = False
+    known = kinds(context.workflow.kind)
+    for stage in rates:
+        points, wall = 0, 0.0
+        for kind in (k for k, v in known.items() if v.stage == stage):
+            for receipt in islice(read_receipts(context.store, kind), SAMPLE):
+                points += receipt.points
+                wall += receipt.wall_s
+        if points > 0 and wall > 1.0:
+            rates[stage] = points / wall
+            measured = True
+    return rates, measured

@@ -1,0 +1,81 @@
+"""What a run knows of its inputs and of what is finished, and how phases make tasks of that.
+
+Every receiver's plan is a list of :class:`Phase` over a :class:`Ledger` of its own.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+from spl_batch.errors import InputError
+from spl_batch.plan.shelf import Shelf
+from spl_batch.settings import BaseWorkflow
+from spl_batch.task import Task
+
+
+class AnySource(Protocol):
+    """An input file that can be used."""
+
+    @property
+    def path(self) -> Path:
+        """Where it lies."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    @property
+    def key(self) -> int:
+        """What tasks call it; depends on its name alone."""
+
+
+class AnyInputs(Protocol):
+    """Everything that a workflow names, checked."""
+
+    @property
+    def sources(self) -> Sequence[AnySource]:
+        """Input files that can be used, by name."""
+
+    @property
+    def bad(self) -> Sequence[InputError]:
+        """Input files that cannot."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What a user should know before the work starts."""
+
+
+I = TypeVar("I", bound=AnyInputs)  # noqa: E741
+W = TypeVar("W", bound=BaseWorkflow)
+
+
+@dataclass
+class Ledger(Generic[I, W]):
+    """What a run knows so far: inputs, limits, and the receipts of what is finished."""
+
+    inputs: I
+    workflow: W
+    memory_bytes: int
+    workers: int
+    done: dict[str, Shelf] = field(default_factory=dict)
+
+    def of(self, kind: str) -> Shelf:
+        """Finished tasks of a kind, by name."""
+        return self.done.setdefault(kind, Shelf(kind))
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """Tasks of one kind, made when everything before them is finished.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the tasks.
+    tasks : callable
+        Makes them of the receiver's ledger; it looks at earlier phases only.
+    """
+
+    kind: str
+    tasks: Callable[[Any], Iterator[Task]]

@@ -1,0 +1,85 @@
+"""The receivers that there are workflows for, and where the parts of each lie.
+
+A workflow's ``kind`` names its receiver. Its parts are loaded when they are asked for: who
+processes an airborne survey needs nothing of the others.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any, Final
+
+IMAGING: Final = "imaging"
+"""Kind of a workflow that names none: airborne single-photon lidar."""
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where the parts of a receiver lie, as ``module:name``.
+
+    Parameters
+    ----------
+    workflow : str
+        Model of its workflow file, a :class:`~spl_batch.settings.BaseWorkflow`.
+    kinds : str
+        What its tasks do: a mapping of :class:`~spl_batch.runner.Kind`.
+    receiver : str
+        What the verbs need: a :class:`~spl_batch.api.receiver.Receiver`.
+    report : str
+        Model of its ``report.json``.
+    simulate : str
+        Makes synthetic data: a function of a scene file, an output folder and, by name, of
+        ``progress``, which is told the share that is done; what it gives back has ``rows``, label
+        and value of what a user is told. It leaves a ``workflow.yaml`` in the folder.
+    """
+
+    workflow: str
+    kinds: str
+    receiver: str
+    report: str
+    simulate: str
+
+
+HOMES: Final[Mapping[str, Home]] = MappingProxyType(
+    {
+        IMAGING: Home(
+            "spl_batch.workflow:Workflow",
+            "spl_batch.runner:KINDS",
+            "spl_batch.api.imaging:RECEIVER",
+            "spl_batch.report.model:Report",
+            "spl_batch.simulate:simulate_file",
+        ),
+    }
+)
+"""Every receiver, by the kind of its workflows."""
+
+
+def workflow_model(kind: str) -> Any:
+    """Model of a receiver's workflow file."""
+    return _load(HOMES[kind].workflow)
+
+
+def task_kinds(kind: str) -> Any:
+    """What a receiver's tasks do, by kind of task."""
+    return _load(HOMES[kind].kinds)
+
+
+def receiver(kind: str) -> Any:
+    """What the verbs need of a receiver."""
+    return _load(HOMES[kind].receiver)
+
+
+def report_model(kind: str) -> Any:
+    """Model of a receiver's report."""
+    return _load(HOMES[kind].report)
+
+
+def simulator(kind: str) -> Any:
+    """What makes synthetic data for a receiver."""
+    return _load(HOMES[kind].simulate)
+
+
+def _load(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)

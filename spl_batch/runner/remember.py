@@ -1,0 +1,188 @@
+"""What a run keeps beside its receipts, and the parts that every receiver's report has."""
+
+import json
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from spl_batch import __version__
+from spl_batch.errors import StoreError
+from spl_batch.io.atomic import checksum, write_bytes
+from spl_batch.report.model import (
+    Failure,
+    InputFile,
+    Performance,
+    Provenance,
+    StagePerformance,
+)
+from spl_batch.runner.context import RunContext
+from spl_batch.task import Receipt
+
+Receipts = Mapping[str, Mapping[str, Receipt]]
+"""Finished tasks by kind and name."""
+
+LIBRARIES: Final = ("dask", "distributed", "laspy", "lazrs", "numba", "numpy", "pyarrow", "pyproj")
+"""Libraries whose versions a report names."""
+
+
+@dataclass
+class StageCost:
+    """What one stage has cost."""
+
+    wall_s: float = 0.0
+    tasks: int = 0
+    skipped: int = 0
+    failed: int = 0
+    points: int = 0
+    peak_rss_mb: float = 0.0
+
+    def add(self, receipt: Receipt) -> None:
+        """Count a task that was done."""
+        self.tasks += 1
+        self.failed += receipt.failed
+        self.wall_s += receipt.wall_s
+        self.points += receipt.points
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+    def skip(self, receipt: Receipt) -> None:
+        """Count a task that an earlier run did, with what it cost then."""
+        self.skipped += 1
+        self.wall_s += receipt.wall_s
+        self.points += receipt.points
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What the receipts do not say.
+
+    Parameters
+    ----------
+    wall_s : float
+        Duration of the run so far [s].
+    workers : int
+        Worker processes [count].
+    costs : mapping of str to StageCost
+        Cost of each stage.
+    failures : list of Failure
+        What did not make it.
+    notes : list of str
+        Warnings.
+    reference : list of str
+        Reference files.
+    not_read : int
+        Points that unreadable files promise [count].
+    """
+
+    wall_s: float
+    workers: int
+    costs: Mapping[str, StageCost] = field(default_factory=dict)
+    failures: Iterable[Failure] = ()
+    notes: Iterable[str] = ()
+    reference: Iterable[str] = ()
+    not_read: int = 0
+
+
+def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
+    """Keep what a later ``report`` needs."""
+    content = {
+        "workflow": context.workflow.model_dump(mode="json"),
+        "base": str(context.base),
+        "crs_wkt": context.crs_wkt,
+        "code": context.code,
+        "wall_s": facts.wall_s,
+        "workers": facts.workers,
+        "costs": {k: asdict(v) for k, v in facts.costs.items()},
+        "failures": [f.model_dump() for f in facts.failures],
+        "notes": list(facts.notes),
+        "reference": list(facts.reference),
+        "not_read": facts.not_read,
+        "done": {kind: list(names) for kind, names in done.items()},
+    }
+    write_bytes(context.store.local / "run.json", json.dumps(content).encode())
+
+
+def recall(output: Path) -> dict[str, Any]:
+    """What :func:`remember` kept.
+
+    Raises
+    ------
+    StoreError
+        If no run has finished there.
+    """
+    path = output / "store" / "run.json"
+    try:
+        content: dict[str, Any] = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        raise StoreError(f"{output}: no finished run here; `spl-batch run` comes first") from None
+    return content
+
+
+def performance(facts: RunFacts, points: int) -> Performance:
+    """Cost of a run, for its report.
+
+    Parameters
+    ----------
+    facts : RunFacts
+        What the receipts do not say.
+    points : int
+        Points of all inputs [count].
+    """
+    return Performance(
+        wall_s=facts.wall_s,
+        points_per_s=points / facts.wall_s if facts.wall_s > 0 else None,
+        peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
+        workers=facts.workers,
+        stages={
+            stage: StagePerformance(
+                wall_s=cost.wall_s,
+                tasks=cost.tasks,
+                skipped=cost.skipped,
+                failed=cost.failed,
+                points_per_s=cost.points / cost.wall_s if cost.wall_s > 0 else None,
+                peak_rss_mb=cost.peak_rss_mb,
+            )
+            for stage, cost in facts.costs.items()
+        },
+    )
+
+
+def provenance(context: RunContext[Any], inputs: Sequence[InputFile]) -> Provenance:
+    """Enough to do a run again, for its report.
+
+    Parameters
+    ----------
+    context : RunContext
+        The run.
+    inputs : sequence of InputFile
+        Everything that it read.
+    """
+    return Provenance(
+        version=context.code,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        python=platform.python_version(),
+        platform=f"{platform.system()} {platform.machine()}",
+        libraries={"spl-batch": __version__, **{name: version(name) for name in LIBRARIES}},
+        parameters=context.workflow.model_dump(mode="json"),
+        inputs=tuple(inputs),
+    )
+
+
+def input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
+    """Identity of an input file, for the report.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    role : str
+        What it is for.
+    digest : str, optional
+        Its checksum, where a task has taken it already.
+    """
+    found = digest if digest is not None else checksum(path)
+    return InputFile(path=path.name, role=role, size=path.stat().st_size, hash=f"blake2b:{found}")
