@@ -3,28 +3,30 @@
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.api import (
-    AloneResult,
-    ComparisonResult,
-    Follower,
-    PlanSummary,
-    RunResult,
-    RunStatus,
-)
 from spl_batch.cli.live import details, duration, short
 from spl_batch.report.format import centimetres, number, percent, significant
+
+if TYPE_CHECKING:  # each command loads what it needs only
+    from spl_batch.api import (
+        AloneResult,
+        ComparisonResult,
+        Follower,
+        PlanSummary,
+        RunResult,
+        RunStatus,
+    )
 
 _OUT = Console()
 
 
-def print_result(result: RunResult) -> None:
+def print_result(result: "RunResult") -> None:
     """Print how a run ended."""
     if result.report is None:
         _OUT.print(f"stopped as asked; run again to continue in {result.output}")
@@ -34,7 +36,7 @@ def print_result(result: RunResult) -> None:
         _path(label, *paths)
 
 
-def print_comparison(result: ComparisonResult) -> None:
+def print_comparison(result: "ComparisonResult") -> None:
     """Print how several filters did, and where the rest is."""
     titles = ("filter", "kept", "removed", "far noise", "DTM RMSE", "DSM RMSE", "s per million")
     table = Table(*titles, box=None)
@@ -60,7 +62,7 @@ def print_simulation(summary: Any, output: Path) -> None:
     _path("workflow", output / "workflow.yaml")
 
 
-def print_plan(summary: PlanSummary) -> None:
+def print_plan(summary: "PlanSummary") -> None:
     """Print what a run would do."""
     cost = summary.cost
     basis = "as measured here" if cost.measured else "typical rates"
@@ -81,12 +83,12 @@ def print_plan(summary: PlanSummary) -> None:
         _OUT.print(Text(f"unusable: {text}", style="red"), soft_wrap=True)
 
 
-def print_status(status: RunStatus) -> None:
+def print_status(status: "RunStatus") -> None:
     """Print the state of the latest run."""
     _OUT.print(_whole(status))
 
 
-def watch_status(follower: Follower, every_s: float = 1.0) -> RunStatus:
+def watch_status(follower: "Follower", every_s: float = 1.0) -> "RunStatus":
     """Show the state of a run until it ends, or somebody has seen enough."""
     status = follower.update()
     with Live(console=_OUT, auto_refresh=False, transient=True) as live:
@@ -98,7 +100,7 @@ def watch_status(follower: Follower, every_s: float = 1.0) -> RunStatus:
     return status
 
 
-def _whole(status: RunStatus) -> RenderableType:
+def _whole(status: "RunStatus") -> RenderableType:
     """State by stage as a table, and all else that the live view shows."""
     table = Table("stage", "done", "failed", "left", "points/s", "time", "time left", box=None)
     for stage in status.stages.values():
@@ -114,7 +116,7 @@ def _whole(status: RunStatus) -> RenderableType:
     return Group(table, Text(_what_it_does(status)), *details(status))
 
 
-def _what_it_does(status: RunStatus) -> str:
+def _what_it_does(status: "RunStatus") -> str:
     """Whether the run works, has ended, or was killed."""
     if status.ended is not None:
         reason = status.ended.get("reason")
@@ -129,7 +131,7 @@ def _what_it_does(status: RunStatus) -> str:
     return "  working"
 
 
-def print_alone(result: AloneResult) -> None:
+def print_alone(result: "AloneResult") -> None:
     """Print what has come of a single task."""
     receipt = result.receipt
     task = f"{receipt.kind} {receipt.name}"
