@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,23 @@ from hypothesis import strategies as st
 
 from spl_batch.api.preparing import parse_bytes
 from spl_batch.errors import WorkflowError
+from spl_batch.io.store import Store
 from spl_batch.plan import mosaics
+from spl_batch.plan.blocks import (
+    block_holders,
+    block_sides,
+    blocks,
+    choose_block_tiles,
+    count_blocks,
+    remember_block_tiles,
+    remembered_block_tiles,
+)
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.inputs import source_key
+from spl_batch.plan.memory import points_within
 from spl_batch.plan.mosaics import split_mosaic
-from spl_batch.plan.space import choose_block_tiles, owners, tile_counts, units, voxel_index
+from spl_batch.plan.space import Unit, owners, tile_counts, units, voxel_index
 from spl_batch.runner.index import merge_spans
 from spl_batch.task import Receipt
 from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, grow, overlap
@@ -173,16 +185,87 @@ def test_owners_are_the_finished_units_that_touch() -> None:
     assert found == {CellId(1, 0): ["0_0", "1_0"], CellId(9, 9): []}
 
 
+def everywhere(points: int, side: int = 16) -> dict[CellId, int]:
+    return dict.fromkeys(itertools.starmap(CellId, np.ndindex(side, side)), points)
+
+
 def test_blocks_grow_with_memory_and_shrink_with_workers() -> None:
-    many = list(
-        from_counts(dict.fromkeys(itertools.starmap(CellId, np.ndindex(16, 16)), 100_000), 100_000)
-    )
+    many = list(from_counts(everywhere(100_000), 100_000))
     sizes = [choose_block_tiles(many, workflow(), m * 2**30, 2) for m in (1, 4, 64)]
     assert sizes == sorted(sizes)
     assert sizes[0] < sizes[-1]
-    assert choose_block_tiles(many, workflow(), 2**36, 200) <= sizes[-1]
+    assert choose_block_tiles(many, workflow(), 2**36, 200) == 1
     assert choose_block_tiles(many, workflow(tiling={"block_tiles": 3}), 2**28, 2) == 3
     assert choose_block_tiles([], workflow(), 2**30, 2) >= 1
+
+
+def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
+    counts = {**everywhere(100_000), CellId(3, 3): 5_000_000}
+    pieces = list(from_counts(counts, 100_000))
+    assert choose_block_tiles(pieces, workflow(), 2**36, 1) == 8
+    assert count_blocks(pieces, workflow(), 2**36, 8) == (4, 8)
+    most = points_within("denoise", 2**32)
+    assert sum(counts[CellId(i, j)] for i in range(4) for j in range(4)) < most, "fits a quarter"
+    assert count_blocks(pieces, workflow(), 2**32, 8) == (7, 8)
+
+
+tile_points = st.dictionaries(
+    st.builds(CellId, st.integers(-9, 9), st.integers(-9, 9)), st.integers(1, 1000), min_size=1
+)
+EDGE, HALO = 100, 30
+
+
+def cut(counts: Mapping[CellId, int], largest: int, most: float) -> dict[str, Unit]:
+    sides = block_sides(largest, workflow())
+    return {u.name: u for u in blocks(counts, EDGE, sides, HALO, most)}
+
+
+@given(tile_points, st.sampled_from([8, 6, 4, 3, 2, 1]), st.integers(1, 9000))
+def test_blocks_own_each_tile_once_and_hold_what_they_may(
+    counts: dict[CellId, int], largest: int, most: int
+) -> None:
+    sides = block_sides(largest, workflow())
+    found = cut(counts, largest, most)
+    owning = {t: [n for n, u in found.items() if overlap(u.core, cell_bounds(t, EDGE))]
+              for t in counts}  # fmt: skip
+    assert all(len(names) == 1 for names in owning.values())
+    assert block_holders(counts, sides, found) == owning  # type: ignore[arg-type]
+    for name, unit in found.items():
+        i, j, side = map(int, name.split("_"))
+        assert side in sides
+        assert unit.core == Bounds(i * EDGE, j * EDGE, (i + side) * EDGE, (j + side) * EDGE)
+        assert unit.held <= most or side == 1
+        assert unit.points == sum(n for t, n in counts.items() if owning[t] == [name])
+    pieces = list(from_counts(counts, EDGE))
+    cuts = [p.cut([side * EDGE for side in sides], HALO, most + 0.5) for p in pieces]
+    for level, side in enumerate(sides):
+        expected = [u for n, u in found.items() if n.endswith(f"_{side}")]
+        assert sum(c[level].units for c in cuts) == len(expected)
+        read = sum(c[level].read for c in cuts)
+        assert read == pytest.approx(sum(u.held for u in expected), abs=1 + len(expected))
+
+
+@given(tile_points, tile_points, st.integers(1, 9000))
+def test_points_that_are_added_change_no_block_that_does_not_see_them(
+    counts: dict[CellId, int], more: dict[CellId, int], most: int
+) -> None:
+    both = {t: counts.get(t, 0) + more.get(t, 0) for t in (*counts, *more)}
+    before, after = cut(counts, 8, most), cut(both, 8, most)
+    for name, unit in before.items():
+        parent = grow(cell_bounds(CellId(unit.core.xmin // 800, unit.core.ymin // 800), 800), HALO)
+        if not any(overlap(cell_bounds(t, EDGE), parent) for t in more):
+            assert after[name] == unit
+
+
+def test_the_size_of_blocks_is_remembered_for_each_size_of_tiles(tmp_path: Path) -> None:
+    store, other = Store(tmp_path), workflow(tiling={"tile_m": 50})
+    assert remembered_block_tiles(store, DEFAULTS) is None
+    remember_block_tiles(store, DEFAULTS, 4)
+    remember_block_tiles(store, other, 2)
+    assert remembered_block_tiles(store, DEFAULTS) == 4
+    assert remembered_block_tiles(store, other) == 2
+    store.path("blocks.json").write_text("{half")
+    assert remembered_block_tiles(store, DEFAULTS) is None, "chosen anew"
 
 
 def test_only_voxel_parts_of_the_region_are_read() -> None:

@@ -98,6 +98,28 @@ def test_a_map_counts_every_unit_once(units: set[tuple[int, int]], data: st.Data
     assert np.all((states == State.FAILED) == (tiles.failed[::-1] > 0))
 
 
+@given(
+    st.sets(st.tuples(st.integers(-99, 99), st.integers(-99, 99), st.integers(1, 8)), min_size=1)
+)
+def test_a_unit_of_many_squares_shows_wherever_it_lies(units: set[tuple[int, int, int]]) -> None:
+    names = [f"{i}_{j}_{n}" for i, j, n in sorted(units)]
+    tiles = TileMap.of(names, [], 100.0)
+    assert tiles is not None
+    expected = np.zeros_like(tiles.total)
+    for i, j, n in units:
+        touched = {
+            ((y - tiles.south) // tiles.step, (x - tiles.west) // tiles.step)
+            for y in range(j, j + n)
+            for x in range(i, i + n)
+        }
+        for row, column in touched:
+            expected[row, column] += 1
+    assert np.array_equal(tiles.total, expected)
+    for name in names:
+        tiles.ended(name, began=False, failed=False)
+    assert np.array_equal(tiles.done, expected)
+
+
 def test_the_map_lies_north_up_and_shows_what_deserves_a_look() -> None:
     tiles = TileMap.of(["0_0", "1_0", "0_1"], ["1_1"], 100.0)
     assert tiles is not None

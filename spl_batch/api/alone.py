@@ -54,7 +54,7 @@ def run_alone(
     workflow : Path or str
         Workflow file.
     task : str
-        Kind and name of the task, as the report's failures give it, e.g. ``"denoise 3_4"``.
+        Kind and name of the task, as the report's failures give it, e.g. ``"ground 3_4"``.
     workers, memory : int, str or int
         Those of the run, as work is cut by them; nothing is started.
     overrides : sequence of str
@@ -85,7 +85,7 @@ def _find(wanted: str, prepared: Prepared[Any, Any]) -> Job:
     known = kinds(prepared.context.workflow.kind)
     if kind not in known or not name:
         raise WorkflowError(
-            f"--only {wanted!r}: write kind and name of a task, such as 'denoise 3_4'; kinds are "
+            f"--only {wanted!r}: write kind and name of a task, such as 'ground 3_4'; kinds are "
             f"{', '.join(known)}"
         )
     for phase in prepared.receiver.phases:

@@ -9,6 +9,7 @@ from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError
 from spl_batch.io.cells import create_raster_store
+from spl_batch.plan.blocks import remember_block_tiles, remembered_block_tiles
 from spl_batch.plan.cost import SurveyCost, estimate
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.inputs import gather_inputs
@@ -60,6 +61,7 @@ class Imaging(Receiver[Survey, Context]):
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
         context = Context(workflow, place.base, place.output, crs_wkt, code_version())
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
+        survey.block_tiles = remembered_block_tiles(context.store, workflow)
         return Prepared(self, survey, context)
 
     def context(self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str) -> Context:
@@ -93,9 +95,13 @@ class Imaging(Receiver[Survey, Context]):
         ]
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
-        """Make room for the raster cells of the ``surfaces`` stage."""
+        """Settle the size of blocks; make room for the raster cells of the ``surfaces`` stage."""
+        workflow, survey = prepared.context.workflow, prepared.ledger
+        if phase.kind == "denoise" and workflow.tiling.block_tiles is None:
+            # The run may have begun with emptying the store.
+            survey.block_tiles = remembered_block_tiles(prepared.context.store, workflow)
+            remember_block_tiles(prepared.context.store, workflow, survey.block_sides[0])
         if phase.kind == "surface":
-            workflow = prepared.context.workflow
             create_raster_store(
                 prepared.context.rasters,
                 (*PRODUCTS, "noise"),
@@ -124,10 +130,8 @@ class Imaging(Receiver[Survey, Context]):
 
     def edge_m(self, kind: str, ledger: Survey) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
-        if kind in {"build_tile", "deliver_tile"}:
+        if kind in {"build_tile", "denoise", "deliver_tile"}:
             return ledger.tile_q / QUANTA_PER_M
-        if kind == "denoise":
-            return ledger.block_q / QUANTA_PER_M
         return ledger.cell_q / QUANTA_PER_M if kind in {"ground", "surface"} else 0.0
 
     def reference(self, ledger: Survey) -> list[str]:

@@ -29,16 +29,20 @@ class State(IntEnum):
 
 @dataclass(slots=True)
 class TileMap:
-    """Units of an absolute grid, counted by state in cells of ``step`` x ``step`` units.
+    """Units of an absolute grid, counted by state in cells of ``step`` x ``step`` squares.
+
+    A unit is a square of the grid, named by its column and row, or several along either
+    side, of which the name tells the first and then the number: it counts in each cell of
+    the map that it touches.
 
     Parameters
     ----------
     edge_m : float
-        Edge of a unit [m].
+        Edge of a square [m].
     west, south : int
-        Column and row of the map's first unit.
+        Column and row of the map's first square.
     step : int
-        Units along one side of a cell [count].
+        Squares along one side of a cell [count].
     total, done, failed, running : (rows, columns) int64
         Units in each cell, from the south-west; all, finished, failed, being worked on.
     """
@@ -59,14 +63,15 @@ class TileMap:
         both = np.concatenate([todo, ready])
         if not len(both):
             return None
-        west, south = both.min(axis=0).tolist()
-        wide, high = (both.max(axis=0) - both.min(axis=0) + 1).tolist()
+        west, south = both[:, :2].min(axis=0).tolist()
+        east, north = (both[:, :2] + both[:, 2:]).max(axis=0).tolist()
+        wide, high = east - west, north - south
         step = max(math.ceil(wide / COLUMNS), math.ceil(high / ROWS))
         shape = (math.ceil(high / step), math.ceil(wide / step))
         zeros = [np.zeros(shape, np.int64) for _ in range(4)]
         made = cls(edge_m, west, south, step, *zeros)
-        np.add.at(made.total, made._cells(both), 1)
-        np.add.at(made.done, made._cells(ready), 1)
+        made._count(made.total, both)
+        made._count(made.done, ready)
         return made
 
     @classmethod
@@ -105,18 +110,32 @@ class TileMap:
         found = np.where(self.running > 0, State.RUNNING, found)
         return np.where(self.failed > 0, State.FAILED, found)[::-1]
 
-    def _cells(self, units: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        columns, rows = units[:, 0] - self.west, units[:, 1] - self.south
-        return rows // self.step, columns // self.step
+    def _count(self, counts: NDArray[np.int64], units: NDArray[np.int64]) -> None:
+        """Add units: steps up and down at the corners of each, then running totals."""
+        place = np.array([self.west, self.south])
+        first = (units[:, :2] - place) // self.step
+        stop = (units[:, :2] + units[:, 2:] - 1 - place) // self.step + 1
+        change = np.zeros((counts.shape[0] + 1, counts.shape[1] + 1), np.int64)
+        for columns, rows, sign in (
+            (first[:, 0], first[:, 1], 1),
+            (stop[:, 0], stop[:, 1], 1),
+            (first[:, 0], stop[:, 1], -1),
+            (stop[:, 0], first[:, 1], -1),
+        ):
+            np.add.at(change, (rows, columns), sign)
+        counts += change.cumsum(axis=0).cumsum(axis=1)[:-1, :-1]
 
     def _add(self, counts: NDArray[np.int64], name: str, change: int) -> None:
-        i, j = name.split("_")
-        row, column = (int(j) - self.south) // self.step, (int(i) - self.west) // self.step
-        if 0 <= row < counts.shape[0] and 0 <= column < counts.shape[1]:
-            counts[row, column] += change
+        i, j, side = _parse([name])[0].tolist()
+        rows, columns = (
+            slice(max(low // self.step, 0), max((low + side - 1) // self.step + 1, 0))
+            for low in (j - self.south, i - self.west)
+        )
+        counts[rows, columns] += change
 
 
 def _parse(names: Iterable[str]) -> NDArray[np.int64]:
-    """Column and row of units such as ``"-3_12"``."""
-    numbers = (int(part) for name in names for part in name.split("_"))
-    return np.fromiter(numbers, np.int64).reshape(-1, 2)
+    """Column, row and side of units such as ``"-3_12"``, of side 1, or ``"-4_12_2"``."""
+    parts = ([*name.split("_"), "1"] for name in names)
+    numbers = (int(v) for part in parts for v in part[:3])
+    return np.fromiter(numbers, np.int64).reshape(-1, 3)

@@ -8,11 +8,11 @@ from typing import Final
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.plan import density
+from spl_batch.plan.blocks import choose_block_tiles, count_blocks
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
 from spl_batch.plan.inputs import Source
 from spl_batch.plan.memory import Need, halo_m, needs, stretch_points
-from spl_batch.plan.space import choose_block_tiles
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.context import Context
 from spl_batch.stages.surface import PRODUCTS
@@ -47,7 +47,7 @@ class SurveyCost(Cost):
     stretches, tiles, blocks, cells : int
         Stretches of flightlines, tiles, denoise blocks and ground cells [count].
     block_tiles : int
-        Tiles along one side of a block [count].
+        Tiles along one side of the largest block [count].
     halo_m : float
         Halo of a block, the sum of the reaches of the filter's steps [m].
     """
@@ -73,10 +73,11 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     workflow, sources = survey.workflow, survey.inputs.sources
     points = sum(s.facts.n_points for s in sources)
     pieces = list(density.from_boxes(map(_box, sources), survey.tile_q))
-    side = choose_block_tiles(pieces, workflow, survey.memory_bytes, survey.workers)
-    tiles, blocks, cells = (
-        sum(piece.units(edge) for piece in pieces)
-        for edge in (survey.tile_q, side * survey.tile_q, survey.cell_q)
+    limits = workflow, survey.memory_bytes
+    largest = survey.block_tiles or choose_block_tiles(pieces, *limits, survey.workers)
+    blocks, side = count_blocks(pieces, *limits, workflow.tiling.block_tiles or largest)
+    tiles, cells = (
+        sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
     )
     stretches = sum(-(-s.facts.n_points // stretch_points(survey.memory_bytes)) for s in sources)
     heaviest = _heaviest(survey, pieces)

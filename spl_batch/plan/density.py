@@ -48,6 +48,21 @@ class Peak(NamedTuple):
     core: Bounds
 
 
+class Cut(NamedTuple):
+    """Units of one size.
+
+    Parameters
+    ----------
+    units : int
+        Their number [count].
+    read : float
+        Points in their cores and halos, added up [count].
+    """
+
+    units: int
+    read: float
+
+
 @dataclass(frozen=True)
 class Piece:
     """Points in squares of an absolute grid over one rectangle.
@@ -92,6 +107,38 @@ class Piece:
         west = (self.first.i * self.edge // step + int(column)) * step
         south = (self.first.j * self.edge // step + int(row)) * step
         return Peak(float(read[row, column]), Bounds(west, south, west + unit_q, south + unit_q))
+
+    def cut(self, edges: Sequence[int], halo_q: int, most: float) -> list[Cut]:
+        """Units of several sizes: those of the largest, and of those too full their parts.
+
+        Parameters
+        ----------
+        edges : sequence of int
+            Edges of units, the largest first; each divides the one before [quanta].
+        halo_q : int
+            Their halo [quanta].
+        most : float
+            Points beyond which a unit is cut, unless it is of the last size [count].
+        """
+        found = []
+        above: tuple[NDArray[np.bool_], int] | None = None
+        for unit_q in edges:
+            step = max(unit_q, self.edge)
+            read = self._sums(self._total, step, (unit_q, halo_q))
+            there = self._sums(self._total_touched, step, (step, 0)) > _TOUCHED
+            if above is not None:
+                rows, columns = (
+                    (np.arange(n) + first * self.edge // step) * step // above[1]
+                    - first * self.edge // above[1]
+                    for n, first in zip(there.shape, self.first[::-1], strict=True)
+                )
+                there &= above[0][np.ix_(rows, columns)]
+            full = there & (read > most) & (unit_q != edges[-1])
+            there &= ~full
+            each = (step // unit_q) ** 2
+            found.append(Cut(int(np.count_nonzero(there)) * each, float(read[there].sum()) * each))
+            above = full, step
+        return found
 
     @cached_property
     def _total(self) -> NDArray[np.float64]:

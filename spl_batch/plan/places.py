@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.plan.blocks import block_holders
 from spl_batch.plan.inputs import source_args
 from spl_batch.plan.memory import refusal, surface_reach_m
 from spl_batch.plan.space import Unit, fired_index, owners, units, voxel_index
@@ -86,7 +87,7 @@ def denoise(survey: Survey) -> Iterator[Task]:
     for block in survey.blocks():
         parts = index.overlapping(grow(block.core, margin))
         args = {
-            "block": str(block.cell),
+            "block": block.name,
             "core": list(block.core),
             "tiles": [str(t) for t in block.tiles],
             "voxels": parts,
@@ -100,7 +101,7 @@ def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo = quanta(survey.workflow.ground.buffer_m)
     for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
-        noise = owners(cell.tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
+        noise = block_holders(cell.tiles, survey.block_sides, survey.of("denoise"))
         args = {**_cell_args(cell), "noise": _named("noise", noise)}
         needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
         yield _task("ground", cell, args, needs, survey)
@@ -113,7 +114,7 @@ def surface(survey: Survey) -> Iterator[Task]:
     for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
         if str(cell.cell) not in survey.of("ground"):
             continue
-        noise = owners(cell.tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
+        noise = block_holders(cell.tiles, survey.block_sides, survey.of("denoise"))
         ground_of = owners(cell.tiles, survey.tile_q, survey.cell_q, survey.of("ground"))
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
@@ -194,7 +195,7 @@ def _task(
     survey: Survey,
 ) -> Task:
     refused = refusal(kind, unit.held, survey.memory_bytes)
-    return Task(kind, str(unit.cell), args, needs, unit.points, refused)
+    return Task(kind, unit.name, args, needs, unit.points, refused)
 
 
 def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
@@ -225,7 +226,7 @@ def _label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[s
 
 def _label_units(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
     """Finished units that hold the delivered labels of each tile, by tile and label."""
-    noise = owners(tiles, survey.tile_q, survey.block_q, survey.of("denoise"))
+    noise = block_holders(tiles, survey.block_sides, survey.of("denoise"))
     classes = owners(tiles, survey.tile_q, survey.cell_q, survey.of("surface"))
     return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
 

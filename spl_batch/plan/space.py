@@ -2,10 +2,8 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from spl_batch.plan.density import Piece, largest
-from spl_batch.plan.memory import halo_m, points_within
 from spl_batch.runner.space_domain import parse_cell
 from spl_batch.task import Receipt
 from spl_batch.tiling import (
@@ -18,24 +16,17 @@ from spl_batch.tiling import (
     overlap,
     quanta,
 )
-from spl_batch.workflow import Workflow
-
-MAX_BLOCK_TILES = 8
-"""Tiles along one side of a block, at most [count]."""
-
-BLOCK_SHARE = 0.9
-"""Part of the points that a worker can hold which a block of several tiles may have: within
-a tile they may lie on the side of the halo."""
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
+class Unit(NamedTuple):
     """A work unit of the space domain.
 
     Parameters
     ----------
+    name : str
+        Column and row on its absolute grid; of a block, :func:`~spl_batch.plan.blocks.block_name`.
     cell : CellId
-        Column and row on its absolute grid.
+        That column and row.
     core : Bounds
         What it owns.
     tiles : tuple of CellId
@@ -46,6 +37,7 @@ class Unit:
         Points in its core and halo, as if they spread evenly over each tile [count].
     """
 
+    name: str
     cell: CellId
     core: Bounds
     tiles: tuple[CellId, ...]
@@ -71,19 +63,40 @@ def units(counts: Mapping[CellId, int], tile_q: int, unit_q: int, halo_q: int) -
     halo_q : int
         Halo that a unit reads [quanta].
     """
-    for cell in _cells_with_points(counts, tile_q, unit_q):
-        core = cell_bounds(cell, unit_q)
-        near = [t for t in cells_touching(grow(core, halo_q), tile_q) if t in counts]
-        owned = held = 0.0
-        for tile in near:
-            bounds = cell_bounds(tile, tile_q)
-            held += counts[tile] * _shared(bounds, grow(core, halo_q)) / tile_q**2
-            owned += counts[tile] if overlap(bounds, core) else 0
-        yield Unit(cell, core, tuple(near), int(owned), math.ceil(held))
+    for cell in cells_with_points(counts, tile_q, unit_q):
+        yield unit_of(cell, counts, tile_q, unit_q, halo_q)
 
 
-def _cells_with_points(counts: Mapping[CellId, int], tile_q: int, unit_q: int) -> list[CellId]:
-    """Cells of units that share area with a tile, sorted."""
+def unit_of(
+    cell: CellId, counts: Mapping[CellId, int], tile_q: int, unit_q: int, halo_q: int
+) -> Unit:
+    """One unit of a grid; without any points where no tile of its core has some.
+
+    Parameters
+    ----------
+    cell : CellId
+        Its column and row.
+    counts, tile_q, unit_q, halo_q
+        As in :func:`units`.
+    """
+    core = cell_bounds(cell, unit_q)
+    near = [t for t in cells_touching(grow(core, halo_q), tile_q) if t in counts]
+    owned = held = 0.0
+    for tile in near:
+        bounds = cell_bounds(tile, tile_q)
+        held += counts[tile] * _shared(bounds, grow(core, halo_q)) / tile_q**2
+        owned += counts[tile] if overlap(bounds, core) else 0
+    return Unit(str(cell), cell, core, tuple(near), int(owned), math.ceil(held))
+
+
+def cells_with_points(counts: Mapping[CellId, int], tile_q: int, unit_q: int) -> list[CellId]:
+    """Cells of units that share area with a tile, sorted.
+
+    Parameters
+    ----------
+    counts, tile_q, unit_q
+        As in :func:`units`.
+    """
     cells: set[CellId] = set()
     for tile in counts:
         cells.update(cells_touching(cell_bounds(tile, tile_q), unit_q))
@@ -95,39 +108,6 @@ def _shared(a: Bounds, b: Bounds) -> int:
     width = min(a.xmax, b.xmax) - max(a.xmin, b.xmin)
     height = min(a.ymax, b.ymax) - max(a.ymin, b.ymin)
     return max(width, 0) * max(height, 0)
-
-
-def choose_block_tiles(
-    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, workers: int
-) -> int:
-    """Tiles along one side of a denoise block: as many as memory and the workers allow.
-
-    A larger block reads less halo; but every worker should have several blocks.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Where the points lie.
-    workflow : Workflow
-        The settings.
-    memory_bytes : int
-        Memory limit of a worker [byte].
-    workers : int
-        Worker processes [count].
-    """
-    if workflow.tiling.block_tiles is not None:
-        return workflow.tiling.block_tiles
-    tile_q = quanta(workflow.tiling.tile_m)
-    halo_q = quanta(halo_m(workflow))
-    budget = points_within("denoise", memory_bytes) * BLOCK_SHARE
-    best = 1
-    for n in range(2, MAX_BLOCK_TILES + 1):
-        heaviest = largest(piece.peak(n * tile_q, halo_q) for piece in pieces)
-        blocks = sum(piece.units(n * tile_q) for piece in pieces)
-        if heaviest.points > budget or blocks < 3 * workers:
-            break
-        best = n
-    return best
 
 
 def owners(

@@ -4,13 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
+from spl_batch.plan.blocks import block_points, block_sides, blocks, choose_block_tiles
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.ledger import Ledger
 from spl_batch.plan.memory import halo_m, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
-from spl_batch.plan.space import Unit, choose_block_tiles, tile_counts, units
+from spl_batch.plan.space import Unit, tile_counts
 from spl_batch.runner.space_domain import parse_cell
 from spl_batch.tiling import Bounds, CellId, quanta
 from spl_batch.workflow import Workflow
@@ -18,7 +19,12 @@ from spl_batch.workflow import Workflow
 
 @dataclass
 class Survey(Ledger[Inputs, Workflow]):
-    """What a run on an airborne survey knows so far."""
+    """What a run on an airborne survey knows so far.
+
+    ``block_tiles`` are the tiles along one side of the largest blocks that earlier runs had.
+    """
+
+    block_tiles: int | None = None
 
     @property
     def beamlets(self) -> int:
@@ -46,14 +52,17 @@ class Survey(Ledger[Inputs, Workflow]):
 
     def blocks(self) -> Iterator[Unit]:
         """Denoise blocks; complete once the shuffle is."""
-        return units(self.counts, self.tile_q, self.block_q, self.halo_q)
+        most = block_points(self.memory_bytes)
+        return blocks(self.counts, self.tile_q, self.block_sides, self.halo_q, most)
 
     @cached_property
-    def block_q(self) -> int:
-        """Edge of a denoise block [quanta]."""
-        pieces = list(from_counts(self.counts, self.tile_q))
-        tiles = choose_block_tiles(pieces, self.workflow, self.memory_bytes, self.workers)
-        return tiles * self.tile_q
+    def block_sides(self) -> tuple[int, ...]:
+        """Tiles along one side of denoise blocks, the largest first [count]."""
+        largest = self.block_tiles
+        if largest is None or self.workflow.tiling.block_tiles is not None:
+            pieces = list(from_counts(self.counts, self.tile_q))
+            largest = choose_block_tiles(pieces, self.workflow, self.memory_bytes, self.workers)
+        return block_sides(largest, self.workflow)
 
     @property
     def tile_q(self) -> int:
