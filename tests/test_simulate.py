@@ -23,7 +23,7 @@ from spl_batch.kernels.scene_trace import (
     KIND_WATER,
     KIND_WIRE,
 )
-from spl_batch.simulate import load_scene, preset_scene, preset_scenes, simulate
+from spl_batch.simulate import deliver, load_scene, preset_scene, preset_scenes, simulate
 from spl_batch.simulate.scene import parse_scene
 from spl_batch.simulate.survey import KINDS
 from spl_batch.workflow import load_workflow
@@ -280,14 +280,19 @@ def test_the_workflow_is_valid_and_finds_its_files(survey):
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(survey, tmp_path):
+def test_the_same_seed_gives_the_same_bytes_however_much_is_made_at_once(
+    survey, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(deliver, "PULSES_AT_ONCE", 7001)
+    monkeypatch.setattr(deliver, "ROWS_AT_ONCE", 7)
     scene = preset_scene("tiny")
     simulate(scene, tmp_path / "same")
     simulate(scene.model_copy(update={"seed": 8}), tmp_path / "other")
-    for name in ("flightlines/line_01.laz", "reference_lml.laz", "truth/line_02.parquet"):
+    clouds = ("flightlines/line_01.laz", "reference_lml.laz", "truth/line_02.parquet")
+    for name in (*clouds, "truth/dtm.tif", "truth/dsm.tif", "truth/reflectance.tif"):
         first = (survey[0].out / name).read_bytes()
-        assert (tmp_path / "same" / name).read_bytes() == first
-        assert (tmp_path / "other" / name).read_bytes() != first
+        assert (tmp_path / "same" / name).read_bytes() == first, name
+        assert (tmp_path / "other" / name).read_bytes() != first, name
 
 
 def test_shipped_and_documented_scenes_are_valid():

@@ -1,11 +1,15 @@
 """What comes with the flightlines: trajectory, reference cloud, truth, workflow."""
 
 import math
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import Any, cast
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from spl_batch.constants import (
     CLASS_BUILDING,
@@ -25,10 +29,10 @@ from spl_batch.kernels.sim_reflectance import mean_reflectance
 from spl_batch.kernels.sim_shots import NoiseGrid, empty_layers
 from spl_batch.simulate.files import (
     las_header,
+    raster_rows,
     sbet_records,
     write_points,
     write_polygons,
-    write_raster,
     write_text,
     write_trajectory_csv,
 )
@@ -41,6 +45,12 @@ TRAJECTORY_HZ = 200.0
 
 REFLECTANCE_SAMPLES = 4
 """Places along one side of a cell whose reflectance is averaged [count]."""
+
+PULSES_AT_ONCE = 250_000
+"""Pulses of the reference that are simulated at once; they bound the memory [count]."""
+
+ROWS_AT_ONCE = 64
+"""Rows of the rasters that are made at once [count]."""
 
 LINEAR_SPOT_M = 0.1
 """Spread of the reference's footprint [m]."""
@@ -123,35 +133,68 @@ def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
 
 
 def _reference(scene: Scene, arrays: SceneArrays, out: Path) -> None:
-    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(4,)))
+    header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
+    write_points(out / "reference_lml.laz", header, _reference_pieces(scene, arrays, out))
+
+
+def _reference_pieces(
+    scene: Scene, arrays: SceneArrays, out: Path
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Points of the reference, of some pulses at a time.
+
+    One source of chance gives all places, then all returns, then all noise, so that what is
+    between them waits on disk: the points do not depend on how many are made at once.
+    """
+    seed = np.random.SeedSequence(scene.seed, spawn_key=(4,))
     n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
-    xy = rng.random((n, 2)) * scene.extent_m
-    z, kind = np.empty((n, 2)), np.zeros((n, 2), dtype=np.uint8)
+    sizes = [min(PULSES_AT_ONCE, n - first) for first in range(0, n, PULSES_AT_ONCE)]
+    places, rng = np.random.default_rng(seed), np.random.default_rng(seed)
+    cast("np.random.PCG64", rng.bit_generator).advance(2 * n)
     above = float(arrays.ground_z.max()) + 500.0
-    linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
-    z += scene.reference.noise_m * rng.standard_normal(z.shape)
+    with TemporaryFile(dir=out) as returns:
+        for size in sizes:
+            z, kind = np.empty((size, 2)), np.zeros((size, 2), dtype=np.uint8)
+            xy = places.random((size, 2)) * scene.extent_m
+            linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
+            returns.write(z.tobytes() + kind.tobytes())
+        returns.seek(0)
+        places = np.random.default_rng(seed)
+        first = 0
+        for size in sizes:
+            z = np.frombuffer(returns.read(16 * size)).reshape(size, 2)
+            kind = np.frombuffer(returns.read(2 * size), dtype=np.uint8).reshape(size, 2)
+            xy = places.random((size, 2)) * scene.extent_m
+            noisy = z + scene.reference.noise_m * rng.standard_normal(z.shape)
+            yield _reference_points(scene, first, xy, noisy, kind)
+            first += size
+
+
+def _reference_points(
+    scene: Scene,
+    first: int,
+    xy: NDArray[np.float64],
+    z: NDArray[np.float64],
+    kind: NDArray[np.uint8],
+) -> dict[str, NDArray[Any]]:
+    """LAS dimensions of the returns of some pulses, of which this is the first."""
+    n = len(xy)
     seen = np.isfinite(z)
     returns = seen.sum(axis=1).astype(np.uint8)
     number = np.column_stack([np.ones(n, dtype=np.uint8), returns])
     classes = np.full(256, CLASS_UNCLASSIFIED, dtype=np.uint8)
     classes[[KIND_GROUND, KIND_ROOF, KIND_WATER]] = CLASS_GROUND, CLASS_BUILDING, CLASS_WATER
-    time_s = scene.acquisition.start_s + np.arange(n) / 400_000.0
+    time_s = scene.acquisition.start_s + np.arange(first, first + n) / 400_000.0
     pulse = np.repeat(np.arange(n), 2).reshape(n, 2)[seen]
-    header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
-    write_points(
-        out / "reference_lml.laz",
-        header,
-        {
-            "x": xy[pulse, 0] + scene.origin_m[0],
-            "y": xy[pulse, 1] + scene.origin_m[1],
-            "z": z[seen],
-            "gps_time": time_s[pulse],
-            "classification": classes[kind[seen]],
-            "return_number": number[seen],
-            "number_of_returns": returns[pulse],
-            "point_source_id": np.ones(len(pulse), dtype=np.uint16),
-        },
-    )
+    return {
+        "x": xy[pulse, 0] + scene.origin_m[0],
+        "y": xy[pulse, 1] + scene.origin_m[1],
+        "z": z[seen],
+        "gps_time": time_s[pulse],
+        "classification": classes[kind[seen]],
+        "return_number": number[seen],
+        "number_of_returns": returns[pulse],
+        "point_source_id": np.ones(len(pulse), dtype=np.uint16),
+    }
 
 
 def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
@@ -162,16 +205,20 @@ def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
     )
     x = np.arange(west, east) + 0.5 - scene.origin_m[0]
     y = np.arange(north, south, -1) - 0.5 - scene.origin_m[1]
-    xs, ys = np.meshgrid(x, y)
-    ground, surface = np.empty(xs.size), np.empty(xs.size)
-    surface_heights(arrays, xs.ravel(), ys.ravel(), ground, surface)
-    for name, values in (("dtm", ground), ("dsm", surface)):
-        path = out / "truth" / f"{name}.tif"
-        write_raster(path, values.reshape(xs.shape), float(west), float(north), scene.crs)
-    rho = np.empty(xs.shape)
     corner = west - scene.origin_m[0], north - scene.origin_m[1]
-    mean_reflectance(arrays, corner[0], corner[1], 1.0, REFLECTANCE_SAMPLES, rho)
-    write_raster(out / "truth" / "reflectance.tif", rho, float(west), float(north), scene.crs)
+    place = (len(y), len(x)), float(west), float(north), scene.crs
+    with ExitStack() as open_files:
+        write = [
+            open_files.enter_context(raster_rows(out / "truth" / f"{name}.tif", *place))
+            for name in ("dtm", "dsm", "reflectance")
+        ]
+        for first in range(0, len(y), ROWS_AT_ONCE):
+            xs, ys = np.meshgrid(x, y[first : first + ROWS_AT_ONCE])
+            ground, surface, rho = (np.empty(xs.shape) for _ in range(3))
+            surface_heights(arrays, xs.ravel(), ys.ravel(), ground.ravel(), surface.ravel())
+            mean_reflectance(arrays, corner[0], corner[1] - first, 1.0, REFLECTANCE_SAMPLES, rho)
+            for values, to in zip((ground, surface, rho), write, strict=True):
+                to(first, values)
 
 
 def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - one caller

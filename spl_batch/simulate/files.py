@@ -3,7 +3,8 @@
 import datetime as dt
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,6 +19,7 @@ import yaml
 from laspy.header import GpsTimeType
 from numpy.typing import NDArray
 from pyproj import CRS, Proj, Transformer
+from rasterio.windows import Window
 
 from spl_batch.constants import (
     ADJUSTED_STANDARD_OFFSET_S,
@@ -110,8 +112,10 @@ class LineWriter:
         self.count += n
 
 
-def write_points(path: Path, header: laspy.LasHeader, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write a LAZ file in one go.
+def write_points(
+    path: Path, header: laspy.LasHeader, pieces: Iterable[Mapping[str, NDArray[Any]]]
+) -> None:
+    """Write a LAZ file piece by piece.
 
     Parameters
     ----------
@@ -119,18 +123,19 @@ def write_points(path: Path, header: laspy.LasHeader, columns: Mapping[str, NDAr
         Where to write.
     header : LasHeader
         As :func:`las_header` makes it.
-    columns : mapping
-        LAS dimensions by name; x, y, z as coordinates [m].
+    pieces : iterable of mapping
+        LAS dimensions of some points by name; x, y, z as coordinates [m].
     """
-    n = len(next(iter(columns.values())))
     with (
         replacing(path) as part,
         laspy.open(str(part), mode="w", header=header, do_compress=True) as las,
     ):
-        record = laspy.ScaleAwarePointRecord.zeros(n, header=header)
-        for name, values in columns.items():
-            record[name] = values
-        las.write_points(record)
+        for columns in pieces:
+            n = len(next(iter(columns.values())))
+            record = laspy.ScaleAwarePointRecord.zeros(n, header=header)
+            for name, values in columns.items():
+                record[name] = values
+            las.write_points(record)
 
 
 def write_trajectory_csv(
@@ -182,28 +187,35 @@ def sbet_records(
     return out
 
 
-def write_raster(
-    path: Path, values: NDArray[np.float64], west_m: float, north_m: float, crs: str
-) -> None:
-    """Raster of 1 m cells as GeoTIFF.
+@contextmanager
+def raster_rows(
+    path: Path, shape: tuple[int, int], west_m: float, north_m: float, crs: str
+) -> Iterator[Callable[[int, NDArray[np.float64]], None]]:
+    """Write a raster of 1 m cells as GeoTIFF, some rows at a time.
 
     Parameters
     ----------
     path : Path
         Where to write.
-    values : (rows, columns) float64
-        First row northernmost.
+    shape : (int, int)
+        Rows and columns.
     west_m, north_m : float
         Corner [m].
     crs : str
         CRS of the corner.
+
+    Yields
+    ------
+    callable
+        Takes the number of a row, from the north, and the values of the rows from it on:
+        (rows, columns) float64.
     """
     profile = {
         "driver": "GTiff",
         "dtype": "float32",
         "count": 1,
-        "height": values.shape[0],
-        "width": values.shape[1],
+        "height": shape[0],
+        "width": shape[1],
         "crs": CRS.from_user_input(crs).to_wkt(),
         "transform": rasterio.Affine(1.0, 0.0, west_m, 0.0, -1.0, north_m),
         "nodata": NODATA,
@@ -211,7 +223,12 @@ def write_raster(
         "predictor": 3,
     }
     with replacing(path) as part, rasterio.open(part, "w", **profile) as raster:
-        raster.write(values.astype(np.float32), 1)
+
+        def write(first: int, values: NDArray[np.float64]) -> None:
+            window = Window(0, first, values.shape[1], values.shape[0])
+            raster.write(values.astype(np.float32), 1, window=window)
+
+        yield write
 
 
 def write_polygons(path: Path, polygons: list[shapely.Polygon], crs: str) -> None:

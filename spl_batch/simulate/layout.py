@@ -130,18 +130,21 @@ def _cell_lists(
     """Which objects a ray may meet whose ground hit lies in a cell."""
     corner = -math.ceil(APRON_M / CELL_M) * CELL_M
     nx, ny = (math.ceil((size - 2 * corner) / CELL_M) for size in scene.extent_m)
-    west, south = np.meshgrid(corner + CELL_M * np.arange(nx), corner + CELL_M * np.arange(ny))
-    boxes = shapely.box(west, south, west + CELL_M, south + CELL_M).ravel()
     cell = np.array([corner, corner, CELL_M])
     if not shapes:
         return cell, np.zeros((ny, nx + 1), dtype=np.int64), np.empty(0, dtype=np.int64)
-    owners, items = shapely.STRtree(shapes).query(boxes, predicate="intersects")
-    order = np.lexsort((items, owners))
-    starts = np.searchsorted(owners[order], np.arange(nx * ny + 1)).astype(np.int64)
-    first = np.empty((ny, nx + 1), dtype=np.int64)
-    first[:, :-1] = starts[:-1].reshape(ny, nx)
-    first[:, -1] = starts[nx::nx]
-    return cell, first, items[order].astype(np.int64)
+    tree = shapely.STRtree(shapes)
+    west = corner + CELL_M * np.arange(nx)
+    first, items, before = np.empty((ny, nx + 1), dtype=np.int64), [], 0
+    for row in range(ny):  # a whole survey's cells as polygons would take gigabytes
+        south = corner + CELL_M * row
+        boxes = shapely.box(west, south, west + CELL_M, south + CELL_M)
+        owners, found = tree.query(boxes, predicate="intersects")
+        order = np.lexsort((found, owners))
+        first[row] = before + np.searchsorted(owners[order], np.arange(nx + 1))
+        items.append(found[order].astype(np.int64))
+        before += len(found)
+    return cell, first, np.concatenate(items)
 
 
 def footprints(buildings: tuple[Building, ...]) -> list[shapely.Polygon]:

@@ -1,7 +1,7 @@
 """Ground heights, reflectance and water of a scene, on a grid of nodes."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -51,13 +51,29 @@ def make_ground(scene: Scene, rng: np.random.Generator) -> Ground:
     return _flood(scene, ground)
 
 
-def node_points(ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """East and north of every node: two (ny, nx) float64 [m]."""
-    ny, nx = ground.z.shape
-    x = ground.grid[0] + ground.grid[2] * np.arange(nx)
-    y = ground.grid[1] + ground.grid[2] * np.arange(ny)
-    east, north = np.meshgrid(x, y)
-    return east, north
+def node_points(ground: Ground, window: tuple[slice, slice]) -> NDArray[Any]:
+    """Nodes of some rows and columns as points: (rows, columns) of shapely's [m]."""
+    rows, columns = window
+    x = ground.grid[0] + ground.grid[2] * np.arange(columns.start, columns.stop)
+    y = ground.grid[1] + ground.grid[2] * np.arange(rows.start, rows.stop)
+    points: NDArray[Any] = shapely.points(*np.meshgrid(x, y))
+    return points
+
+
+def _window(ground: Ground, shape: shapely.Geometry, reach_m: float) -> tuple[slice, slice]:
+    """Rows and columns of all nodes that are no further from a shape."""
+    west, south, east, north = shape.bounds
+    rows, columns = (
+        slice(
+            min(max(math.floor((low - reach_m - first) / ground.grid[2]), 0), count),
+            max(min(math.ceil((high + reach_m - first) / ground.grid[2]) + 1, count), 0),
+        )
+        for low, high, first, count in (
+            (south, north, ground.grid[1], ground.z.shape[0]),
+            (west, east, ground.grid[0], ground.z.shape[1]),
+        )
+    )
+    return rows, columns
 
 
 def _smooth_noise(
@@ -81,26 +97,30 @@ def _flood(scene: Scene, ground: Ground) -> Ground:
     z, rho, kind = ground.z.copy(), ground.rho.copy(), ground.kind.copy()
     pond_at = np.zeros(z.shape, dtype=np.uint8)
     ponds: list[tuple[float, float, float]] = []
-    points = shapely.points(*node_points(ground))
+    step = ground.grid[2]
     for water in scene.water:
         polygon = shapely.Polygon(water.ring_m)
-        distance = shapely.distance(polygon, points)
-        wet = distance == 0.0
-        if not wet.any():
+        near = _window(ground, polygon, 3 * step)
+        distance = shapely.distance(polygon, node_points(ground, near))
+        if not (distance == 0.0).any():
             continue
         # below every node of the shore, so that no ground stands in a pit beside it
-        shore = distance <= 2 * ground.grid[2]
-        level = float(z[shore].min()) - 0.3
-        z = np.minimum(z, level + 0.05 + water.bank_slope * distance)
-        z[wet] = level
-        rho[wet] = water.reflectance
-        kind[wet] = KIND_WATER
+        level = float(z[near][distance <= 2 * step].min()) - 0.3
+        # beyond, the bank is higher than all ground
+        near = _window(ground, polygon, (float(z.max()) - level) / water.bank_slope + step)
+        points = node_points(ground, near)
+        distance = shapely.distance(polygon, points)
+        wet = distance == 0.0
+        z[near] = np.minimum(z[near], level + 0.05 + water.bank_slope * distance)
+        z[near][wet] = level
+        rho[near][wet] = water.reflectance
+        kind[near][wet] = KIND_WATER
         if water.depth_m > 0.0:
             depth = water.bank_slope * shapely.distance(polygon.exterior, points)
             deep = wet & (depth > 0.0)
-            z[deep] = level - np.minimum(depth, water.depth_m)[deep]
-            rho[deep], kind[deep] = water.bottom_reflectance, KIND_BOTTOM
-            pond_at[deep] = len(ponds)
+            z[near][deep] = level - np.minimum(depth, water.depth_m)[deep]
+            rho[near][deep], kind[near][deep] = water.bottom_reflectance, KIND_BOTTOM
+            pond_at[near][deep] = len(ponds)
             ponds.append((level, water.attenuation_per_m, water.reflectance))
     return Ground(
         z, rho, kind, ground.grid, pond_at, np.array(ponds, dtype=np.float64).reshape(-1, 3)
