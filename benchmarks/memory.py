@@ -7,6 +7,9 @@ held before it, by the points that the plan counts for it: what the constants of
 
 ``areas FOLDER`` flies strips of once, twice, four and eight times the area and runs each
 with two workers under a limit: peak memory by stage, which must not grow.
+
+``trajectory [--records 6000000]`` gathers SBET files of an eighth of the records up to all of
+them, 200 each second: memory and time.
 """
 
 import argparse
@@ -23,10 +26,14 @@ from typing import Any
 from unittest import mock
 
 import laspy
+import numpy as np
 import yaml
+from pyproj import CRS
 
 from spl_batch import api
 from spl_batch.graph import work
+from spl_batch.io.sbet import BLOCK_RECORDS, SBET_RECORD
+from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.runner import space_domain
 from spl_batch.runner.context import Context
 from spl_batch.simulate import simulate
@@ -160,6 +167,31 @@ def _cut_files(folder: Path) -> None:
         path.unlink()
 
 
+def trajectory(records: int) -> None:
+    """Print what gathering trajectories of several lengths takes."""
+    print(f"{'records':>12s}{'MiB':>8s}{'s':>8s}")
+    for count in (65_536, records // 8, records // 4, records // 2, records):
+        with tempfile.TemporaryDirectory() as folder:
+            path, start = Path(folder, "track.sbet"), 371_000_000.0
+            with path.open("wb") as file:
+                for first in range(0, count, BLOCK_RECORDS):
+                    part = np.zeros(min(BLOCK_RECORDS, count - first), SBET_RECORD)
+                    part["time"] = start + (first + np.arange(len(part))) / 200
+                    part["longitude"], part["latitude"] = np.radians(-93.0), np.radians(29.7)
+                    part.tofile(file)
+            points = PointExtent((start + 1, start + 2), (5e5, 3.28e6, 5.01e5, 3.29e6))
+            begin = time.perf_counter()
+            with (
+                Peak().watching() as peak,
+                gathering(
+                    [path], survey_crs=CRS.from_epsg(32615), trajectory_crs=None, points=points
+                ) as found,
+            ):
+                write_trajectory(Path(folder, "track.parquet"), found)
+            spent = time.perf_counter() - begin
+            print(f"{found.records:12,d}{(peak.highest - peak.before) / 2**20:8.0f}{spent:8.1f}")
+
+
 def _give_back_freed_memory() -> None:
     """Start again with an allocator that keeps nothing: what is in use is what is counted."""
     wanted = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
@@ -177,10 +209,15 @@ def main() -> None:
     of_areas = verbs.add_parser("areas")
     of_areas.add_argument("folder", type=Path)
     of_areas.add_argument("--memory", default="1GiB")
+    of_trajectory = verbs.add_parser("trajectory")
+    of_trajectory.add_argument("--records", type=int, default=6_000_000)
     given = parser.parse_args()
-    if given.verb == "tasks":
+    if given.verb != "areas":
         _give_back_freed_memory()
+    if given.verb == "tasks":
         tasks(given.workflow, given.overrides)
+    elif given.verb == "trajectory":
+        trajectory(given.records)
     else:
         areas(given.folder, given.memory)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from spl_batch.constants import QUANTUM_M
 from spl_batch.io.las import inspect, iter_points
-from spl_batch.io.trajectory import load_trajectory
+from spl_batch.io.trajectory import PointExtent, read_trajectory
 from spl_batch.model import SOURCE_COLUMNS, concat
 
 
@@ -21,12 +21,11 @@ def main(points: Path, trajectory: Path) -> float:
     facts = inspect(points)
     table = concat(list(iter_points(points, channel_dimension=None, source=0)), SOURCE_COLUMNS)
     time = table["gps_time"]
-    loaded = load_trajectory(
+    loaded = read_trajectory(
         [trajectory],
         survey_crs=facts.crs,
         trajectory_crs=None,
-        time_span_s=(float(time.min()), float(time.max())),
-        bounds_m=(*facts.mins_m, *facts.maxs_m),
+        points=PointExtent((float(time.min()), float(time.max())), (*facts.mins_m, *facts.maxs_m)),
     ).trajectory
     position, covered = loaded.position(time)
     later, ahead = loaded.position(time + 0.1)

@@ -15,6 +15,7 @@ from spl_batch import api
 from spl_batch.api.events import Event, PhaseStarted, TaskEnded
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.plan import blocks
+from spl_batch.runner import index
 from spl_batch.runner.unchanged import unchanged
 from tests import surveys
 
@@ -112,7 +113,13 @@ def test_a_trajectory_that_changes_under_the_reader_is_named(
 ) -> None:
     path = surveys.write_trajectory(survey.parent / "trajectory.csv", stop_s=surveys.START_S + 20)
     surveys.write_workflow(survey.parent, ground=GROUND)
-    monkeypatch.setattr("spl_batch.runner.index.load_trajectory", lambda *_, **__: os.utime(path))
+    written = index.write_trajectory
+
+    def write(*args: Any) -> None:
+        written(*args)
+        os.utime(path)
+
+    monkeypatch.setattr(index, "write_trajectory", write)
     with pytest.raises(WorkflowError, match=r"trajectory\.csv: has changed"):
         surveys.run(survey)
 

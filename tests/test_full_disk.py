@@ -18,7 +18,7 @@ from spl_batch.io.store import Store, append_log, write_receipt
 from spl_batch.io.tables import write_arrays, write_table
 from spl_batch.io.trajectory import write_trajectory
 from spl_batch.io.voxels import write_voxels
-from spl_batch.model import PointTable, Trajectory, VoxelPart
+from spl_batch.model import PointTable, VoxelPart
 from spl_batch.task import Receipt
 from spl_batch.tiling import CellId
 from tests import surveys
@@ -61,7 +61,7 @@ def cell(folder: Path) -> None:
 
 def trajectory(folder: Path) -> None:
     time = np.arange(float(N))
-    write_trajectory(folder / "t.parquet", Trajectory(time, np.column_stack([time] * 3)))
+    write_trajectory(folder / "t.parquet", [(time, np.column_stack([time] * 3))])
 
 
 def points(folder: Path) -> None:

@@ -7,21 +7,23 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.io.gpstime import align, bit_warning, time_standard
+from spl_batch.io import trajectory_merge
+from spl_batch.io.gpstime import bit_warning, clock, time_standard
 from spl_batch.io.sbet import SBET_RECORD
 from spl_batch.io.trajectory import (
-    COLUMNS,
-    load_trajectory,
+    PointExtent,
+    gathering,
     read_slice,
     read_trajectory,
     write_trajectory,
 )
+from spl_batch.io.trajectory_files import COLUMNS, read_records
 from spl_batch.model import Trajectory
 
 UTM = CRS.from_epsg(32615)
@@ -161,7 +163,8 @@ def test_crs_faults(tmp_path: Path) -> None:
 
 def load(path: Path, span: tuple[float, float], **given: Any) -> Any:
     box = {"bounds_m": (500_000, 3_999_000, 501_000, 4_001_000), **given}
-    return load_trajectory([path], survey_crs=UTM, trajectory_crs=None, time_span_s=span, **box)
+    points = PointExtent(span, **box)
+    return read_trajectory([path], survey_crs=UTM, trajectory_crs=None, points=points)
 
 
 def test_loaded_into_the_points_time(tmp_path: Path) -> None:
@@ -190,7 +193,7 @@ def test_week_that_cannot_be_told(tmp_path: Path) -> None:
 def test_slices_interpolate_like_the_whole(tmp_path: Path) -> None:
     rows = flight(200_000)
     whole = Trajectory(rows[:, 0], rows[:, 1:])
-    write_trajectory(tmp_path / "t.parquet", whole)
+    write_trajectory(tmp_path / "t.parquet", [(whole.time_s, whole.xyz_m)])
     first, last = rows[0, 0], rows[-1, 0]
     spans = [
         (first, last),
@@ -257,13 +260,73 @@ def test_any_clock_into_any_other(
     times = clocks[given_standard] % WEEK if given_standard == "week" else clocks[given_standard]
     if time_standard(times) != given_standard or time_standard(clocks[wanted]) != wanted:
         return
-    order = np.argsort(times)
-    xyz = np.column_stack([gps, gps, gps])
-    given_trajectory = Trajectory(times[order], xyz[order])
     span = (float(clocks[wanted][3]), float(clocks[wanted][7]))
-    aligned = align(given_trajectory, span, wanted)
+    convert = clock(given_standard, (float(times.min()), float(times.max())), span, wanted)
     if given_standard == wanted:
-        assert aligned is given_trajectory
+        assert convert is None
         return
-    np.testing.assert_array_equal(aligned.time_s, clocks[wanted])
-    np.testing.assert_array_equal(aligned.xyz_m[:, 0], gps)
+    assert convert is not None
+    np.testing.assert_array_equal(convert(times), clocks[wanted])
+
+
+# Files of any length, in any order
+
+
+@settings(deadline=None)
+@given(data=st.data(), count=st.integers(2, 400), files=st.integers(1, 4))
+def test_records_of_many_batches_come_in_order_once(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, count: int, files: int
+) -> None:
+    folder = tmp_path_factory.mktemp("t")
+    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    rows = rng.integers(0, 9, (count, 4)).astype(np.float64)
+    rows[:, 0] = 1000 + rng.integers(0, count, count)
+    rows[:2, 0] = 900, 901
+    overlap = data.draw(st.sampled_from([0.0, 30.0, 1e4]))
+    owner = np.clip(rows[:, 0] + rng.uniform(0, overlap, count), 900, 1000 + count)
+    owner = ((owner - 900) / (101 + count) * files).astype(np.int64)
+    paths = [write_csv(folder / f"{k}.csv", rows[owner == k]) for k in set(owner.tolist())]
+    by_time = rows[np.lexsort(rows.T[::-1])]
+    first = np.concatenate([[True], np.diff(by_time[:, 0]) > 0])
+    with pytest.MonkeyPatch.context() as patch:
+        batch = data.draw(st.integers(1, 50))
+        patch.setattr(trajectory_merge, "read_records", cut(read_records, batch))
+        with gathering(paths, survey_crs=None, trajectory_crs=None) as found:
+            got = np.concatenate([np.column_stack(piece) for piece in found])
+    np.testing.assert_array_equal(got, by_time[first])
+    assert found.records == len(got)
+    dropped = count - len(got)
+    told = f"trajectory: {dropped} records repeat a time and were left out"
+    assert found.warnings == ((told,) if dropped else ())
+
+
+def cut(read: Any, size: int) -> Any:
+    """The same reader, in batches of so many records."""
+
+    def smaller(path: Path) -> Any:
+        for time, position in read(path):
+            for start in range(0, len(time), size):
+                yield time[start : start + size], position[start : start + size]
+
+    return smaller
+
+
+def test_few_records_wait_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trajectory_merge, "read_records", cut(read_records, 10))
+    monkeypatch.setattr(trajectory_merge, "WAITING_RECORDS", 25)
+    rows = flight(500)
+    halves = [write_csv(tmp_path / f"{k}.csv", rows[k::2]) for k in (0, 1)]
+    np.testing.assert_array_equal(read(*halves).trajectory.time_s, rows[:, 0])
+    mixed = write_csv(tmp_path / "mixed.csv", np.random.default_rng(0).permutation(rows))
+    with pytest.raises(InputError, match="25 trajectory records are out of time order: sort"):
+        read(mixed)
+
+
+def test_what_is_written_does_not_depend_on_the_pieces(tmp_path: Path) -> None:
+    rows = flight(200_000)
+    for k, step in enumerate((200_000, 65_537, 1_111)):
+        cuts = range(0, len(rows), step)
+        pieces = ((rows[a : a + step, 0], rows[a : a + step, 1:]) for a in cuts)
+        write_trajectory(tmp_path / f"{k}.parquet", pieces)
+    first = (tmp_path / "0.parquet").read_bytes()
+    assert all((tmp_path / f"{k}.parquet").read_bytes() == first for k in (1, 2))

@@ -146,8 +146,19 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
         assert words in told
     for words in ("a stretch", "labels", "reading a file", "1,000 records"):
         assert words in told
+    heavy = max(track_need(tmp_path, count) for count in (1000, 10**6, 10**9))
+    assert heavy == track_need(tmp_path, 10**9) < usable_bytes(800 * 2**20)
     tile = next(n for n in found if n.task.startswith("a tile"))
     assert tile.memory_bytes == task_bytes("build_tile", 10**6)
+
+
+def track_need(folder: Path, records: int) -> int:
+    """Memory that the plan expects for a trajectory of so many records."""
+    track = folder / f"{records}.sbet"
+    with track.open("wb") as file:
+        file.truncate(136 * records)
+    found = needs([], WORKFLOW, 2**32, points=1, trajectory=[track])
+    return next(n.memory_bytes for n in found if "trajectory" in n.task)
 
 
 def test_stretches_shrink_with_memory() -> None:

@@ -5,13 +5,13 @@ LAS knows seconds of the GPS week and adjusted standard time, GPS time less 10^9
 decide. Adjusted times of the first eight days after 2011-09-14 look like week seconds.
 """
 
+from collections.abc import Callable
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S, GPS_WEEK_S
-from spl_batch.model import Trajectory
 
 TimeStandard = Literal["none", "week", "adjusted", "unix_or_gps", "other"]
 """``none``: no value, or all zero; ``unix_or_gps``: seconds since 1970 or 1980."""
@@ -60,29 +60,27 @@ def bit_warning(standard: TimeStandard, *, adjusted_bit: bool) -> str | None:
     return None
 
 
-def align(
-    trajectory: Trajectory,
-    point_time_span: tuple[float, float],
-    point_standard: TimeStandard,
-) -> Trajectory:
-    """Trajectory in the points' time standard.
+def clock(
+    given: TimeStandard,
+    span_s: tuple[float, float],
+    point_span_s: tuple[float, float],
+    wanted: TimeStandard,
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
+    """How times of a trajectory become the points'; None where nothing is to be done.
 
     Week seconds say nothing of the week, so the week is taken that brings each record
-    closest to the points; records that wrap round at its end come out in order.
+    closest to the points; records that wrap round at its end may change places.
 
     Parameters
     ----------
-    trajectory : Trajectory
-        In any standard.
-    point_time_span : (float, float)
+    given : str
+        Standard of the trajectory.
+    span_s : (float, float)
+        Its first and last time [s].
+    point_span_s : (float, float)
         First and last time of the points [s].
-    point_standard : str
+    wanted : str
         Standard of the points.
-
-    Returns
-    -------
-    Trajectory
-        The same object where nothing is to be done.
 
     Raises
     ------
@@ -90,28 +88,29 @@ def align(
         If one of the two is in week seconds and the other spans more than half a week:
         then the week is ambiguous.
     """
-    given = time_standard(trajectory.time_s)
-    if given == point_standard or "other" in {given, point_standard}:
-        return trajectory
-    if "none" in {given, point_standard} or not len(trajectory.time_s):
-        return trajectory
-    time = trajectory.time_s
-    middle = (point_time_span[0] + point_time_span[1]) / 2
-    if given == "unix_or_gps":
-        time = time - ADJUSTED_STANDARD_OFFSET_S
-    if point_standard == "unix_or_gps":
+    if given == wanted or {"other", "none"} & {given, wanted}:
+        return None
+    middle = (point_span_s[0] + point_span_s[1]) / 2
+    # through adjusted standard time
+    before = -ADJUSTED_STANDARD_OFFSET_S if given != "adjusted" else 0.0
+    after = ADJUSTED_STANDARD_OFFSET_S if wanted != "adjusted" else 0.0
+    if wanted == "unix_or_gps":
         middle -= ADJUSTED_STANDARD_OFFSET_S
+    weeks = 0.0
     if given == "week":
-        _refuse_ambiguous(point_time_span[1] - point_time_span[0], "points", "trajectory")
-        time = _nearest_week(time - ADJUSTED_STANDARD_OFFSET_S, middle)
-    elif point_standard == "week":
-        _refuse_ambiguous(float(time[-1] - time[0]), "trajectory", "points")
-        time = time + ADJUSTED_STANDARD_OFFSET_S
-        time = time + GPS_WEEK_S * np.rint((middle - (time[0] + time[-1]) / 2) / GPS_WEEK_S)
-    if point_standard == "unix_or_gps":
-        time = time + ADJUSTED_STANDARD_OFFSET_S
-    order = np.argsort(time, kind="stable")
-    return Trajectory(time[order], trajectory.xyz_m[order], trajectory.max_gap_s)
+        _refuse_ambiguous(point_span_s[1] - point_span_s[0], "points", "trajectory")
+    elif wanted == "week":
+        _refuse_ambiguous(span_s[1] - span_s[0], "trajectory", "points")
+        first, last = (t + before + after for t in span_s)
+        weeks = GPS_WEEK_S * float(np.rint((middle - (first + last) / 2) / GPS_WEEK_S))
+
+    def convert(time: NDArray[np.float64]) -> NDArray[np.float64]:
+        time = time + before
+        if given == "week":
+            time = _nearest_week(time, middle)
+        return time + after + weeks
+
+    return convert
 
 
 def _nearest_week(time: NDArray[np.float64], middle: float) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """SBET: smoothed best estimate of trajectory, as Applanix POSPac writes it."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -42,16 +43,16 @@ BLOCK_RECORDS: Final = 65_536
 SBET_SUFFIXES: Final = frozenset({".out", ".sbet"})
 
 
-def read_sbet(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times and positions of an SBET file.
+def read_sbet(path: Path) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Times and positions of an SBET file, some records at a time.
 
     Parameters
     ----------
     path : Path
         The file.
 
-    Returns
-    -------
+    Yields
+    ------
     time_s : (n,) float64
         As the file has them, mostly seconds of the GPS week [s].
     lon_lat_height : (n, 3) float64
@@ -71,15 +72,10 @@ def read_sbet(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
                 " it is cut off or not an SBET, copy it again",
             )
         file.seek(0)
-        time = np.empty(size // SBET_RECORD.itemsize)
-        position = np.empty((len(time), 3))
-        # Blocks, because a record has four times what is wanted of it.
-        for start in range(0, len(time), BLOCK_RECORDS):
+        for start in range(0, size // SBET_RECORD.itemsize, BLOCK_RECORDS):
             records = np.frombuffer(file.read(BLOCK_RECORDS * SBET_RECORD.itemsize), SBET_RECORD)
-            stop = start + len(records)
-            time[start:stop] = records["time"]
-            position[start:stop] = _position(path, records, start)
-    return time, position
+            # Copied, because a record has four times what is wanted of it.
+            yield records["time"].astype(np.float64), _position(path, records, start)
 
 
 def _position(path: Path, records: NDArray[np.void], start: int) -> NDArray[np.float64]:

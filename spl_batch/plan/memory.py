@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.io.trajectory_merge import WAITING_RECORDS
 from spl_batch.plan.density import Peak, Piece, largest
 from spl_batch.runner.delivery import PASS_POINTS
 from spl_batch.runner.time_domain import CHUNK_POINTS
@@ -43,7 +44,7 @@ BYTES_PER_LABEL: Final = 12
 """Labels of a point of the file that is delivered [byte]."""
 
 BYTES_PER_RECORD: Final = 200
-"""A trajectory's record while it is brought into the survey's CRS [byte]."""
+"""A trajectory's record that waits for its place in time [byte]."""
 
 RECORD_BYTES: Final[Mapping[str, int]] = MappingProxyType(
     {".out": 136, ".sbet": 136, ".parquet": 20, ".pq": 20}
@@ -165,8 +166,8 @@ def needs(
         Need("a file's labels", task_bytes("deliver_tile", tile) + labels, "lower tiling.tile_m"),
         Need(
             f"a trajectory of about {records:,} records",
-            WORKER_BASE_BYTES + records * BYTES_PER_RECORD,
-            "thin it",
+            WORKER_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
+            "",
         ),
     ]
 

@@ -14,7 +14,8 @@ from spl_batch.io.atomic import checksum
 from spl_batch.io.gpstime import bit_warning, time_standard
 from spl_batch.io.las import inspect, iter_points
 from spl_batch.io.tables import read_arrays, write_arrays
-from spl_batch.io.trajectory import load_trajectory, write_trajectory
+from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
+from spl_batch.io.trajectory_files import Records
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.unchanged import unchanged
@@ -163,35 +164,47 @@ def find_heading(args: Mapping[str, Any], context: Context) -> Produced:
 
 def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
     """Bring the trajectory into the survey's CRS and the points' time, in one file."""
+    path, hashes = context.store.path("trajectory.parquet"), _Hashes()
     with ExitStack() as stack:
         for name, stamp in zip(args["paths"], args["stamps"], strict=True):
             stack.enter_context(unchanged(Path(name), stamp))
-        loaded = load_trajectory(
-            [Path(p) for p in args["paths"]],
-            survey_crs=context.crs,
-            trajectory_crs=context.workflow.survey.trajectory_crs,
-            time_span_s=tuple(args["time_span_s"]),
-            bounds_m=tuple(args["bounds_m"]),
+        found = stack.enter_context(
+            gathering(
+                [Path(p) for p in args["paths"]],
+                survey_crs=context.crs,
+                trajectory_crs=context.workflow.survey.trajectory_crs,
+                points=PointExtent(tuple(args["time_span_s"]), tuple(args["bounds_m"])),
+                folder=context.store.local,
+            )
         )
-    path = context.store.path("trajectory.parquet")
-    write_trajectory(path, loaded.trajectory)
-    time = loaded.trajectory.time_s
+        write_trajectory(path, map(hashes.see, found))
     facts = {
-        "records": len(time),
-        "span_s": [float(time[0]), float(time[-1])],
-        "positions": _hashes(time, loaded.trajectory.xyz_m),
-        "warnings": list(loaded.warnings),
+        "records": found.records,
+        "span_s": list(found.span_s),
+        "positions": hashes.found(),
+        "warnings": list(found.warnings),
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
     }
     return Produced([path], facts)
 
 
-def _hashes(time_s: NDArray[np.float64], xyz_m: NDArray[np.float64]) -> dict[str, str]:
-    """Hash of the positions in each span of :data:`POSITIONS_S` that has some, by its number."""
-    span = np.floor_divide(time_s, POSITIONS_S).astype(np.int64)
-    cuts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
-    records = np.column_stack([time_s, xyz_m])
-    return {
-        str(span[a]): hashlib.blake2b(records[a:b].tobytes(), digest_size=8).hexdigest()
-        for a, b in pairwise(cuts)
-    }
+class _Hashes:
+    """Hash of the positions in each span of :data:`POSITIONS_S` that has some."""
+
+    def __init__(self) -> None:
+        self._open: dict[int, Any] = {}
+
+    def see(self, records: Records) -> Records:
+        """Add records that follow those before; they are given back."""
+        time, xyz = records
+        span = np.floor_divide(time, POSITIONS_S).astype(np.int64)
+        cuts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
+        rows = np.column_stack([time, xyz])
+        for a, b in pairwise(cuts):
+            digest = self._open.setdefault(int(span[a]), hashlib.blake2b(digest_size=8))
+            digest.update(rows[a:b].tobytes())
+        return records
+
+    def found(self) -> dict[str, str]:
+        """Hashes by the number of the span."""
+        return {str(span): digest.hexdigest() for span, digest in self._open.items()}

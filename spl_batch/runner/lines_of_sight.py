@@ -64,7 +64,7 @@ def find_path(args: Mapping[str, Any], context: Context) -> Produced:
     if found.trajectory is None:
         return Produced((), facts, args["points"])
     path = context.store.path("paths", f"{args['line']}.parquet")
-    write_trajectory(path, found.trajectory)
+    write_trajectory(path, [(found.trajectory.time_s, found.trajectory.xyz_m)])
     return Produced([path], facts, args["points"])
 
 
