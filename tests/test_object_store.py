@@ -1,5 +1,6 @@
 """The working store on an object store: S3 as moto speaks it on the loopback."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -84,7 +85,7 @@ def test_results_are_those_of_a_local_store(
     there = keys("one")
     assert {k.split("/")[1] for k in there} >= {"receipts", "tiles", "voxels", "fired", "noise"}
     local = {p.name for p in (result.output / "store").iterdir()}
-    assert local == {"lock", "run.json", "delivered.json", "noise.tif"}
+    assert local == {"lock", "identity.json", "run.json", "delivered.json", "noise.tif"}
     assert api.report(result.output).report.counts == result.report.counts
     # Nothing is done twice; what is damaged there is made again.
     before = {r.name: r for r in read_receipts(Store(result.output, f"{bucket}/one"), "scatter")}
@@ -122,6 +123,62 @@ def test_workers_share_it_and_a_killed_run_continues(
     ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=250)  # noqa: S603
     assert ended.returncode == 0, ended.stderr
     assert surveys.results(survey.parent / "out") == expected
+
+
+def test_a_store_belongs_to_one_output(survey: Path) -> None:
+    place = "outputs.store=memory://shared"
+    surveys.run(survey, place, until="index")
+    other = surveys.copy_of(survey, survey.parent / "other")
+    for options in ({}, {"fresh": True}):
+        with pytest.raises(WorkflowError) as caught:
+            surveys.run(other, place, until="index", **options)
+        assert f"is the store of another output, {survey.parent / 'out'} (host" in str(caught.value)
+        assert "name another one, or delete what is there" in str(caught.value)
+    ended = surveys.command("run", other, "--set", place, "--only", "index_file x")
+    assert ended.status == 2
+    assert "another output" in ended.err
+    moved = survey.parent / "moved"
+    (survey.parent / "out").rename(moved)
+    assert surveys.run(survey, place, "output=moved", until="index").exit_status == 0
+    assert surveys.run(survey, place, "output=moved", until="index", fresh=True).exit_status == 0
+    with pytest.raises(WorkflowError, match="moved"):
+        surveys.run(other, place, until="index")
+    fsspec.filesystem("memory").rm("/shared", recursive=True)
+    assert surveys.run(other, place, until="index").exit_status == 0
+
+
+def test_what_a_killed_upload_leaves_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    program = (
+        "import pathlib, os, sys; from spl_batch.io import remote\n"
+        "with remote.uploading(pathlib.Path('a')) as path:\n"
+        "    path.write_bytes(b'half'); print(path, flush=True); sys.stdin.read()"
+    )
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(  # noqa: S603
+        [sys.executable, "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as process:
+        assert process.stdout is not None
+        left = Path(process.stdout.readline().strip())
+        old = time.time() - 3600
+        os.utime(left.parent, (old, old))
+        young = tmp_path / f"{left.parent.name}y"
+        young.mkdir()
+        remote._remove_abandoned.cache_clear()
+        with remote.uploading(remote.remote_path("memory://left/a")) as path:
+            path.write_bytes(b"whole")
+        assert left.exists(), "its process is alive"
+        process.kill()
+    remote._remove_abandoned.cache_clear()
+    with remote.uploading(remote.remote_path("memory://left/b")) as path:
+        path.write_bytes(b"whole")
+    assert list(tmp_path.iterdir()) == [young], "that may be about to be locked"
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spl_batch.api.claim import claim
 from spl_batch.api.lock import locked
 from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
 from spl_batch.api.receiver import Prepared
@@ -67,6 +68,7 @@ def run_alone(
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     with locked(prepared.context.output):
+        claim(prepared.context.store)
         job, key = _find(task, prepared)
         phases = {phase.kind: phase for phase in prepared.receiver.phases}
         prepared.receiver.before(phases[job.kind], prepared)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spl_batch.api.claim import claim
 from spl_batch.api.events import (
     Listener,
     Note,
@@ -115,8 +116,10 @@ def run(
     output = prepared.context.output
     invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
     with locked(output) as mark:
+        claim(prepared.context.store)
         if fresh:
             prepared.context.store.clear()
+            claim(prepared.context.store)
         repairs = Repairs(prepared.context.store)
         progress = Progress(output, listener, invocation, repairs, kinds(_kind(prepared)))
         code = prepared.context.code

@@ -4,11 +4,16 @@ An object is written to a local temporary file first and then put in one request
 is there as a whole or not at all. Failures of the store concern everything: they stop the run.
 """
 
+import fcntl
 import io
+import os
+import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from typing import Any, cast
 
 from spl_batch.errors import StoppedError, WorkflowError
@@ -16,6 +21,9 @@ from spl_batch.errors import StoppedError, WorkflowError
 _METADATA = "zarr.json"
 _OBJECTS = {".json", ".npz", ".parquet"}
 """Ends of names that are objects, never folders: it takes a request to find out."""
+
+_PREFIX = "spl_batch.upload."
+_YOUNG_S = 60.0
 
 
 def remote_path(url: str) -> Path:
@@ -91,8 +99,8 @@ def uploading(path: Path) -> Iterator[Path]:
 
     Of a directory the chunks come first, what describes them last.
     """
-    with TemporaryDirectory(prefix="spl_batch.") as folder:
-        temporary = Path(folder, path.name)
+    with _upload_folder() as folder:
+        temporary = folder / path.name
         yield temporary
         with reaching(path):
             if not temporary.is_dir():
@@ -102,6 +110,35 @@ def uploading(path: Path) -> Iterator[Path]:
             files = [p for p in temporary.rglob("*") if p.is_file()]
             for file in sorted(files, key=lambda p: (p.name == _METADATA, -len(p.parts), p)):
                 _put(file, path / file.relative_to(temporary).as_posix())
+
+
+@contextmanager
+def _upload_folder() -> Iterator[Path]:
+    """A folder for temporary files, locked as long as this process lives and uses it."""
+    _remove_abandoned(gettempdir())
+    with TemporaryDirectory(prefix=_PREFIX) as folder:
+        lock = os.open(folder, os.O_RDONLY)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield Path(folder)
+        finally:
+            os.close(lock)
+
+
+@cache
+def _remove_abandoned(place: str) -> None:
+    """Remove the folders of processes that were killed; once in the life of this one."""
+    for folder in Path(place).glob(f"{_PREFIX}*"):
+        # Another user's is left alone; a new one may not be locked yet.
+        with suppress(OSError):
+            if time.time() - folder.stat().st_mtime < _YOUNG_S:
+                continue
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder)
+            finally:
+                os.close(lock)
 
 
 def remove_remote(path: Path) -> None:

@@ -22,6 +22,7 @@
 Always on the file system, wherever the store lies::
 
     store/lock                         held by the run at work
+    store/identity.json                whose store elsewhere is: as STORE/output.json says
     store/run.json                     what the report is written from
     store/delivered.json               what was delivered, so that stale files can go
     store/noise.tif                    map of the noise, for the report
@@ -39,6 +40,9 @@ from spl_batch.errors import DamagedError, StoppedError
 from spl_batch.io.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
 from spl_batch.io.remote import is_remote, remote_path
 from spl_batch.task import Receipt
+
+IDENTITY: Final = "identity.json"
+"""Tells an output from others that might use the same store."""
 
 _DIGEST: Final = "blake2b"
 
@@ -107,7 +111,7 @@ class Store:
     def clear(self) -> None:
         """Forget everything that is finished; what was delivered stays known."""
         for path in self.local.iterdir():
-            if path.name not in {"lock", "delivered.json"}:
+            if path.name not in {"lock", "delivered.json", IDENTITY}:
                 remove(path)
         if self.url:
             remove(self.root)
