@@ -1,11 +1,11 @@
 """The same bytes, however a survey is run: ``python -m benchmarks.equivalence [FOLDER] [KILLS]``.
 
 Simulates a small survey into FOLDER (a temporary one by default), runs it once as it is, and
-then with other tiles, other numbers of workers, on a cluster by its address, and killed with
-SIGKILL at KILLS moments each (default 3): the whole process group, one worker, the client
-alone, the cluster's scheduler. Labels (the delivered clouds) and rasters must be the same
-files, byte for byte; a killed run, continued by the same command, must find what was finished.
-Prints a line for each way and exits with 1 if one of them differs.
+then with other tiles, other numbers of workers, its tasks in another order, on a cluster by its
+address, and killed with SIGKILL at KILLS moments each (default 3): the whole process group, one
+worker, the client alone, the cluster's scheduler. Labels (the delivered clouds) and rasters must
+be the same files, byte for byte; a killed run, continued by the same command, must find what was
+finished. Prints a line for each way and exits with 1 if one of them differs.
 """
 
 import hashlib
@@ -23,9 +23,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import psutil
 
+from spl_batch.cli import main as command_line
+from spl_batch.graph import Job
+from spl_batch.plan.worklist import Worklist
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import parse_scene
 
@@ -50,7 +54,10 @@ def main(folder: Path, kills: int) -> int:
     _run(base)
     expected, finished = _digest(base.parent / "out"), _receipts(base.parent / "out")
     count = len(list((base.parent / "out" / "laz").rglob("*.laz")))
-    print(f"{finished} tasks, {count} clouds; SHA-256 of clouds and rasters {expected[:16]}")
+    print(
+        f"{finished} tasks, {count} clouds; SHA-256 of clouds and rasters {expected[:16]}",
+        flush=True,
+    )
     print(f"{'way':44s}{'same':>6s}{'found finished':>16s}{'wall s':>8s}")
     differ = 0
     for name, way in _ways(finished, kills):
@@ -82,13 +89,14 @@ def _ways(tasks: int, kills: int) -> Iterator[tuple[str, Way]]:
     )
     yield "4 workers", _with("--workers", "4")
     yield "in one process", _with("--workers", "0")
+    yield "shuffled task order", _shuffled
     yield "half of the memory", _with("--memory", "1GiB")
     yield "cluster by its address", _on_cluster
     moments = random.Random(7)  # noqa: S311 - moments, no secret
-    for victim in ("process group", "a worker", "client"):
+    for victim in ("the process group", "a worker", "the client"):
         for _ in range(kills):
             after = moments.randrange(1, tasks - 1)
-            yield f"SIGKILL of the {victim} after {after} tasks", _killed(victim, after)
+            yield f"SIGKILL of {victim} after {after} tasks", _killed(victim, after)
     for _ in range(kills):
         after = moments.randrange(1, tasks - 1)
         yield f"SIGKILL of the scheduler after {after} tasks", _scheduler_killed(after)
@@ -101,6 +109,28 @@ def _with(*options: str) -> Way:
     return way
 
 
+def _shuffled(workflow: Path) -> None:
+    """Run by this script, as :func:`shuffle` says."""
+    command = [sys.executable, "-m", "benchmarks.equivalence", "shuffled", "5", "run"]
+    options = (str(workflow), "--memory", MEMORY, "--set", "tiling.tile_m=60")
+    done = subprocess.run([*command, *options], check=False, capture_output=True, timeout=LIMIT_S)  # noqa: S603
+    if done.returncode:
+        sys.exit(f"shuffled: ended with {done.returncode}: {done.stderr.decode()[-2000:]}")
+
+
+def shuffle(seed: int, arguments: Sequence[str]) -> None:
+    """Be the command line, but hand out the tasks of each phase in another order."""
+    mixing, in_order = random.Random(seed), Worklist.jobs  # noqa: S311 - an order, no secret
+
+    def jobs(self: Worklist) -> Iterator[Job]:
+        found = list(in_order(self))
+        mixing.shuffle(found)
+        yield from found
+
+    with mock.patch.object(Worklist, "jobs", jobs):
+        command_line(list(arguments))
+
+
 def _on_cluster(workflow: Path) -> None:
     with _cluster(workflow.parent) as (address, _):
         _run(workflow, "--scheduler", address)
@@ -111,9 +141,9 @@ def _killed(victim: str, after: int) -> Way:
         output = workflow.parent / "out"
         with _started(workflow) as process:
             _wait_for(output, after, process)
-            if victim == "process group":
+            if victim == "the process group":
                 os.killpg(process.pid, signal.SIGKILL)
-            elif victim == "client":
+            elif victim == "the client":
                 process.kill()
             else:
                 _kill_a_worker(process.pid)
@@ -262,6 +292,8 @@ def _digest(output: Path) -> str:
 
 
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["shuffled"]:
+        shuffle(int(sys.argv[2]), sys.argv[3:])
     times = int(sys.argv[2]) if len(sys.argv) > 2 else 3
     if len(sys.argv) > 1:
         Path(sys.argv[1]).mkdir(parents=True, exist_ok=True)

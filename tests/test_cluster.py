@@ -21,18 +21,6 @@ from tests.clusters import Cluster
 
 
 @pytest.mark.slow
-def test_workers_elsewhere_give_the_same_bytes(
-    small: Path, small_output: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(small.parent)
-    options = ("--scheduler", cluster.address, "--memory", clusters.MEMORY)
-    ended = surveys.command("run", small.name, *options)
-    assert ended.status == 0, ended.text
-    assert cluster.plan.tries("denoise"), "the workers have done it"
-    assert surveys.results(small.parent / "out") == surveys.results(small_output)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("patch", "arguments", "said"),
     [

@@ -3,11 +3,6 @@
 import errno
 import json
 import os
-import random
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,12 +14,10 @@ import pytest
 import rasterio
 import shapely
 
-from spl_batch import api, graph
+from spl_batch import api
 from spl_batch.api.events import Note, PhaseStarted, TaskEnded
 from spl_batch.api.lock import locked
 from spl_batch.constants import NODATA
-from spl_batch.plan import survey as survey_module
-from spl_batch.plan.flightlines import find_flightlines
 from spl_batch.runner import delivery
 from spl_batch.simulate.files import write_polygons
 from spl_batch.stages import denoise as denoise_stage
@@ -281,79 +274,7 @@ def test_no_two_runs_in_one_output(small: Path) -> None:
     assert "another run is working" in ended.text
 
 
-# Always the same result
-
-
-def same_as(output: Path, expected: Path) -> None:
-    surveys.assert_same_labels(surveys.labels(output), surveys.labels(expected))
-    assert surveys.rasters(output) == surveys.rasters(expected)
-
-
-TILINGS = [
-    ("tiling.tile_m=60", "tiling.block_tiles=1"),
-    ("tiling.tile_m=250", "tiling.block_tiles=1"),
-    ("tiling.tile_m=25", "tiling.block_tiles=2"),
-    ("tiling.tile_m=33.3", "tiling.block_tiles=1"),
-]
-
-
-@pytest.mark.parametrize("overrides", TILINGS, ids=" ".join)
-def test_tiles_and_blocks_do_not_matter(
-    tiny_survey: Path, tiny_output: Path, tmp_path: Path, overrides: Sequence[str]
-) -> None:
-    workflow = surveys.copy_of(tiny_survey, tmp_path)
-    result = surveys.run(workflow, "outputs.diagnostics=true", *overrides, until="deliver")
-    assert result.exit_status == 0
-    same_as(result.output, tiny_output)
-
-
-def test_memory_does_not_matter(tiny_survey: Path, tiny_output: Path, tmp_path: Path) -> None:
-    workflow = surveys.copy_of(tiny_survey, tmp_path)
-    result = surveys.run(workflow, "outputs.diagnostics=true", until="deliver", memory="800MiB")
-    same_as(result.output, tiny_output)
-
-
-@pytest.mark.parametrize("stretch_points", [2000, 15_000])
-def test_stretches_do_not_matter(
-    tiny_survey: Path,
-    tiny_output: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stretch_points: int,
-) -> None:
-    def short(receipts: Any, workflow: Any, _points: int) -> Any:
-        return find_flightlines(receipts, workflow, stretch_points)
-
-    monkeypatch.setattr(survey_module, "find_flightlines", short)
-    workflow = surveys.copy_of(tiny_survey, tmp_path)
-    result, watcher = watched(workflow, "outputs.diagnostics=true", until="deliver")
-    assert watcher.done["gather"] > 4
-    same_as(result.output, tiny_output)
-
-
-def test_task_order_does_not_matter(
-    tiny_survey: Path, tiny_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    in_order = graph.InProcess.run
-
-    def shuffled(self: Any, jobs: Any, context: Any, on_receipt: Any) -> None:
-        mixed = list(jobs)
-        random.Random(3).shuffle(mixed)  # noqa: S311 - an order, no secret
-        in_order(self, mixed, context, on_receipt)
-
-    monkeypatch.setattr(graph.InProcess, "run", shuffled)
-    workflow = surveys.copy_of(tiny_survey, tmp_path)
-    result = surveys.run(workflow, "outputs.diagnostics=true", "tiling.tile_m=60", until="deliver")
-    same_as(result.output, tiny_output)
-
-
-@pytest.mark.slow
-def test_workers_do_not_matter(tiny_survey: Path, tiny_output: Path, tmp_path: Path) -> None:
-    workflow = surveys.copy_of(tiny_survey, tmp_path)
-    settings = ["outputs.diagnostics=true", "tiling.tile_m=60"]
-    result = api.run(workflow, workers=2, overrides=settings, memory="2GiB")
-    assert result.exit_status == 0
-    same_as(result.output, tiny_output)
+# Always the same result; tests/test_equivalence.py has the ways of running
 
 
 IDENTITY = ("X", "Y", "Z", "gps_time", "channel", "intensity", "return_number")
@@ -548,32 +469,3 @@ def test_a_full_disk_stops_everything_and_can_be_continued(
     assert "disk full" in ended.text
     result = surveys.run(small)
     assert surveys.results(result.output) == surveys.results(small_output)
-
-
-def receipts(output: Path) -> int:
-    return len(list((output / "store/receipts").rglob("*.json")))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("after", [1, 14])
-def test_a_killed_run_continues(small: Path, small_output: Path, after: int) -> None:
-    output = small.parent / "out"
-    command = [sys.executable, "-m", "spl_batch", "run", str(small), "--workers", "1"]
-    process = subprocess.Popen(  # noqa: S603
-        command,
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    deadline = time.monotonic() + 60
-    while receipts(output) < after and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.002)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert receipts(output) >= after
-    result, watcher = watched(small)
-    assert result.exit_status == 0
-    assert watcher.skipped >= after, "what was finished is not done again"
-    assert surveys.results(result.output) == surveys.results(small_output)
-    counts = json.loads((output / "report.json").read_text())["counts"]
-    assert counts["points_in"] == counts["points_out"]
