@@ -2,9 +2,10 @@
 
 ``client --tiles N`` takes a made-up survey of N tiles through the phases of the space domain
 with tasks that end at once, and prints the client's time for a task and its memory.
-``cluster`` hands empty tasks to two local workers: tasks a second for several settings, and
-the scheduler's memory over many of them. ``receipts --count N`` writes N small files into
-one folder and into folders by hash: time to write, to find and to list them.
+``cluster`` hands tasks to two local workers: empty ones a second for several settings, the
+share of the time that workers are busy with longer ones, and the scheduler's memory over many.
+``receipts --count N`` writes N small files into one folder and into folders by hash: time to
+write, to find and to list them.
 """
 
 import argparse
@@ -12,11 +13,14 @@ import hashlib
 import itertools
 import json
 import os
+import pickle
 import resource
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import dask
@@ -42,6 +46,19 @@ SWATH_TILES = 20
 """Tiles across a flightline; half of them overlap the next one."""
 
 FILES_PER_LINE = 20
+
+
+REPEATS = 5
+"""Times that each speed is measured [count]."""
+
+TASK_S = (0.03, 0.3, 1.0)
+"""How long tasks last that stand for work [s]."""
+
+WORK_S = 3.0
+"""Work of each worker in one measurement, about [s]."""
+
+MEASURED = 100
+"""Of so many tasks one is pickled to see how large it is in a message [count]."""
 
 
 def resident_mib() -> float:
@@ -122,7 +139,10 @@ def client(tiles: int, memory_bytes: int) -> None:
     survey = made_up_survey(side, memory_bytes)
     print(f"{side**2:,} tiles, {len(survey.of('scatter')):,} stretches of", end=" ")
     print(f"{time.process_time() - start:.0f} s; {resident_mib():.0f} MiB before the first phase")
-    print(f"{'phase':14s}{'tasks':>10s}{'us / task':>12s}{'s':>8s}{'MiB after':>12s}{'peak':>8s}")
+    print(
+        f"{'phase':14s}{'tasks':>10s}{'us / task':>12s}{'s':>8s}{'MiB after':>12s}{'peak':>8s}"
+        f"{'largest message KiB':>21s}"
+    )
     with tempfile.TemporaryDirectory() as folder:
         context = Context(survey.workflow, Path(folder), Path(folder), "", "code")
         for phase in (p for p in PHASES if p.kind in SPACE):
@@ -130,41 +150,49 @@ def client(tiles: int, memory_bytes: int) -> None:
             work = Worklist(phase, survey, context)
             for _ in work.look():
                 pass
-            for task, _ in work.jobs():
+            largest = 0
+            for k, (task, _) in enumerate(work.jobs()):
+                if k % MEASURED == 0:
+                    largest = max(largest, len(pickle.dumps(replace(task, needs=()))))
                 work.ended(_done(task, side))
             survey.of(phase.kind).sort()
             spent = time.process_time() - start
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(
                 f"{phase.kind:14s}{work.left:10,d}{1e6 * spent / max(work.left, 1):12.0f}"
-                f"{spent:8.1f}{resident_mib():12.0f}{peak:8.0f}",
+                f"{spent:8.1f}{resident_mib():12.0f}{peak:8.0f}{largest / 1024:21.1f}",
                 flush=True,
             )
 
 
-def empty_task(task: Task, key: str, context: Context) -> Receipt:
-    """Receipt of nothing: what a task costs beside its work."""
+def sleeping_task(task: Task, key: str, context: Context, task_s: float) -> Receipt:
+    """Receipt of nothing after so long: what a task costs beside its work."""
+    if task_s:
+        time.sleep(task_s)
     return Receipt(task.kind, task.name, key, key, "", {}, {"code": context.code}, 0, 0.0, 0.0)
 
 
-def bare_task(task: Task, key: str) -> Receipt:
-    """The same without the context."""
-    return Receipt(task.kind, task.name, key, key, "", {}, {}, 0, 0.0, 0.0)
-
-
 def cluster(count: int, many: int) -> None:
-    """Print tasks a second by settings, and memory over many tasks."""
+    """Print tasks a second by settings, what is lost beside real work, memory over many tasks."""
     workflow = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "made up")
     context = Context(workflow, Path("/"), Path("/"), "PROJCRS" + 4000 * "x", "code")
-    print(f"{'saturation':>12s}{'in flight':>11s}{'context':>9s}{'tasks / s':>11s}")
+    print(f"medians of {REPEATS}; two workers of one thread")
+    print(f"{'saturation':>12s}{'in flight':>11s}{'empty tasks / s':>17s}   ", end="")
+    print("".join(f"{f'busy at {s:g} s':>16s}" for s in TASK_S))
     for saturation in (1.1, 2, "inf"):
         with _workers(saturation) as on:
             _seconds(on, 50, 2, context)
-            for flight, along in itertools.product((2, 3, 5, 10), (True, False)):
-                rate = count / _seconds(on, count, flight, context if along else None)
-                sent = "sent" if along else "not"
-                print(f"{saturation!s:>12s}{flight:11d}{sent:>9s}{rate:11.0f}", flush=True)
-    with _workers("inf") as on:
+            for flight in (2, 3, 5, 10):
+                rates = [count / _seconds(on, count, flight, context) for _ in range(REPEATS)]
+                print(f"{saturation!s:>12s}{flight:11d}{median(rates):17.0f}   ", end="")
+                for task_s in TASK_S:
+                    tasks = max(round(WORK_S / task_s) * 2, 6)
+                    wall_s = median(
+                        _seconds(on, tasks, flight, context, task_s) for _ in range(REPEATS)
+                    )
+                    print(f"{tasks * task_s / 2 / wall_s:16.1%}", end="", flush=True)
+                print()
+    with _workers(1.1) as on:
         print(f"{'tasks':>10s}{'MiB of client and scheduler':>30s}")
         for done in range(0, many, many // 5):
             print(f"{done:10,d}{resident_mib():30.0f}", flush=True)
@@ -189,7 +217,9 @@ class _workers:  # noqa: N801 - a context manager
         self.cluster.close()
 
 
-def _seconds(on: Client, count: int, per_thread: int, context: Context | None) -> float:
+def _seconds(
+    on: Client, count: int, per_thread: int, context: Context, task_s: float = 0.0
+) -> float:
     """Time to hand out tasks and take their receipts, as a run does [s]."""
     limit = per_thread * sum(on.nthreads().values())
     jobs = (
@@ -201,10 +231,7 @@ def _seconds(on: Client, count: int, per_thread: int, context: Context | None) -
     while True:
         while running < limit and (task := next(left, None)) is not None:
             key = _hash(task.name)
-            if context is None:
-                pool.add(on.submit(bare_task, task, key, pure=False))
-            else:
-                pool.add(on.submit(empty_task, task, key, context, pure=False))
+            pool.add(on.submit(sleeping_task, task, key, context, task_s, pure=False))
             running += 1
         if not running:
             return time.perf_counter() - start

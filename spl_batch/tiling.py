@@ -6,7 +6,7 @@ zero. A point therefore belongs to exactly one tile, ground cell, voxel and rast
 cell, whatever else is in the survey.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -134,6 +134,35 @@ def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     """
     index: NDArray[np.int64] = np.floor_divide(coordinate, size)
     return index
+
+
+def cell_runs(cells: Iterable[CellId]) -> list[list[int]]:
+    """Cells in few numbers: row, first column and the one past the last of each run.
+
+    Parameters
+    ----------
+    cells : iterable of CellId
+        In any order.
+
+    Returns
+    -------
+    list of [int, int, int]
+        From north to south, then from west to east.
+    """
+    runs: list[list[int]] = []
+    for cell in sorted(cells, key=lambda c: (-c.j, c.i)):
+        if runs and runs[-1][0] == cell.j and runs[-1][2] == cell.i:
+            runs[-1][2] += 1
+        else:
+            runs.append([cell.j, cell.i, cell.i + 1])
+    return runs
+
+
+def cells_of_runs(runs: Iterable[Sequence[int]]) -> Iterator[CellId]:
+    """Cells that :func:`cell_runs` was given, in its order."""
+    for j, first, stop in runs:
+        for i in range(first, stop):
+            yield CellId(i, j)
 
 
 class BoxIndex:

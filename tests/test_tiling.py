@@ -10,6 +10,8 @@ from spl_batch.tiling import (
     CellId,
     cell_bounds,
     cell_index,
+    cell_runs,
+    cells_of_runs,
     cells_touching,
     grow,
     inside,
@@ -95,3 +97,13 @@ def test_names_and_areas() -> None:
     assert str(CellId(-3, 12)) == "-3_12"
     assert cell_bounds(CellId(-1, 0), 100_000) == Bounds(-100_000, 0, 0, 100_000)
     assert cell_bounds(CellId(-1, 0), 100_000).area_m2 == 10_000.0
+
+
+@given(st.sets(st.builds(CellId, st.integers(-9, 9), st.integers(-9, 9))))
+def test_runs_are_the_cells_they_were_made_of(cells: set[CellId]) -> None:
+    runs = cell_runs(cells)
+    assert list(cells_of_runs(runs)) == sorted(cells, key=lambda c: (-c.j, c.i))
+    assert cell_runs(cells_of_runs(runs)) == runs
+    rows = [[c.j for c in cells].count(j) for j in {c.j for c in cells}]
+    assert len(runs) >= len(rows)
+    assert len(cell_runs(CellId(i, j) for i in range(500) for j in range(3))) == 3

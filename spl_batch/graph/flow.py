@@ -9,7 +9,7 @@ import contextlib
 import queue
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from spl_batch.errors import StoppedError
@@ -129,7 +129,8 @@ class _Flow:
         try:
             future = self.to.client.submit(
                 work,
-                *(task, key, self.context, self.to.footing, self._topic),
+                # What it needs is in its key, and of a whole survey it is a long list.
+                *(replace(task, needs=()), key, self.context, self.to.footing, self._topic),
                 pure=False,
                 # No mere preference: an idle worker would steal it back.
                 workers=trial.others or None,

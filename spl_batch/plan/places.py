@@ -15,7 +15,7 @@ from spl_batch.runner.space_domain import parse_cell
 from spl_batch.stages.local_noise import MARGIN_VOXELS
 from spl_batch.stages.surface import PRODUCTS
 from spl_batch.task import Task
-from spl_batch.tiling import CellId, grow, quanta
+from spl_batch.tiling import CellId, cell_runs, grow, quanta
 
 MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
 """What the intensity raster holds, as its band is called."""
@@ -178,7 +178,7 @@ def mosaic(survey: Survey) -> Iterator[Task]:
             args = {
                 "product": product,
                 "name": name,
-                "cells": [list(cell) for cell in cells],
+                "cells": cell_runs(cells),
                 "bounds": list(bounds),
                 "delivered": product in PRODUCTS,
             }

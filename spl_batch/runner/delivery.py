@@ -17,7 +17,7 @@ from spl_batch.model import COLUMNS, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.space_domain import parse_cell
 from spl_batch.runner.unchanged import as_indexed, unchanged
-from spl_batch.tiling import Bounds, CellId, quanta
+from spl_batch.tiling import Bounds, cells_of_runs, quanta
 
 PASS_POINTS = 32_000_000
 """Points of a file whose labels are held in memory at once [count]."""
@@ -127,14 +127,19 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     """Join a product's raster cells into one cloud-optimised GeoTIFF."""
     products = context.workflow.products
     edge, pixel = quanta(context.workflow.ground.cell_m), quanta(products.cell_m)
-    cells = sorted((CellId(*ij) for ij in args["cells"]), key=lambda c: (-c.j, c.i))
     bounds = Bounds(*args["bounds"])
     shape, origin_xy_m = frame(bounds, pixel)
     folder = context.output if args["delivered"] else context.store.local
     target = folder / f"{args['name']}.tif"
     write_cog(
         target,
-        stored_blocks(context.rasters, args["product"], bounds, cells, ground_cell=edge),
+        stored_blocks(
+            context.rasters,
+            args["product"],
+            bounds,
+            cells_of_runs(args["cells"]),
+            ground_cell=edge,
+        ),
         shape=shape,
         origin_xy_m=origin_xy_m,
         cell_m=products.cell_m,
