@@ -116,7 +116,9 @@ def test_workers_share_it_and_a_killed_run_continues(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as process:
         deadline = time.monotonic() + 150
-        while len(keys("two/receipts")) < 4 and time.monotonic() < deadline:
+        while (
+            len(keys("two/receipts")) < 4 and process.poll() is None and time.monotonic() < deadline
+        ):
             time.sleep(0.05)
         process.send_signal(signal.SIGKILL)
     assert len(keys("two/receipts")) >= 4
