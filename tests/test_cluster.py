@@ -1,6 +1,7 @@
 """Workers that were started elsewhere: what they must find, and how work flows to them."""
 
 import ast
+import dataclasses
 import re
 import threading
 import time
@@ -147,6 +148,20 @@ def test_a_failure_is_tried_once_more_on_another_worker(
         assert len(workers) == len(set(workers)) == 2
     assert len(tries) == 10
     assert {name for name, _ in watcher.began} == {task.name for task, _ in jobs(8)}
+
+
+def test_what_a_task_needs_is_not_sent(
+    threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[Task] = []
+
+    def do(task: Task, key: str, _: object) -> Receipt:
+        sent.append(task)
+        return receipt(task, key)
+
+    given = Task("mosaic", "dtm", {"name": "dtm"}, (("surface", "0_0"),) * 1000, 7)
+    flow_through(threads, [(given, "key")], monkeypatch, do)
+    assert sent == [dataclasses.replace(given, needs=())]
 
 
 def test_few_jobs_are_in_flight_and_workers_that_join_are_used(
