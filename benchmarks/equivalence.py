@@ -4,10 +4,11 @@ Simulates a small survey into FOLDER (a temporary one by default), runs it once 
 then with other tiles, other numbers of workers, its tasks in another order, on a cluster by its
 address, and killed with SIGKILL at KILLS moments each (default 3): the whole process group, one
 worker, the client alone, the cluster's scheduler. Labels (the delivered clouds) and rasters must
-be the same files, byte for byte; a killed run, continued by the same command, must find what was
-finished. Prints a line for each way and exits with 1 if one of them differs.
+be the same files, byte for byte; a killed run, continued by the same command, must do nothing
+again of what was finished. Prints a line for each way and exits with 1 if one of them fails.
 """
 
+import contextlib
 import hashlib
 import json
 import os
@@ -48,36 +49,42 @@ LIMIT_S = 900.0
 
 
 def main(folder: Path, kills: int) -> int:
-    """Run every way and print how each compares; gives the number that differ."""
+    """Run every way and print how each compares; gives the number that fail."""
     simulate(parse_scene(SCENE, "benchmarks.equivalence"), folder / "survey")
     base = _fresh(folder, "as it is")
     _run(base)
-    expected, finished = _digest(base.parent / "out"), _receipts(base.parent / "out")
+    expected, finished = _digest(base.parent / "out"), len(_receipts(base.parent / "out"))
     count = len(list((base.parent / "out" / "laz").rglob("*.laz")))
     print(
         f"{finished} tasks, {count} clouds; SHA-256 of clouds and rasters {expected[:16]}",
         flush=True,
     )
-    print(f"{'way':44s}{'same':>6s}{'found finished':>16s}{'wall s':>8s}")
+    print(f"{'way':44s}{'same':>6s}{'done / done again':>20s}{'wall s':>8s}")
     differ = 0
     for name, way in _ways(finished, kills):
         workflow = _fresh(folder, name)
         start = time.perf_counter()
-        found = way(workflow)
+        before = way(workflow)
         same = _digest(workflow.parent / "out") == expected
-        differ += not same
-        shown = "" if found is None else f"{found}"
+        after = _receipts(workflow.parent / "out")
+        again = sum(after.get(name) != content for name, content in before.items())
+        differ += not same or again > 0
+        shown = f"{len(before)} / {again}" if before else ""
         wall_s = time.perf_counter() - start
-        print(f"{name:44s}{'yes' if same else 'NO':>6s}{shown:>16s}{wall_s:8.1f}", flush=True)
+        print(f"{name:44s}{'yes' if same else 'NO':>6s}{shown:>20s}{wall_s:8.1f}", flush=True)
         shutil.rmtree(workflow.parent)
     return differ
 
 
-Way = Callable[[Path], int | None]
+Receipts = dict[str, bytes]
+"""Receipts of finished tasks, by name."""
+
+Way = Callable[[Path], Receipts]
+"""Runs a workflow to its end; gives what was finished when it was killed."""
 
 
 def _ways(tasks: int, kills: int) -> Iterator[tuple[str, Way]]:
-    """Every way, by name; a killed one gives how many tasks it found finished."""
+    """Every way, by name."""
     for edge in (60, 250):
         yield (
             f"tiles of {edge} m, 1 worker",
@@ -103,19 +110,21 @@ def _ways(tasks: int, kills: int) -> Iterator[tuple[str, Way]]:
 
 
 def _with(*options: str) -> Way:
-    def way(workflow: Path) -> None:
+    def way(workflow: Path) -> Receipts:
         _run(workflow, *options)
+        return {}
 
     return way
 
 
-def _shuffled(workflow: Path) -> None:
+def _shuffled(workflow: Path) -> Receipts:
     """Run by this script, as :func:`shuffle` says."""
     command = [sys.executable, "-m", "benchmarks.equivalence", "shuffled", "5", "run"]
     options = (str(workflow), "--memory", MEMORY, "--set", "tiling.tile_m=60")
     done = subprocess.run([*command, *options], check=False, capture_output=True, timeout=LIMIT_S)  # noqa: S603
     if done.returncode:
         sys.exit(f"shuffled: ended with {done.returncode}: {done.stderr.decode()[-2000:]}")
+    return {}
 
 
 def shuffle(seed: int, arguments: Sequence[str]) -> None:
@@ -131,13 +140,14 @@ def shuffle(seed: int, arguments: Sequence[str]) -> None:
         command_line(list(arguments))
 
 
-def _on_cluster(workflow: Path) -> None:
+def _on_cluster(workflow: Path) -> Receipts:
     with _cluster(workflow.parent) as (address, _):
         _run(workflow, "--scheduler", address)
+    return {}
 
 
 def _killed(victim: str, after: int) -> Way:
-    def way(workflow: Path) -> int | None:
+    def way(workflow: Path) -> Receipts:
         output = workflow.parent / "out"
         with _started(workflow) as process:
             _wait_for(output, after, process)
@@ -150,7 +160,7 @@ def _killed(victim: str, after: int) -> Way:
                 # a lost worker is no failed task: this very run goes on to its end
                 if process.wait(LIMIT_S) != 0:
                     sys.exit(f"a lost worker made the run end with {process.returncode}")
-                return None
+                return {}
             process.wait()
         found = _receipts(output)
         _wait_unlocked(workflow)
@@ -160,7 +170,7 @@ def _killed(victim: str, after: int) -> Way:
 
 
 def _scheduler_killed(after: int) -> Way:
-    def way(workflow: Path) -> int | None:
+    def way(workflow: Path) -> Receipts:
         with _cluster(workflow.parent) as (address, scheduler):
             with _started(workflow, "--scheduler", address) as process:
                 _wait_for(workflow.parent / "out", after, process)
@@ -207,7 +217,7 @@ def _started(workflow: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]
 
 
 def _wait_for(output: Path, receipts: int, process: subprocess.Popen[bytes]) -> None:
-    while process.poll() is None and _receipts(output) < receipts:
+    while process.poll() is None and sum(1 for _ in _receipt_files(output)) < receipts:
         time.sleep(0.005)
 
 
@@ -275,8 +285,17 @@ def _fresh(folder: Path, name: str) -> Path:
     return place / "workflow.yaml"
 
 
-def _receipts(output: Path) -> int:
-    return sum(1 for _ in (output / "store" / "receipts").rglob("*.json"))
+def _receipt_files(output: Path) -> Iterator[Path]:
+    return (output / "store" / "receipts").rglob("*.json")
+
+
+def _receipts(output: Path) -> Receipts:
+    """Receipts of what is finished; one that a dying worker takes away is none."""
+    found = {}
+    for path in list(_receipt_files(output)):
+        with contextlib.suppress(FileNotFoundError):
+            found[f"{path.parent.name}/{path.name}"] = path.read_bytes()
+    return found
 
 
 def _digest(output: Path) -> str:
