@@ -145,8 +145,23 @@ def test_in_crowns_the_ratio_of_rates_decides() -> None:
         table, density = survey(first, followers(first, rows, 0.6), rate=odds * true_rate)
         _, chance, hard = echoes.probability(table, density)
         assert not hard.any()
-        assert float(np.median(chance)) == pytest.approx(odds / (1 + odds), abs=0.08)
+        assert float(np.median(chance)) == pytest.approx(odds / (odds + echoes.SIGHT), abs=0.04)
         assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)
+
+
+def test_between_clumps_of_leaves_a_follower_is_suspicious_and_within_one_it_is_not() -> None:
+    rng = np.random.default_rng(5)
+    middle = np.stack(np.meshgrid(*[np.arange(2.0, 7.0, 1.6)] * 2, [11.2, 12.7, 14.2]), axis=-1)
+    middle = middle.reshape(-1, 3)
+    middle[middle[:, 2] == 12.7, :2] += 0.8  # those of the second level hang between the others
+    first = (middle[:, None] + rng.uniform(-0.4, 0.4, (len(middle), 20, 3))).reshape(-1, 3)
+    top = np.flatnonzero(first[:, 2] > 13.7)[::4]
+    chance = {}
+    for lag in (1.5, 3.0):
+        table, density = survey(first, followers(first, top, lag), rate=0.3)
+        chance[lag] = float(np.median(echoes.probability(table, density)[1]))
+    assert chance[1.5] > 0.5, chance
+    assert chance[3.0] < 0.2, chance
 
 
 @pytest.mark.parametrize("budget", [0.005, 0.016, 0.05])

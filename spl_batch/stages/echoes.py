@@ -15,10 +15,10 @@ The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in
 their own probability of being true, which takes a second round (expectation maximisation).
 
 :math:`\rho` comes from an ellipsoid wide enough for crowns; where returns are denser or rarer in
-a thin one, at the candidate's own level, that takes over: its prior is one return at the wide
-one's density. A candidate whose parent lies on a plane of parentless returns, of all flightlines,
-with next to nothing at the candidate's depth, is behind a hard surface as one that the time
-domain is sure of.
+a thin one, at the candidate's own level, that takes over, and from it a small one, that tells
+clumps of leaves from the gaps between them: the prior of each is the density of the one before.
+A candidate whose parent lies on a plane of parentless returns, of all flightlines, with next to
+nothing at the candidate's depth, is behind a hard surface as one that the time domain is sure of.
 Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
 beamlets' returns make a surface there: the bottom of water, within polygons more readily.
 
@@ -53,14 +53,13 @@ COLUMNS_NEEDED: Final = (
 
 WIDE_M: Final = (1.5, 1.0)
 THIN_M: Final = (1.5, 0.3)
+NEAR_M: Final = (0.7, 0.5)
 FLAT_M: Final = (1.5, 0.2)
-"""Horizontal and vertical radii of the ellipsoids: of crowns, of what is thin in them, of what
-lies behind a hard surface [m]."""
+"""Horizontal and vertical radii of the ellipsoids: of crowns, of what is thin in them, of clumps of
+leaves and the gaps between them, of what lies behind a hard surface [m]."""
 
-VOLUME_M3: Final = tuple(
-    MASS * 4.0 / 3.0 * math.pi * a * a * b for a, b in (WIDE_M, THIN_M, FLAT_M)
-)
-"""What the kernels of the three hold [m3]."""
+CROWN_M: Final = (WIDE_M, THIN_M, NEAR_M)
+"""Those that tell the density in crowns, each with the one before as its prior."""
 
 REACH_M: Final = 2 * WIDE_M[0]
 """How far the decision about a point looks: two rounds of the wide ellipsoid [m]."""
@@ -94,8 +93,9 @@ SHARE: Final = 0.15
 SETTLED: Final = 0.3
 """Probability in crowns below which the first round is the last: it hardly rises so far."""
 
-PSEUDO: Final = 0.5
-"""Returns that the wide ellipsoid's density is worth in the thin one."""
+PSEUDO: Final = (0.5, 1.0)
+"""Returns that the wide ellipsoid's density is worth in the thin one, and that of the thin one in
+the small one: where leaves are spread evenly a small count is mostly chance."""
 
 LEAST: Final = 0.1
 """Returns that a place without any has in the wide one."""
@@ -191,16 +191,32 @@ def probability(
     for last in (False, True):
         if last:
             # The wide ellipsoid would hold the surface itself.
-            flat = places.around(rows[hard], true, (FLAT_M,))[:, 0]
-            returns = (flat + LEAST) / VOLUME_M3[2] * per_metre[hard]
-            chance[hard] = rate[hard] / (rate[hard] + returns)
+            returns = _density(places.around(rows[hard], true, (FLAT_M,)), (FLAT_M,))
+            chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
-        found = places.around(rows[open_], true, (WIDE_M, THIN_M))
-        wide = (found[:, 0] + LEAST) / VOLUME_M3[0]
-        returns = SIGHT * (found[:, 1] + PSEUDO) / (VOLUME_M3[1] + PSEUDO / wide) * per_metre[open_]
-        chance[open_] = rate[open_] / (rate[open_] + returns)
+        returns = SIGHT * _density(places.around(rows[open_], true, CROWN_M), CROWN_M)
+        chance[open_] = rate[open_] / (rate[open_] + returns * per_metre[open_])
         true[rows[open_]] = 1.0 - chance[open_]
     return rows, chance, hard
+
+
+def _density(
+    found: NDArray[np.float64], radii_m: tuple[tuple[float, float], ...]
+) -> NDArray[np.float64]:
+    """True returns per m3 by counts in ellipsoids, ever smaller ones: (m,) float64.
+
+    Each is the mean of a gamma distribution with the one before as its prior, worth
+    :data:`PSEUDO` returns.
+    """
+    density = (found[:, 0] + LEAST) / _volume_m3(*radii_m[0])
+    for count, radii, prior in zip(found.T[1:], radii_m[1:], PSEUDO, strict=False):
+        density = (count + prior) / (_volume_m3(*radii) + prior / density)
+    return density
+
+
+def _volume_m3(across_m: float, up_m: float) -> float:
+    """What the kernel of an ellipsoid holds [m3]."""
+    return MASS * 4.0 / 3.0 * math.pi * across_m * across_m * up_m
 
 
 class _Places:
