@@ -6,7 +6,9 @@ temporary one by default). The method is told the preset's law only (p 0.15, sca
 it uses is fitted. Lags beyond the dead time are exponential and end 3 m behind the parent; 0.1-0.2
 afterpulses follow a detection ([W17] 7.5: 10-20 on 80-100 signal returns, within 2-3 m).
 
-In crowns a true second return has the same signature. The *bound* orders followers by the
+In crowns a true second return has the same signature. How often, and what tells the two apart,
+depends on how leaves hang: evenly through a crown, or in clumps with air between them, where other
+beamlets see nothing. Both are simulated. The *bound* orders followers by the
 probability that the simulation's own laws give them (:mod:`benchmarks.afterpulse_bound`): no filter
 that sees returns can remove more at the same loss. Lost are vegetation returns, in percent of all
 of them. The first table is the bound alone, by afterpulses per detection, their scale, the canopy's
@@ -67,9 +69,15 @@ def scene(name: str, seed: int, law: tuple[float, float], **parts: Any) -> dict[
     }
 
 
-def trees(**keys: float) -> dict[str, float]:
-    """A canopy of 60 % cover."""
+def trees(**keys: float) -> dict[str, Any]:
+    """A canopy of 60 % cover, its crowns evenly turbid."""
     return {"cover": 0.6, **keys}
+
+
+def clumps(**keys: float) -> dict[str, Any]:
+    """Leaves in clumps 0.6 to 1 m across, two along a vertical path, with air between them."""
+    return {"cover": 0.85, "height_m": [3, 16], "radius_m": [0.3, 0.5], "crown_share": 0.06,
+            "extinction_per_m": 2.0, "gaps": 0.0, "understory": 0.0, **keys}  # fmt: skip
 
 
 CANOPIES = (
@@ -82,9 +90,14 @@ CANOPIES = (
     scene("dim leaves", 12, (0.15, 0.7), trees=trees(reflectance=0.12)),
     scene("dark ground", 15, (0.15, 0.7), trees=trees(), terrain={"reflectance": 0.08}),
     scene("one flightline", 13, (0.15, 0.7), trees=trees(), flights=FLIGHTS[:1]),
+    scene("clumps of leaves", 16, (0.15, 0.7), trees=clumps(), extent_m=[50, 50]),
+    scene("clumps, p 0.2, 0.3 m", 17, (0.2, 0.3), trees=clumps(), extent_m=[50, 50]),
+    scene("clumps, one flightline", 18, (0.15, 0.7), trees=clumps(), extent_m=[50, 50],
+          flights=FLIGHTS[:1]),
 )  # fmt: skip
 
 USUAL_LAW, USUAL_EXTINCTION, USUAL_UJ = (0.15, 0.7), 0.35, 83.0
+CLUMP_EXTINCTION = 2.0
 BOUNDS = (
     *(
         ((p, 0.7), extinction, USUAL_UJ)
@@ -93,8 +106,11 @@ BOUNDS = (
     ),
     *(((p, scale), USUAL_EXTINCTION, USUAL_UJ) for scale in (0.3, 1.0) for p in (0.1, 0.15, 0.2)),
     *((USUAL_LAW, USUAL_EXTINCTION, energy) for energy in (10.0, 20.0, 40.0, 160.0)),
+    *(((p, 0.7), CLUMP_EXTINCTION, USUAL_UJ) for p in (0.1, 0.15, 0.2)),
+    *(((0.15, scale), CLUMP_EXTINCTION, USUAL_UJ) for scale in (0.3, 1.0)),
 )
-"""Law, extinction of crowns [1/m] and pulse energy [uJ] of the bound's table."""
+"""Law, extinction of crowns or of clumps of leaves [1/m] and pulse energy [uJ] of the bound's
+table."""
 
 WATERS = (
     scene("lake of 2 m", 5, (0.15, 0.7), trees={"cover": 0.1}, water=[
@@ -154,7 +170,8 @@ def bounds(folder: Path) -> dict[str, dict[str, float]]:
     for k, (law, extinction, energy) in enumerate(BOUNDS):
         # as many afterpulses of dim canopies as of bright ones
         side = min(max(70.0 * USUAL_UJ / energy, 70.0), 160.0)
-        content = scene(f"bound {k}", 31 + k, law, trees=trees(extinction_per_m=extinction),
+        leaves = clumps if extinction == CLUMP_EXTINCTION else trees
+        content = scene(f"bound {k}", 31 + k, law, trees=leaves(extinction_per_m=extinction),
                         flights=FLIGHTS[:1], extent_m=[side, side])  # fmt: skip
         content["sensor_overrides"]["pulse_energy_uj"] = energy
         found[content["name"]] = row = bound_row(prepare(content, folder / f"bound_{k}"))

@@ -34,7 +34,6 @@ from benchmarks.methods import (
     AFTERPULSE,
     BACKGROUND,
     GROUND,
-    VEGETATION,
     WIRE,
     Columns,
     known_methods,
@@ -209,14 +208,26 @@ def near_noise(folder: Path) -> Figure:
 
 
 def afterpulse_curve(folder: Path) -> Figure:
-    """Afterpulses removed against vegetation lost, by threshold."""
-    content = afterpulses.CANOPIES[0]
-    place = folder / "figure_canopy"
-    survey = prepare(content, place)
-    true = survey.kind == VEGETATION
-    false = (survey.kind == AFTERPULSE) & (survey.parent == VEGETATION)
-    drawn = style.figure(6.6, 4.0)
-    axes = drawn.subplots()
+    """Afterpulses removed against vegetation lost, by threshold, in two kinds of canopy."""
+    drawn = style.figure(9.6, 4.2)
+    panels = drawn.subplots(1, 2, sharey=True)
+    by_name = {content["name"]: content for content in afterpulses.CANOPIES}
+    for axes, name, title in (
+        (panels[0], "canopy", "Crowns of 60 % cover, evenly turbid"),
+        (panels[1], "clumps of leaves", "Leaves in clumps of 0.6 to 1 m"),
+    ):
+        place = folder / f"figure_{name.replace(' ', '_')}"
+        _curve(axes, name, prepare(by_name[name], place), place)
+        axes.set(xlim=(-0.4, 25), ylim=(0, 100), title=title, xlabel="vegetation returns lost [%]")
+        bare(axes)
+    panels[0].set_ylabel("afterpulses of vegetation removed [%]")
+    panels[1].legend(loc="lower right")
+    return drawn
+
+
+def _curve(axes: Axes, name: str, survey: Prepared, folder: Path) -> None:
+    """One canopy's curves, and the points that default and published rule are at."""
+    true, false = afterpulses.leaves_and_echoes(survey)
     score = afterpulses.scores(survey)
     curves = (
         ("best possible: true rates known", survey.bound, TRUTH),
@@ -228,23 +239,17 @@ def afterpulse_curve(folder: Path) -> Figure:
         axes.plot(lost, removed, color=colour, linewidth=1.5, label=label,
                   linestyle=(0, (4, 2)) if colour == TRUTH else "-")  # fmt: skip
     echo = echoes.resolve(survey.table, survey.density, AfterpulseSettings()).echo
-    rule = plane_rule(survey, place)
     marks = (
         ("ours, by default", echo, OURS, "o"),
-        ("published rule of planes", rule, PUBLISHED, "s"),
+        ("published rule of planes", plane_rule(survey, folder), PUBLISHED, "s"),
     )
-    for name, mask, colour, mark in marks:
+    for label, mask, colour, mark in marks:
         at = [100 * float(mask[m].mean()) for m in (true, false)]
-        print(f"afterpulse_curve: {name}: lost {at[0]:.2f} %, removed {at[1]:.1f} %")
-        axes.plot(*at, mark, color=colour, markersize=7, label=name)
+        print(f"afterpulse_curve, {name}: {label}: lost {at[0]:.2f} %, removed {at[1]:.1f} %")
+        axes.plot(*at, mark, color=colour, markersize=7, label=label)
     best = afterpulses.lost_at(survey.bound, true, false, REMOVED)
-    print(f"afterpulse_curve: the bound loses {best:.2f} % where it removes {100 * REMOVED:g} %")
-    axes.set(xlim=(-0.4, 25), ylim=(0, 100), title="Afterpulses in crowns of 60 % cover")
-    axes.set_xlabel("vegetation returns lost [%]")
-    axes.set_ylabel("afterpulses of vegetation removed [%]")
-    axes.legend(loc="lower right")
-    bare(axes)
-    return drawn
+    print(f"afterpulse_curve, {name}: the bound loses {best:.2f} % where it removes "
+          f"{100 * REMOVED:g} %")  # fmt: skip
 
 
 def by_threshold(
