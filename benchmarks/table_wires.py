@@ -8,14 +8,14 @@ Beside the source's two figures stand those that explain where ours differ:
 - "by eye": false alarms farther than half a metre from every wire that are no afterpulses. A human
   who sorts returns by eye puts what lies on a wire to the wire.
 - "noise kept": share of all the survey's background that the filter keeps.
-- "bright": Easton's twin with wires of four times the diameter. The source's own figures say that
-  its regions held a few times more wire than noise; as the link budget has it, the twin's hold more
+- "bright": the twin with wires of four times the diameter. The source's own figures say that
+  its regions held a few times more wire than noise; as the link budget has it, the twins' hold more
   noise than wire (last columns), part of it afterpulses of the wires.
 - "merged" against "lines alone": AES and VSAES each on all flightlines and on each by itself. What
   sets VSAES apart in the source, where AES runs on single flightlines, is the merging.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,8 +24,7 @@ import numpy as np
 from benchmarks import corridors, methods
 from benchmarks.corridors import Counts
 from benchmarks.methods import BACKGROUND, Method
-from benchmarks.twins import easton, easton_bright, lufkin
-from spl_batch.simulate.scene import Scene
+from benchmarks.twins import TWINS
 
 PUBLISHED: Mapping[tuple[str, str], Mapping[str, tuple[float, float]]] = {
     ("easton", "transmission"): {
@@ -40,8 +39,11 @@ PUBLISHED: Mapping[tuple[str, str], Mapping[str, tuple[float, float]]] = {
 }  # fmt: skip
 """Detection and false alarm of [W18] Tables 1-3 [%], by twin and kind of line, by method."""
 
+BRIGHTER = {"easton": "bright", "lufkin": "lufkin bright"}
+"""Twin of bright wires by twin."""
+
 BRIGHT = ("published", "aes_alone", "dcc", "ours")
-"""Methods that are run on the twin of bright wires."""
+"""Methods that are run on the twins of bright wires."""
 
 CLOSE_M = 0.5
 """Noise nearer to a wire than this is classed with it by eye [m]."""
@@ -76,12 +78,10 @@ def wire_tables(folder: Path, seeds: Sequence[int]) -> dict[tuple[str, str, str]
     known = methods.known_methods()
     skipped = {"tail", "calibrated", "voxel", "multilevel", "cylinder"}
     found: dict[tuple[str, str, str], Result] = {}
-    for name, scene in (("easton", easton), ("lufkin", lufkin)):
-        chosen = {key: method for key, method in known.items() if key not in skipped}
-        found |= _measure(name, scene, folder, seeds, chosen)
-    found |= _measure(
-        "bright", easton_bright, folder, seeds, {k: known[k] for k in BRIGHT if k in known}
-    )
+    chosen = {key: method for key, method in known.items() if key not in skipped}
+    for name in ("easton", "lufkin"):
+        found |= _measure(name, folder, seeds, chosen)
+        found |= _measure(BRIGHTER[name], folder, seeds, {k: known[k] for k in BRIGHT})
     for (twin, kind), published in PUBLISHED.items():
         _print(twin, kind, found, published, known)
     return found
@@ -89,14 +89,13 @@ def wire_tables(folder: Path, seeds: Sequence[int]) -> dict[tuple[str, str, str]
 
 def _measure(
     name: str,
-    scene: Callable[[int], Scene],
     folder: Path,
     seeds: Sequence[int],
     chosen: Mapping[str, Method],
 ) -> dict[tuple[str, str, str], Result]:
     found: dict[tuple[str, str, str], Result] = {}
     for seed in seeds:
-        survey = methods.make_survey(scene(seed), folder / f"{name}_{seed}")
+        survey = methods.make_survey(TWINS[name](seed), folder / f"{name.replace(' ', '_')}_{seed}")
         points = methods.load_truth(survey)
         noise = points["kind"] == BACKGROUND
         lines = [
@@ -130,7 +129,7 @@ def _print(
     rows = [(key, r) for (t, k, key), r in found.items() if (t, k) == (twin, kind)]
     rows += [
         (f"bright {key}", r) for (t, k, key), r in found.items()
-        if (t, k) == ("bright", kind) and twin == "easton"
+        if (t, k) == (BRIGHTER[twin], kind)
     ]  # fmt: skip
     for key, r in rows:
         detection, false_alarm = published.get(key.removeprefix("bright "), (np.nan, np.nan))

@@ -121,10 +121,12 @@ def easton(seed: int, extent_m: Place = (180.0, 70.0)) -> Scene:
 
 def easton_bright(seed: int, thicker: float = 4.0) -> Scene:
     """Easton's twin with wires so much thicker that they return as much more."""
-    content = easton(seed).model_dump(mode="json", by_alias=True)
-    for wire in content["wires"]:
-        wire["diameter_m"] *= thicker
-    return parse_scene(content, "easton_bright")
+    return _thicker(easton(seed), thicker, "easton_bright")
+
+
+def lufkin_bright(seed: int, thicker: float = 4.0) -> Scene:
+    """Lufkin's twin with wires so much thicker that they return as much more."""
+    return _thicker(lufkin(seed), thicker, "lufkin_bright")
 
 
 def lufkin(seed: int, extent_m: Place = (180.0, 60.0)) -> Scene:
@@ -212,6 +214,7 @@ TWINS: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "easton": easton,
         "bright": easton_bright,
         "lufkin": lufkin,
+        "lufkin bright": lufkin_bright,
         "houston": houston,
         "canopy": canopy,
         "weak": weak_wires,
@@ -233,6 +236,13 @@ def _cable(
         "kind": kind, "points_m": towers, "height_m": height_m, "diameter_m": diameter_m,
         "sag_m": sag_m, "conductors": 1, "spacing_m": 0.9, "shield": False,
     }  # fmt: skip
+
+
+def _thicker(scene: Scene, thicker: float, name: str) -> Scene:
+    content = scene.model_dump(mode="json", by_alias=True)
+    for wire in content["wires"]:
+        wire["diameter_m"] *= thicker
+    return parse_scene(content, name)
 
 
 def _across(
