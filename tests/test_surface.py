@@ -1,11 +1,14 @@
 """Rasters of a ground cell, and the delivered classes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.constants import NODATA
+from spl_batch.kernels.tops import lift_pits
 from spl_batch.model import PointFlag, PointTable
 from spl_batch.settings import ProductSettings
 from spl_batch.stages.surface import PRODUCTS, classify, reach_m, surfaces
@@ -136,6 +139,52 @@ def test_no_cell_of_fifteen_thousand_is_set_by_the_noise_left_above_ground():
     assert not (chm > 0.5).any()
     loose = SETTINGS.model_copy(update={"dsm_support": 0, "dsm_false_alarm": 0.999})
     assert (surfaces(table, cell, loose)["chm"] > 0.5).mean() > 0.2
+
+
+def test_pits_are_lifted_as_in_a_plain_loop():
+    rng = np.random.default_rng(4)
+    shape = (29, 31)
+    start = np.concatenate([[0], np.cumsum(rng.integers(0, 4, shape[0] * shape[1]))])
+    z = rng.integers(0, 9000, start[-1]).astype(np.int32)
+    for a, b in pairwise(start):
+        z[a:b] = np.sort(z[a:b])[::-1]
+    tops = rng.choice([0.0, 5000.0, 6000.0, 7000.0, np.nan], shape, p=[0.3, 0.2, 0.2, 0.2, 0.1])
+    lifted = np.empty(shape)
+    lift_pits(z, start, tops, 2000.0, lifted)
+    expected = tops.copy()
+    for row, col in np.argwhere(~np.isnan(tops)):
+        if not (0 < row < shape[0] - 1 and 0 < col < shape[1] - 1):
+            continue
+        own = z[slice(*start[row * shape[1] + col :][:2])]
+        around = np.delete(tops[row - 1 : row + 2, col - 1 : col + 2].ravel(), 4)
+        for level in np.unique(around[~np.isnan(around)])[::-1]:
+            if (around >= level).sum() >= 6:
+                if tops[row, col] <= level - 2000 and (own <= level).any():
+                    expected[row, col] = max(tops[row, col], own[own <= level].max())
+                break
+    np.testing.assert_array_equal(lifted, expected)
+    assert (lifted > tops).sum() > 3
+
+
+def test_a_sparse_cell_at_the_rim_of_a_crown_is_no_pit():
+    ground = terrain(density=8)
+    rng = np.random.default_rng(7)
+    base = ground[:, 2].mean()
+    crown = np.stack([rng.uniform(-18, -8, 4000), rng.uniform(42, 52, 4000),
+                      base + rng.uniform(9, 10, 4000)], axis=1)  # fmt: skip
+    bare = (crown[:, 0] > -14) & (crown[:, 0] < -13) & (crown[:, 1] > 46) & (crown[:, 1] < 47)
+    rest = np.concatenate([ground, crown[~bare]])
+    x, y = centres()
+    at = (np.abs(x + 13.5) < 0.5) & (np.abs(y - 46.5) < 0.5)
+    strict = SETTINGS.model_copy(update={"dsm_support": 30})
+    for up, found in ((40.0, False), (8.0, True)):
+        table = table_of(
+            np.concatenate([rest, [[-13.5, 46.5, base + up]]]),
+            ground=np.repeat([1, 0], [len(ground), len(rest) - len(ground) + 1]),
+        )
+        dsm = surfaces(table, CELL, strict)["dsm"]
+        assert (dsm[at] > base + 7).all() == found
+        assert dsm.max() < base + 10.1
 
 
 def test_voids_are_filled_up_to_the_stated_distance_only():

@@ -9,6 +9,10 @@ metre, whatever its tilt, a thin crown within two.
 
 Ground returns need no confirmation and give none: noise just above sparse ground must not
 live on it.
+
+The tops of the cells around confirm, too: where nearly all of them stand far above a cell's own
+confirmed return, its highest return that is no higher than most of them counts
+(:func:`lift_pits`). At the rim of a crown twigs may be too sparse to be each other's peers.
 """
 
 from typing import NamedTuple
@@ -19,6 +23,9 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.spacing import peers_within, spacings
+
+PIT_NEIGHBOURS = 6
+"""Of eight cells around, those that have to stand above a pit [count]."""
 
 
 class Support(NamedTuple):
@@ -97,3 +104,49 @@ def _tops(points, boxes, depth, wide, xyz, spacing, ground, start, limit, needed
             if accepted:
                 tops[cell] = xyz[p, 2]
                 break
+
+
+@njit(nogil=True, cache=True)
+def lift_pits(
+    z: NDArray[np.int32],
+    start: NDArray[np.int64],
+    tops: NDArray[np.float64],
+    depth: float,
+    out: NDArray[np.float64],
+) -> None:
+    """Tops with pits lifted to returns that the tops around confirm.
+
+    Parameters
+    ----------
+    z : (n,) int32
+        Heights [quanta], by cell, highest first.
+    start : (rows * cols + 1,) int64
+        Where each cell begins.
+    tops : (rows, cols) float64
+        Confirmed tops [quanta]; NaN where there is none.
+    depth : float
+        A cell so far below :data:`PIT_NEIGHBOURS` of the eight around it is a pit [quanta].
+    out : (rows, cols) float64, written
+        A pit's highest return that is no higher than that many of them; else as ``tops``.
+    """
+    rows, cols = tops.shape
+    around = np.empty(8)
+    out[:] = tops
+    for row in range(1, rows - 1):
+        for col in range(1, cols - 1):
+            known = 0
+            for other in range(9):
+                top = tops[row + other // 3 - 1, col + other % 3 - 1]
+                if other != 4 and not np.isnan(top):
+                    around[known] = top
+                    known += 1
+            if known < PIT_NEIGHBOURS or np.isnan(tops[row, col]):
+                continue
+            level = np.sort(around[:known])[known - PIT_NEIGHBOURS]
+            if tops[row, col] > level - depth:
+                continue
+            cell = row * cols + col
+            for p in range(start[cell], start[cell + 1]):
+                if z[p] <= level:
+                    out[row, col] = max(tops[row, col], np.float64(z[p]))
+                    break

@@ -14,7 +14,9 @@ DSM    Highest return of the cell that is ground or that its peers confirm: more
        ``dsm_support_m`` being tried in turn (:mod:`spl_batch.kernels.tops`).
        What noise puts there is measured by the returns that the filter refused;
        without any, ``dsm_support`` returns do. A wire of few returns per metre
-       stands out of the DSM where there is little noise only. Never below the DTM.
+       stands out of the DSM where there is little noise only. In a pit, more than
+       :data:`PIT_M` below most cells around, the highest return up to their level does
+       without peers. Never below the DTM.
        A cell without a confirmed return takes the nearest value within
        ``dsm_void_max_m``, of several the lowest.
 CHM    DSM - DTM, hence >= 0; nodata where either is.
@@ -52,7 +54,7 @@ from spl_batch.kernels.raster import (
     robust_cell_means,
     sort_into_cells,
 )
-from spl_batch.kernels.tops import Support, confirmed_tops
+from spl_batch.kernels.tops import Support, confirmed_tops, lift_pits
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.settings import ProductSettings
 from spl_batch.stages.followers import dependents
@@ -78,6 +80,9 @@ PRODUCTS: Final = ("dtm", "dsm", "chm", "density", "intensity")
 
 GROUND_FLOOR_M: Final = 0.15
 """Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
+
+PIT_M: Final = 2.0
+"""Cells so far below most of those around are pits [m]."""
 
 WIRE_ABOVE_M: Final = 3.0
 """Conductors hang at least so high [m]."""
@@ -223,8 +228,8 @@ def _scales_m(settings: ProductSettings) -> tuple[float, ...]:
 
 
 def _support_cells(settings: ProductSettings) -> int:
-    """Cells around a return that decide on it: its largest sphere, and the spacing in there."""
-    return _cells(2.0 * settings.dsm_support_m, settings)
+    """Cells that decide on a top: its largest sphere, the spacing in there, the cells around."""
+    return _cells(2.0 * settings.dsm_support_m, settings) + 1
 
 
 def _top_margin(settings: ProductSettings) -> int:
@@ -307,7 +312,9 @@ def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDAr
     xyz = np.stack(_local(signal, order, near), axis=1)
     tops = np.empty(rows * cols)
     confirmed_tops(xyz, signal["ground"][order] == 1, start, support, tops)
-    return tops
+    lifted = np.empty((rows, cols))
+    lift_pits(xyz[:, 2], start, tops.reshape(rows, cols), PIT_M / QUANTUM_M, lifted)
+    return lifted.ravel()
 
 
 def _counts(
