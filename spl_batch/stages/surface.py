@@ -64,15 +64,8 @@ DOMAIN: Final = "space"
 """Needs every flightline of a place."""
 
 COLUMNS_NEEDED: Final = (
-    "x",
-    "y",
-    "z",
-    "noise_class",
-    "ground",
-    "intensity",
-    "return_number",
-    "flags",
-)
+    "x", "y", "z", "noise_class", "ground", "intensity", "return_number", "flags",
+)  # fmt: skip
 """Columns that :func:`surfaces` reads, and ``afterpulse`` where the time domain ran."""
 
 PRODUCTS: Final = ("dtm", "dsm", "chm", "density", "intensity")
