@@ -79,15 +79,17 @@ def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
     listed = columns(xyz, 1500)
     o = listed.order
     out = np.empty((n, 2), np.int64)
+    tilt = np.where(rng.random((n, 1)) < 0.5, rng.uniform(-1.5, 1.5, (n, 2)), 0.0)
     weigh_around(
         xyz[o], time[o], channel[o], weight[o], listed.starts, listed.shape, listed.edge,
-        np.arange(n), radii, out,
+        np.arange(n), radii, tilt, out,
     )  # fmt: skip
     for q, row in enumerate(o):
         d = (xyz - xyz[row]).astype(np.float64)
         other = (time != time[row]) | (channel != channel[row])
+        up = d[:, 2] - d[:, :2] @ tilt[q]
         for k, (a, b) in enumerate(radii):
-            left = np.maximum(1 - (d[:, 0] ** 2 + d[:, 1] ** 2) / a**2 - (d[:, 2] / b) ** 2, 0)
+            left = np.maximum(1 - (d[:, 0] ** 2 + d[:, 1] ** 2) / a**2 - (up / b) ** 2, 0)
             expected = (weight * left**2 * UNIT)[other].sum()
             assert out[q, k] == pytest.approx(expected, abs=UNIT * n)  # kernels are rounded down
 
@@ -108,13 +110,15 @@ def test_a_plane_is_found_whatever_its_tilt_and_only_where_it_is_alone() -> None
         listed = columns(xyz, 1500)
         o, place = listed.order, np.empty(len(xyz), np.int64)
         place[o] = np.arange(len(o))
-        out = np.empty(len(rows), np.bool_)
+        out, tilt = np.empty(len(rows), np.bool_), np.empty((len(rows), 2))
         behind_plane(
             xyz[o], table["gps_time"][o], table["channel"][o], (table["afterpulse"] == 0)[o],
             listed.starts, listed.shape, 1500, place[len(first) :], 5000, 800, 1000, 150, 0.7, 8,
-            out,
+            out, tilt,
         )  # fmt: skip
         assert out.mean() > 0.9 if expected else out.mean() < 0.1
+        if expected:
+            np.testing.assert_allclose(tilt[out], np.tile([0.6, 0.0], (out.sum(), 1)), atol=0.15)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.3, 0.7])

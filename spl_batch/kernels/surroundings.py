@@ -5,6 +5,7 @@ at nine columns and in each at a slice of heights. Weights and kernels are integ
 not depend on the order in which points are met, so neither on tiles nor on blocks.
 """
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -84,6 +85,7 @@ def weigh_around(
     edge: int,
     rows: NDArray[np.int64],
     radii: NDArray[np.int64],
+    tilt: NDArray[np.float64],
     out: NDArray[np.int64],
 ) -> None:
     """Kernel sums of the weights around some points, their own beamlets left out.
@@ -103,6 +105,8 @@ def weigh_around(
     radii : (k, 2) int64
         Horizontal and vertical radius of each kernel [quanta]; the first one contains the
         others, and its horizontal radius is at most ``edge``.
+    tilt : (m, 2) float64
+        Slopes of the kernels towards x and y.
     out : (m, k) int64
         Filled with the sums of weight x (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
     """
@@ -114,18 +118,20 @@ def weigh_around(
         row = rows[q]
         x0, y0, z0 = xyz[row]
         t0, c0 = time[row], channel[row]
+        bx, by = tilt[q]
+        span = high + math.ceil(math.hypot(bx, by) * radii[0, 0])
         out[q] = 0
         for i in range(max(x0 // edge - 1, 0), min(x0 // edge + 2, nx)):
             for j in range(max(y0 // edge - 1, 0), min(y0 // edge + 2, ny)):
                 stop = starts[i * ny + j + 1]
-                for p in range(_first_from(z, starts[i * ny + j], stop, z0 - high), stop):
-                    if z[p] > z0 + high:
+                for p in range(_first_from(z, starts[i * ny + j], stop, z0 - span), stop):
+                    if z[p] > z0 + span:
                         break
                     dx, dy = float(xyz[p, 0] - x0), float(xyz[p, 1] - y0)
                     flat = dx * dx + dy * dy
                     if flat >= wide or weight[p] == 0 or (time[p] == t0 and channel[p] == c0):
                         continue
-                    square = float(z[p] - z0) ** 2
+                    square = (float(z[p] - z0) - bx * dx - by * dy) ** 2
                     for k in range(len(radii)):
                         left = 1.0 - flat * across[k] - square * up[k]
                         if left > 0.0:
@@ -211,7 +217,7 @@ def behind_plane(
     xyz: NDArray[np.int64], time: NDArray[np.float64], channel: NDArray[np.uint8],
     true: NDArray[np.bool_], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
     rows: NDArray[np.int64], lag: int, wide: int, high: int, thick: int, share: float,
-    least: int, out: NDArray[np.bool_],
+    least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Whether points lie behind a plane that the true returns around their parent make.
 
@@ -234,11 +240,14 @@ def behind_plane(
     out : (m,) bool
         Filled. The parent lies on the plane, the point behind it by more than ``thick``, and
         of the cylinder's returns at most one in twenty lies at its depth.
+    tilt : (m, 2) float64
+        Filled with the plane's slopes towards x and y, whatever lies at the point's depth;
+        0 where there is no plane.
     """
     sums, plane = np.empty(11, dtype=np.int64), np.zeros(3)
     level = np.zeros(1)
     for q in range(len(rows)):
-        out[q] = False
+        out[q], tilt[q] = False, 0.0
         # Most parents are near; a short search first spares a long one in crowns.
         near = min(lag // 10, edge)
         parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag // 5, near)
@@ -246,17 +255,19 @@ def behind_plane(
             parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag, edge)
         if parent < 0:
             continue
-        for _ in range(2):
+        for step in range(2):
             _sum_around(
                 parent, xyz, true, starts, shape, edge, wide, high, plane, level, thick, sums
             )
-            if sums[0] < least:
+            if sums[0] < least or (step == 1 and sums[9] < share * sums[0]):
                 break
-            if out[q]:
-                out[q] = sums[9] >= share * sums[0] and 20 * sums[10] <= sums[0]
+            if step == 1:
+                tilt[q] = plane[1:]
+                out[q] = 20 * sums[10] <= sums[0]
             elif _plane_of(sums, plane):
                 x, y, z = xyz[rows[q]] - xyz[parent]
                 level[0] = z - (plane[0] + plane[1] * x + plane[2] * y)
-                out[q] = abs(plane[0]) <= thick and level[0] < -thick
-            if not out[q]:
+                if abs(plane[0]) > thick or level[0] >= -thick:
+                    break
+            else:
                 break

@@ -20,7 +20,8 @@ clumps of leaves from the gaps between them: the prior of each is the density of
 A candidate whose parent lies on a plane of parentless returns, of all flightlines, with next to
 nothing at the candidate's depth, is behind a hard surface as one that the time domain is sure of.
 Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
-beamlets' returns make a surface there: the bottom of water, within polygons more readily.
+beamlets' returns make a surface there: the bottom of water, within polygons more readily. It is
+tilted as the hard surface is: behind a steep roof a level one would hold the roof.
 
 How much is believed is a budget, the share :math:`B` of true returns that may go. Where rates
 are constant, odds of at least :math:`\theta` mean lags up to
@@ -70,7 +71,7 @@ AFTERPULSE_MIN: Final = 0.5
 RESOLVED_MIN: Final = 0.5
 """Probability here from which a return is no evidence of its own."""
 
-SURFACE_MAX: Final = 0.25
+SURFACE_MAX: Final = 0.35
 WATER_MAX: Final = 0.5
 """Below it a candidate behind a hard surface is a surface itself: on land, in water polygons."""
 
@@ -186,12 +187,13 @@ def probability(
     per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     places = _Places(table)
-    hard[open_] = places.behind_plane(rows[open_], usable & (table["afterpulse_rate"] == 0))
+    behind, tilt = places.behind_plane(rows, usable & (table["afterpulse_rate"] == 0))
+    hard |= behind
     chance = np.zeros(len(rows))
     for last in (False, True):
         if last:
-            # The wide ellipsoid would hold the surface itself.
-            returns = _density(places.around(rows[hard], true, (FLAT_M,)), (FLAT_M,))
+            # The wide ellipsoid would hold the surface itself, a level one that of a steep roof.
+            returns = _density(places.around(rows[hard], true, (FLAT_M,), tilt[hard]), (FLAT_M,))
             chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
         returns = SIGHT * _density(places.around(rows[open_], true, CROWN_M), CROWN_M)
@@ -238,6 +240,7 @@ class _Places:
         rows: NDArray[np.intp],
         true: NDArray[np.float64],
         radii_m: tuple[tuple[float, float], ...],
+        tilt: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """True returns of other beamlets around rows, by kernel: (m, k) float64 [count]."""
         listed = self._listed
@@ -246,21 +249,27 @@ class _Places:
             self._xyz, self._time, self._channel,
             np.rint(true[listed.order] * UNIT).astype(np.int64), listed.starts, listed.shape,
             listed.edge, self._place[rows],
-            np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64), sums,
+            np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64),
+            np.zeros((len(rows), 2)) if tilt is None else tilt, sums,
         )  # fmt: skip
         return sums / float(UNIT * UNIT)
 
-    def behind_plane(self, rows: NDArray[np.intp], alone: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which rows lie behind a hard surface of returns without a parent: (m,) bool."""
+    def behind_plane(
+        self, rows: NDArray[np.intp], alone: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Which rows lie behind a hard surface of returns without a parent, and its slopes.
+
+        (m,) bool, and (m, 2) float64, 0 where there is none.
+        """
         listed = self._listed
-        out = np.empty(len(rows), dtype=np.bool_)
+        out, tilt = np.empty(len(rows), dtype=np.bool_), np.empty((len(rows), 2))
         wide, high, thick = (quanta(m) for m in PLANE_M)
         behind_plane(
             self._xyz, self._time, self._channel, alone[listed.order], listed.starts,
             listed.shape, listed.edge, self._place[rows], quanta(LAG_M), wide, high, thick,
-            PLANE_SHARE, PLANE_LEAST, out,
+            PLANE_SHARE, PLANE_LEAST, out, tilt,
         )  # fmt: skip
-        return out
+        return out, tilt
 
 
 def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:
