@@ -131,6 +131,14 @@ def test_what_follows_a_surface_is_an_afterpulse(slope: float) -> None:
         assert not echo_of(table, density)[: len(first)].any()
 
 
+def test_close_behind_a_steep_roof_an_afterpulse_is_no_surface() -> None:
+    first = plate(15, 20.0, 1.0, 1)
+    table, density = survey(
+        first, followers(first, inner(first, 60), 0.35, spread=0.3), afterpulse=0.9
+    )
+    assert echo_of(table, density)[len(first) :].mean() > 0.95
+
+
 def test_ground_below_a_shrub_stays() -> None:
     ground = plate(15, 20.0, 0.1, 1)
     shrub = ground[inner(ground, 40)] + [0.0, 0.0, 1.2]
