@@ -312,7 +312,7 @@ MINIMAL = {"extent_m": [50, 50], "flights": [{"heading_deg": 0}]}
     ("change", "message"),
     [
         ({"terain": {}}, r"terain: no such key; the nearest known key is 'terrain'"),
-        ({"trees": {"covr": 0.2}}, r"trees.covr: no such key; the nearest known key is 'trees.cover'"),
+        ({"trees": {"covr": 0.2}}, r"trees.covr: no such key; .* key is 'trees.cover'"),
         ({"crs": "EPSG:4326"}, "must be projected, in metres"),
         ({"crs": "EPSG:2277"}, "must be projected, in metres"),
         ({"crs": "nonsense"}, "not a CRS that PROJ knows"),
