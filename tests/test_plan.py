@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.api.preparing import parse_bytes
@@ -220,6 +220,7 @@ def cut(counts: Mapping[CellId, int], largest: int, most: float) -> dict[str, Un
     return {u.name: u for u in blocks(counts, EDGE, sides, HALO, most)}
 
 
+@settings(deadline=None, max_examples=50)
 @given(tile_points, st.sampled_from([8, 6, 4, 3, 2, 1]), st.integers(1, 9000))
 def test_blocks_own_each_tile_once_and_hold_what_they_may(
     counts: dict[CellId, int], largest: int, most: int
@@ -245,6 +246,7 @@ def test_blocks_own_each_tile_once_and_hold_what_they_may(
         assert read == pytest.approx(sum(u.held for u in expected), abs=1 + len(expected))
 
 
+@settings(deadline=None, max_examples=50)
 @given(tile_points, tile_points, st.integers(1, 9000))
 def test_points_that_are_added_change_no_block_that_does_not_see_them(
     counts: dict[CellId, int], more: dict[CellId, int], most: int

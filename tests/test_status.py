@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -98,6 +98,7 @@ def test_a_map_counts_every_unit_once(units: set[tuple[int, int]], data: st.Data
     assert np.all((states == State.FAILED) == (tiles.failed[::-1] > 0))
 
 
+@settings(deadline=None, max_examples=50)
 @given(
     st.sets(st.tuples(st.integers(-99, 99), st.integers(-99, 99), st.integers(1, 8)), min_size=1)
 )
