@@ -1,0 +1,1 @@
+"""Geiger-mode receivers: arrays of detectors that fire once for each laser pulse."""

@@ -1,0 +1,222 @@
+"""Detections and looks on a voxel raster, with trilinear weights [M20 4.1].
+
+The lattice is absolute: voxel i of an axis covers ``[i, i + 1)`` edges from coordinate zero, and
+its value stands for its centre. A place is rounded to :data:`STEPS` parts of an edge; its weights
+in the eight voxels around it are then whole numbers that add up to :data:`UNIT`. So sums are
+exact, and a raster comes out the same whatever it is cut from and in whatever order.
+
+A look is sampled once per voxel edge along its line of sight, at whole multiples plus a half of
+the edge from the sensor; each sample counts one interrogation. A Geiger-mode detector is blind
+after its detection (blocking loss): its samples end at the one whose piece of line holds the
+detection.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+STEPS: Final = 32
+"""Parts of a voxel's edge that places are told apart by [count]."""
+
+UNIT: Final = STEPS**3
+"""What one detection, or one interrogation, adds to a raster in all."""
+
+_HALF: Final = 0.5 * (STEPS - 1)
+"""A voxel's centre lies half an edge from its corner, and places are rounded [steps]."""
+
+_SHIFT: Final = 5
+_MASK: Final = STEPS - 1
+
+
+@njit(nogil=True, cache=True)
+def deposit(
+    x: float, y: float, z: float, scale: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
+) -> None:
+    """Add one place to a raster; what falls beside the raster is left out.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Absolute place [m].
+    scale : float
+        :data:`STEPS` over the edge of a voxel [1/m].
+    corner : (3,) int64
+        Index of the raster's first voxel on the absolute lattice.
+    raster : (nx, ny, nz) int64
+        Receives weights, :data:`UNIT` in all.
+    """
+    u = int(math.floor(x * scale - _HALF))
+    v = int(math.floor(y * scale - _HALF))
+    w = int(math.floor(z * scale - _HALF))
+    i, j, k = (u >> _SHIFT) - corner[0], (v >> _SHIFT) - corner[1], (w >> _SHIFT) - corner[2]
+    nx, ny, nz = raster.shape
+    if i < -1 or j < -1 or k < -1 or i >= nx or j >= ny or k >= nz:
+        return
+    fx, fy, fz = u & _MASK, v & _MASK, w & _MASK
+    if i >= 0 and j >= 0 and k >= 0 and i + 1 < nx and j + 1 < ny and k + 1 < nz:
+        a, b = (STEPS - fx) * (STEPS - fy), (STEPS - fx) * fy
+        c, d = fx * (STEPS - fy), fx * fy
+        raster[i, j, k] += a * (STEPS - fz)
+        raster[i, j, k + 1] += a * fz
+        raster[i, j + 1, k] += b * (STEPS - fz)
+        raster[i, j + 1, k + 1] += b * fz
+        raster[i + 1, j, k] += c * (STEPS - fz)
+        raster[i + 1, j, k + 1] += c * fz
+        raster[i + 1, j + 1, k] += d * (STEPS - fz)
+        raster[i + 1, j + 1, k + 1] += d * fz
+        return
+    for di in range(2):
+        for dj in range(2):
+            for dk in range(2):
+                p, q, r = i + di, j + dj, k + dk
+                if 0 <= p < nx and 0 <= q < ny and 0 <= r < nz:
+                    part_x = fx if di else STEPS - fx
+                    part_y = fy if dj else STEPS - fy
+                    raster[p, q, r] += part_x * part_y * (fz if dk else STEPS - fz)
+
+
+@njit(nogil=True, cache=True)
+def deposit_all(
+    xyz: NDArray[np.float64], edge: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
+) -> None:
+    """Add places, (n, 3) [m], to a raster of voxels of this edge [m]; see :func:`deposit`."""
+    for row in range(len(xyz)):
+        deposit(xyz[row, 0], xyz[row, 1], xyz[row, 2], STEPS / edge, corner, raster)
+
+
+@njit(nogil=True, cache=True)
+def look_direction(
+    turn: NDArray[np.float64], across: float, along: float, out: NDArray[np.float64]
+) -> None:
+    """Unit vector of a line of sight.
+
+    Parameters
+    ----------
+    turn : (3, 3) float64
+        Starboard, nose, up of the array as columns: east, north, up of each.
+    across, along : float
+        Tangents of the detector's angles off the array's axis, to starboard and to the nose.
+    out : (3,) float64
+        Receives east, north, up.
+    """
+    scale = 1.0 / math.sqrt(1.0 + across * across + along * along)
+    for axis in range(3):
+        out[axis] = (turn[axis, 0] * across + turn[axis, 1] * along - turn[axis, 2]) * scale
+
+
+@njit(nogil=True, cache=True)
+def _between(
+    origin: NDArray[np.float64], way: NDArray[np.float64],
+    low: NDArray[np.float64], high: NDArray[np.float64],
+) -> tuple[float, float]:  # fmt: skip
+    """Ranges between which a line lies in a box; the first is larger where it misses."""
+    near, far = -1e30, 1e30
+    for axis in range(3):
+        if abs(way[axis]) < 1e-15:
+            if origin[axis] < low[axis] or origin[axis] > high[axis]:
+                return 1.0, 0.0
+            continue
+        a = (low[axis] - origin[axis]) / way[axis]
+        b = (high[axis] - origin[axis]) / way[axis]
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near, far
+
+
+@njit(nogil=True, cache=True)
+def interrogate(
+    origin: NDArray[np.float64], turn: NDArray[np.float64], seen: NDArray[np.float32],
+    tangent: float, gate: NDArray[np.float64], edge: float,
+    corner: NDArray[np.int64], raster: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Add the interrogations of all looks of some frames.
+
+    Parameters
+    ----------
+    origin : (f, 3) float64
+        Places of the sensor [m].
+    turn : (f, 3, 3) float64
+        As :func:`look_direction` takes them.
+    seen : (f, rows, columns) float32
+        Slant range of each detector's detection, infinite where it made none [m].
+    tangent : float
+        Tangent of a detector's field of view.
+    gate : (2,) float64
+        Slant ranges between which detectors are armed [m].
+    edge : float
+        Edge of a voxel, and distance of the samples along a line of sight [m].
+    corner, raster
+        As :func:`deposit` takes them.
+    """
+    _, rows, columns = seen.shape
+    low, high, way = np.empty(3), np.empty(3), np.empty(3)
+    for axis in range(3):
+        low[axis] = (corner[axis] - 1) * edge
+        high[axis] = (corner[axis] + raster.shape[axis] + 1) * edge
+    for frame in range(len(origin)):
+        for row in range(rows):
+            across = (row - 0.5 * (rows - 1)) * tangent
+            for column in range(columns):
+                along = (column - 0.5 * (columns - 1)) * tangent
+                look_direction(turn[frame], across, along, way)
+                near, far = _between(origin[frame], way, low, high)
+                far = min(far, seen[frame, row, column] + edge)
+                if near > far:
+                    continue
+                first = max(math.floor(near / edge), math.ceil(gate[0] / edge - 0.5))
+                last = min(math.floor(far / edge) + 1, math.ceil(gate[1] / edge - 0.5) - 1)
+                stop = float(seen[frame, row, column])
+                for k in range(int(first), int(last) + 1):
+                    if k * edge > stop:
+                        break
+                    s = (k + 0.5) * edge
+                    deposit(
+                        origin[frame, 0] + s * way[0],
+                        origin[frame, 1] + s * way[1],
+                        origin[frame, 2] + s * way[2],
+                        STEPS / edge, corner, raster,
+                    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True)
+def box_sum(raster: NDArray[np.int64], half: int, out: NDArray[np.int64]) -> None:
+    """Sum over the cube of ``2 half + 1`` voxels around each voxel; beside the raster is nothing.
+
+    Parameters
+    ----------
+    raster : (nx, ny, nz) int64
+        Left as it is.
+    half : int
+        Voxels on either side, >= 0.
+    out : (nx, ny, nz) int64
+        Receives the sums.
+    """
+    nx, ny, nz = raster.shape
+    line = np.empty(max(nx, ny, nz), np.int64)
+    for i in range(nx):
+        for j in range(ny):
+            _slide(raster[i, j], half, line, out[i, j])
+        for k in range(nz):
+            _slide(out[i, :, k], half, line, out[i, :, k])
+    for j in range(ny):
+        for k in range(nz):
+            _slide(out[:, j, k], half, line, out[:, j, k])
+
+
+@njit(nogil=True, cache=True)
+def _slide(values, half, line, out):  # type: ignore[no-untyped-def]
+    """Moving sum of one line; ``values`` and ``out`` may be the same."""
+    n = len(values)
+    total = 0
+    for k in range(min(half, n)):
+        total += values[k]
+    for k in range(n):
+        if k + half < n:
+            total += values[k + half]
+        if k - half - 1 >= 0:
+            total -= values[k - half - 1]
+        line[k] = total
+    for k in range(n):
+        out[k] = line[k]

@@ -1,0 +1,203 @@
+"""The artificial scene and the flight of [M20 3.1, 3.3, Table 1]; what they leave open is ours.
+
+Ours are: the widths of the tri-bars (18 of 50 to 5 cm in each direction, where the source shows 36
+targets in a figure), their places, the extent of a canopy, the painted figure, and a square leaf
+of a detector's ground size for each of the source's foliage points.
+"""
+
+import math
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from spl_batch.geiger.coincidence.kernels_scene import Targets
+from spl_batch.geiger.coincidence.settings import ArraySettings
+from spl_batch.settings import Positive, Section, Share
+
+BAR_WIDTHS_M: Final = (
+    *(0.50, 0.45, 0.40, 0.35, 0.30, 0.275, 0.25, 0.225, 0.20),
+    *(0.175, 0.15, 0.125, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05),
+)
+"""Widths of bars and gaps of the tri-bar targets [m]."""
+
+TARGET_HEIGHT_M: Final = 2.0
+SPOKE_RADIUS_M: Final = 5.0
+SPOKES: Final = 32
+_CANOPY_M: Final = 14.0
+_LEAVES: Final = 49_000
+_LEAF_CELL_M: Final = 0.1
+_STEEPEST: Final = 0.1
+"""Steepest ray that leaf cells are made for [run/rise]."""
+
+_BAR_ROW_M: Final = 12.0
+"""Length of a row of tri-bars [m]."""
+
+Target = Literal["spokes", "bars", "cube", "coil", "logo", "covered_spokes", "foliage"]
+ALL: Final[tuple[Target, ...]] = (
+    *("spokes", "bars", "cube", "coil", "logo", "covered_spokes", "foliage"),
+)
+
+PLACES_M: Final[dict[Target, tuple[float, float]]] = {
+    "spokes": (0.0, 0.0),
+    "covered_spokes": (0.0, -25.0),
+    "foliage": (-25.0, 0.0),
+    "cube": (25.0, 0.0),
+    "logo": (28.0, -28.0),
+    "coil": (-24.7, -24.7),
+    "bars": (0.0, 25.0),
+}
+"""Centres of the targets, east and north of the scene's [m]."""
+
+
+class FlightSettings(Section):
+    """How the scene is flown over and detected."""
+
+    altitude_m: Positive = Field(3000.0, description="Above the ground [m].")
+    speed_m_s: Positive = Field(100.0, description="Over ground [m/s].")
+    pulse_rate_hz: Positive = Field(2000.0, description="Laser pulses, and frames [1/s].")
+    sweep_rad: Positive = Field(35e-3, description="Largest angle of the sweep from nadir [rad].")
+    sweeps_hz: Positive = Field(20.0, description="Sweeps from side to side [1/s].")
+    headings_deg: tuple[float, ...] = Field(
+        (0.0, 180.0, 270.0, 90.0), min_length=1, description="One for each pass [deg]."
+    )
+    efficiency: Share = Field(
+        0.5, description="Photo-electrons per look from a target of reflectivity 1 [count]."
+    )
+    range_jitter_m: Positive = Field(0.05, description="Standard deviation of a range [m].")
+    angle_jitter_rad: Positive = Field(10e-6, description="Of each angle of a look [rad].")
+    range_bin_m: Positive = Field(0.05, description="Range bin [m].")
+
+
+class SceneSettings(Section):
+    """A scene: which of the targets, which part of it is flown over, and how."""
+
+    seed: int = Field(1, ge=0, description="Seed of leaves and photons.")
+    targets: tuple[Target, ...] = Field(ALL, description="Targets that are there.")
+    extent_m: tuple[Positive, Positive] = Field(
+        (100.0, 100.0), description="Size of the part that is looked at [m]."
+    )
+    centre_m: tuple[float, float] = Field(
+        (0.0, 0.0), description="Centre of that part, east and north of the scene's [m]."
+    )
+    origin_m: tuple[float, float, float] = Field(
+        (500_000.0, 4_200_000.0, 100.0), description="Coordinates of the scene's centre [m]."
+    )
+    crs: str = Field("EPSG:32616", description="CRS of the coordinates.")
+    ground: Share = Field(0.5, description="Reflectivity of the ground [0..1].")
+    array: ArraySettings = ArraySettings()
+    flight: FlightSettings = FlightSettings()
+
+
+def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.float64]]]:
+    """Tri-bar targets: three bars, two gaps of the same width, five widths long.
+
+    Parameters
+    ----------
+    centre_m : (float, float)
+        Middle of both sets.
+
+    Returns
+    -------
+    list of (float, bool, (3, 5) float64)
+        Width [m]; whether the bars run north; west, south, east, north, height of each [m].
+    """
+    found = []
+    for north, side in ((True, -1.0), (False, 1.0)):
+        x0 = centre_m[0] + (side - 1.0) * 0.5 * _BAR_ROW_M + side * 1.0
+        x, y, tallest = x0, centre_m[1] + 4.0, 0.0
+        for width in BAR_WIDTHS_M:
+            size = 5.0 * width
+            if x + size > x0 + _BAR_ROW_M:
+                x, y, tallest = x0, y - tallest - 0.5, 0.0
+            tallest = max(tallest, size)
+            first = np.arange(3) * 2.0 * width
+            plates = np.empty((3, 5))
+            plates[:, 0] = x + (first if north else 0.0)
+            plates[:, 1] = y - size + (0.0 if north else first)
+            plates[:, 2] = plates[:, 0] + (width if north else size)
+            plates[:, 3] = plates[:, 1] + (size if north else width)
+            plates[:, 4] = TARGET_HEIGHT_M
+            found.append((width, north, plates))
+            x += size + 0.5
+    return found
+
+
+def build(scene: SceneSettings) -> Targets:
+    """Arrays of a scene; leaves are drawn from its seed."""
+    there = set(scene.targets)
+    place = PLACES_M
+    plates = [p for _, _, p in bars(place["bars"])] if "bars" in there else []
+    wheels = [
+        [*place[name], SPOKE_RADIUS_M, TARGET_HEIGHT_M, SPOKES]
+        for name in ("spokes", "covered_spokes")
+        if name in there
+    ]
+    x, y = place["cube"]
+    cubes = [[x - 1, y - 1, 0, x + 1, y + 1, 2]] if "cube" in there else []
+    logo = [*place["logo"], 16.0 if "logo" in there else 0.0, 2.0]
+    leaf_m = scene.flight.altitude_m * scene.array.ifov_rad
+    leaves = _draw_leaves(scene)
+    return Targets(
+        np.concatenate([np.empty((0, 5)), *plates]),
+        np.array(wheels, np.float64).reshape(-1, 5),
+        np.array(cubes, np.float64).reshape(-1, 6),
+        _coil(place["coil"]) if "coil" in there else np.empty((0, 3)),
+        0.25,
+        np.array(logo, np.float64),
+        leaves,
+        leaf_m,
+        *_leaf_lists(leaves, leaf_m),
+        scene.ground,
+        1.0,
+    )
+
+
+def _coil(centre_m: tuple[float, float]) -> NDArray[np.float64]:
+    """Axis of the coil: two loops of 1.5 m across, 5 m tall with the tube."""
+    turn = np.linspace(0.0, 2.0, 97)
+    return np.stack(
+        [
+            centre_m[0] + 0.75 * np.cos(2 * np.pi * turn),
+            centre_m[1] + 0.75 * np.sin(2 * np.pi * turn),
+            0.25 + 2.25 * turn,
+        ],
+        axis=-1,
+    )
+
+
+def _draw_leaves(scene: SceneSettings) -> NDArray[np.float64]:
+    parts = [np.empty((0, 5))]
+    for k, name in enumerate(("covered_spokes", "foliage")):
+        if name in scene.targets:
+            rng = np.random.default_rng([scene.seed, k, _LEAVES])
+            drawn = rng.random((_LEAVES, 5))
+            drawn[:, :2] = (drawn[:, :2] - 0.5) * _CANOPY_M + PLACES_M[name]
+            drawn[:, 2] += 4.5
+            parts.append(drawn)
+    return np.concatenate(parts)
+
+
+def _leaf_lists(
+    leaves: NDArray[np.float64], leaf_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Grid of columns, and the leaves that rays through each may meet."""
+    if not len(leaves):
+        return np.array([0.0, 0.0, 1.0, 0.0, 0.0]), np.zeros((1, 2), np.int64), np.empty(0, int)
+    low, high = leaves[:, 2].min(), leaves[:, 2].max()
+    margin = 0.5 * leaf_m + _STEEPEST * (high - low)
+    corner = leaves[:, :2].min(axis=0) - margin
+    nx, ny = np.ceil((leaves[:, :2].max(axis=0) + margin - corner) / _LEAF_CELL_M).astype(int)
+    first = np.floor((leaves[:, :2] - margin - corner) / _LEAF_CELL_M).astype(int)
+    width = math.ceil(2 * margin / _LEAF_CELL_M) + 1
+    step = np.stack(np.meshgrid(np.arange(width), np.arange(width), indexing="ij"), -1)
+    cells = np.minimum(first[:, None] + step.reshape(-1, 2), [nx - 1, ny - 1])
+    key = (cells[..., 1] * nx + cells[..., 0]).ravel()
+    item = np.repeat(np.arange(len(leaves)), width * width)
+    pair = np.unique(np.stack([key, item], axis=-1), axis=0)
+    starts = np.searchsorted(pair[:, 0], np.arange(nx * ny + 1))
+    table = np.empty((ny, nx + 1), np.int64)
+    table[:, :-1] = starts[:-1].reshape(ny, nx)
+    table[:, -1] = starts[nx::nx]
+    return np.array([*corner, _LEAF_CELL_M, low, high]), table, pair[:, 1]

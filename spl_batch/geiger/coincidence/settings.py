@@ -1,0 +1,128 @@
+"""Sections of a workflow of ``kind: coincidence``; what [M20] leaves open is ours and says so."""
+
+import math
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
+from spl_batch.settings import Positive, Section, Share
+
+
+class ArraySettings(Section):
+    """A Geiger-mode focal-plane array; defaults are the notional sensor of [M20 Table 1]."""
+
+    rows: int = Field(32, ge=1, le=1024, description="Detectors across the flight [count].")
+    columns: int = Field(128, ge=1, le=1024, description="Detectors along the flight [count].")
+    ifov_rad: float = Field(
+        30e-6, gt=0, le=0.01, description="Field of view of one detector, edge to edge [rad]."
+    )
+    gate_start_m: Positive = Field(2500.0, description="Slant range at which detectors arm [m].")
+    gate_stop_m: Positive = Field(3500.0, description="Slant range at which they are read [m].")
+    dark_rate_hz: Positive = Field(
+        1500.0, description="Dark counts and sunlight of one detector [1/s]."
+    )
+
+    @model_validator(mode="after")
+    def _gate_opens_before_it_closes(self) -> Self:
+        if self.gate_stop_m <= self.gate_start_m:
+            raise ValueError(
+                f"gate_stop_m {self.gate_stop_m:g} is not beyond gate_start_m "
+                f"{self.gate_start_m:g}; give slant ranges in metres"
+            )
+        return self
+
+    @property
+    def detectors(self) -> int:
+        """Detectors of the array [count]."""
+        return self.rows * self.columns
+
+    @property
+    def dark_per_m(self) -> float:
+        """Noise detections per metre of slant range of an armed detector [1/m]."""
+        return self.dark_rate_hz * 2.0 / SPEED_OF_LIGHT_M_S
+
+
+class BridgeSignSettings(Section):
+    """Moving quadratic least squares and its maxima [M20 4.2-4.3]."""
+
+    window_voxels: Literal[3, 5, 7, 9] = Field(
+        7, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
+    )
+    threshold: Share = Field(
+        0.03,
+        description="Least value of the polynomial at a point: detections for each look that "
+        "interrogates the voxel [1/1]; ours.",
+    )
+    reach_voxels: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="How far from its voxel's centre, along each axis, a point may lie "
+        "[voxel edges]; ours.",
+    )
+    curvature_ratio: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="A direction is one of maximum when its second derivative is at least this "
+        "part of the strongest [1/1]; ours.",
+    )
+    detections_min: int = Field(
+        4, ge=1, description="Detections that coincide in a neighbourhood [count]; ours."
+    )
+    looks_min: Positive = Field(
+        0.25, description="Least mean of looks through the neighbourhood's voxels [count]; ours."
+    )
+
+
+class PosteriorSettings(Section):
+    """Statistical test of single detections, in the manner of MAPCP; all values ours."""
+
+    window_voxels: Literal[3, 5, 7, 9] = Field(
+        5, description="Edge of the neighbourhood that is counted [count]."
+    )
+    prior: Share = Field(
+        1e-3, description="Share of neighbourhoods that hold a surface, beforehand [0..1]."
+    )
+    detection_min: Share = Field(
+        0.05, description="Detections per look from the faintest surface [0..1]."
+    )
+
+
+class CoincidenceSettings(Section):
+    """How detections become points."""
+
+    method: Literal["bridge_sign", "posterior"] = Field(
+        "bridge_sign", description="Least-squares filter of a raster, or a test per detection."
+    )
+    voxel_m: float | None = Field(
+        None,
+        ge=0.005,
+        le=5,
+        description="Edge of a voxel, whole millimetres [m]; by default half the ground size of "
+        "a detector's field of view, in the middle of the gate.",
+    )
+    volume_voxels: int = Field(
+        128, ge=32, le=512, description="Edge of a sub-volume that is rastered at once [count]."
+    )
+    bridge_sign: BridgeSignSettings = BridgeSignSettings()
+    posterior: PosteriorSettings = PosteriorSettings()
+
+    @property
+    def window_voxels(self) -> int:
+        """Edge of the neighbourhood of the chosen method [count]."""
+        chosen = self.bridge_sign if self.method == "bridge_sign" else self.posterior
+        return chosen.window_voxels
+
+    def voxel_quanta(self, array: ArraySettings) -> int:
+        """Edge of a voxel on the survey's lattice, at least 5 [quanta].
+
+        Half of what a detector sees on the ground [M20 4.1], rounded down to whole quanta,
+        so that the sampling stays on the safe side.
+        """
+        if self.voxel_m is not None:
+            return round(self.voxel_m * QUANTA_PER_M)
+        middle_m = 0.5 * (array.gate_start_m + array.gate_stop_m)
+        # Half a quantum more, against a product that falls a hair short of a whole one.
+        return max(5, math.floor(0.5 * array.ifov_rad * middle_m * QUANTA_PER_M + 1e-6))

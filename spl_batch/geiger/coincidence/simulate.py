@@ -1,0 +1,125 @@
+"""A flight over the artificial scene: frames, and the detections in them [M20 3.3].
+
+Each frame has random numbers of its own, so what is simulated does not depend on the others.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.geiger.coincidence.kernels_scene import Targets, expose
+from spl_batch.geiger.coincidence.model import Detections, Frames
+from spl_batch.geiger.coincidence.scene import SceneSettings, build
+from spl_batch.kernels.sim_scan import rotations
+
+FRAMES_OF_A_PASS = 10_000_000
+"""Frame numbers are the pass times this, and then count from the start of the pass."""
+
+
+def flights(scene: SceneSettings) -> Iterator[tuple[Frames, NDArray[np.float64]]]:
+    """Frames of each pass that look at the scene's part.
+
+    Yields
+    ------
+    frames : Frames
+        In the scene's coordinates.
+    attitude : (f, 3) float64
+        Heading, roll, pitch of the array [rad].
+    """
+    flight, array = scene.flight, scene.array
+    half = 0.5 * np.array([array.rows, array.columns]) * array.ifov_rad * flight.altitude_m
+    reach = 0.5 * math.hypot(*scene.extent_m) + float(half.max()) + flight.speed_m_s
+    n = math.ceil(2 * reach / flight.speed_m_s * flight.pulse_rate_hz)
+    for number, heading_deg in enumerate(flight.headings_deg, start=1):
+        rng = np.random.default_rng([scene.seed, number])
+        time = np.arange(n) / flight.pulse_rate_hz
+        phase = (time * flight.sweeps_hz + 2.0 * rng.random()) % 2.0
+        roll = flight.sweep_rad * (2.0 * np.abs(phase - 1.0) - 1.0)
+        heading = np.full(n, math.radians(heading_deg))
+        nose = np.array([math.sin(heading[0]), math.cos(heading[0]), 0.0])
+        origin = (
+            np.array([*scene.centre_m, flight.altitude_m])
+            + nose * (flight.speed_m_s * time - reach)[:, None]
+        )
+        turn = rotations(heading, roll, np.zeros(n))
+        axis = -turn[:, :, 2]
+        ground = origin - axis * (origin[:, 2] / axis[:, 2])[:, None]
+        # The image lies along the flight, which runs along an axis or slants across.
+        lies = np.abs(turn[:, :2, 0]) * half[0] + np.abs(turn[:, :2, 1]) * half[1]
+        away = np.abs(ground[:, :2] - scene.centre_m) - 0.5 * np.array(scene.extent_m)
+        rows = np.flatnonzero((away <= lies + 0.5).all(axis=1))
+        attitude = np.stack([heading, roll, np.zeros(n)], axis=-1)[rows]
+        frames = Frames(
+            number * FRAMES_OF_A_PASS + rows, origin[rows] + np.array(scene.origin_m), turn[rows]
+        )
+        yield frames, attitude
+
+
+def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
+    """What the detectors record: at most one detection of each in a frame.
+
+    Parameters
+    ----------
+    scene : SceneSettings
+        Sensor and seed.
+    frames : Frames
+        From :func:`flights`.
+    targets : Targets
+        From :func:`~.scene.build`.
+
+    Returns
+    -------
+    Detections
+        In order of frame and detector; places by each detector's own line of sight.
+    """
+    array, flight = scene.array, scene.flight
+    tangent = math.tan(array.ifov_rad)
+    gate = np.array([array.gate_start_m, array.gate_stop_m])
+    jitter = np.array([flight.range_jitter_m, flight.angle_jitter_rad])
+    image = np.empty((array.rows, array.columns))
+    looks = _directions(scene)
+    frame, detector, xyz = [], [], []
+    for k, number in enumerate(frames.number.tolist()):
+        rng = np.random.default_rng([scene.seed, number])
+        local = frames.origin_m[k] - np.array(scene.origin_m)
+        expose(
+            *(rng, local, frames.turn[k], targets, tangent, gate),
+            *(flight.efficiency, array.dark_per_m, jitter, flight.range_bin_m, image),
+        )
+        fired = np.flatnonzero(np.isfinite(image.ravel()))
+        way = looks[fired] @ frames.turn[k].T
+        place = frames.origin_m[k] + image.ravel()[fired, None] * way
+        frame.append(np.full(len(fired), number))
+        detector.append(fired.astype(np.int32))
+        xyz.append(np.rint(place * QUANTA_PER_M).astype(np.int64))
+    if not frame:
+        return Detections(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3), np.int64))
+    return Detections(np.concatenate(frame), np.concatenate(detector), np.concatenate(xyz))
+
+
+def _directions(scene: SceneSettings) -> NDArray[np.float64]:
+    """Unit vectors of the detectors' lines of sight in the array's frame: (detectors, 3)."""
+    array = scene.array
+    tangent = math.tan(array.ifov_rad)
+    across = (np.arange(array.rows) - 0.5 * (array.rows - 1)) * tangent
+    along = (np.arange(array.columns) - 0.5 * (array.columns - 1)) * tangent
+    ways = np.stack(
+        [*np.meshgrid(across, along, indexing="ij"), -np.ones((array.rows, array.columns))], -1
+    )
+    flat = ways.reshape(-1, 3)
+    unit: NDArray[np.float64] = flat / np.linalg.norm(flat, axis=1)[:, None]
+    return unit
+
+
+def fly(scene: SceneSettings) -> tuple[Frames, Detections]:
+    """Frames and detections of all passes, in order."""
+    targets = build(scene)
+    frames = [found for found, _ in flights(scene)]
+    parts = [detect(scene, part, targets) for part in frames]
+    return (
+        Frames(*(np.concatenate([getattr(f, k) for f in frames]) for k in Frames.__slots__)),
+        Detections(*(np.concatenate([getattr(d, k) for d in parts]) for k in Detections.__slots__)),
+    )
