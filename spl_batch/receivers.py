@@ -50,6 +50,13 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.report.model:Report",
             "spl_batch.simulate:simulate_file",
         ),
+        "coincidence": Home(
+            "spl_batch.geiger.coincidence.settings:CoincidenceWorkflow",
+            "spl_batch.geiger.coincidence.runner:KINDS",
+            "spl_batch.geiger.coincidence.api:RECEIVER",
+            "spl_batch.geiger.coincidence.report.model:CoincidenceReport",
+            "spl_batch.geiger.coincidence.simulate:simulate_file",
+        ),
     }
 )
 """Every receiver, by the kind of its workflows."""

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
-from spl_batch.geiger.coincidence import kernels_raster as kernels
-from spl_batch.geiger.coincidence.kernels_raster import STEPS, UNIT
+from spl_batch.geiger.coincidence.kernels import raster as kernels
+from spl_batch.geiger.coincidence.kernels.raster import STEPS, UNIT
 
 EDGE_M = 0.045
 FAR_CORNER = np.array([11_111_000, 93_333_000, 2_200])

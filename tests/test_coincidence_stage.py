@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.geiger.coincidence import assess, simulate, stages
-from spl_batch.geiger.coincidence.kernels_scene import _leaves, opaque
+from spl_batch.geiger.coincidence import accuracy, stages
+from spl_batch.geiger.coincidence.kernels.scene import _leaves, opaque
 from spl_batch.geiger.coincidence.model import Detections, Frames, Points
-from spl_batch.geiger.coincidence.scene import PLACES_M, SceneSettings, build
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
-from spl_batch.tiling import Bounds, cells_touching, cell_bounds
+from spl_batch.geiger.coincidence.simulate.flight import fly
+from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
+from spl_batch.tiling import Bounds, cell_bounds, cells_touching
 
 SMALL = SceneSettings(
     seed=5, targets=("spokes",), extent_m=(4.0, 3.0), centre_m=(4.2, 0.5),
@@ -24,7 +25,7 @@ CHOSEN = CoincidenceSettings()
 
 @cache
 def flown() -> tuple[Frames, Detections]:
-    return simulate.fly(SMALL)
+    return fly(SMALL)
 
 
 def region(scene: SceneSettings) -> Bounds:
@@ -127,13 +128,13 @@ def test_the_posterior_does_not_depend_on_the_cut_either() -> None:
 def test_the_scene_comes_back(method: str) -> None:
     xyz = local(points(method).xyz)
     targets = build(SMALL)
-    away = assess.distance_m(xyz, targets)
+    away = accuracy.distance_m(xyz, targets)
     assert (away < 0.09).mean() > 0.9
     assert (away > 0.5).sum() == 0
     low = np.array(SMALL.centre_m) - np.array(SMALL.extent_m) / 2 + 0.1
-    truth = assess.seen_from_above(targets, low, low + np.array(SMALL.extent_m) - 0.2, 0.05)
-    assert assess.completeness(truth, xyz, 0.09) > 0.85
-    heights = assess.spoke_heights(xyz)
+    truth = accuracy.seen_from_above(targets, low, low + np.array(SMALL.extent_m) - 0.2, 0.05)
+    assert accuracy.completeness(truth, xyz, 0.09) > 0.85
+    heights = accuracy.spoke_heights(xyz)
     assert len(heights) > 500
     assert abs(heights.mean()) < 0.015
 

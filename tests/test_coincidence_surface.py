@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.geiger.coincidence import kernels_posterior
-from spl_batch.geiger.coincidence import kernels_surface as kernels
-from spl_batch.geiger.coincidence.kernels_raster import UNIT
+from spl_batch.geiger.coincidence.kernels import surface as kernels
+from spl_batch.geiger.coincidence.kernels.posterior import log_odds
+from spl_batch.geiger.coincidence.kernels.raster import UNIT
 
 
 def coefficients(raster: np.ndarray, half: int) -> np.ndarray:
@@ -146,7 +146,7 @@ def test_log_odds_against_two_poisson_laws() -> None:
     looks = np.full(6, 300.0)
     out = np.empty(6)
     detections, passed = ((k + 1) * UNIT).astype(np.int64), (looks * UNIT).astype(np.int64)
-    kernels_posterior.log_odds(detections, passed, window, noise, surface, prior, out)
+    log_odds(detections, passed, window, noise, surface, prior, out)
     alone = noise * looks
     both = alone + surface * looks / window
     slow = math.log(prior / (1 - prior)) + poisson.logpmf(k, both) - poisson.logpmf(k, alone)

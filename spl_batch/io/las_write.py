@@ -45,6 +45,16 @@ ADDED: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Extra bytes that this project adds: dtype and description."""
 
+SYNTHETIC_BIT: Final = 8
+"""Bit of the global encoding: return numbers are synthetic."""
+
+AGGREGATE_BIT: Final = 32
+"""Bit 5 of the global encoding, the aggregate model of drafts of LAS 1.4 R14. The published
+revisions dropped it for rules on single fields and reserve the bit [LAS 1.4 R15, 2.6]."""
+
+_ONLY_RETURN: Final = 0x11
+"""First of one return."""
+
 _DIAGNOSTICS: Final = ("noise_density", "p_value")
 _CHUNK: Final = 500_000
 _POINT_FORMAT: Final = 6
@@ -156,6 +166,8 @@ def write_points(
     extra: Mapping[str, NDArray[Any]] | None = None,
     adjusted_standard: bool = True,
     copc: bool = False,
+    aggregate: bool = False,
+    aggregate_bit: bool = False,
 ) -> int:
     """Write a table as LAZ or COPC, point format 6, on the survey's lattice.
 
@@ -178,6 +190,11 @@ def write_points(
         What the header says of ``gps_time``: adjusted standard, else week seconds.
     copc : bool
         Write an octree (COPC) instead of plain LAZ; this changes the points' order.
+    aggregate : bool
+        Points are of an aggregate model, none of a pulse's returns: the header says that return
+        numbers are synthetic, and each point is the only one.
+    aggregate_bit : bool
+        Set :data:`AGGREGATE_BIT` as well.
 
     Returns
     -------
@@ -203,10 +220,12 @@ def write_points(
     records = np.zeros(len(table), dtype=layout.dtype)
     offsets = [_place(records, table, axis, path) for axis in range(3)]
     _fill(records, table)
+    if aggregate:
+        records["bit_fields"] = _ONLY_RETURN
     for known, values in zip(layout.extra, added.values(), strict=True):
         records[known.field] = values
     head = bytearray(HEADER_SIZE)
-    head[6] = int(adjusted_standard)
+    head[6] = int(adjusted_standard) | SYNTHETIC_BIT * aggregate | AGGREGATE_BIT * aggregate_bit
     frame = Frame(
         preamble=preamble(bytes(head), wkt=crs is not None),
         scales=(QUANTUM_M, QUANTUM_M, QUANTUM_M),

@@ -13,6 +13,28 @@ from spl_batch.order import lexicographic_order
 
 
 @dataclass(frozen=True, slots=True)
+class Attitudes:
+    """Frames as their files have them.
+
+    Parameters
+    ----------
+    number : (f,) int64
+        Strictly increasing.
+    origin_m : (f, 3) float64
+        Place of the sensor [m].
+    attitude_rad : (f, 3) float64
+        Heading clockwise from north, roll starboard wing down, pitch nose up [rad].
+    """
+
+    number: NDArray[np.int64]
+    origin_m: NDArray[np.float64]
+    attitude_rad: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+
+@dataclass(frozen=True, slots=True)
 class Frames:
     """Images of the array, one for each laser pulse, in order of their numbers.
 
@@ -36,6 +58,17 @@ class Frames:
     def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Frames":
         """Some of the frames."""
         return Frames(self.number[rows], self.origin_m[rows], self.turn[rows])
+
+    @classmethod
+    def joined(cls, parts: Sequence["Frames"]) -> Self:
+        """Frames of several parts, in order."""
+        number = np.concatenate([np.empty(0, np.int64), *(p.number for p in parts)])
+        order = np.argsort(number, kind="stable")
+        return cls(
+            number[order],
+            np.concatenate([np.empty((0, 3)), *(p.origin_m for p in parts)])[order],
+            np.concatenate([np.empty((0, 3, 3)), *(p.turn for p in parts)])[order],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +95,23 @@ class Detections:
     def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Detections":
         """Some of the detections."""
         return Detections(self.frame[rows], self.detector[rows], self.xyz[rows])
+
+    @classmethod
+    def joined(cls, parts: Sequence["Detections"]) -> Self:
+        """Detections of several parts, one after the other."""
+        return cls(
+            np.concatenate([np.empty(0, np.int64), *(p.frame for p in parts)]),
+            np.concatenate([np.empty(0, np.int32), *(p.detector for p in parts)]),
+            np.concatenate([np.empty((0, 3), np.int64), *(p.xyz for p in parts)]),
+        )
+
+    def distinct(self) -> "Detections":
+        """In order of frame and detector, each once."""
+        order = np.lexsort((self.detector, self.frame))
+        frame, detector = self.frame[order], self.detector[order]
+        first = np.ones(len(order), np.bool_)
+        first[1:] = (frame[1:] != frame[:-1]) | (detector[1:] != detector[:-1])
+        return self.take(order[first])
 
     def ranges_m(self, frames: Frames, array: ArraySettings) -> NDArray[np.float32]:
         """Slant range of each detector's detection in each frame.

@@ -6,7 +6,8 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
-from spl_batch.settings import Positive, Section, Share
+from spl_batch.errors import WorkflowError
+from spl_batch.settings import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
 class ArraySettings(Section):
@@ -47,10 +48,10 @@ class BridgeSignSettings(Section):
     """Moving quadratic least squares and its maxima [M20 4.2-4.3]."""
 
     window_voxels: Literal[3, 5, 7, 9] = Field(
-        7, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
+        5, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
     )
     threshold: Share = Field(
-        0.03,
+        0.04,
         description="Least value of the polynomial at a point: detections for each look that "
         "interrogates the voxel [1/1]; ours.",
     )
@@ -126,3 +127,67 @@ class CoincidenceSettings(Section):
         middle_m = 0.5 * (array.gate_start_m + array.gate_stop_m)
         # Half a quantum more, against a product that falls a hair short of a whole one.
         return max(5, math.floor(0.5 * array.ifov_rad * middle_m * QUANTA_PER_M + 1e-6))
+
+
+class L1Settings(Section):
+    """What was flown and where its files are."""
+
+    name: str = Field("survey", description="Title of the report.")
+    crs: str | None = Field(None, description="CRS of all coordinates, e.g. EPSG:32615.")
+    frames: str | tuple[str, ...] = Field(
+        description="Frames as Parquet: a path or glob, or several, relative to this file."
+    )
+    detections: str | tuple[str, ...] = Field(
+        description="Detections as Parquet: a path or glob, or several, relative to this file."
+    )
+
+
+class TileSettings(Section):
+    """How space is cut for work; results never depend on it."""
+
+    tile_m: float = Field(20.0, ge=1, le=1000, description="Edge of a tile, whole millimetres [m].")
+
+
+class PointSettings(StoreSettings):
+    """What is written."""
+
+    aggregate_bit: bool = Field(
+        True,
+        description="Set bit 5 of the LAS global encoding, which drafts of LAS 1.4 R14 called "
+        "the aggregate model; the published ones reserve it.",
+    )
+
+
+class CoincidenceWorkflow(BaseWorkflow):
+    """Everything that coincidence processing needs to know."""
+
+    kind: Literal["coincidence"] = Field(description="Coincidence processing, Geiger mode.")
+    survey: L1Settings
+    array: ArraySettings = ArraySettings()
+    coincidence: CoincidenceSettings = CoincidenceSettings()
+    tiling: TileSettings = TileSettings()
+    outputs: PointSettings = PointSettings()
+
+    def check(self) -> None:
+        """Find faults that no single key shows: edges that are no whole millimetres."""
+        edges = {
+            "tiling.tile_m": self.tiling.tile_m,
+            "coincidence.voxel_m": self.coincidence.voxel_m,
+        }
+        faults = [
+            f"{key}: {edge:g} is not a whole number of millimetres"
+            for key, edge in edges.items()
+            if edge is not None and abs(edge * QUANTA_PER_M - round(edge * QUANTA_PER_M)) > 1e-6
+        ]
+        if faults:
+            raise WorkflowError("; ".join(faults))
+
+    @property
+    def tile_q(self) -> int:
+        """Edge of a tile [quanta]."""
+        return round(self.tiling.tile_m * QUANTA_PER_M)
+
+    @property
+    def voxel_q(self) -> int:
+        """Edge of a voxel [quanta]."""
+        return self.coincidence.voxel_quanta(self.array)

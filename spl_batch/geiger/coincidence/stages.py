@@ -6,6 +6,7 @@ weights. Points belong to the region that holds their voxel's centre, so the res
 depend on how the survey is cut. Rasters are made only where enough detections coincide.
 """
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -13,8 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
-from spl_batch.geiger.coincidence import kernels_posterior, kernels_raster, kernels_surface
-from spl_batch.geiger.coincidence.kernels_raster import UNIT
+from spl_batch.geiger.coincidence.kernels.posterior import log_odds
+from spl_batch.geiger.coincidence.kernels.raster import UNIT, box_sum, deposit_all, interrogate
+from spl_batch.geiger.coincidence.kernels.surface import (
+    NOTHING,
+    drop_weaker,
+    find_surfaces,
+    fit_matrix,
+)
 from spl_batch.geiger.coincidence.model import Detections, Frames, Points
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
 from spl_batch.tiling import Bounds
@@ -96,7 +103,7 @@ def _first_voxel(edge_of_region: int, edge: int) -> int:
     return -((edge - 2 * edge_of_region) // (2 * edge))
 
 
-def _needed(chosen: CoincidenceSettings) -> int:
+def least_detections(chosen: CoincidenceSettings) -> int:
     """Detections that must coincide for anything to be found [count]."""
     return chosen.bridge_sign.detections_min if chosen.method == "bridge_sign" else 2
 
@@ -110,7 +117,7 @@ def _volumes(
     of two by two by two cells of that edge. Blocks with too few detections are left out.
     """
     cell = chosen.window_voxels + 1
-    blocks = _crowded(scene.xyz // (cell * scene.edge_q), _needed(chosen)) * cell
+    blocks = _crowded(scene.xyz // (cell * scene.edge_q), least_detections(chosen)) * cell
     if not len(blocks):
         return
     edge = chosen.volume_voxels
@@ -146,9 +153,9 @@ def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySet
     raster = np.zeros(tuple((box.high - box.low + 2 * halo).tolist()), np.int64)
     near = _within(scene.xyz, Box(corner - 1, box.high + halo + 1), scene.edge_q)
     xyz = scene.xyz[near]
-    kernels_raster.deposit_all(xyz / QUANTA_PER_M, scene.edge_q * QUANTUM_M, corner, raster)
+    deposit_all(xyz / QUANTA_PER_M, scene.edge_q * QUANTUM_M, corner, raster)
     sums = np.empty_like(raster)
-    kernels_raster.box_sum(raster, half, sums)
+    box_sum(raster, half, sums)
     if chosen.method == "posterior":
         return _by_posterior(scene, box, xyz, sums, chosen, array)
     crowded = sums[half:-half, half:-half, half:-half] >= chosen.bridge_sign.detections_min * UNIT
@@ -157,7 +164,7 @@ def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySet
         return Points.joined([])
     looks = _looks(scene, voxel + corner, half, array)
     found = _maxima(raster, voxel, looks, chosen)
-    keep = found.kind != kernels_surface.NOTHING
+    keep = found.kind != NOTHING
     voxel, found = voxel[keep], _Maxima(*(column[keep] for column in found))
     own = _strongest(raster.shape, voxel, found, half)
     own &= ((voxel >= halo) & (voxel < np.array(raster.shape) - halo)).all(axis=1)
@@ -168,7 +175,7 @@ def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySet
 
 
 class _Maxima(NamedTuple):
-    """Results of :func:`kernels_surface.find_surfaces`."""
+    """Results of :func:`surface.find_surfaces`."""
 
     place: NDArray[np.float64]
     normal: NDArray[np.float64]
@@ -185,8 +192,8 @@ def _maxima(
     sign, n = chosen.bridge_sign, len(voxel)
     half = sign.window_voxels // 2
     found = _Maxima(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8))
-    kernels_surface.find_surfaces(
-        *(raster, looks, voxel, half, kernels_surface.fit_matrix(half)),
+    find_surfaces(
+        *(raster, looks, voxel, half, fit_matrix(half)),
         *(sign.threshold, sign.looks_min, sign.curvature_ratio, sign.reach_voxels),
         *found,
     )
@@ -200,7 +207,7 @@ def _strongest(
     row_of = np.full(shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(len(voxel))
     keep = np.empty(len(voxel), np.bool_)
-    kernels_surface.drop_weaker(voxel, found.place, found.normal, found.value, row_of, half, keep)
+    drop_weaker(voxel, found.place, found.normal, found.value, row_of, half, keep)
     return keep
 
 
@@ -212,13 +219,18 @@ def _looks(
     raster = np.zeros(tuple((high - low).tolist()), np.int64)
     edge_m = scene.edge_q * QUANTUM_M
     rows = looking_at(scene.frames, array, (low - 1) * edge_m, (high + 1) * edge_m)
-    gate = np.array([array.gate_start_m, array.gate_stop_m])
-    kernels_raster.interrogate(
-        *(scene.frames.origin_m[rows], scene.frames.turn[rows], scene.seen_m[rows]),
-        *(np.tan(array.ifov_rad), gate, edge_m, low, raster),
+    interrogate(
+        scene.frames.origin_m[rows],
+        scene.frames.turn[rows],
+        scene.seen_m[rows],
+        math.tan(array.ifov_rad),
+        np.array([array.gate_start_m, array.gate_stop_m]),
+        edge_m,
+        low,
+        raster,
     )
     sums = np.empty_like(raster)
-    kernels_raster.box_sum(raster, half, sums)
+    box_sum(raster, half, sums)
     looks: NDArray[np.int64] = sums[tuple((voxel - low).T)]
     return looks
 
@@ -247,7 +259,7 @@ def looking_at(
     -------
     (k,) intp
     """
-    tangent = np.tan(array.ifov_rad)
+    tangent = math.tan(array.ifov_rad)
     across, along = 0.5 * array.rows * tangent, 0.5 * array.columns * tangent
     corners = np.array([[x, y, -1.0] for x in (-across, across) for y in (-along, along)])
     way = np.einsum("fij,cj->fci", frames.turn, corners)
@@ -267,7 +279,9 @@ def looking_at(
 
 def _within(xyz: NDArray[np.int64], box: Box, edge_q: int) -> NDArray[np.bool_]:
     """Which places lie in a box of voxels: (n,) bool."""
-    inside: NDArray[np.bool_] = ((xyz >= box.low * edge_q) & (xyz < box.high * edge_q)).all(axis=1)
+    inside: NDArray[np.bool_] = np.all(
+        (xyz >= box.low * edge_q) & (xyz < box.high * edge_q), axis=1
+    )
     return inside
 
 
@@ -290,9 +304,7 @@ def _by_posterior(
     counts = sums[tuple((voxel - box.low + half).T)]
     odds = np.empty(len(voxel))
     noise = array.dark_per_m * scene.edge_q * QUANTUM_M
-    kernels_posterior.log_odds(
-        counts, looks, test.window_voxels, noise, test.detection_min, test.prior, odds
-    )
+    log_odds(counts, looks, test.window_voxels, noise, test.detection_min, test.prior, odds)
     keep = odds > 0
     cells, place, n = np.unique(voxel[keep], axis=0, return_inverse=True, return_counts=True)
     total = np.zeros((len(cells), 3), np.int64)

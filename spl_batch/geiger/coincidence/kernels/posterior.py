@@ -1,4 +1,4 @@
-"""A test of single detections: noise, or one of several from a surface?
+"""A test of single detections: noise, or one of several from a surface.
 
 In the manner of Maximum A Posteriori Coincidence Processing, which [M20 ch. 2] describes as
 "statistical tests to classify all individual detection events as noise or true reflections, and
@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.geiger.coincidence.kernels_raster import UNIT
+from spl_batch.geiger.coincidence.kernels.raster import UNIT
 
 
 @njit(nogil=True, cache=True)
@@ -35,7 +35,7 @@ def log_odds(
     ----------
     detections, looks : (n,) int64
         Sums over each detection's neighbourhood, itself included,
-        :data:`~.kernels_raster.UNIT` for one.
+        :data:`~.raster.UNIT` for one.
     window : int
         Edge of the neighbourhood [voxel edges].
     noise_share, surface_share : float

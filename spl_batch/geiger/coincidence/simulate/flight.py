@@ -10,24 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.geiger.coincidence.kernels_scene import Targets, expose
-from spl_batch.geiger.coincidence.model import Detections, Frames
-from spl_batch.geiger.coincidence.scene import SceneSettings, build
+from spl_batch.geiger.coincidence.kernels.scene import Targets, expose
+from spl_batch.geiger.coincidence.model import Attitudes, Detections, Frames
+from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
 from spl_batch.kernels.sim_scan import rotations
 
 FRAMES_OF_A_PASS = 10_000_000
 """Frame numbers are the pass times this, and then count from the start of the pass."""
 
 
-def flights(scene: SceneSettings) -> Iterator[tuple[Frames, NDArray[np.float64]]]:
+def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
     """Frames of each pass that look at the scene's part.
 
     Yields
     ------
     frames : Frames
-        In the scene's coordinates.
-    attitude : (f, 3) float64
-        Heading, roll, pitch of the array [rad].
+        Ready to look through.
+    attitudes : Attitudes
+        The same as files have it.
     """
     flight, array = scene.flight, scene.array
     half = 0.5 * np.array([array.rows, array.columns]) * array.ifov_rad * flight.altitude_m
@@ -52,10 +52,8 @@ def flights(scene: SceneSettings) -> Iterator[tuple[Frames, NDArray[np.float64]]
         away = np.abs(ground[:, :2] - scene.centre_m) - 0.5 * np.array(scene.extent_m)
         rows = np.flatnonzero((away <= lies + 0.5).all(axis=1))
         attitude = np.stack([heading, roll, np.zeros(n)], axis=-1)[rows]
-        frames = Frames(
-            number * FRAMES_OF_A_PASS + rows, origin[rows] + np.array(scene.origin_m), turn[rows]
-        )
-        yield frames, attitude
+        number_of, place = number * FRAMES_OF_A_PASS + rows, origin[rows] + np.array(scene.origin_m)
+        yield Frames(number_of, place, turn[rows]), Attitudes(number_of, place, attitude)
 
 
 def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
@@ -119,7 +117,4 @@ def fly(scene: SceneSettings) -> tuple[Frames, Detections]:
     targets = build(scene)
     frames = [found for found, _ in flights(scene)]
     parts = [detect(scene, part, targets) for part in frames]
-    return (
-        Frames(*(np.concatenate([getattr(f, k) for f in frames]) for k in Frames.__slots__)),
-        Detections(*(np.concatenate([getattr(d, k) for d in parts]) for k in Detections.__slots__)),
-    )
+    return Frames.joined(frames), Detections.joined(parts)

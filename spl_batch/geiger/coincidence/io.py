@@ -20,6 +20,8 @@ A detections file has a row for each detector that fired:
 
 Rows may come in any order, further columns are left alone. What a detector looked at follows
 from its frame; so looks without a detection need no row.
+
+In the working store both are kept in order, in row groups that are found by place and by frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,10 +35,10 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
-from spl_batch.geiger.coincidence.model import Detections, Frames
+from spl_batch.geiger.coincidence.model import Attitudes, Detections, Frames, Points
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.io.atomic import replacing
-from spl_batch.kernels.sim_scan import rotations
+from spl_batch.io.tables import read_between, read_columns, writing
 
 FRAME_COLUMNS: Final = ("frame", "x", "y", "z", "heading", "roll", "pitch")
 DETECTION_COLUMNS: Final = ("frame", "detector", "x", "y", "z")
@@ -109,7 +111,7 @@ def _read(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
     return found
 
 
-def read_frames(path: Path) -> Frames:
+def read_frames(path: Path) -> Attitudes:
     """Frames of a file, in order.
 
     Raises
@@ -127,8 +129,11 @@ def read_frames(path: Path) -> Frames:
             f"{len(twice)} frames are there twice, the first is {number[twice[0]]}; "
             "number frames through",
         )
-    turn = rotations(*(columns[k][order] for k in ("heading", "roll", "pitch")))
-    return Frames(number, np.stack([columns[k][order] for k in "xyz"], axis=-1), turn)
+    origin, attitude = (
+        np.stack([columns[k][order] for k in names], axis=-1)
+        for names in (FRAME_COLUMNS[1:4], FRAME_COLUMNS[4:])
+    )
+    return Attitudes(number, origin, attitude)
 
 
 def read_detections(path: Path, array: ArraySettings) -> Detections:
@@ -163,13 +168,11 @@ def read_detections(path: Path, array: ArraySettings) -> Detections:
     )
 
 
-def write_frames(
-    path: Path, number: NDArray[np.int64], origin_m: NDArray[np.float64],
-    attitude: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Write a frames file; ``attitude`` is heading, roll, pitch (f, 3) [rad]."""
-    _write(path, {"frame": number, **_named("xyz", origin_m),
-                  **_named(FRAME_COLUMNS[4:], attitude)})  # fmt: skip
+def write_frames(path: Path, frames: Attitudes) -> None:
+    """Write a frames file."""
+    places = _named(FRAME_COLUMNS[1:4], frames.origin_m)
+    turns = _named(FRAME_COLUMNS[4:], frames.attitude_rad)
+    _write(path, {"frame": frames.number, **places, **turns})
 
 
 def write_detections(path: Path, detections: Detections) -> None:
@@ -185,3 +188,86 @@ def _named(names: Sequence[str], columns: NDArray[np.float64]) -> dict[str, NDAr
 def _write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     with replacing(path) as part:
         pq.write_table(pa.table(dict(columns)), part, compression="zstd")
+
+
+_TURN: Final = tuple(f"turn_{i}{j}" for i in range(3) for j in range(3))
+_GROUP_FRAMES: Final = 64
+_GROUP_ROWS: Final = 65_536
+
+
+def store_frames(path: Path, frames: Frames) -> None:
+    """Keep frames in the working store."""
+    columns: dict[str, NDArray[Any]] = {"frame": frames.number, **_named("xyz", frames.origin_m)}
+    columns |= _named(_TURN, frames.turn.reshape(-1, 9))
+    _store(path, columns, _GROUP_FRAMES)
+
+
+def stored_frames(
+    path: Path, west_m: float, east_m: float, south_m: float, north_m: float
+) -> Frames:
+    """Frames that were taken over a rectangle; row groups are read whole, so more may come.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    # Bounds of a row group are compared as whole numbers.
+    spans = {"x": (int(west_m) - 1, int(east_m) + 1), "y": (int(south_m) - 1, int(north_m) + 1)}
+    read, _ = read_between(path, ("frame", *"xyz", *_TURN), spans)
+    turn = np.stack([read[k] for k in _TURN], axis=-1).reshape(-1, 3, 3)
+    return Frames(read["frame"], np.stack([read[k] for k in "xyz"], axis=-1), turn)
+
+
+def frame_numbers(path: Path) -> NDArray[np.int64]:
+    """Numbers of all frames of a file of the store, increasing: (f,) int64."""
+    numbers: NDArray[np.int64] = read_columns(path, ("frame",))["frame"]
+    return numbers
+
+
+def store_detections(path: Path, detections: Detections) -> None:
+    """Keep detections in the working store."""
+    columns: dict[str, NDArray[Any]] = {
+        "frame": detections.frame,
+        "detector": detections.detector,
+    }
+    xyz = {name: detections.xyz[:, k] for k, name in enumerate("xyz")}
+    _store(path, {**columns, **xyz}, _GROUP_ROWS)
+
+
+def stored_detections(path: Path, first: int, last: int) -> Detections:
+    """Detections of a span of frames; row groups are read whole, so more may come.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    read, _ = read_between(path, DETECTION_COLUMNS, {"frame": (first, last)})
+    xyz = np.stack([read[k] for k in "xyz"], axis=-1)
+    return Detections(read["frame"], read["detector"], xyz)
+
+
+def store_points(path: Path, points: Points) -> None:
+    """Keep points in the working store."""
+    xyz = {name: points.xyz[:, k] for k, name in enumerate("xyz")}
+    _store(path, {**xyz, "intensity": points.intensity, "kind": points.kind}, _GROUP_ROWS)
+
+
+def stored_points(path: Path) -> Points:
+    """Points of a file of the store.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    read = read_columns(path, (*"xyz", "intensity", "kind"))
+    return Points(np.stack([read[k] for k in "xyz"], axis=-1), read["intensity"], read["kind"])
+
+
+def _store(path: Path, columns: Mapping[str, NDArray[Any]], group: int) -> None:
+    n = len(columns["frame"] if "frame" in columns else columns["x"])
+    with writing(path, {name: values.dtype for name, values in columns.items()}) as writer:
+        for start in range(0, max(n, 1), group):
+            writer.write({name: values[start : start + group] for name, values in columns.items()})

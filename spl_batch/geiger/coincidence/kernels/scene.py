@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.geiger.coincidence.kernels_raster import look_direction
+from spl_batch.geiger.coincidence.kernels.raster import look_direction
 
 _FAR: Final = 1e30
 _COIL_STEPS: Final = 200
@@ -77,7 +77,7 @@ def on_spoke(x: float, y: float, radius: float, spokes: float) -> bool:
     if x * x + y * y > radius * radius:
         return False
     turns = math.atan2(y, x) / (2.0 * math.pi) * spokes
-    return turns - math.floor(turns) < 0.5
+    return bool(turns - math.floor(turns) < 0.5)
 
 
 @njit(nogil=True, cache=True)
@@ -89,7 +89,7 @@ def painted(x: float, y: float, logo: NDArray[np.float64]) -> bool:
         return False
     if share > 0.8:
         return True
-    return share < 0.7 and (math.floor(x / logo[3]) + math.floor(y / logo[3])) % 2 == 0
+    return bool(share < 0.7 and (math.floor(x / logo[3]) + math.floor(y / logo[3])) % 2 == 0)
 
 
 @njit(nogil=True, cache=True)
@@ -181,7 +181,7 @@ def opaque(origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets
     if best < ground:
         return best
     x, y = origin[0] + ground * way[0], origin[1] + ground * way[1]
-    return ground if painted(x, y, scene.logo) else ground + 1e9
+    return float(ground if painted(x, y, scene.logo) else ground + 1e9)
 
 
 @njit(nogil=True, cache=True)
@@ -190,8 +190,8 @@ def _leaves(origin, way, scene, hit):  # type: ignore[no-untyped-def]
     grid = scene.leaf_grid
     ny, nx = scene.leaf_first.shape[0], scene.leaf_first.shape[1] - 1
     t = (0.5 * (grid[3] + grid[4]) - origin[2]) / way[2]
-    i = int(math.floor((origin[0] + t * way[0] - grid[0]) / grid[2]))
-    j = int(math.floor((origin[1] + t * way[1] - grid[1]) / grid[2]))
+    i = math.floor((origin[0] + t * way[0] - grid[0]) / grid[2])
+    j = math.floor((origin[1] + t * way[1] - grid[1]) / grid[2])
     if i < 0 or j < 0 or i >= nx or j >= ny:
         return 0
     n, half = 0, 0.5 * scene.leaf_m

@@ -10,8 +10,13 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.geiger.coincidence.kernels_scene import Targets, on_spoke, opaque, tube_distance
-from spl_batch.geiger.coincidence.scene import PLACES_M, SPOKE_RADIUS_M, TARGET_HEIGHT_M, bars
+from spl_batch.geiger.coincidence.kernels.scene import Targets, on_spoke, opaque, tube_distance
+from spl_batch.geiger.coincidence.simulate.scene import (
+    PLACES_M,
+    SPOKE_RADIUS_M,
+    TARGET_HEIGHT_M,
+    bars,
+)
 
 BAND_M = 0.3
 """Height around a level target within which points are taken for its own [m]."""
@@ -169,7 +174,8 @@ def spoke_heights(xyz_m: NDArray[np.float64], name: str = "spokes") -> NDArray[n
     x, y = PLACES_M[name]  # type: ignore[index]
     near = np.hypot(xyz_m[:, 0] - x, xyz_m[:, 1] - y) < SPOKE_RADIUS_M
     height = xyz_m[near, 2] - TARGET_HEIGHT_M
-    return height[np.abs(height) < BAND_M]
+    near_level: NDArray[np.float64] = height[np.abs(height) < BAND_M]
+    return near_level
 
 
 def tri_bars(

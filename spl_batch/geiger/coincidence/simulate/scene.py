@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from spl_batch.geiger.coincidence.kernels_scene import Targets
+from spl_batch.geiger.coincidence.kernels.scene import Targets
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.settings import Positive, Section, Share
 
@@ -73,6 +73,7 @@ class FlightSettings(Section):
 class SceneSettings(Section):
     """A scene: which of the targets, which part of it is flown over, and how."""
 
+    kind: Literal["coincidence"] = Field("coincidence", description="Receiver of the scene.")
     seed: int = Field(1, ge=0, description="Seed of leaves and photons.")
     targets: tuple[Target, ...] = Field(ALL, description="Targets that are there.")
     extent_m: tuple[Positive, Positive] = Field(

@@ -48,9 +48,9 @@ def deposit(
     raster : (nx, ny, nz) int64
         Receives weights, :data:`UNIT` in all.
     """
-    u = int(math.floor(x * scale - _HALF))
-    v = int(math.floor(y * scale - _HALF))
-    w = int(math.floor(z * scale - _HALF))
+    u = math.floor(x * scale - _HALF)
+    v = math.floor(y * scale - _HALF)
+    w = math.floor(z * scale - _HALF)
     i, j, k = (u >> _SHIFT) - corner[0], (v >> _SHIFT) - corner[1], (w >> _SHIFT) - corner[2]
     nx, ny, nz = raster.shape
     if i < -1 or j < -1 or k < -1 or i >= nx or j >= ny or k >= nz:

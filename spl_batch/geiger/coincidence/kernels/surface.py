@@ -32,7 +32,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.geiger.coincidence.kernels_raster import UNIT
+from spl_batch.geiger.coincidence.kernels.raster import UNIT
 from spl_batch.kernels.eigen import eigen_symmetric
 
 NOTHING: Final = 0
@@ -163,7 +163,7 @@ def find_surfaces(
     Parameters
     ----------
     detections : (nx, ny, nz) int64
-        Raster, :data:`~.kernels_raster.UNIT` for each detection.
+        Raster, :data:`~.raster.UNIT` for each detection.
     looks : (n,) int64
         Interrogations summed over each voxel's neighbourhood, in the same unit.
     voxel : (n, 3) int64

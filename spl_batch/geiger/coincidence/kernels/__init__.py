@@ -1,0 +1,1 @@
+"""Bare loops over rasters, polynomials and rays."""

@@ -1,0 +1,286 @@
+"""What coincidence processing will do: inputs, phases, cost."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from pyproj import CRS
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.geiger.coincidence import io
+from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
+from spl_batch.geiger.coincidence.stages import least_detections, reach_q
+from spl_batch.io.crs import crs_problems, parse_crs
+from spl_batch.plan.budget import Cost, measured_rates
+from spl_batch.plan.inputs import expand, name_below, source_key
+from spl_batch.plan.ledger import Ledger, Phase
+from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.runner.context import RunContext
+from spl_batch.task import Receipt, Task
+
+RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
+    {"index": 1.0e6, "coincidence": 30_000.0, "deliver": 0.5e6}
+)
+"""Detections per second and worker until a store has measured its own; points when delivering.
+``benchmarks/coincidence.py`` prints them."""
+
+BYTES_PER_DETECTION: Final = 260
+"""Peak memory of indexing a file [byte]."""
+
+BYTES_PER_VOXEL: Final = 60
+"""Peak memory of a sub-volume: four rasters and what is found in it [byte]."""
+
+STORE_BYTES_PER_DETECTION: Final = 40
+DELIVERED_BYTES_PER_DETECTION: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class L1File:
+    """An input file that can be used.
+
+    Parameters
+    ----------
+    path : Path
+        Where it lies.
+    name : str
+        What messages call it.
+    key : int
+        What tasks call it.
+    rows : int
+        Frames or detections in it [count].
+    """
+
+    path: Path
+    name: str
+    key: int
+    rows: int
+
+    @property
+    def args(self) -> dict[str, Any]:
+        """The file as the arguments of a task name it."""
+        stat = self.path.stat()
+        stamp = [stat.st_size, stat.st_mtime_ns]
+        return {"source": str(self.key), "path": str(self.path), "name": self.name, "stamp": stamp}
+
+
+@dataclass(frozen=True, slots=True)
+class L1Inputs:
+    """Everything that a workflow names, checked.
+
+    Parameters
+    ----------
+    frames, detections : tuple of L1File
+        Files that can be used, by name.
+    bad : tuple of InputError
+        Files that cannot.
+    warnings : tuple of str
+        What a user should know before the work starts.
+    crs : CRS, optional
+        CRS of all coordinates.
+    """
+
+    frames: tuple[L1File, ...]
+    detections: tuple[L1File, ...]
+    bad: tuple[InputError, ...]
+    warnings: tuple[str, ...]
+    crs: CRS | None
+
+    @property
+    def sources(self) -> tuple[L1File, ...]:
+        """Files that can be used."""
+        return (*self.frames, *self.detections)
+
+
+def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
+    """Find and check every file of a workflow, from headers alone.
+
+    Parameters
+    ----------
+    workflow : CoincidenceWorkflow
+        Names them.
+    base : Path
+        Folder that relative paths start from.
+    output : Path
+        Folder of the results: no input may lie there.
+
+    Raises
+    ------
+    WorkflowError
+        If the request as a whole is wrong; one line with every fault.
+    """
+    faults: list[str] = []
+    named = {
+        key: expand(getattr(workflow.survey, key), base, f"survey.{key}", faults)
+        for key in ("frames", "detections")
+    }
+    for key, paths in named.items():
+        own = [str(path) for path in paths if output in path.parents]
+        faults += [f"survey.{key}: {own[0]} lies in the output folder {output}"] if own else []
+    crs = None if workflow.survey.crs is None else parse_crs(workflow.survey.crs, "survey.crs")
+    if crs is not None:
+        faults += [f"survey.crs: {text}" for text in crs_problems(crs, (0, 0, 0), (0, 0, 0))]
+    if faults:
+        raise WorkflowError("; ".join(faults))
+    bad: list[InputError] = []
+    frames = _usable(named["frames"], io.FRAME_COLUMNS, base, bad)
+    detections = _usable(named["detections"], io.DETECTION_COLUMNS, base, bad)
+    if not frames or not detections:
+        reasons = "; ".join(map(str, bad)) or "survey.frames and survey.detections hold no rows"
+        raise WorkflowError(f"no input is usable: {reasons}")
+    warnings = () if crs is not None else ("survey.crs is not set: the points will have no CRS",)
+    return L1Inputs(frames, detections, tuple(bad), warnings, crs)
+
+
+def _usable(
+    paths: Sequence[Path], columns: Sequence[str], base: Path, bad: list[InputError]
+) -> tuple[L1File, ...]:
+    found = []
+    for path in paths:
+        try:
+            rows = io.inspect(path, columns)
+        except InputError as error:
+            bad.append(error)
+            continue
+        name = name_below(path, base)
+        if rows:
+            found.append(L1File(path, name, source_key(name), rows))
+    return tuple(sorted(found, key=lambda file: file.name))
+
+
+@dataclass
+class L1Ledger(Ledger[L1Inputs, CoincidenceWorkflow]):
+    """What a run knows so far."""
+
+    @cached_property
+    def tiles(self) -> dict[str, int]:
+        """Detections of each tile, itself and those around; complete once the index is."""
+        own: dict[str, int] = {}
+        for receipt in self.of("index_file").values():
+            for tile, n in receipt.facts["tiles"].items():
+                own[tile] = own.get(tile, 0) + n
+        return {tile: n for tile, n in sorted(own.items()) if _with_halo(tile, own) >= self.least}
+
+    @property
+    def least(self) -> int:
+        """Detections that a tile needs for anything to be found in it [count]."""
+        return least_detections(self.workflow.coincidence)
+
+
+def _with_halo(tile: str, own: Mapping[str, int]) -> int:
+    i, j = map(int, tile.split("_"))
+    return sum(own.get(f"{p}_{q}", 0) for p in (i - 1, i, i + 1) for q in (j - 1, j, j + 1))
+
+
+def _frames(ledger: L1Ledger) -> Iterator[Task]:
+    for file in ledger.inputs.frames:
+        yield Task("frames", str(file.key), file.args, (), file.rows)
+
+
+def _index(ledger: L1Ledger) -> Iterator[Task]:
+    keys = sorted(ledger.of("frames"))
+    needs = tuple(("frames", key) for key in keys)
+    for file in ledger.inputs.detections:
+        yield Task("index_file", str(file.key), {**file.args, "frames": keys}, needs, file.rows)
+
+
+def _coincide(ledger: L1Ledger) -> Iterator[Task]:
+    frames = {k: r for k, r in ledger.of("frames").items() if r.facts["frames"]}
+    files = {k: r for k, r in ledger.of("index_file").items() if r.facts["points"]}
+    if not files:
+        return
+    heights = [
+        min(r.facts["bounds"][2] for r in files.values()),
+        max(r.facts["bounds"][5] for r in files.values()),
+    ]
+    halo_m = reach_q(ledger.workflow.coincidence, ledger.workflow.array) / QUANTA_PER_M
+    for tile, n in ledger.tiles.items():
+        near = [k for k, r in frames.items() if _may_look(r, tile, ledger, halo_m)]
+        spans = [frames[k].facts["numbers"] for k in near]
+        using = [k for k, r in files.items() if _shares(r.facts["numbers"], spans)]
+        args = {
+            "tile": tile,
+            "frames": near,
+            "reach_m": [frames[k].facts["reach_m"] for k in near],
+            "files": using,
+            "heights_q": heights,
+            "detections": n,
+        }
+        needs = [*(("frames", k) for k in near), *(("index_file", k) for k in using)]
+        yield Task("coincide", tile, args, tuple(needs), n)
+
+
+def _may_look(frames: Receipt, tile: str, ledger: L1Ledger, halo_m: float) -> bool:
+    """Whether a file's sensor came near enough to a tile to see it."""
+    west, east, south, north = frames.facts["places_m"]
+    edge, reach = ledger.workflow.tiling.tile_m, frames.facts["reach_m"] + halo_m
+    i, j = map(int, tile.split("_"))
+    return bool(
+        west - reach <= (i + 1) * edge
+        and east + reach >= i * edge
+        and south - reach <= (j + 1) * edge
+        and north + reach >= j * edge
+    )
+
+
+def _shares(numbers: Sequence[int], spans: Sequence[Sequence[int]]) -> bool:
+    return any(numbers[0] <= last and first <= numbers[1] for first, last in spans)
+
+
+def _deliver(ledger: L1Ledger) -> Iterator[Task]:
+    for tile, receipt in ledger.of("coincide").items():
+        n = receipt.facts["points"]
+        if n:
+            yield Task("deliver_tile", tile, {"tile": tile}, (("coincide", tile),), n)
+
+
+PHASES: Final = (
+    Phase("frames", _frames),
+    Phase("index_file", _index),
+    Phase("coincide", _coincide),
+    Phase("deliver_tile", _deliver),
+)
+"""The whole chain, in order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoincidenceCost(Cost):
+    """What a run is expected to cost.
+
+    Parameters
+    ----------
+    frames : int
+        Frames of all usable files [count].
+    """
+
+    frames: int
+
+
+def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) -> CoincidenceCost:
+    """Cost of a run, from the headers of its files."""
+    inputs, chosen = ledger.inputs, ledger.workflow.coincidence
+    detections = sum(file.rows for file in inputs.detections)
+    frames = sum(file.rows for file in inputs.frames)
+    largest = max(file.rows for file in inputs.detections)
+    rates, measured = measured_rates(RATES_POINTS_PER_S, context)
+    volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 4 * (chosen.window_voxels // 2)) ** 3
+    needs = [
+        (volume, "a sub-volume", "a smaller coincidence.volume_voxels"),
+        (largest * BYTES_PER_DETECTION, "the largest detections file", "smaller files"),
+    ]
+    held, heaviest, remedy = max(needs)
+    return CoincidenceCost(
+        points=detections,
+        tasks=len(inputs.sources),
+        disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION),
+        memory_bytes=WORKER_BASE_BYTES + held,
+        heaviest=heaviest,
+        remedy=remedy,
+        stages_s={stage: detections / rate for stage, rate in rates.items()},
+        workers=ledger.workers,
+        measured=measured,
+        frames=frames,
+    )

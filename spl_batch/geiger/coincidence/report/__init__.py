@@ -1,0 +1,1 @@
+"""What a report on coincidence processing says, and its page."""

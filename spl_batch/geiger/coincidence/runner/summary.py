@@ -1,0 +1,163 @@
+"""Stage ``report``: what all receipts say together, with pictures."""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.geiger.coincidence import io
+from spl_batch.geiger.coincidence.report.model import (
+    CoincidenceReport,
+    Counts,
+    Intensity,
+    Scene,
+)
+from spl_batch.geiger.coincidence.report.page import Strip, pictures, render
+from spl_batch.geiger.coincidence.runner.tasks import (
+    MAP_CELLS,
+    CoincidenceContext,
+    detections_path,
+    map_path,
+    parse,
+    points_path,
+)
+from spl_batch.io.tables import read_arrays
+from spl_batch.report.maps import Raster
+from spl_batch.report.model import InputFile
+from spl_batch.report.write import write_both
+from spl_batch.runner.remember import Receipts, RunFacts, performance, provenance, remember
+
+LARGEST_MAP: Final = 4_000
+"""More cells along a side are thinned, whole tiles at a time [count]."""
+
+STRIP_Q: Final = 200
+"""Width of the slice that is drawn [quanta]."""
+
+MOST_DETECTIONS: Final = 20_000
+"""Detections that are drawn at most [count]."""
+
+
+def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> CoincidenceReport:
+    """Write ``report.json`` and ``report.html``.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : RunContext
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    """
+    counts = _counts(done, context)
+    workflow = context.workflow
+    report = CoincidenceReport(
+        scene=Scene(
+            name=workflow.survey.name,
+            crs=context.crs.name if context.crs is not None else None,
+            method=workflow.coincidence.method,
+            voxel_m=workflow.voxel_q / QUANTA_PER_M,
+            tile_m=workflow.tiling.tile_m,
+        ),
+        counts=counts,
+        intensity=_intensity(done),
+        performance=performance(facts, counts.detections),
+        failures=tuple(facts.failures),
+        warnings=tuple(facts.notes),
+        provenance=provenance(context, list(_inputs(done))),
+    )
+    height, intensity = (_map(done, context, name) for name in ("height", "intensity"))
+    shown = pictures(height, intensity, _strip(done, context))
+    write_both(context.output, report, render(report, shown))
+    remember(done, context, facts)
+    return report
+
+
+def _counts(done: Receipts, context: CoincidenceContext) -> Counts:
+    frames = sum(r.facts["frames"] for r in done.get("frames", {}).values())
+    made = [r.facts for r in done.get("coincide", {}).values()]
+    kinds = np.sum([f["kinds"] for f in made], axis=0).tolist() if made else [0] * 4
+    return Counts(
+        frames=frames,
+        looks=frames * context.workflow.array.detectors,
+        detections=sum(r.facts["points"] for r in done.get("index_file", {}).values()),
+        tiles=len(made),
+        points=sum(f["points"] for f in made),
+        surface=kinds[1],
+        ridge=kinds[2],
+        peak=kinds[3],
+    )
+
+
+def _intensity(done: Receipts) -> Intensity:
+    made = [r.facts for r in done.get("coincide", {}).values() if r.facts["points"]]
+    if not made:
+        return Intensity()
+    weight = [f["points"] for f in made]
+    low, middle, high = np.average([f["intensity"] for f in made], axis=0, weights=weight)
+    return Intensity(p05=low, median=middle, p95=high)
+
+
+def _inputs(done: Receipts) -> Iterable[InputFile]:
+    for kind, role in (("frames", "frames"), ("index_file", "detections")):
+        for receipt in done.get(kind, {}).values():
+            facts = receipt.facts
+            yield InputFile(
+                path=facts["name"],
+                role=role,
+                size=facts["size"],
+                hash=f"blake2b:{facts['hash']}",
+                points=facts["frames" if kind == "frames" else "points"],
+            )
+
+
+def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | None:
+    """Maps of all tiles side by side, north first."""
+    tiles = [parse(tile) for tile, r in done.get("coincide", {}).items() if r.facts["points"]]
+    if not tiles:
+        return None
+    west, east = min(t.i for t in tiles), max(t.i for t in tiles) + 1
+    south, north = min(t.j for t in tiles), max(t.j for t in tiles) + 1
+    # One cell of several where all would be too many for a picture.
+    skip = max(1, -(-max(east - west, north - south) * MAP_CELLS // LARGEST_MAP))
+    cells = len(range(0, MAP_CELLS, skip))
+    values = np.full(((north - south) * cells, (east - west) * cells), np.nan, np.float32)
+    for tile in tiles:
+        part: NDArray[Any] = read_arrays(map_path(context.store, str(tile)))[name][::skip, ::skip]
+        row, column = (north - 1 - tile.j) * cells, (tile.i - west) * cells
+        values[row : row + cells, column : column + cells] = part
+    edge = context.workflow.tiling.tile_m
+    return Raster(values, (west * edge, east * edge, south * edge, north * edge))
+
+
+def _strip(done: Receipts, context: CoincidenceContext) -> Strip | None:
+    """A slice through the middle of the tile with most points."""
+    made = {t: r.facts["points"] for t, r in done.get("coincide", {}).items() if r.facts["points"]}
+    if not made:
+        return None
+    tile = max(sorted(made), key=lambda name: made[name])
+    edge = context.workflow.tile_q
+    west, south = parse(tile).i * edge, parse(tile).j * edge + (edge - STRIP_Q) // 2
+    points = io.stored_points(points_path(context.store, tile)).xyz
+    return Strip(_slice(_detected(done, context, tile), west, south, edge),
+                 _slice(points, west, south, edge))  # fmt: skip
+
+
+def _detected(done: Receipts, context: CoincidenceContext, tile: str) -> NDArray[np.int64]:
+    """Detections of the first file that has some in a tile: (n, 3) [quanta]."""
+    for key, receipt in done.get("index_file", {}).items():
+        if tile in receipt.facts["tiles"]:
+            first, last = receipt.facts["numbers"]
+            return io.stored_detections(detections_path(context.store, key), first, last).xyz
+    return np.empty((0, 3), np.int64)
+
+
+def _slice(xyz: NDArray[np.int64], west: int, south: int, edge: int) -> NDArray[np.float64]:
+    """Places of a slice, seen from the south: along it, and height (n, 2) [m]."""
+    inside = (xyz[:, 1] >= south) & (xyz[:, 1] < south + STRIP_Q)
+    inside &= (xyz[:, 0] >= west) & (xyz[:, 0] < west + edge)
+    found = xyz[inside]
+    found = found[:: max(1, len(found) // MOST_DETECTIONS)]
+    return np.stack([found[:, 0] - west, found[:, 2]], axis=-1) / QUANTA_PER_M
