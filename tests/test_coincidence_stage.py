@@ -10,31 +10,13 @@ from hypothesis import strategies as st
 
 from spl_batch.geiger.coincidence import accuracy, stages
 from spl_batch.geiger.coincidence.kernels.scene import _leaves, opaque
-from spl_batch.geiger.coincidence.model import Detections, Frames, Points
+from spl_batch.geiger.coincidence.model import Detections, Points
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
-from spl_batch.geiger.coincidence.simulate.flight import fly
 from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
 from spl_batch.tiling import Bounds, cell_bounds, cells_touching
+from tests.coincidence_scene import SMALL, flown, local, region
 
-SMALL = SceneSettings(
-    seed=5, targets=("spokes",), extent_m=(4.0, 3.0), centre_m=(4.2, 0.5),
-    flight={"headings_deg": (0.0, 90.0)},
-)  # fmt: skip
 CHOSEN = CoincidenceSettings()
-
-
-@cache
-def flown() -> tuple[Frames, Detections]:
-    return fly(SMALL)
-
-
-def region(scene: SceneSettings) -> Bounds:
-    low = [
-        o + c - e / 2
-        for o, c, e in zip(scene.origin_m, scene.centre_m, scene.extent_m, strict=False)
-    ]
-    sizes = scene.extent_m
-    return Bounds(*(round(v * 1000) for v in (*low, low[0] + sizes[0], low[1] + sizes[1])))
 
 
 @cache
@@ -45,10 +27,6 @@ def points(method: str = "bridge_sign", volume: int = 128) -> Points:
 
 def same(a: Points, b: Points) -> bool:
     return all(np.array_equal(getattr(a, k), getattr(b, k)) for k in Points.__slots__)
-
-
-def local(xyz: np.ndarray) -> np.ndarray:
-    return xyz / 1000 - np.array(SMALL.origin_m)
 
 
 def test_the_voxel_is_half_of_what_a_detector_sees() -> None:
@@ -83,8 +61,8 @@ def test_detections_lie_on_their_lines_of_sight() -> None:
     body = np.einsum("nji,nj->ni", frames.turn[row], away)
     tangent = math.tan(SMALL.array.ifov_rad)
     i, j = detections.detector // SMALL.array.columns, detections.detector % SMALL.array.columns
-    assert body[:, 0] / -body[:, 2] == pytest.approx((i - 15.5) * tangent, abs=1e-6)
-    assert body[:, 1] / -body[:, 2] == pytest.approx((j - 63.5) * tangent, abs=1e-6)
+    assert body[:, 0] / -body[:, 2] == pytest.approx((i - 7.5) * tangent, abs=1e-6)
+    assert body[:, 1] / -body[:, 2] == pytest.approx((j - 15.5) * tangent, abs=1e-6)
     # A range is the middle of its bin; places are rounded to millimetres.
     bins = (np.linalg.norm(away, axis=1) - 2500) / 0.05 % 1
     assert bins == pytest.approx(0.5, abs=0.03)

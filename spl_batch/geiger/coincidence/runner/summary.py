@@ -133,16 +133,20 @@ def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | Non
 
 
 def _strip(done: Receipts, context: CoincidenceContext) -> Strip | None:
-    """A slice through the middle of the tile with most points."""
+    """A slice through the points of the tile that has most of them."""
     made = {t: r.facts["points"] for t, r in done.get("coincide", {}).items() if r.facts["points"]}
     if not made:
         return None
     tile = max(sorted(made), key=lambda name: made[name])
-    edge = context.workflow.tile_q
-    west, south = parse(tile).i * edge, parse(tile).j * edge + (edge - STRIP_Q) // 2
     points = io.stored_points(points_path(context.store, tile)).xyz
-    return Strip(_slice(_detected(done, context, tile), west, south, edge),
-                 _slice(points, west, south, edge))  # fmt: skip
+    # Where half of them lie to the north, so that some are in it.
+    south = int(np.median(points[:, 1])) - STRIP_Q // 2
+    edge = context.workflow.tile_q
+    slices = (
+        _slice(xyz, parse(tile).i * edge, south, edge)
+        for xyz in (_detected(done, context, tile), points)
+    )
+    return Strip(*slices)
 
 
 def _detected(done: Receipts, context: CoincidenceContext, tile: str) -> NDArray[np.int64]:
