@@ -129,8 +129,8 @@ def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> N
     print(f"  completeness within {100 * pixel:.0f} cm {found:.2f} % of open surfaces")
     if "spokes" in scene.targets:
         heights = 100 * accuracy.spoke_heights(xyz)
-        print(f"  spoke heights              SD {heights.std():.2f}, mean {heights.mean():+.2f} cm, "
-              f"n {len(heights):,}")  # fmt: skip
+        print(f"  spoke heights              SD {heights.std():.2f} cm, "
+              f"mean {heights.mean():+.2f} cm, n {len(heights):,}")  # fmt: skip
     if "covered_spokes" in scene.targets:
         _covered(xyz, scene, pixel)
     if "bars" in scene.targets:

@@ -79,7 +79,7 @@ def _strip(strip: Strip | None) -> Picture:
             (upper, strip.detections_m, "detections"),
             (lower, strip.points_m, "points"),
         ):
-            axes.plot(places[:, 0], places[:, 1], ".", ms=1.5, mew=0, color="#1f4e79")
+            axes.plot(places[:, 0], places[:, 1], ".", ms=2.5, mew=0, color="#1f4e79")
             axes.set_ylabel(f"{name}\nheight [m]")
         lower.set_xlabel("along the slice [m]")
         low, high = strip.points_m[:, 1].min(), strip.points_m[:, 1].max()

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.geiger.coincidence import io
 from spl_batch.geiger.coincidence.report.model import (
     CoincidenceReport,
     Counts,
@@ -18,10 +17,8 @@ from spl_batch.geiger.coincidence.report.page import Strip, pictures, render
 from spl_batch.geiger.coincidence.runner.tasks import (
     MAP_CELLS,
     CoincidenceContext,
-    detections_path,
     map_path,
     parse,
-    points_path,
 )
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.maps import Raster
@@ -31,12 +28,6 @@ from spl_batch.runner.remember import Receipts, RunFacts, performance, provenanc
 
 LARGEST_MAP: Final = 4_000
 """More cells along a side are thinned, whole tiles at a time [count]."""
-
-STRIP_Q: Final = 200
-"""Width of the slice that is drawn [quanta]."""
-
-MOST_DETECTIONS: Final = 20_000
-"""Detections that are drawn at most [count]."""
 
 
 def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> CoincidenceReport:
@@ -133,35 +124,10 @@ def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | Non
 
 
 def _strip(done: Receipts, context: CoincidenceContext) -> Strip | None:
-    """A slice through the points of the tile that has most of them."""
+    """The slice of the tile with most points."""
     made = {t: r.facts["points"] for t, r in done.get("coincide", {}).items() if r.facts["points"]}
     if not made:
         return None
     tile = max(sorted(made), key=lambda name: made[name])
-    points = io.stored_points(points_path(context.store, tile)).xyz
-    # Where half of them lie to the north, so that some are in it.
-    south = int(np.median(points[:, 1])) - STRIP_Q // 2
-    edge = context.workflow.tile_q
-    slices = (
-        _slice(xyz, parse(tile).i * edge, south, edge)
-        for xyz in (_detected(done, context, tile), points)
-    )
-    return Strip(*slices)
-
-
-def _detected(done: Receipts, context: CoincidenceContext, tile: str) -> NDArray[np.int64]:
-    """Detections of the first file that has some in a tile: (n, 3) [quanta]."""
-    for key, receipt in done.get("index_file", {}).items():
-        if tile in receipt.facts["tiles"]:
-            first, last = receipt.facts["numbers"]
-            return io.stored_detections(detections_path(context.store, key), first, last).xyz
-    return np.empty((0, 3), np.int64)
-
-
-def _slice(xyz: NDArray[np.int64], west: int, south: int, edge: int) -> NDArray[np.float64]:
-    """Places of a slice, seen from the south: along it, and height (n, 2) [m]."""
-    inside = (xyz[:, 1] >= south) & (xyz[:, 1] < south + STRIP_Q)
-    inside &= (xyz[:, 0] >= west) & (xyz[:, 0] < west + edge)
-    found = xyz[inside]
-    found = found[:: max(1, len(found) // MOST_DETECTIONS)]
-    return np.stack([found[:, 0] - west, found[:, 2]], axis=-1) / QUANTA_PER_M
+    arrays = read_arrays(map_path(context.store, tile))
+    return Strip(arrays["slice_detections"], arrays["slice_points"])

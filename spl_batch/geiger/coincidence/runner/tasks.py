@@ -29,6 +29,12 @@ CoincidenceContext = RunContext[CoincidenceWorkflow]
 MAP_CELLS: Final = 100
 """Cells along a tile's edge in the report's maps [count]."""
 
+SLICE_Q: Final = 200
+"""Width of the slice of a tile that the report may show [quanta]."""
+
+SLICE_PLACES: Final = 20_000
+"""Places of a slice at most [count]."""
+
 _FAR_APART: Final = 512
 """Frames between two that look at a tile that are rather read than skipped [count]."""
 
@@ -141,7 +147,7 @@ def coincide_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produ
     points = stages.coincide(frames, detections, region, workflow.coincidence, workflow.array)
     target, drawn = points_path(store, args["tile"]), map_path(store, args["tile"])
     io.store_points(target, points)
-    write_arrays(drawn, _map(points, region))
+    write_arrays(drawn, {**_map(points, region), **_slice(detections, points, region)})
     kinds = np.bincount(points.kind, minlength=4).tolist()
     spread = np.percentile(points.intensity, [5, 50, 95]).tolist() if len(points) else []
     facts = {"points": len(points), "kinds": kinds, "intensity": spread, "frames": len(frames)}
@@ -206,6 +212,19 @@ def _map(points: Points, region: Bounds) -> dict[str, NDArray[Any]]:
         .astype(np.float32)
         .reshape(shape),
     }
+
+
+def _slice(detections: Detections, points: Points, region: Bounds) -> dict[str, NDArray[Any]]:
+    """A thin upright slice of a tile seen from the south: along it, and height (n, 2) [m]."""
+    south = int(np.median(points.xyz[:, 1])) - SLICE_Q // 2 if len(points) else region.ymin
+    found = {}
+    for name, xyz in (("slice_detections", detections.xyz), ("slice_points", points.xyz)):
+        inside = (xyz[:, 1] >= south) & (xyz[:, 1] < south + SLICE_Q)
+        inside &= (xyz[:, 0] >= region.xmin) & (xyz[:, 0] < region.xmax)
+        shown = xyz[inside]
+        shown = shown[:: -(-len(shown) // SLICE_PLACES) or 1]
+        found[name] = np.stack([shown[:, 0] - region.xmin, shown[:, 2]], axis=-1) / QUANTA_PER_M
+    return found
 
 
 def deliver_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produced:
