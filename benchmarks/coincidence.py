@@ -12,7 +12,7 @@ method's points:
 - completeness, the share of open surfaces seen from above with a point within one detector's
   ground size, and precision, the share of points as near to a true surface; the same beneath the
   canopy of the covered spoke target;
-- the ratio of intensities of paint and bare ground;
+- the ratio of intensities of paint and bare ground; distances from the tube of the coil;
 - speed and memory of the stage.
 """
 
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from spl_batch import api
 from spl_batch.geiger.coincidence import accuracy, io
-from spl_batch.geiger.coincidence.kernels.scene import Targets, painted
+from spl_batch.geiger.coincidence.kernels.scene import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.simulate import simulate
 from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
 
@@ -138,6 +138,19 @@ def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> N
         _bars("by intensity", accuracy.tri_bars(xyz, cloud.weight))
     if "logo" in scene.targets:
         _paint(cloud, targets)
+    if "coil" in scene.targets:
+        _coil(xyz, targets)
+
+
+def _coil(xyz: NDArray[np.float64], targets: Targets) -> None:
+    """How well the upper loop's top is round: distances of points from the tube's surface."""
+    near = np.hypot(*(xyz[:, :2] - np.array(PLACES_M["coil"])).T) < 1.5
+    rows = np.flatnonzero(near & (xyz[:, 2] > 2.75))
+    axis, radius = targets.coil, targets.coil_radius
+    away = np.array([tube_distance(x, y, z, axis, radius) for x, y, z in xyz[rows]])
+    away = 100 * away[np.abs(away) < radius]
+    print(f"  upper loop of the coil     {len(away):,} points, from its surface mean "
+          f"{away.mean():+.1f} cm, SD {away.std():.1f} cm")  # fmt: skip
 
 
 def _under(

@@ -113,6 +113,13 @@ class Detections:
         first[1:] = (frame[1:] != frame[:-1]) | (detector[1:] != detector[:-1])
         return self.take(order[first])
 
+    def of(self, frames: Frames) -> "Detections":
+        """Those of some frames, out of detections in order of their frames."""
+        first = np.searchsorted(self.frame, frames.number)
+        count = np.searchsorted(self.frame, frames.number, side="right") - first
+        within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        return self.take(np.repeat(first, count) + within)
+
     def ranges_m(self, frames: Frames, array: ArraySettings) -> NDArray[np.float32]:
         """Slant range of each detector's detection in each frame.
 

@@ -43,8 +43,8 @@ class Scene(NamedTuple):
     ----------
     frames : Frames
         Those that look at the region.
-    seen_m : (f, rows, columns) float32
-        Slant range of each detector's detection, infinite where it made none [m].
+    detections : Detections
+        All of these frames, in their order.
     xyz : (n, 3) int64
         Detections near the region [quanta].
     edge_q : int
@@ -52,7 +52,7 @@ class Scene(NamedTuple):
     """
 
     frames: Frames
-    seen_m: NDArray[np.float32]
+    detections: Detections
     xyz: NDArray[np.int64]
     edge_q: int
 
@@ -93,7 +93,8 @@ def coincide(
     reach = 2 * (chosen.window_voxels // 2) + 1
     voxel = detections.xyz[:, :2] // edge
     near = ((voxel >= low - reach) & (voxel < high + reach)).all(axis=1)
-    scene = Scene(frames, detections.ranges_m(frames, array), detections.xyz[near], edge)
+    by_frame = detections.take(np.argsort(detections.frame, kind="stable"))
+    scene = Scene(frames, by_frame, detections.xyz[near], edge)
     parts = [_volume(scene, box, chosen, array) for box in _volumes(scene, low, high, chosen)]
     return Points.joined(parts).in_order()
 
@@ -219,10 +220,11 @@ def _looks(
     raster = np.zeros(tuple((high - low).tolist()), np.int64)
     edge_m = scene.edge_q * QUANTUM_M
     rows = looking_at(scene.frames, array, (low - 1) * edge_m, (high + 1) * edge_m)
+    frames = scene.frames.take(rows)
     interrogate(
-        scene.frames.origin_m[rows],
-        scene.frames.turn[rows],
-        scene.seen_m[rows],
+        frames.origin_m,
+        frames.turn,
+        scene.detections.of(frames).ranges_m(frames, array),
         math.tan(array.ifov_rad),
         np.array([array.gate_start_m, array.gate_stop_m]),
         edge_m,
