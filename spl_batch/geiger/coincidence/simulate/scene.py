@@ -196,9 +196,9 @@ def _leaf_lists(
     cells = np.minimum(first[:, None] + step.reshape(-1, 2), [nx - 1, ny - 1])
     key = (cells[..., 1] * nx + cells[..., 0]).ravel()
     item = np.repeat(np.arange(len(leaves)), width * width)
-    pair = np.unique(np.stack([key, item], axis=-1), axis=0)
-    starts = np.searchsorted(pair[:, 0], np.arange(nx * ny + 1))
+    pair = np.unique(key * len(leaves) + item)
+    starts = np.searchsorted(pair // len(leaves), np.arange(nx * ny + 1))
     table = np.empty((ny, nx + 1), np.int64)
     table[:, :-1] = starts[:-1].reshape(ny, nx)
     table[:, -1] = starts[nx::nx]
-    return np.array([*corner, _LEAF_CELL_M, low, high]), table, pair[:, 1]
+    return np.array([*corner, _LEAF_CELL_M, low, high]), table, pair % len(leaves)
