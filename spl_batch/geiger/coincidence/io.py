@@ -80,6 +80,23 @@ def inspect(path: Path, columns: Sequence[str]) -> int:
         return int(file.metadata.num_rows)
 
 
+def extent_m(path: Path) -> tuple[float, float, float, float] | None:
+    """West, south, east, north of a checked file, where its footer tells them [m]."""
+    with pq.ParquetFile(path) as file:
+        footer, names = file.metadata, file.schema_arrow.names
+        ends = []
+        for axis in "xy":
+            columns = [
+                footer.row_group(g).column(names.index(axis)).statistics
+                for g in range(footer.num_row_groups)
+            ]
+            if not columns or any(c is None or not c.has_min_max for c in columns):
+                return None
+            ends.append((min(float(c.min) for c in columns), max(float(c.max) for c in columns)))
+    (west, east), (south, north) = ends
+    return west, south, east, north
+
+
 def _fits(kind: pa.DataType, name: str) -> bool:
     number = pa.types.is_integer(kind) or pa.types.is_floating(kind)
     return bool(pa.types.is_integer(kind) if name in _WHOLE else number)

@@ -34,6 +34,12 @@ BYTES_PER_DETECTION: Final = 260
 BYTES_PER_VOXEL: Final = 60
 """Peak memory of a sub-volume: four rasters and what is found in it [byte]."""
 
+HELD_BYTES_PER_DETECTION: Final = 150
+"""Peak memory of a tile by the detections of all frames that look at it [byte]."""
+
+SLANT: Final = 0.05
+"""Looks from the side reach a tile from so far for each metre of gate [m/m]."""
+
 STORE_BYTES_PER_DETECTION: Final = 40
 DELIVERED_BYTES_PER_DETECTION: Final = 12
 
@@ -52,12 +58,15 @@ class L1File:
         What tasks call it.
     rows : int
         Frames or detections in it [count].
+    extent_m : tuple of float, optional
+        West, south, east, north [m].
     """
 
     path: Path
     name: str
     key: int
     rows: int
+    extent_m: tuple[float, float, float, float] | None = None
 
     @property
     def args(self) -> dict[str, Any]:
@@ -147,7 +156,7 @@ def _usable(
             continue
         name = name_below(path, base)
         if rows:
-            found.append(L1File(path, name, source_key(name), rows))
+            found.append(L1File(path, name, source_key(name), rows, io.extent_m(path)))
     return tuple(sorted(found, key=lambda file: file.name))
 
 
@@ -270,6 +279,7 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
     needs = [
         (volume, "a sub-volume", "a smaller coincidence.volume_voxels"),
         (largest * BYTES_PER_DETECTION, "the largest detections file", "smaller files"),
+        (_held(ledger) * HELD_BYTES_PER_DETECTION, "a tile", "a smaller tiling.tile_m"),
     ]
     held, heaviest, remedy = max(needs)
     return CoincidenceCost(
@@ -284,3 +294,18 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
         measured=measured,
         frames=frames,
     )
+
+
+def _held(ledger: L1Ledger) -> int:
+    """Detections of the frames that look at a tile, if each file spreads them evenly [count]."""
+    array, held = ledger.workflow.array, 0.0
+    side = ledger.workflow.tiling.tile_m + SLANT * (array.gate_stop_m - array.gate_start_m)
+    side += max(array.rows, array.columns) * array.ifov_rad * array.gate_stop_m
+    for file in ledger.inputs.detections:
+        if file.extent_m is None:
+            held += file.rows
+            continue
+        west, south, east, north = file.extent_m
+        share = min(side / max(east - west, 1.0), 1.0) * min(side / max(north - south, 1.0), 1.0)
+        held += share * file.rows
+    return round(held)
