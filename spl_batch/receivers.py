@@ -57,6 +57,13 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.geiger.coincidence.report.model:CoincidenceReport",
             "spl_batch.geiger.coincidence.simulate:simulate_file",
         ),
+        "water_surface": Home(
+            "spl_batch.geiger.water.settings:WaterWorkflow",
+            "spl_batch.geiger.water.runner:KINDS",
+            "spl_batch.geiger.water.api:RECEIVER",
+            "spl_batch.geiger.water.report.model:WaterReport",
+            "spl_batch.geiger.water.simulate:simulate_file",
+        ),
     }
 )
 """Every receiver, by the kind of its workflows."""

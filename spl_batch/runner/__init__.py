@@ -52,7 +52,16 @@ class Kind:
     settings: tuple[str, ...]
 
 
-LIBRARIES: Final = ("lazrs", "numba", "numpy", "pyproj", "scipy", "shapely", "zarr")
+LIBRARIES: Final = (
+    "lazrs",
+    "numba",
+    "numpy",
+    "pyproj",
+    "scikit-image",
+    "scipy",
+    "shapely",
+    "zarr",
+)
 """Libraries whose versions can change a result."""
 
 _OBSERVED: Final = ("noise", "acquisition", "survey.sensor")

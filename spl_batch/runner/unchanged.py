@@ -11,14 +11,14 @@ from spl_batch.runner.context import Context
 
 
 @contextmanager
-def unchanged(path: Path, stamp: Sequence[int]) -> Iterator[None]:
+def unchanged(path: Path, then: Sequence[int]) -> Iterator[None]:
     """Read a file that is as it was, before and after.
 
     Parameters
     ----------
     path : Path
-        The file.
-    stamp : (int, int)
+        The file, or a folder of files.
+    then : (int, int)
         Size [byte] and time of writing [ns since 1970] that it had.
 
     Raises
@@ -26,9 +26,9 @@ def unchanged(path: Path, stamp: Sequence[int]) -> Iterator[None]:
     InputError
         If it has others.
     """
-    _compare(path, stamp)
+    _compare(path, then)
     yield
-    _compare(path, stamp)
+    _compare(path, then)
 
 
 def as_indexed(args: Mapping[str, Any], context: Context) -> Sequence[int]:
@@ -40,16 +40,25 @@ def as_indexed(args: Mapping[str, Any], context: Context) -> Sequence[int]:
     return receipt.inputs[args["path"]]
 
 
-def _compare(path: Path, stamp: Sequence[int]) -> None:
-    try:
+def stamp(path: Path) -> tuple[int, int]:
+    """Size [byte] and latest time of writing [ns since 1970] of a file, or of all in a folder."""
+    if not path.is_dir():
         stat = path.stat()
+        return stat.st_size, stat.st_mtime_ns
+    found = [file.stat() for file in path.rglob("*")]
+    return sum(s.st_size for s in found), max((s.st_mtime_ns for s in found), default=0)
+
+
+def _compare(path: Path, then: Sequence[int]) -> None:
+    try:
+        now = stamp(path)
     except OSError as error:
         raise InputError(
             str(path), f"is gone since the run began ({error.strerror}): put it back, run again"
         ) from error
-    if [stat.st_size, stat.st_mtime_ns] != list(stamp):
+    if list(now) != list(then):
         raise InputError(
             str(path),
-            f"has changed since the run began, {stamp[0]} bytes then and {stat.st_size} now or "
+            f"has changed since the run began, {then[0]} bytes then and {now[0]} now or "
             "written to since: run again when it is complete, it is then read anew",
         )

@@ -1,0 +1,1 @@
+"""Water surface from frames of a Geiger-mode array."""

@@ -1,0 +1,202 @@
+"""Errors of surfaces against what is true [G15 3.7, Eq. 3-16 to 3-27].
+
+Down is positive: a positive bias means too deep. The source's angle of a surface, Eq. 3-25, is
+that of the mean of its normals; the mean of its pixels' angles is given beside it, which cannot
+let slopes cancel. Expectations are means over what is known.
+
+Deviation: the source's truth is one depth and one normal; here each pixel of each acquisition may
+have its own, so that waves can be judged.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.geiger.water.kernels.rays import floor_points, refracted
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceError:
+    """Errors of one surface.
+
+    Parameters
+    ----------
+    bias_m, variance_m2, mse_m2 : float
+        Of the down coordinate [G15 Eq. 3-16 to 3-18].
+    normal_deg : float
+        Between the mean normal and the mean true one [G15 Eq. 3-25].
+    pixel_normal_deg : float
+        Mean angle between a pixel's normal and its true one.
+    pixels : int
+        Pixels that are known [count].
+    """
+
+    bias_m: float
+    variance_m2: float
+    mse_m2: float
+    normal_deg: float
+    pixel_normal_deg: float
+    pixels: int
+
+
+@dataclass
+class PixelSums:
+    """Sums over acquisitions from which the errors of each pixel follow [G15 Eq. 3-19 to 3-26].
+
+    Parameters
+    ----------
+    count : (rows, cols) int64
+        Acquisitions in which the pixel is known.
+    error, square, angle : (rows, cols) float64
+        Sums of down errors [m], of their squares [m2], of angles [deg].
+    """
+
+    count: NDArray[np.int64]
+    error: Floats
+    square: Floats
+    angle: Floats
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> "PixelSums":
+        """Nothing added up yet."""
+        return cls(np.zeros(shape, dtype=np.int64), *(np.zeros(shape) for _ in range(3)))
+
+    def add(self, error_m: Floats, angle_deg: Floats) -> None:
+        """Add one acquisition: (rows, cols) each, NaN where unknown."""
+        known = np.isfinite(error_m) & np.isfinite(angle_deg)
+        self.count += known
+        self.error[known] += error_m[known]
+        self.square[known] += error_m[known] ** 2
+        self.angle[known] += angle_deg[known]
+
+    def merge(self, other: "PixelSums") -> None:
+        """Add what was added up elsewhere."""
+        self.count += other.count
+        self.error += other.error
+        self.square += other.square
+        self.angle += other.angle
+
+    def maps(self) -> dict[str, Floats]:
+        """Bias [m], variance [m2], MSE [m2] and angle [deg] of each pixel; NaN where unknown."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            bias = self.error / self.count
+            mse = self.square / self.count
+            angle = self.angle / self.count
+        return {
+            "bias_m": bias,
+            "variance_m2": np.maximum(mse - bias**2, 0.0),
+            "mse_m2": mse,
+            "normal_deg": angle,
+        }
+
+
+def angles_deg(normals: Floats, true: Floats) -> Floats:
+    """Angle between unit vectors [G15 Eq. 3-26]: (...) float64 [deg]."""
+    # The chord keeps small angles that a cosine near one would lose.
+    chord = np.linalg.norm(normals - true, axis=-1)
+    angle: Floats = np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
+    return angle
+
+
+def surface_error(
+    places_m: Floats, normals: Floats, true_down_m: Floats, true_normals: Floats
+) -> tuple[SurfaceError, Floats, Floats]:
+    """Errors of a surface, and those of its pixels.
+
+    Parameters
+    ----------
+    places_m, normals : (rows, cols, 3) float64
+        The surface [m]; NaN where unknown.
+    true_down_m : (rows, cols) float64
+        True down coordinate along each line of sight [m].
+    true_normals : (rows, cols, 3) float64
+        True unit normals out of the water.
+
+    Returns
+    -------
+    error : SurfaceError
+        NaN in all parts where nothing is known.
+    error_m, angle_deg : (rows, cols) float64
+        Down less true down [m]; angle between the normals [deg].
+    """
+    error = places_m[..., 2] - true_down_m
+    angle = angles_deg(normals, true_normals)
+    known = np.isfinite(error) & np.isfinite(angle)
+    if not known.any():
+        return SurfaceError(*(float("nan"),) * 5, pixels=0), error, angle
+    bias, variance = float(error[known].mean()), float(error[known].var())
+    means = [v[known].mean(axis=0) for v in (normals, true_normals)]
+    mean, true_mean = (m / np.linalg.norm(m) for m in means)
+    made = SurfaceError(
+        bias,
+        variance,
+        bias**2 + variance,
+        float(angles_deg(mean, true_mean)),
+        float(angle[known].mean()),
+        int(known.sum()),
+    )
+    return made, error, angle
+
+
+@dataclass(frozen=True, slots=True)
+class FloorError:
+    """How far rays end from where they truly do after a way through the water.
+
+    Parameters
+    ----------
+    straight_m, level_m, refracted_m : float
+        Mean distance of the ends of single pixels' rays: without refraction, refracted by a level
+        surface, refracted by the surface found [m].
+    straight_beam_m, level_beam_m, refracted_beam_m : float
+        Distance of the mean of all ends: the place of a beam that covers these pixels [m].
+    """
+
+    straight_m: float
+    level_m: float
+    refracted_m: float
+    straight_beam_m: float
+    level_beam_m: float
+    refracted_beam_m: float
+
+
+def floor_error(
+    look: Floats,
+    found: tuple[Floats, Floats],
+    true: tuple[Floats, Floats],
+    in_water_m: float,
+    index_water: float,
+) -> FloorError | None:
+    """Errors of the ends of rays; None where no pixel is known.
+
+    Parameters
+    ----------
+    look : (rows, cols, 3) float64
+        Unit vectors along the lines of sight.
+    found, true : pair of (rows, cols, 3) float64
+        Places on the surface [m] and unit normals out of the water; NaN where unknown.
+    in_water_m : float
+        Length of the way in water, as a second receiver measures it [m].
+    index_water : float
+        Refractive index of water.
+    """
+    known = np.isfinite(found[0]).all(axis=-1) & np.isfinite(found[1]).all(axis=-1)
+    if not known.any():
+        return None
+    beam = look[known]
+    places, normals, true_places, true_normals = (v[known] for v in (*found, *true))
+    level = np.broadcast_to(np.array([0.0, 0.0, -1.0]), normals.shape)
+    ends = floor_points(true_places, refracted(beam, true_normals, index_water), in_water_m)
+    ways = (beam, refracted(beam, level, index_water), refracted(beam, normals, index_water))
+    off = [floor_points(places, way, in_water_m) - ends for way in ways]
+    single = [float(np.linalg.norm(o, axis=-1).mean()) for o in off]
+    whole = [float(np.linalg.norm(o.mean(axis=0))) for o in off]
+    return FloorError(*single, *whole)
+
+
+def middle(shape: tuple[int, int], edge: int) -> tuple[slice, slice]:
+    """Block of pixels in the middle of an array, which a green beam covers [G15 3.1.3]."""
+    rows, cols = ((n - min(edge, n)) // 2 for n in shape)
+    return slice(rows, rows + min(edge, shape[0])), slice(cols, cols + min(edge, shape[1]))

@@ -1,0 +1,119 @@
+"""Water surface from a Geiger-mode array, as the verbs see it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Final
+
+from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.errors import WorkflowError
+from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
+from spl_batch.geiger.water.report.model import WaterReport
+from spl_batch.geiger.water.runner import WaterContext
+from spl_batch.geiger.water.settings import WaterWorkflow
+from spl_batch.plan.budget import Cost
+from spl_batch.plan.ledger import Phase
+from spl_batch.runner import code_version
+from spl_batch.runner.context import RunContext
+from spl_batch.runner.remember import Receipts, RunFacts
+from spl_batch.settings import BaseWorkflow
+from spl_batch.task import Receipt
+
+_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "count_frames": "file",
+        "make_surfaces": "acquisitions",
+        "deliver_points": "file",
+        "deliver_rasters": "file",
+    }
+)
+
+
+class Water(Receiver[WaterLedger, WaterContext]):
+    """Frames of time bins to surfaces, normals and rays."""
+
+    phases: ClassVar[Sequence[Phase]] = PHASES
+    words: ClassVar[Mapping[str, str]] = _WORDS
+    remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"make_surfaces": "lower surface.frames_per_acquisition"}
+    )
+
+    def prepare(
+        self, workflow: WaterWorkflow, place: Place, limits: Limits
+    ) -> Prepared[WaterLedger, WaterContext]:
+        """Find and check every file of a workflow, from what it declares."""
+        inputs = gather_inputs(workflow, place.base, place.output)
+        if not inputs.sources:
+            raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
+        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
+        context = self.context(workflow, place, crs_wkt, code_version())
+        ledger = WaterLedger(inputs, workflow, limits.memory_bytes, limits.workers)
+        return Prepared(self, ledger, context)
+
+    def context(
+        self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
+    ) -> WaterContext:
+        """What its tasks are given."""
+        if not isinstance(workflow, WaterWorkflow):
+            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no water surface")
+        return RunContext(workflow, place.base, place.output, crs_wkt, code)
+
+    def cost(self, prepared: Prepared[WaterLedger, WaterContext]) -> Cost:
+        """What a run is expected to cost."""
+        return estimate(prepared.ledger, prepared.context)
+
+    def plan_rows(
+        self,
+        prepared: Prepared[WaterLedger, WaterContext],
+        cost: Cost,  # noqa: ARG002 - the form that every receiver has
+    ) -> list[tuple[str, str]]:
+        """Label and value of what a plan tells beside disk, memory and time."""
+        ledger = prepared.ledger
+        surfaces = sum(s.facts.frames // ledger.per for s in ledger.inputs.sources)
+        targets = len(ledger.inputs.targets)
+        return [
+            ("surfaces", f"{surfaces:,} of {ledger.per:,} frames each"),
+            ("calibration", f"from {targets} files" if targets else "as the workflow gives it"),
+        ]
+
+    def after(
+        self,
+        phase: Phase,
+        prepared: Prepared[WaterLedger, WaterContext],
+        failed: Sequence[Receipt],
+    ) -> Iterable[str]:
+        """Stop where nothing is left to go on with."""
+        ledger = prepared.ledger
+        if phase.kind == "count_frames":
+            counted = ledger.of("count_frames")
+            if not any(str(s.key) in counted for s in ledger.inputs.sources):
+                reasons = "; ".join(r.reason for r in failed if r.kind == "count_frames")
+                raise WorkflowError(f"no input is usable: {reasons}")
+        if phase.kind == "calibrate" and "all" not in ledger.of("calibrate"):
+            reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
+            raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
+        return ()
+
+    def report(self, done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
+        """Write ``report.json`` and ``report.html``."""
+        from spl_batch.geiger.water.runner.summary import summarise  # noqa: PLC0415 - draws
+
+        return summarise(done, context, facts)
+
+    def screen(self, report: WaterReport) -> list[tuple[str, str]]:
+        """Label and value of each number that the console shows after a run."""
+        from spl_batch.geiger.water.report.page import screen_summary  # noqa: PLC0415 - as above
+
+        return screen_summary(report)
+
+    def results(self, output: Path) -> list[tuple[str, list[Path]]]:
+        """What a user looks at first."""
+        return [
+            ("report", [output / "report.html"]),
+            ("rasters", [output / "surfaces"]),
+            ("points", [output / "points"]),
+        ]
+
+
+RECEIVER: Final[Receiver[Any, Any]] = Water()
+"""The one there is."""

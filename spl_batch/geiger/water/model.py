@@ -1,0 +1,88 @@
+"""Where the pixels look, and from ranges to places in the local frame [G15 3.5].
+
+Frames: the sensor's has z along the optical axis; the local one is north, east, down.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import SPEED_OF_LIGHT_M_S
+from spl_batch.geiger.water.settings import CameraSettings, MountSettings
+
+Floats = NDArray[np.float64]
+
+HALF_C_M_NS: Final = SPEED_OF_LIGHT_M_S * 1e-9 / 2
+"""Range for each nanosecond of a two-way time [m/ns]."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Where each pixel looks.
+
+    Parameters
+    ----------
+    x, y : (rows, cols) float64
+        Image coordinates over the focal length [G15 Eq. 3-11].
+    rotation : (3, 3) float64
+        From the sensor's frame to the local one.
+    origin_m : (3,) float64
+        Lens in the local frame: north, east, down [m].
+    """
+
+    x: Floats
+    y: Floats
+    rotation: Floats
+    origin_m: Floats
+
+    @property
+    def norm(self) -> Floats:
+        """Length of (x, y, 1) [G15 Eq. 3-12]: (rows, cols) float64."""
+        length: Floats = np.sqrt(self.x**2 + self.y**2 + 1.0)
+        return length
+
+    @property
+    def look(self) -> Floats:
+        """Unit vectors in the local frame [G15 Eq. 3-13 to 3-15]: (rows, cols, 3) float64."""
+        vectors = np.stack([self.x, self.y, np.ones_like(self.x)], axis=-1)
+        look: Floats = (vectors / self.norm[..., None]) @ self.rotation.T
+        return look
+
+    def places(self, range_m: Floats) -> Floats:
+        """North, east, down of ranges: (..., rows, cols, 3) float64 [m]."""
+        places: Floats = self.origin_m + range_m[..., None] * self.look
+        return places
+
+    def to_local(self, vectors: Floats) -> Floats:
+        """Turn vectors of the sensor's frame: (..., 3) float64."""
+        turned: Floats = vectors @ self.rotation.T
+        return turned
+
+
+def rotation(roll_deg: float, pitch_deg: float, heading_deg: float) -> Floats:
+    """Rz(heading) Ry(pitch) Rx(roll): (3, 3) float64 [G15 Eq. 3-6]."""
+    (cr, sr), (cp, sp), (ch, sh) = (
+        (math.cos(math.radians(a)), math.sin(math.radians(a)))
+        for a in (roll_deg, pitch_deg, heading_deg)
+    )
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_z = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+def view_of(camera: CameraSettings, mount: MountSettings) -> View:
+    """Look-up vectors, boresight, lever arms and position put together [G15 Eq. 3-6 to 3-11]."""
+    step = camera.pitch_mm / camera.focal_mm
+    row, col = np.mgrid[0 : camera.rows, 0 : camera.cols].astype(np.float64)
+    body = rotation(*mount.attitude_deg)
+    sensor = rotation(0.0, mount.off_nadir_deg, mount.scan_deg)
+    return View(
+        step * ((camera.rows - 1) / 2 - row),
+        step * (col - (camera.cols - 1) / 2),
+        body @ rotation(*mount.boresight_deg) @ sensor,
+        np.array(mount.position_m) + body @ np.array(mount.lever_arm_m),
+    )

@@ -1,0 +1,339 @@
+"""Files of frames, the tasks that they make, and what those cost."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.geiger.water.io import FrameFacts, inspect_frames
+from spl_batch.geiger.water.runner import PIECE_FRAMES
+from spl_batch.geiger.water.settings import WaterWorkflow
+from spl_batch.plan.budget import Cost, measured_rates
+from spl_batch.plan.inputs import expand, name_below, source_key
+from spl_batch.plan.ledger import Ledger, Phase
+from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.runner.context import RunContext
+from spl_batch.runner.unchanged import stamp
+from spl_batch.task import Task
+
+PIECE_ACQUISITIONS: Final = 50
+"""Acquisitions of a task, at most [count]."""
+
+BYTES_PER_PIXEL: Final = 160
+"""Of an acquisition's results while a task holds them [byte]."""
+
+BYTES_PER_VALUE: Final = 8
+"""Of a frame's pixel while it is read and counted [byte]."""
+
+RATES_FRAMES_PER_S: Final = MappingProxyType(
+    {"index": 6.0e4, "calibrate": 1.0e6, "surfaces": 7.0e3, "deliver": 2.0e5}
+)
+"""Frames of 1024 pixels a second until a store has measured its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSource:
+    """A file of frames that can be used.
+
+    Parameters
+    ----------
+    path : Path
+        Where it lies.
+    name : str
+        What messages call it.
+    key : int
+        What tasks call it; depends on its name alone.
+    facts : FrameFacts
+        What it declares.
+    distance_m : float
+        Of the target, where it is for calibration; 0 where it is of the water [m].
+    """
+
+    path: Path
+    name: str
+    key: int
+    facts: FrameFacts
+    distance_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class WaterInputs:
+    """Everything that a workflow names, checked.
+
+    Parameters
+    ----------
+    sources : tuple of FrameSource
+        Files of the water, by name.
+    targets : tuple of FrameSource
+        Files for calibration, as the workflow lists them.
+    bad : tuple of InputError
+        Files that cannot be used.
+    crs : CRS or None
+        Of the rasters.
+    warnings : tuple of str
+        What a user should know before the work starts.
+    """
+
+    sources: tuple[FrameSource, ...]
+    targets: tuple[FrameSource, ...]
+    bad: tuple[InputError, ...]
+    crs: CRS | None
+    warnings: tuple[str, ...]
+
+
+class WaterLedger(Ledger[WaterInputs, WaterWorkflow]):
+    """What a run knows so far."""
+
+    @property
+    def per(self) -> int:
+        """Frames of an acquisition [count]."""
+        return self.workflow.surface.frames_per_acquisition
+
+    def pieces(self, source: FrameSource) -> Iterator[tuple[str, int, int]]:
+        """Name, first and last acquisition of each task on a file."""
+        whole = source.facts.frames // self.per
+        for first in range(0, whole, PIECE_ACQUISITIONS):
+            last = min(first + PIECE_ACQUISITIONS, whole)
+            yield f"{source.key}/{first // PIECE_ACQUISITIONS}", first, last
+
+
+def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInputs:
+    """Find and check every file of a workflow, from what it declares.
+
+    Parameters
+    ----------
+    workflow : WaterWorkflow
+        The settings.
+    base : Path
+        Folder that relative paths start from.
+    output : Path
+        Folder of the results.
+
+    Raises
+    ------
+    WorkflowError
+        If the request as a whole is wrong; one line with every fault.
+    """
+    faults: list[str] = []
+    paths = expand(workflow.survey.frames, base, "survey.frames", faults)
+    listed = workflow.calibration.frames
+    targets: list[FrameSource] = []
+    for k, target in enumerate(listed):
+        for path in expand(target.frames, base, f"calibration.frames[{k}]", faults):
+            try:
+                targets.append(_source(path, base, workflow, target.distance_m))
+            except InputError as error:
+                # Without one of its distances a calibration would silently be another.
+                faults.append(f"calibration.frames[{k}]: {error}")
+    own = [str(path) for path in paths if output in path.parents]
+    if own:
+        faults.append(f"survey.frames: {own[0]} lies in the output folder {output}; name another")
+    crs = _crs(workflow.survey.crs, faults)
+    if faults:
+        raise WorkflowError("; ".join(faults))
+    sources: list[FrameSource] = []
+    bad: list[InputError] = []
+    warnings: list[str] = []
+    per = workflow.surface.frames_per_acquisition
+    for path in paths:
+        try:
+            source = _source(path, base, workflow, 0.0)
+        except InputError as error:
+            bad.append(error)
+            continue
+        sources.append(source)
+        warnings += _remarks(source, per)
+    if crs is None and sources:
+        warnings.append("survey.crs is not set: rasters will have none")
+    names = [s.name for s in (*sources, *targets)]
+    if len({source_key(n) for n in names}) < len(set(names)):
+        raise WorkflowError("two input files share a key by chance; rename one of them")
+    return WaterInputs(
+        tuple(sorted(sources, key=lambda s: s.name)),
+        tuple(targets),
+        tuple(bad),
+        crs,
+        tuple(warnings),
+    )
+
+
+def _source(path: Path, base: Path, workflow: WaterWorkflow, distance_m: float) -> FrameSource:
+    facts = inspect_frames(path, workflow.camera.rows, workflow.camera.cols)
+    per = workflow.surface.frames_per_acquisition
+    if not distance_m and facts.frames < per:
+        raise InputError(
+            str(path),
+            f"holds {facts.frames} frames, fewer than surface.frames_per_acquisition {per}; "
+            "lower it or leave the file out",
+        )
+    name = name_below(path, base)
+    return FrameSource(path, name, source_key(name), facts, distance_m)
+
+
+def _remarks(source: FrameSource, per: int) -> Iterator[str]:
+    left = source.facts.frames % per
+    if left:
+        yield (
+            f"{source.name}: its last {left} frames make no whole acquisition of {per}; left out"
+        )
+    if source.facts.truth_frames not in {0, per}:
+        yield (
+            f"{source.name}: its truth is for {source.facts.truth_frames} frames an acquisition, "
+            f"surface.frames_per_acquisition is {per}; it is not compared with"
+        )
+
+
+def _crs(text: str | None, faults: list[str]) -> CRS | None:
+    if text is None:
+        return None
+    try:
+        crs = CRS.from_user_input(text)
+    except CRSError:
+        faults.append(f"survey.crs: {text!r} is no CRS; write e.g. EPSG:32616")
+        return None
+    if not crs.is_projected or crs.axis_info[0].unit_conversion_factor != 1.0:
+        faults.append(f"survey.crs: {text!r} must be projected, in metres")
+    return crs
+
+
+def estimate(ledger: WaterLedger, context: RunContext[WaterWorkflow] | None = None) -> Cost:
+    """What a run is expected to cost.
+
+    Parameters
+    ----------
+    ledger : WaterLedger
+        Inputs and limits.
+    context : RunContext, optional
+        Where measured rates may lie.
+    """
+    inputs, camera = ledger.inputs, ledger.workflow.camera
+    pixels = camera.rows * camera.cols
+    frames = sum(s.facts.frames for s in (*inputs.sources, *inputs.targets))
+    pieces = sum(len(list(ledger.pieces(s))) for s in inputs.sources)
+    acquisitions = sum(s.facts.frames // ledger.per for s in inputs.sources)
+    held = max(PIECE_FRAMES, ledger.per) * pixels * BYTES_PER_VALUE
+    results = min(PIECE_ACQUISITIONS, max(acquisitions, 1)) * pixels * BYTES_PER_PIXEL
+    rates, measured = measured_rates(RATES_FRAMES_PER_S, context)
+    return Cost(
+        points=frames,
+        tasks=len(inputs.sources) * 3 + len(inputs.targets) + pieces + 1,
+        disk_bytes=2 * acquisitions * pixels * BYTES_PER_PIXEL,
+        memory_bytes=WORKER_BASE_BYTES + held + results,
+        heaviest="make_surfaces",
+        remedy="lower surface.frames_per_acquisition",
+        stages_s={stage: frames / rate for stage, rate in rates.items()},
+        workers=ledger.workers,
+        measured=measured,
+    )
+
+
+def _args(source: FrameSource) -> dict[str, object]:
+    return {
+        "source": str(source.key),
+        "name": source.name,
+        "path": str(source.path),
+        "stamp": list(stamp(source.path)),
+        "frames": source.facts.frames,
+    }
+
+
+def _by_key(sources: Sequence[FrameSource]) -> dict[int, FrameSource]:
+    """Each file once, though a workflow may name it for two purposes."""
+    return {s.key: s for s in sources}
+
+
+def _count(ledger: WaterLedger) -> Iterator[Task]:
+    inputs = ledger.inputs
+    for key, source in _by_key((*inputs.targets, *inputs.sources)).items():
+        args = {**_args(source), "role": "target" if source.distance_m else "water"}
+        yield Task("count_frames", str(key), args, (), source.facts.frames)
+
+
+def _calibrate(ledger: WaterLedger) -> Iterator[Task]:
+    counted = ledger.of("count_frames")
+    inputs = ledger.inputs
+    sources = [s for s in (inputs.targets or inputs.sources) if str(s.key) in counted]
+    if not sources:
+        return
+    args = {
+        "sources": [
+            {
+                "source": str(s.key),
+                "gate": counted[str(s.key)].facts["gate"],
+                "frames": s.facts.frames,
+            }
+            for s in sources
+        ],
+        "distances_m": [s.distance_m for s in sources] if inputs.targets else [],
+    }
+    needs = tuple(("count_frames", str(key)) for key in _by_key(sources))
+    refused = ""
+    if len(sources) < len(inputs.targets):
+        refused = "frames for calibration could not be read; repair them or take them out"
+    yield Task("calibrate", "all", args, needs, 0, refused)
+
+
+def _make(ledger: WaterLedger) -> Iterator[Task]:
+    counted, calibrated = ledger.of("count_frames"), ledger.of("calibrate")
+    if "all" not in calibrated:
+        return
+    facts = calibrated["all"].facts
+    for source in ledger.inputs.sources:
+        if str(source.key) not in counted:
+            continue
+        needs = (("count_frames", str(source.key)), ("calibrate", "all"))
+        for name, first, last in ledger.pieces(source):
+            args = {
+                **_args(source),
+                "name": name,
+                "gate": counted[str(source.key)].facts["gate"],
+                "acquisitions": [first, last],
+                "truth_frames": source.facts.truth_frames,
+                "calibration": facts["settings"],
+                "residual_ns": facts["residual_ns"],
+            }
+            yield Task("make_surfaces", name, args, needs, (last - first) * ledger.per)
+
+
+def _deliver(kind: str, ledger: WaterLedger) -> Iterator[Task]:
+    made = ledger.of("make_surfaces")
+    stems = delivered_names(ledger.inputs.sources)
+    for source in ledger.inputs.sources:
+        pieces = [name for name, _, _ in ledger.pieces(source)]
+        # A surface that is missing would shift the acquisitions behind it.
+        if pieces and all(name in made for name in pieces):
+            args = {"pieces": pieces, "delivered": stems[source.key]}
+            needs = tuple(("make_surfaces", name) for name in pieces)
+            yield Task(kind, str(source.key), args, needs, source.facts.frames)
+
+
+def delivered_names(sources: Sequence[FrameSource]) -> dict[int, str]:
+    """What the results of each file are called: its name without folder and suffix, if it can."""
+    stems = [Path(s.name).stem for s in sources]
+    return {
+        s.key: stem if stems.count(stem) == 1 else f"{stem}_{s.key}"
+        for s, stem in zip(sources, stems, strict=True)
+    }
+
+
+def _points(ledger: WaterLedger) -> Iterator[Task]:
+    yield from _deliver("deliver_points", ledger)
+
+
+def _rasters(ledger: WaterLedger) -> Iterator[Task]:
+    yield from _deliver("deliver_rasters", ledger)
+
+
+PHASES: Final = (
+    Phase("count_frames", _count),
+    Phase("calibrate", _calibrate),
+    Phase("make_surfaces", _make),
+    Phase("deliver_points", _points),
+    Phase("deliver_rasters", _rasters),
+)
+"""Every phase of a run, in order."""

@@ -1,0 +1,1 @@
+"""The report of a water surface: its model, its page, its pictures."""

@@ -1,0 +1,349 @@
+"""Frames of a Geiger-mode array over a hard target, calm or wavy water, with their truth.
+
+Each pixel of each frame is drawn by the law of detection itself. The photo-electrons of an echo
+are a Poisson process in time, so the first of them comes when its cumulative intensity reaches an
+exponential variate: :math:`n F(t) = E`. Dark counts and background light, a steady process from the
+moment of arming, compete with it, and only the earlier of both is recorded: one hit for each pixel
+and frame. Range walk, and the blinding by noise in front of the gate, follow from that and are not
+put in. Then come the jitter of the avalanche, the delay of the pixel, the clock and its bins.
+
+Left out: crosstalk and afterpulses (the array is gated once a frame and rests between), glint, and
+the size of a pixel's footprint on a slope.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from spl_batch.geiger.water.model import HALF_C_M_NS, Floats, View
+from spl_batch.geiger.water.settings import CameraSettings
+
+GRAVITY_M_S2 = 9.81
+
+
+@dataclass(frozen=True, slots=True)
+class Wave:
+    """One sinusoid of deep water, travelling.
+
+    Parameters
+    ----------
+    amplitude_m, length_m : float
+        Half of crest to trough, and crest to crest [m].
+    heading_deg : float
+        Where it goes, from north over east [deg].
+    phase_deg : float
+        At the origin at time 0 [deg].
+    """
+
+    amplitude_m: float
+    length_m: float
+    heading_deg: float = 0.0
+    phase_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What the array looks at: a level surface, or waves about it.
+
+    Parameters
+    ----------
+    down_m : float
+        Of the level surface in the local frame [m].
+    waves : tuple of Wave
+        Added up; none for a flat target.
+    penetration_m : float
+        Mean length of the way in water of light that comes back [m]; 0 for a hard target.
+    """
+
+    down_m: float
+    waves: tuple[Wave, ...] = ()
+    penetration_m: float = 0.0
+
+    def surface(
+        self, north: Floats, east: Floats, time_s: Floats | float
+    ) -> tuple[Floats, Floats, Floats]:
+        """Down [m], and its slopes along north and east, at places and times."""
+        down = np.full(np.broadcast_shapes(north.shape, np.shape(time_s)), self.down_m)
+        by_north, by_east = np.zeros_like(down), np.zeros_like(down)
+        for wave in self.waves:
+            k = 2.0 * math.pi / wave.length_m
+            kn = k * math.cos(math.radians(wave.heading_deg))
+            ke = k * math.sin(math.radians(wave.heading_deg))
+            turn = kn * north + ke * east - math.sqrt(GRAVITY_M_S2 * k) * time_s
+            turn = turn + math.radians(wave.phase_deg)
+            down += wave.amplitude_m * np.sin(turn)
+            slope = wave.amplitude_m * np.cos(turn)
+            by_north += kn * slope
+            by_east += ke * slope
+        return down, by_north, by_east
+
+    def meet(self, view: View, time_s: Floats | float) -> tuple[Floats, Floats]:
+        """Range of each pixel's line of sight [m], and the normal there.
+
+        Parameters
+        ----------
+        view : View
+            Lines of sight, not level.
+        time_s : float or (n, 1, 1) float64
+            Times [s].
+
+        Returns
+        -------
+        range_m : (rows, cols) or (n, rows, cols) float64
+            [m]
+        normals : (..., 3) float64
+            Unit vectors out of the water.
+        """
+        look = view.look
+        length = (self.down_m - view.origin_m[2]) / look[..., 2] + 0.0 * np.asarray(time_s)
+        for _ in range(30 if self.waves else 1):
+            north = view.origin_m[0] + length * look[..., 0]
+            east = view.origin_m[1] + length * look[..., 1]
+            down, by_north, by_east = self.surface(north, east, time_s)
+            above = down - view.origin_m[2] - length * look[..., 2]
+            closing = look[..., 2] - by_north * look[..., 0] - by_east * look[..., 1]
+            step = above / closing
+            length = length + step
+            if np.abs(step).max() < 1e-9:
+                break
+        normals = np.stack([by_north, by_east, -np.ones_like(down)], axis=-1)
+        return length, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """The array as it really is; the defaults are a twin of the source's.
+
+    Parameters
+    ----------
+    peak_photoelectrons : float
+        Expected of an echo in the middle of the beam [count].
+    beam_px, beam_centre_px : float, (float, float)
+        1/e2 radius of the beam on the array, and its middle: row, column [pixel].
+    sensitivity_spread : float
+        Relative spread of the pixels' efficiency.
+    pulse_ns, jitter_ns : float
+        Standard deviations of the laser's pulse and of the avalanche's delay [ns].
+    noise_hz : float
+        Dark counts and background of a pixel [1/s].
+    scale, offset_ns : float
+        Clock: measured = scale x actual + offset [ns].
+    delay_ns, pattern_ns : float
+        Delay of the pixels: standard deviation of a part of its own for each, and of a part
+        that changes smoothly over the array [ns].
+    skew_ns : float
+        How much later the last column's clock runs than the first's [ns].
+    dead : int
+        Dead pixels, most of them in the last three rows [count].
+    hot : int
+        Pixels that fire in most frames by themselves [count].
+    seed : int
+        Of what is fixed to the instrument.
+    """
+
+    peak_photoelectrons: float = 0.4
+    beam_px: float = 22.0
+    beam_centre_px: tuple[float, float] = (14.0, 15.5)
+    sensitivity_spread: float = 0.1
+    pulse_ns: float = 1.0
+    jitter_ns: float = 0.085
+    noise_hz: float = 700.0
+    scale: float = 1.02379235588971
+    offset_ns: float = 82.3525317669176
+    delay_ns: float = 0.05
+    pattern_ns: float = 0.018
+    skew_ns: float = 0.0
+    dead: int = 150
+    hot: int = 0
+    seed: int = 1
+
+    def dimmed(self, factor: float) -> "Instrument":
+        """The same instrument with another share of the light."""
+        return replace(self, peak_photoelectrons=factor * self.peak_photoelectrons)
+
+
+@dataclass(frozen=True)
+class Array:
+    """What is fixed to one instrument: (rows, cols) each.
+
+    Parameters
+    ----------
+    photoelectrons : float64
+        Expected of an echo [count].
+    delay_ns : float64
+        Of the pixel [ns].
+    noise_hz : float64
+        Dark counts and background [1/s].
+    dead : bool
+        Pixels that never fire.
+    """
+
+    photoelectrons: Floats
+    delay_ns: Floats
+    noise_hz: Floats
+    dead: NDArray[np.bool_] = field(repr=False)
+
+
+def build_array(instrument: Instrument, camera: CameraSettings) -> Array:
+    """Draw an instrument's pixels; the same for every amount of light."""
+    rng = np.random.default_rng((instrument.seed, 0))
+    shape = camera.rows, camera.cols
+    row, col = np.mgrid[0 : camera.rows, 0 : camera.cols].astype(np.float64)
+    away = np.hypot(row - instrument.beam_centre_px[0], col - instrument.beam_centre_px[1])
+    beam = np.exp(-2.0 * (away / instrument.beam_px) ** 2)
+    gain = np.maximum(1.0 + instrument.sensitivity_spread * rng.standard_normal(shape), 0.1)
+    delay = instrument.delay_ns * rng.standard_normal(shape)
+    delay += instrument.pattern_ns * _pattern(rng, row / camera.rows, col / camera.cols)
+    delay += instrument.skew_ns * (col / (camera.cols - 1) - 0.5)
+    order = rng.permutation(camera.rows * camera.cols)
+    last = row.ravel()[order] >= camera.rows - 3
+    # Nine in ten of the dead ones lie in the last three rows, as far as there is room.
+    many = min(round(0.9 * instrument.dead), int(last.sum()))
+    chosen = np.concatenate([order[last][:many], order[~last][: instrument.dead - many]])
+    dead = np.zeros(shape, dtype=np.bool_)
+    dead.ravel()[chosen] = True
+    noise = np.full(shape, instrument.noise_hz)
+    noise.ravel()[order[~last][instrument.dead :][: instrument.hot]] = 1e6
+    return Array(instrument.peak_photoelectrons * beam * gain, delay, noise, dead)
+
+
+def _pattern(rng: np.random.Generator, row: Floats, col: Floats) -> Floats:
+    """Smooth, of mean 0 and standard deviation 1: a sum of a few long waves over the array."""
+    total = np.zeros_like(row)
+    for _ in range(6):
+        angle, turns, phase = rng.uniform(0, 2 * math.pi), rng.uniform(0.3, 1.2), rng.uniform(0, 1)
+        along = math.cos(angle) * row + math.sin(angle) * col
+        total += np.sin(2 * math.pi * (turns * along + phase))
+    smooth: Floats = (total - total.mean()) / total.std()
+    return smooth
+
+
+def late_photon(share: Floats, decay: float) -> Floats:
+    """Time at which a share of an echo has come, in standard deviations of the pulse.
+
+    Parameters
+    ----------
+    share : (...) float64
+        0 to 1, exclusive.
+    decay : float
+        Mean of the exponential that light from below the surface adds, in the same unit; 0 for
+        none.
+    """
+    if decay <= 0.0:
+        hard: Floats = ndtri(share)
+        return hard
+    # Normal and exponential together, inverted by a table: ndtr(t) less its late part.
+    t = np.linspace(-8.0, 8.0 + 40.0 * decay, 8001)
+    late = np.exp(0.5 / decay**2 - t / decay + np.log(np.maximum(ndtr(t - 1.0 / decay), 1e-300)))
+    cumulative = np.maximum.accumulate(np.clip(ndtr(t) - late, 0.0, 1.0))
+    rising = np.concatenate([[True], np.diff(cumulative) > 1e-15])
+    delayed: Floats = np.interp(share, cumulative[rising], t[rising])
+    return delayed
+
+
+def draw_frames(
+    array: Array,
+    instrument: Instrument,
+    camera: CameraSettings,
+    actual_ns: Floats,
+    decay_ns: float,
+    rng: np.random.Generator,
+) -> NDArray[np.uint16]:
+    """Time bins of frames.
+
+    Parameters
+    ----------
+    array, instrument, camera
+        The receiver.
+    actual_ns : (n, rows, cols) float64
+        Actual time of flight to the surface in each frame [ns].
+    decay_ns : float
+        Mean delay of light from below the surface [ns].
+    rng : Generator
+        Randomness.
+
+    Returns
+    -------
+    (n, rows, cols) uint16
+        Bins; 0 is no hit.
+    """
+    shape = actual_ns.shape
+    never = np.inf
+    reached = rng.standard_exponential(shape) / array.photoelectrons
+    signal = np.full(shape, never)
+    comes = reached < 1.0
+    share = np.clip(reached[comes], 1e-12, 1.0 - 1e-12)
+    # An echo has the pulse's width; where its middle lies depends on the frame.
+    signal[comes] = actual_ns[comes] + instrument.pulse_ns * late_photon(
+        share, decay_ns / instrument.pulse_ns
+    )
+    measured = instrument.scale * signal + instrument.offset_ns
+    noise = rng.standard_exponential(shape) / (array.noise_hz * 1e-9)
+    first = np.minimum(measured, noise)
+    first = first + instrument.jitter_ns * rng.standard_normal(shape) + array.delay_ns
+    fired = np.isfinite(first) & (first < camera.bin_ns * (camera.bins + 1)) & ~array.dead
+    bins = np.zeros(shape, dtype=np.uint16)
+    bins[fired] = np.clip(first[fired] // camera.bin_ns, 1, camera.bins).astype(np.uint16)
+    return bins
+
+
+@dataclass(frozen=True, slots=True)
+class Acquisition:
+    """Frames of one acquisition and what is true in its middle.
+
+    Parameters
+    ----------
+    frames : (n, rows, cols) uint16
+        Bins; 0 is no hit.
+    true_range_m, true_down_m : (rows, cols) float64
+        Along each line of sight [m].
+    true_normals : (rows, cols, 3) float64
+        Unit vectors out of the water.
+    """
+
+    frames: NDArray[np.uint16]
+    true_range_m: Floats
+    true_down_m: Floats
+    true_normals: Floats
+
+
+def acquisitions(
+    target: Target,
+    instrument: Instrument,
+    camera: CameraSettings,
+    view: View,
+    count: int,
+    frames: int,
+    seed: int | tuple[int, ...],
+) -> Iterator[Acquisition]:
+    """Acquisitions one behind the other; the surface moves on from frame to frame.
+
+    Parameters
+    ----------
+    target, instrument, camera, view
+        What is looked at, and with what.
+    count, frames : int
+        Acquisitions, and frames of each [count].
+    seed : int or tuple of int
+        Of the photons; the instrument has its own.
+    """
+    array = build_array(instrument, camera)
+    seeds = (seed,) if isinstance(seed, int) else seed
+    # The way down and up, at the speed of light in water.
+    decay_ns = target.penetration_m * 1.33 / (2.0 * HALF_C_M_NS)
+    for k in range(count):
+        rng = np.random.default_rng((*seeds, k))
+        times = (k * frames + np.arange(frames)) / camera.prf_hz
+        middle = float(times.mean())
+        true_range, true_normals = target.meet(view, middle)
+        if target.waves:
+            range_m, _ = target.meet(view, times[:, None, None])
+        else:
+            range_m = np.broadcast_to(true_range, (frames, *true_range.shape))
+        drawn = draw_frames(array, instrument, camera, range_m / HALF_C_M_NS, decay_ns, rng)
+        down = view.places(true_range)[..., 2]
+        yield Acquisition(drawn, true_range, down, true_normals)

@@ -1,0 +1,1 @@
+"""From frames to hits, ranges, surfaces and rasters."""

@@ -1,0 +1,75 @@
+"""Surfaces as rasters, and many surfaces as one: cells lie on an absolute grid.
+
+Rows count from the south here, as in :mod:`spl_batch.kernels.interpolate`. Deviation: the source's
+raster is the array itself, whose pixels lie unevenly on the water; here it has equal cells, which
+take their depth from the triangles between pixels.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.kernels.interpolate import tin_raster
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells of a raster.
+
+    Parameters
+    ----------
+    east, north : int
+        Of the south-west corner [cell], counted from the frame's origin.
+    rows, cols : int
+        [count]
+    cell_m : float
+        Edge of a cell [m].
+    """
+
+    east: int
+    north: int
+    rows: int
+    cols: int
+    cell_m: float
+
+
+def grid_around(places_m: Floats, cell_m: float) -> Grid | None:
+    """Smallest grid around places; None where none is known.
+
+    Parameters
+    ----------
+    places_m : (..., 3) float64
+        North, east, down [m]; NaN where unknown.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    known = places_m[np.isfinite(places_m).all(axis=-1)]
+    if not len(known):
+        return None
+    low = np.floor(known[:, :2].min(axis=0) / cell_m).astype(np.int64)
+    high = np.floor(known[:, :2].max(axis=0) / cell_m).astype(np.int64) + 1
+    rows, cols = (int(n) for n in high - low)
+    return Grid(int(low[1]), int(low[0]), rows, cols, cell_m)
+
+
+def height_raster(places_m: Floats, grid: Grid) -> Floats:
+    """Heights (less down) at the centres of cells: (rows, cols) float64 [m], NaN where unknown.
+
+    Parameters
+    ----------
+    places_m : (..., 3) float64
+        North, east, down [m]; NaN where unknown.
+    grid : Grid
+        Where to.
+    """
+    known = places_m[np.isfinite(places_m).all(axis=-1)]
+    corner = grid.cell_m * np.array([grid.east, grid.north])
+    vertices = np.column_stack([known[:, 1] - corner[0], known[:, 0] - corner[1], -known[:, 2]])
+    # Pixels are about evenly spaced: a centre farther than a few spacings lies outside.
+    area = grid.rows * grid.cols * grid.cell_m**2
+    reach = max(3.0 * math.sqrt(area / max(len(known), 1)), 1.5 * grid.cell_m)
+    return tin_raster(vertices, grid.cell_m, (grid.rows, grid.cols), reach)
