@@ -12,19 +12,22 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
+import zarr
 from pydantic import BaseModel
 
 from spl_batch import api
-from spl_batch.api.events import PhaseStarted
+from spl_batch.api.events import Note, PhaseStarted
 from spl_batch.errors import WorkflowError
 from spl_batch.geiger.water import plan as planning
 from spl_batch.geiger.water import runner
+from spl_batch.geiger.water.io import read_frames
 from spl_batch.geiger.water.settings import WaterSurvey, WaterWorkflow
 from spl_batch.geiger.water.simulate import simulate_file
 from spl_batch.geiger.water.simulate.scene import load_scene
 from spl_batch.io.rasters import read_raster
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.schema import schemas
+from spl_batch.runner.unchanged import stamp
 from spl_batch.settings import Section
 
 ROOT = Path(__file__).parent.parent
@@ -189,6 +192,27 @@ def test_zarr_without_targets_against_a_level_surface(tmp_path: Path) -> None:
     assert found["errors"].shape == (3, 6)
     assert found["errors"][:, 2].max() < 0.01**2, "mean squared error"
     assert np.isnan(found["floor"]).all()
+
+
+def test_a_missing_chunk_is_told(tank: Path, tmp_path: Path) -> None:
+    path = own(tank, tmp_path)
+    frames = read_frames(path.parent / "frames" / "tank_00.h5", 0, 180, 8000)
+    other = path.parent / "frames" / "tank_02.zarr"
+    group = zarr.open_group(other, mode="w")
+    group.create_array("frames", data=frames, chunks=(60, 20, 18))
+    before = stamp(other)
+    (other / "frames" / "c" / "1" / "0" / "0").unlink()
+    assert stamp(other) != before, "a folder is known by what lies in it"
+    told: list[Any] = []
+    api.run(
+        path,
+        workers=0,
+        until="index",
+        overrides=["survey.frames=frames/*.zarr"],
+        listener=told.append,
+    )
+    notes = [e.text for e in told if isinstance(e, Note)]
+    assert any("frames/tank_02.zarr: 60 of 180 frames have no hit" in n for n in notes)
 
 
 @pytest.mark.parametrize(

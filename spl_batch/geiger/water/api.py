@@ -29,6 +29,16 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
+def _silent(counted: Iterable[Receipt]) -> Iterable[str]:
+    """Files with frames in which no pixel at all has a hit: a chunk that is gone reads so."""
+    for facts in sorted((r.facts for r in counted), key=lambda f: str(f["name"])):
+        if facts["silent"]:
+            yield (
+                f"{facts['name']}: {facts['silent']} of {facts['frames']} frames have no hit "
+                "in any pixel; the laser paused, or a part of the file is missing"
+            )
+
+
 class Water(Receiver[WaterLedger, WaterContext]):
     """Frames of time bins to surfaces, normals and rays."""
 
@@ -89,10 +99,10 @@ class Water(Receiver[WaterLedger, WaterContext]):
             if not any(str(s.key) in counted for s in ledger.inputs.sources):
                 reasons = "; ".join(r.reason for r in failed if r.kind == "count_frames")
                 raise WorkflowError(f"no input is usable: {reasons}")
+            yield from _silent(counted.values())
         if phase.kind == "calibrate" and "all" not in ledger.of("calibrate"):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
             raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
-        return ()
 
     def report(self, done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
         """Write ``report.json`` and ``report.html``."""

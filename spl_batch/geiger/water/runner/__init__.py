@@ -88,8 +88,10 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
         inspect_frames(path, camera.rows, camera.cols)
+        silent = 0
         for piece in _pieces(path, args["frames"], camera.bins):
             add_histogram(piece, used, counts)
+            silent += int((~piece.any(axis=(1, 2))).sum())
         gate = find_gate(counts, settings)
         if gate is None:
             raise InputError(str(path), "no pixel has a hit in any frame; leave the file out")
@@ -112,6 +114,7 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
         "gate": [gate.low, gate.high],
         "hits": int(whole.hits.sum()),
         "outside": int(whole.outside[used].sum()),
+        "silent": silent,
     }
     return Produced([out], facts, args["frames"], {str(path): args["stamp"]})
 
