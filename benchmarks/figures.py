@@ -1,9 +1,10 @@
-"""Every figure of ``docs/algorithms.md``: ``python -m benchmarks.figures [OUT]``.
+"""Every figure of the pages on methods: ``python -m benchmarks.figures [OUT]``.
 
-Options: ``--only NAME ...`` draws some of them, ``--folder FOLDER`` keeps the simulated surveys
-there and uses again what is there. OUT is ``docs/images`` by default. Each figure shows what a
-benchmark measures, by that benchmark's functions, on scenes small enough for all to take a few
-minutes: the shapes are those of the full benchmarks, the last digits are not.
+The pages are ``docs/algorithms.md`` and ``docs/water_surface.md``. Options: ``--only NAME ...``
+draws some, ``--folder FOLDER`` keeps the simulated surveys there and uses again what is there. OUT
+is ``docs/images`` by default. Each figure shows what a benchmark measures, by that benchmark's
+functions, on scenes small enough for all to take a few minutes: the shapes are those of the full
+benchmarks, the last digits are not.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from benchmarks import (
     near_surface,
     noise_density,
     null_calibration,
+    water_surface,
 )
 from benchmarks.afterpulse_tables import Prepared, prepare
 from benchmarks.methods import (
@@ -368,7 +370,7 @@ def tell(figure: str, name: str, at: Sequence[Any], values: Sequence[float]) -> 
 
 FIGURES: Final[Mapping[str, Callable[[Path], Figure]]] = MappingProxyType(
     {f.__name__: f for f in (null_share, weak_wire, near_noise, afterpulse_curve, noise_strata,
-                             reflectance)}
+                             reflectance, water_surface.water_normals)}
 )  # fmt: skip
 """Figure by name: given a folder for surveys, draws inside the type's context."""
 

@@ -22,11 +22,21 @@ which light comes back. Each seed is another instrument with a calibration of it
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, replace
+from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from spl_batch.geiger.water.accuracy import FloorError, floor_error, middle, surface_error
+from spl_batch.geiger.water.accuracy import (
+    FloorError,
+    PixelSums,
+    floor_error,
+    middle,
+    surface_error,
+)
+from spl_batch.geiger.water.kernels.rays import floor_points, refracted
 from spl_batch.geiger.water.model import View, view_of
 from spl_batch.geiger.water.settings import (
     CalibrationSettings,
@@ -66,6 +76,7 @@ from spl_batch.geiger.water.stages.surface import (
     ranges,
     window_median,
 )
+from spl_batch.report import style
 
 CAMERA = CameraSettings()
 PIXELS = PixelSettings()
@@ -102,6 +113,7 @@ PUBLISHED_CALM = (6.12, 134.0, 240.0, 11.196)
 TABLES = ("hard", "skewed", "calm", "waves", "floor")
 
 DISTANCES_M = np.linspace(2.0, 5.5, 8)
+TARGET_FRAMES = 2000
 TAPE_M = 0.01
 PATH_M = 6.2
 INDEX = 1.33
@@ -130,7 +142,7 @@ def observations(instrument: Instrument, seed: int) -> tuple[list[Observation], 
                 CAMERA,
                 HARD_VIEW,
                 1,
-                2000,
+                TARGET_FRAMES,
                 1000 * seed + len(hits),
             )
             hits.append(gated(next(iter(drawn)).frames))
@@ -210,6 +222,50 @@ def floor_errors(acquired: Acquisition, surface: Surface, view: View) -> FloorEr
     true = view.places(acquired.true_range_m)[block], acquired.true_normals[block]
     found = surface.places_m[block], surface.normals[block]
     return floor_error(view.look[block], found, true, PATH_M, INDEX)
+
+
+def water_normals(_: Path, count: int = 8) -> Figure:
+    """Ends of rays under waves, and the error of each pixel's normal on calm water."""
+    instrument = Instrument(seed=1)
+    ways, dead = calibrated_ways(instrument, 1)
+    chosen = {name: ways[name] for name in ("the source's way", "ours")}
+    wet = replace(instrument, **ON_WATER)
+    colours = dict(zip(chosen, (style.NOISE, style.SIGNAL), strict=True))
+    drawn = style.figure(9.2, 3.1)
+    left, *right = drawn.subplots(1, 3)
+    made = surfaces(WAVES, wet, WATER_VIEW, dead, list(chosen.values()), count, 51)
+    block = middle((CAMERA.rows, CAMERA.cols), 16)
+    beam, up = WATER_VIEW.look[block], np.array([0.0, 0.0, -1.0])
+    for k, (acquired, results) in enumerate(made):
+        place = WATER_VIEW.places(acquired.true_range_m)[block]
+        true = floor_points(place, refracted(beam, acquired.true_normals[block], INDEX), PATH_M)
+        level = floor_points(place, refracted(beam, up, INDEX), PATH_M)
+        _scatter(left, level - true, style.MUTED, "level surface" if k == 0 else None)
+        for (name, colour), found in zip(colours.items(), results, strict=True):
+            ray = refracted(beam, found.normals[block], INDEX)
+            ends = floor_points(found.places_m[block], ray, PATH_M)
+            _scatter(left, ends - true, colour, name if k == 0 else None)
+    left.set(title="Ends of rays [cm]", xlabel="east", ylabel="north", aspect="equal")
+    left.set(xlim=(-60, 60), ylim=(-50, 70))
+    left.legend(markerscale=5, handletextpad=0.1, loc="upper left")
+    sums = [PixelSums.empty((CAMERA.rows, CAMERA.cols)) for _ in chosen]
+    made = surfaces(CALM, wet, WATER_VIEW, dead, list(chosen.values()), count, 52)
+    for acquired, results in made:
+        for total, found in zip(sums, results, strict=True):
+            truth = acquired.true_down_m, acquired.true_normals
+            total.add(*surface_error(found.places_m, found.normals, *truth)[1:])
+    for axes, name, total in zip(right, chosen, sums, strict=True):
+        shown = axes.imshow(
+            total.maps()["normal_deg"][USED.any(axis=1)], cmap=style.SKY, vmin=0, vmax=25
+        )
+        axes.set(title=name[0].upper() + name[1:], xlabel="column", ylabel="row")
+    drawn.colorbar(shown, ax=right, label="normals off the truth [deg]", shrink=0.8)
+    return drawn
+
+
+def _scatter(axes: Axes, off_m: Floats, colour: str, label: str | None) -> None:
+    east, north = 100 * off_m[..., 1].ravel(), 100 * off_m[..., 0].ravel()
+    axes.plot(east, north, ".", ms=1.5, mew=0, color=colour, label=label)
 
 
 def print_errors(title: str, published: Sequence[float] | None, rows: dict[str, Floats]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import afterpulses, figures
+from benchmarks import afterpulses, figures, water_surface
 from spl_batch.report import style
 
 
@@ -46,6 +46,21 @@ def test_shares_by_threshold_are_those_counted() -> None:
     assert np.interp(50.0, removed, lost) == pytest.approx(
         100.0 * (score[true] >= limit).mean(), abs=1.0
     )
+
+
+def test_our_rays_end_nearer_than_the_source_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(water_surface, "DISTANCES_M", np.array([2.5, 3.3, 4.1]))
+    monkeypatch.setattr(water_surface, "TARGET_FRAMES", 500)
+    with style.type_context():
+        rays, theirs, ours, _ = water_surface.water_normals(Path(), count=1).axes
+    spread = {
+        str(line.get_label()): np.hypot(*np.asarray(line.get_data(), dtype=float)).mean()
+        for line in rays.lines
+    }
+    assert spread["ours"] < 0.7 * spread["the source's way"]
+    assert spread["ours"] < 0.5 * spread["level surface"]
+    errors = [np.nanmean(np.asarray(axes.images[0].get_array())) for axes in (theirs, ours)]
+    assert errors[1] < 0.5 * errors[0]
 
 
 @pytest.mark.slow
