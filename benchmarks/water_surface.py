@@ -45,7 +45,6 @@ from spl_batch.geiger.water.settings import (
     MountSettings,
     PixelSettings,
     SurfaceSettings,
-    WindowedSettings,
 )
 from spl_batch.geiger.water.simulate.frames import (
     Acquisition,
@@ -101,7 +100,7 @@ SKEW_NS = 0.27
 ON_WATER = {"peak_photoelectrons": 2.0, "beam_px": 11.5}
 """The beam over water."""
 
-SOURCE_WAY = SurfaceSettings(method="windowed", windowed=WindowedSettings(strength_m=0.02))
+SOURCE_WAY = SurfaceSettings(method="windowed")
 OURS = SurfaceSettings()
 
 FRAME_COUNTS = (1, 23, 200, 1000, 5000, 10000)

@@ -122,7 +122,7 @@ class WindowedSettings(Section):
     search: int = Field(15, ge=3, description="Edge of the search window of the means [pixel].")
     patch: int = Field(7, ge=3, description="Edge of a patch [pixel].")
     strength_m: Positive = Field(
-        0.01, description="Difference of patches at which a weight falls to 1/e, h [m]."
+        0.02, description="Difference of patches at which a weight falls to 1/e, h [m]."
     )
     window: Literal[3, 5] = Field(3, description="Edge of a plane's window [pixel].")
 
