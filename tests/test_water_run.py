@@ -19,8 +19,8 @@ from spl_batch import api
 from spl_batch.api.events import Note, PhaseStarted
 from spl_batch.errors import WorkflowError
 from spl_batch.geiger.water import plan as planning
-from spl_batch.geiger.water import runner
 from spl_batch.geiger.water.io import read_frames
+from spl_batch.geiger.water.runner import tasks
 from spl_batch.geiger.water.settings import WaterSurvey, WaterWorkflow
 from spl_batch.geiger.water.simulate import simulate_file
 from spl_batch.geiger.water.simulate.scene import load_scene
@@ -147,7 +147,7 @@ def test_pieces_change_nothing(
     tank: Path, tmp_path: Path, done: api.RunResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(planning, "PIECE_ACQUISITIONS", 2)
-    monkeypatch.setattr(runner, "PIECE_FRAMES", 37)
+    monkeypatch.setattr(tasks, "PIECE_FRAMES", 37)
     path = own(tank, tmp_path)
     api.run(path, workers=0, until="deliver", overrides=["survey.crs=EPSG:32616"])
     for name in ("surfaces/tank_00.tif", "surfaces/tank_01.tif"):

@@ -9,7 +9,7 @@ from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
-from spl_batch.geiger.water.runner import WaterContext
+from spl_batch.geiger.water.runner.tasks import WaterContext
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase

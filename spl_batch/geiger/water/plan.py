@@ -11,7 +11,7 @@ from pyproj.exceptions import CRSError
 
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.geiger.water.io import FrameFacts, inspect_frames
-from spl_batch.geiger.water.runner import PIECE_FRAMES
+from spl_batch.geiger.water.runner.tasks import PIECE_FRAMES
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.inputs import expand, name_below, source_key

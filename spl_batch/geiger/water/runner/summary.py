@@ -18,7 +18,7 @@ from spl_batch.geiger.water.report.model import (
 )
 from spl_batch.geiger.water.report.page import render
 from spl_batch.geiger.water.report.pictures import WaterPictures, make_pictures
-from spl_batch.geiger.water.runner import WaterContext
+from spl_batch.geiger.water.runner.tasks import WaterContext
 from spl_batch.io.raster_parts import read_overview
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.maps import Raster
