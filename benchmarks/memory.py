@@ -6,7 +6,8 @@ held before it, by the points that the plan counts for it: what the constants of
 :mod:`spl_batch.plan.memory` are taken from.
 
 ``areas FOLDER`` flies strips of once, twice, four and eight times the area and runs each
-with two workers under a limit: peak memory by stage, which must not grow.
+with two workers under a limit: peak memory by stage, which follows the largest stretch or block
+and must not grow with the survey.
 
 ``trajectory [--records 6000000]`` gathers SBET files of an eighth of the records up to all of
 them, 200 each second: memory and time.
@@ -33,6 +34,7 @@ from pyproj import CRS
 from spl_batch import api
 from spl_batch.graph import work
 from spl_batch.io.sbet import BLOCK_RECORDS, SBET_RECORD
+from spl_batch.io.store import Store, read_receipts
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.runner import space_domain
 from spl_batch.runner.context import Context
@@ -125,9 +127,12 @@ def areas(folder: Path, memory: str) -> None:
             raise SystemExit(f"{workflow}: the run failed")
         stages = result.report.performance.stages
         if factor == AREAS[0]:
-            print(f"{'points':>12s}  " + "".join(f"{name:>10s}" for name in stages) + "   [MiB]")
-        peaks = "".join(f"{stage.peak_rss_mb or 0:10.0f}" for stage in stages.values())
-        print(f"{result.report.counts.points_in:12,d}  {peaks}", flush=True)
+            names = ("points", "largest stretch", *(f"{name} MiB" for name in stages))
+            print("| " + " | ".join(names) + " |\n|" + "---|" * len(names))
+        stretches = read_receipts(Store(result.output), "scatter")
+        cells = [result.report.counts.points_in, max(r.points for r in stretches)]
+        cells += [round(stage.peak_rss_mb or 0) for stage in stages.values()]
+        print("| " + " | ".join(f"{n:,}" for n in cells) + " |", flush=True)
 
 
 def _strip(folder: Path, factor: int) -> Path:
