@@ -45,8 +45,8 @@ from spl_batch.task import Receipt, Task
 AREAS = (1, 2, 4, 8)
 """Lengths of the strips, in lengths of the shortest."""
 
-LENGTH_M, WIDTH_M = 400.0, 100.0
-"""Size of the shortest strip, in which some blocks have neighbours on both sides [m]."""
+LENGTH_M, WIDTH_M = 200.0, 100.0
+"""Size of the shortest strip [m]."""
 
 FILE_POINTS = 250_000
 """Points of a file [count]."""
