@@ -27,10 +27,11 @@ from spl_batch.plan.blocks import (
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.inputs import source_key
-from spl_batch.plan.memory import points_within
+from spl_batch.plan.memory import UNEVEN, points_within
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, owners, tile_counts, units, voxel_index
 from spl_batch.runner.index import merge_spans
+from spl_batch.runner.rate import BINS_PER_S, Rate, most_points
 from spl_batch.task import Receipt
 from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, grow, overlap
 from spl_batch.workflow import Workflow, parse_workflow
@@ -51,8 +52,19 @@ def indexed(name: str, spans: Mapping[int, list[list[float]]], prf: float | None
         "points": points,
         "spans": {str(k): v for k, v in spans.items()},
         "prf_hz": {str(k): prf for k in spans},
+        "fullest": {str(k): evenly(v) for k, v in spans.items()},
     }
     return Receipt("index_file", name, "", "", "", {}, facts, points, 0.0, 0.0)
+
+
+def evenly(spans: list[list[float]]) -> list[int]:
+    """Most points in windows of growing length, where each span has them evenly."""
+    most, total = [0], int(sum(s[2] for s in spans))
+    rate = max(s[2] / (s[1] - s[0] + 1e-9) for s in spans)
+    while most[-1] < total:
+        window_s = 2 ** len(most) / 2 / BINS_PER_S
+        most.append(min(math.ceil(rate * window_s), total))
+    return most[1:]
 
 
 def lines_of(receipts: list[Receipt], **sections: Any) -> list[Flightline]:
@@ -121,6 +133,54 @@ def test_stretches_cover_a_line_without_overlap(
     intervals = line.stretch_shots / DEFAULTS.noise.interval_shots
     assert intervals == int(intervals), "stretches are whole intervals"
     assert math.log2(intervals) % 1 == 0, "of which a power of two make one"
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.lists(st.tuples(st.floats(0, 500), st.integers(1, 400)), min_size=1, max_size=8),
+    st.floats(0.01, 300),
+    st.integers(0, 9),
+)
+def test_no_span_of_time_holds_more_than_its_rate_says(
+    bursts: list[tuple[float, int]], span_s: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.concatenate([start + rng.random(n) for start, n in bursts])
+    rate = Rate()
+    for part in np.array_split(time, 3):
+        rate.add(np.sort(part))
+    fullest = rate.fullest()
+    assert fullest == sorted(fullest)
+    assert fullest[-1] == len(time)
+    ordered = np.sort(time)
+    held = np.searchsorted(ordered, ordered + span_s, side="right") - np.arange(len(time))
+    assert held.max() <= most_points(fullest, span_s) <= len(time)
+    even = Rate()
+    even.add(np.arange(100_000) / 1000)
+    assert most_points(even.fullest(), min(span_s, 60.0)) < 2100 * (min(span_s, 60.0) + 0.1)
+
+
+def test_stretches_are_shorter_where_returns_come_in_bursts() -> None:
+    """Twenty seconds over land and fifty over water, again and again."""
+    lasting, per_s = 20, 5000
+    land = np.concatenate([k * 70.0 + np.arange(lasting * per_s) / per_s for k in range(10)])
+    parts = [land[land < 345.0], land[land >= 345.0]]
+    receipts = {}
+    for name, time in zip("ab", parts, strict=True):
+        rate = Rate()
+        rate.add(time)
+        spans = {1: [[float(time[0]), float(time[-1]), float(len(time))]]}
+        receipts[name] = indexed(name, spans, 10_000.0)
+        receipts[name].facts["fullest"]["1"] = rate.fullest()  # type: ignore[index]
+    wanted = 40_000
+    (line,) = find_flightlines(receipts, DEFAULTS, wanted)
+    length_s = line.stretch_shots / line.clock.prf_hz
+    whole_s = (line.last_s - line.first_s) * wanted / len(land)
+    assert whole_s > 20, "cut by the average, a stretch would be all land"
+    starts = line.clock.t0_s + np.arange(0, 700, length_s)
+    held = np.histogram(land, np.append(starts, starts[-1] + length_s))[0]
+    assert held.max() <= UNEVEN * wanted
+    assert held.max() > UNEVEN * wanted / 4
 
 
 def _array(value: float) -> Any:

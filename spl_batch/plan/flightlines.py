@@ -1,11 +1,12 @@
 """Flightlines and stretches, from what the index stage found in each file."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from spl_batch.model import ShotClock
-from spl_batch.plan.memory import STRETCH_POINTS
+from spl_batch.plan.memory import STRETCH_POINTS, UNEVEN
+from spl_batch.runner.rate import most_points
 from spl_batch.task import Receipt
 from spl_batch.workflow import Workflow
 
@@ -90,7 +91,8 @@ def find_flightlines(
     workflow : Workflow
         The settings.
     stretch_points : int
-        Points that a stretch should hold on average [count].
+        Points that a stretch should hold on average [count]; none holds more than
+        :data:`~spl_batch.plan.memory.UNEVEN` times as many, however unevenly they lie in time.
     """
     spans: dict[int, list[tuple[float, float, int, str]]] = {}
     for key, receipt in sorted(receipts.items()):
@@ -136,6 +138,9 @@ def _flightline(
     interval = workflow.noise.interval_shots
     wanted = shots * stretch_points / points / interval
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
+    rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
+    while stretch > interval and _fullest(rates, stretch / prf) > UNEVEN * stretch_points:
+        stretch //= 2
     return Flightline(
         f"{psid:05d}_{math.floor(first)}",
         psid,
@@ -147,6 +152,20 @@ def _flightline(
         tuple(sorted({span[3] for span in lift})),
         stretch,
     )
+
+
+def _fullest(rates: Sequence[tuple[float, float, Sequence[int]]], span_s: float) -> int:
+    """Points that a span of time may hold, of all files that have some then [count].
+
+    Files that follow each other meet in one span, too.
+    """
+    events = [(first - span_s, 1, most_points(rate, span_s)) for first, _, rate in rates]
+    events += [(last, 2, -most_points(rate, span_s)) for _, last, rate in rates]
+    held = most = 0
+    for _, _, change in sorted(events):
+        held += change
+        most = max(most, held)
+    return most
 
 
 def _prf(

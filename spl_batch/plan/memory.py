@@ -61,7 +61,7 @@ LEAST_STRETCH_POINTS: Final = 125_000
 """The same in the smallest worker [count]."""
 
 UNEVEN: Final = 2
-"""A stretch is a span of time: where much returns, it holds more than the average."""
+"""A stretch is a span of time: where much returns, it holds more than the average, up to this."""
 
 
 class Need(NamedTuple):

@@ -18,6 +18,7 @@ from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.rate import Rate
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import (
     estimate_prf,
@@ -47,6 +48,7 @@ class _Tally:
         self.spans: dict[int, list[list[float]]] = {}
         self.steps: dict[int, NDArray[np.int64]] = {}
         self.tracks: dict[int, Track] = {}
+        self.rates: dict[int, Rate] = {}
         self.runs: list[tuple[float, float]] = []
         self.low = np.full(3, np.iinfo(np.int64).max)
         self.high = np.full(3, np.iinfo(np.int64).min)
@@ -92,6 +94,7 @@ class _Tally:
                 self.spans.setdefault(psid, []).append(
                     [float(piece[0]), float(piece[-1]), len(piece)]
                 )
+            self.rates.setdefault(psid, Rate()).add(ordered)
             steps = shot_steps(ordered)
             self.steps[psid] = self.steps[psid] + steps if psid in self.steps else steps
             earlier = [self.tracks[psid]] if psid in self.tracks else []
@@ -129,6 +132,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "channels": [min(tally.channels), max(tally.channels)] if tally.channels else None,
         "in_order": tally.in_order,
         "spans": {str(k): merge_spans(v, settings.gap_s) for k, v in sorted(tally.spans.items())},
+        "fullest": {str(k): v.fullest() for k, v in sorted(tally.rates.items())},
         "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(tally.steps.items())},
         "standard": standard,
         "warnings": [*header.warnings, *([contradiction] if contradiction else [])],

@@ -1,0 +1,66 @@
+"""How many points may lie in a span of time: what stretches are cut by where returns are uneven."""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+BINS_PER_S: Final = 32
+"""Bins of a second that points are counted in [1/s]."""
+
+_MERGE_AT: Final = 64
+"""Parts that are kept before they are joined [count]."""
+
+
+class Rate:
+    """Points of a flightline in one file, counted by time."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+
+    def add(self, time_s: NDArray[np.float64]) -> None:
+        """Count points in; times are finite [s]."""
+        self._parts.append(_counted(np.floor(time_s * BINS_PER_S).astype(np.int64), None))
+        if len(self._parts) > _MERGE_AT:
+            self._parts = [self._joined()]
+
+    def fullest(self) -> list[int]:
+        """Most points within 1, 2, 4, ... bins wherever they begin, up to all points [count]."""
+        bins, counts = self._joined()
+        before = np.concatenate([[0], np.cumsum(counts)])
+        found: list[int] = []
+        while not found or found[-1] < before[-1]:
+            after = np.searchsorted(bins, bins + 2 ** len(found))
+            found.append(int((before[after] - before[:-1]).max()))
+        return found
+
+    def _joined(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        bins, counts = (np.concatenate(columns) for columns in zip(*self._parts, strict=True))
+        return _counted(bins, counts)
+
+
+def most_points(fullest: Sequence[int], span_s: float) -> int:
+    """Points that a span of time holds at the most [count].
+
+    Parameters
+    ----------
+    fullest : sequence of int
+        From :meth:`Rate.fullest`.
+    span_s : float
+        Its length [s].
+    """
+    bins = math.floor(span_s * BINS_PER_S) + 2  # it begins and ends within one
+    windows = (-(-bins // 2**k) * most for k, most in enumerate(fullest))
+    return int(min(fullest[-1], *windows))
+
+
+def _counted(
+    bins: NDArray[np.int64], counts: NDArray[np.int64] | None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Bins that hold something, and how much."""
+    there, place = np.unique(bins, return_inverse=True)
+    total = np.zeros(len(there), np.int64)
+    np.add.at(total, place.ravel(), 1 if counts is None else counts)
+    return there, total
