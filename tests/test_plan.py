@@ -25,7 +25,12 @@ from spl_batch.plan.blocks import (
     remembered_block_tiles,
 )
 from spl_batch.plan.density import from_counts
-from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
+from spl_batch.plan.flightlines import (
+    Flightline,
+    find_flightlines,
+    fullest_span,
+    is_timeless,
+)
 from spl_batch.plan.inputs import source_key
 from spl_batch.plan.memory import UNEVEN, points_within
 from spl_batch.plan.mosaics import split_mosaic
@@ -158,6 +163,38 @@ def test_no_span_of_time_holds_more_than_its_rate_says(
     even = Rate()
     even.add(np.arange(100_000) / 1000)
     assert most_points(even.fullest(), min(span_s, 60.0)) < 2100 * (min(span_s, 60.0) + 0.1)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.lists(
+        st.tuples(st.floats(0, 90), st.floats(0.1, 40), st.integers(2, 300)), min_size=1, max_size=5
+    ),
+    st.floats(0.05, 50),
+)
+def test_no_span_of_several_files_holds_more_than_they_say(
+    files: list[tuple[float, float, int]], span_s: float
+) -> None:
+    rng = np.random.default_rng(0)
+    times = [np.sort(start + length * rng.random(n)) for start, length, n in files]
+    listed = []
+    for time in times:
+        rate = Rate()
+        rate.add(time)
+        listed.append((float(time[0]), float(time[-1]), rate.fullest()))
+    every = np.sort(np.concatenate(times))
+    held = np.searchsorted(every, every + span_s, side="right") - np.arange(len(every))
+    assert held.max() <= fullest_span(listed, span_s)
+
+
+def test_files_that_follow_each_other_do_not_add_up() -> None:
+    listed = []
+    for first in (0.0, 20.0, 40.0):
+        rate = Rate()
+        rate.add(first + np.arange(20_000) / 1000)
+        listed.append((first, first + 20.0, rate.fullest()))
+    assert 4000 <= fullest_span(listed, 4.0) <= 6000
+    assert 8000 <= fullest_span([*listed, *listed], 4.0) <= 12_000
 
 
 def test_stretches_are_shorter_where_returns_come_in_bursts() -> None:

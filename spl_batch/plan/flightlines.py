@@ -14,6 +14,10 @@ FALLBACK_PRF_HZ = 50_000.0
 """Pulse rate where neither the workflow nor the data tell one [Hz]."""
 
 
+STEPS = 8
+"""Steps of a span of time in which parts of it are told apart [count]."""
+
+
 @dataclass(frozen=True, slots=True)
 class Flightline:
     """One pass: a point source id, between two long pauses.
@@ -139,7 +143,7 @@ def _flightline(
     wanted = shots * stretch_points / points / interval
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
     rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
-    while stretch > interval and _fullest(rates, stretch / prf) > UNEVEN * stretch_points:
+    while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * stretch_points:
         stretch //= 2
     return Flightline(
         f"{psid:05d}_{math.floor(first)}",
@@ -154,18 +158,30 @@ def _flightline(
     )
 
 
-def _fullest(rates: Sequence[tuple[float, float, Sequence[int]]], span_s: float) -> int:
-    """Points that a span of time may hold, of all files that have some then [count].
+def fullest_span(files: Sequence[tuple[float, float, Sequence[int]]], span_s: float) -> int:
+    """Points that a span of time holds at the most, whatever it begins with [count].
 
-    Files that follow each other meet in one span, too.
+    Parameters
+    ----------
+    files : sequence of (float, float, sequence of int)
+        Of each file of a flightline: first and last time [s], and
+        :meth:`~spl_batch.runner.rate.Rate.fullest`.
+    span_s : float
+        Its length [s].
     """
-    events = [(first - span_s, 1, most_points(rate, span_s)) for first, _, rate in rates]
-    events += [(last, 2, -most_points(rate, span_s)) for _, last, rate in rates]
-    held = most = 0
-    for _, _, change in sorted(events):
-        held += change
-        most = max(most, held)
-    return most
+    # Files that follow each other share a span: each is looked at with its own part of it,
+    # and that part is known to a step.
+    step = span_s / STEPS
+    edges = {edge for first, last, _ in files for edge in (first, last)}
+    starts = {edge - k * step for edge in edges for k in range(STEPS + 1)}
+    return max(
+        sum(
+            most_points(rate, min(min(last, start + span_s) - max(first, start) + step, span_s))
+            for first, last, rate in files
+            if first <= start + span_s + step and last >= start - step
+        )
+        for start in starts
+    )
 
 
 def _prf(

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-BINS_PER_S: Final = 32
+BINS_PER_S: Final = 256
 """Bins of a second that points are counted in [1/s]."""
 
 _MERGE_AT: Final = 64
