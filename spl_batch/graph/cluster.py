@@ -12,8 +12,9 @@ from spl_batch.graph.flow import PATIENCE_S, lost
 from spl_batch.graph.work import Footing, misfit
 
 SETTINGS: Final[Mapping[str, Any]] = {
-    # What waits on a worker is blamed with it when it dies, so the rest waits at the scheduler;
-    # `python -m benchmarks.scheduler cluster` prints the tasks per second at this and at more.
+    # What waits on a worker is blamed with it when it dies, so the rest waits at the scheduler.
+    # More of it would serve tasks of milliseconds; those of a second keep workers busy as well
+    # with this: `python -m benchmarks.scheduler cluster` prints both.
     "distributed.scheduler.worker-saturation": 1.1,
     # A task that has ended two workers is not given a third.
     "distributed.scheduler.allowed-failures": 1,

@@ -52,8 +52,11 @@ def most_points(fullest: Sequence[int], span_s: float) -> int:
         Its length [s].
     """
     bins = math.floor(span_s * BINS_PER_S) + 2  # it begins and ends within one
-    windows = (-(-bins // 2**k) * most for k, most in enumerate(fullest))
-    return int(min(fullest[-1], *windows))
+    if bins >= 2 ** (len(fullest) - 1):
+        return fullest[-1]
+    # Windows side by side make up the span; a longer one has it within.
+    parts = sum(most for k, most in enumerate(fullest) if bins >> k & 1)
+    return min(parts, fullest[(bins - 1).bit_length()])
 
 
 def _counted(
