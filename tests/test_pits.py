@@ -1,5 +1,7 @@
 """Pits below smooth ground, what is buried below hard surfaces, and cuts that must not show."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ from spl_batch.kernels.pits import in_pits
 from spl_batch.kernels.smrf import fill_gaps
 from spl_batch.model import PointTable
 from spl_batch.settings import GroundSettings
-from spl_batch.stages.ground import ground_mask, spacing_m
+from spl_batch.stages.ground import ground_mask, spacing_around_m, spacing_m
 from spl_batch.tiling import Bounds, grow, inside, quanta
 
 
@@ -183,3 +185,21 @@ def test_mean_spacing_leaves_voids_out() -> None:
     assert spacing_m(x, y) == pytest.approx(0.5)
     far = np.concatenate([x, x + 1600]), np.concatenate([y, y])
     assert spacing_m(*far) == pytest.approx(0.5)
+
+
+def test_spacing_around_a_place_is_that_of_nine_squares_whatever_else_is_in_sight() -> None:
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-100, 150, 3000), rng.uniform(40, 330, 3000)
+    keep = (x > -40) | (y > 200)
+    x, y = x[keep], y[keep]
+    at = rng.uniform(0, 90, 50), rng.uniform(130, 240, 50)
+    found = spacing_around_m(x, y, *at)
+    square = [np.floor(v / 16).astype(int) for v in (x, y)]
+    for k, (i, j) in enumerate(np.floor(np.transpose(at) / 16).astype(int)):
+        near = (abs(square[0] - i) <= 1) & (abs(square[1] - j) <= 1)
+        held = len(set(zip(square[0][near], square[1][near], strict=True)))
+        assert found[k] == pytest.approx(16 * math.sqrt(held / near.sum()))
+    part = (x > -33) & (x < 130) & (y > 90) & (y < 290)
+    np.testing.assert_array_equal(spacing_around_m(x[part], y[part], *at), found)
+    nowhere = spacing_around_m(x, y, np.array([900.0]), np.array([900.0]))
+    np.testing.assert_array_equal(nowhere, 16.0)

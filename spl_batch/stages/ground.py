@@ -44,9 +44,9 @@ _FILLED = 2.0
 _WIDE_M = 16.0
 """Cells that tell the occupied area from voids [m]."""
 
-_GAP_SPACINGS = 6.0
-"""Edges longer than this many mean spacings of the points, these rounded up to a power of
-two, cross a gap of the ground [count]."""
+_GAP_SPACINGS = 10.0
+"""Edges longer than this many mean spacings of the points around cross a gap of the ground
+[count]."""
 
 _SUPPORT = 2
 _SUPPORT_STEP_M = 0.25
@@ -138,7 +138,8 @@ def ptd_mask(
         return mask
     order = group_by_cell(x, y, cell_m).order
     height, edge = heights_above(tin, x[order], y[order], z[order])
-    edge = np.minimum(edge, _gap_m(x[own], y[own]))
+    gap = _GAP_SPACINGS * spacing_around_m(x[own], y[own], x, y)[order]
+    edge = np.minimum(edge, gap)
     allowed = settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge
     mask[order] = np.abs(height) <= np.minimum(allowed, settings.iteration_distance_m)
     return mask
@@ -149,11 +150,6 @@ def _candidates(x: Float, y: Float, z: Float, settings: PtdSettings) -> tuple[No
     cell_m = node_cell(x, y, settings.node_m)
     cells = group_by_cell(x, y, cell_m)
     return lowest_layers(x, y, z, cells, settings.layer_m), cells, cell_m
-
-
-def _gap_m(x: Float, y: Float) -> float:
-    """Longest edge that does not cross a gap [m]; in steps of 2, so that cells agree on it."""
-    return float(_GAP_SPACINGS * 2.0 ** math.ceil(math.log2(max(spacing_m(x, y), QUANTUM_M))))
 
 
 def _limits(settings: PtdSettings) -> Limits:
@@ -201,6 +197,40 @@ def spacing_m(x: Float, y: Float) -> float:
     held = np.zeros((int(row.max()) + 1, int(column.max()) + 1), dtype=np.bool_)
     held[row, column] = True
     return _WIDE_M * math.sqrt(np.count_nonzero(held) / len(x))
+
+
+def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
+    """Mean spacing of points around places, by the nine squares of :data:`_WIDE_M` [m].
+
+    The squares lie on the absolute lattice: ground cells agree where they overlap.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Points [m]; n > 0.
+    at_x, at_y : (m,) float64
+        Places [m].
+
+    Returns
+    -------
+    (m,) float64
+        Of the squares with points; :data:`_WIDE_M` where none of the nine has any.
+    """
+    own, asked = (
+        np.stack([np.floor(v / _WIDE_M).astype(np.int64) for v in places])
+        for places in ((x, y), (at_x, at_y))
+    )
+    corner = np.minimum(own.min(axis=1), asked.min(axis=1))[:, None] - 1
+    own, asked = own - corner, asked - corner
+    count = np.zeros(np.maximum(own.max(axis=1), asked.max(axis=1)) + 2, dtype=np.int64)
+    np.add.at(count, tuple(own), 1)
+    points, squares = (
+        sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        for values in (count, (count > 0).astype(np.int64))
+    )
+    share = np.maximum(squares, 1) / np.maximum(points, 1)
+    spacing: Float = _WIDE_M * np.sqrt(share)[tuple(asked)]
+    return spacing
 
 
 def _sunk(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
