@@ -135,8 +135,9 @@ def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> N
         _covered(xyz, scene, pixel)
     if "bars" in scene.targets:
         _bars("by number", accuracy.tri_bars(xyz))
-        _bars("by intensity", accuracy.tri_bars(xyz, cloud.weight))
-    if "logo" in scene.targets:
+        if np.ptp(cloud.weight) > 0:
+            _bars("by intensity", accuracy.tri_bars(xyz, cloud.weight))
+    if "logo" in scene.targets and np.ptp(cloud.weight) > 0:
         _paint(cloud, targets)
     if "coil" in scene.targets:
         _coil(xyz, targets)
