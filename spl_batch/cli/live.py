@@ -42,7 +42,7 @@ WORDS: Final = {
     State.FAILED: "failed",
 }
 
-_UNITS: Final = {
+_UNITS: Final = {  # of kinds that are not named here, the kind and "tiles"
     "build_tile": ("shuffle", "tiles"),
     "denoise": ("denoise", "blocks"),
     "ground": ("ground", "cells"),
@@ -130,7 +130,7 @@ def maps(status: RunStatus) -> list[RenderableType]:
     parts: list[RenderableType] = []
     for kind in (*shown[-1:], latest):
         tiles = status.tiles[kind]
-        stage, word = _UNITS[kind]
+        stage, word = _UNITS.get(kind, (kind, "tiles"))
         size = f"{tiles.edge_m:g} m"
         title = Text(f"  {stage}: {word} of {size}")
         if tiles.step > 1:
