@@ -1,0 +1,1 @@
+"""Photon files of altimeters: path to value and back."""

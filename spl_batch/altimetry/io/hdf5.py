@@ -1,0 +1,129 @@
+"""HDF5 files of altimeters: opened with one clear line for whatever is wrong, and copied."""
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.errors import InputError
+from spl_batch.io.atomic import replacing
+from spl_batch.io.las_header import open_input
+
+SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+_CHUNK: Final = 65_536
+
+
+@contextmanager
+def open_hdf5(path: Path) -> Iterator[h5py.File]:
+    """Open an HDF5 file for reading; what the library finds wrong becomes one clear line.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no HDF5, damaged, or a block of it cannot be read.
+    """
+    with open_input(path) as stream:
+        if stream.read(len(SIGNATURE)) != SIGNATURE:
+            raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except (OSError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"damaged HDF5 ({reason}); copy it again") from error
+
+
+def dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    """Dataset of this name.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    found = file.get(name)
+    if not isinstance(found, h5py.Dataset):
+        raise InputError(str(path), f"no dataset {name}; is it of the product that it should be?")
+    return found
+
+
+def equal_lengths(path: Path, file: h5py.File, group: str, names: Sequence[str]) -> int:
+    """Length that one-dimensional datasets of a group have in common.
+
+    Raises
+    ------
+    InputError
+        With every dataset that is missing, or of another shape or kind.
+    """
+    faults: list[str] = []
+    sizes: dict[str, int] = {}
+    for name in names:
+        found = file.get(f"{group}/{name}")
+        if not isinstance(found, h5py.Dataset):
+            faults.append(f"no dataset {group}/{name}")
+        elif found.ndim != 1 or found.dtype.kind not in "fiu":
+            faults.append(f"{group}/{name} is {found.ndim}-dimensional {found.dtype}, not numbers")
+        else:
+            sizes[name] = len(found)
+    if len(set(sizes.values())) > 1:
+        listed = ", ".join(f"{k} {v}" for k, v in sizes.items())
+        faults.append(f"datasets of {group} differ in length ({listed})")
+    if faults:
+        raise InputError(str(path), faults)
+    return next(iter(sizes.values()))
+
+
+@contextmanager
+def labelled_copy(source: Path, target: Path) -> Iterator[h5py.File]:
+    """Copy a file and give the copy for adding to; it appears when the block ends."""
+    with replacing(target) as temporary:
+        shutil.copyfile(source, temporary)
+        with h5py.File(temporary, "r+") as file:
+            yield file
+
+
+def add_dataset(
+    group: h5py.Group, name: str, size: int, fill: float, attributes: Mapping[str, str], dtype: Any
+) -> h5py.Dataset:
+    """Make a compressed one-dimensional dataset, in place of one of this name.
+
+    Parameters
+    ----------
+    group : h5py.Group
+        Where.
+    name : str
+        Its name.
+    size : int
+        Values [count].
+    fill : float
+        What values are that nothing is written to.
+    attributes : mapping
+        Its attributes.
+    dtype : dtype
+        Of its values.
+    """
+    if name in group:
+        del group[name]
+    made = group.create_dataset(
+        name,
+        shape=(size,),
+        dtype=dtype,
+        chunks=(min(_CHUNK, max(size, 1)),),
+        compression="gzip",
+        compression_opts=4,
+        shuffle=True,
+        fillvalue=np.dtype(dtype).type(fill),
+    )
+    made.attrs.update(attributes)
+    return made
+
+
+def finite(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which values are numbers; products fill what they do not know with 3.4e38."""
+    ok: NDArray[np.bool_] = np.isfinite(values) & (np.abs(values) < 1e30)
+    return ok

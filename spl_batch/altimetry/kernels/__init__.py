@@ -1,0 +1,1 @@
+"""Bare arrays in and out, without input or output."""

@@ -1,0 +1,131 @@
+"""Columns of a photon table, and the values that travel between the altimetry stages."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTA_PER_M
+
+PHOTONS: Final[Mapping[str, type]] = {"row": np.int64, "along": np.int64, "height": np.int32}
+"""Position in the file; along-track distance and height [quanta of 1 mm]."""
+
+LABELS: Final[Mapping[str, type]] = {
+    "row": np.int64,
+    "along": np.int64,
+    "height": np.int32,
+    "score": np.float32,
+    "far": np.uint8,
+}
+"""Score: mean ln P(noise), or 0 and -1 by mDBSCAN; far: away from any surface."""
+
+SIGNAL: Final = 1
+NOISE: Final = 0
+NOT_ASSESSED: Final = 255
+"""Values of a photon's label."""
+
+
+@dataclass(frozen=True, slots=True)
+class Background:
+    """Noise rate that a product states.
+
+    Parameters
+    ----------
+    along_m : (m,) float64
+        Where, increasing [m].
+    per_m2 : (m,) float64
+        Noise photons per metre of track and metre of height [1/m2].
+    """
+
+    along_m: NDArray[np.float64]
+    per_m2: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Cells of the absolute along-track grid that hold photons, in order.
+
+    Parameters
+    ----------
+    index : (n,) int64
+        Cell number; it covers ``[index, index + 1)`` cell lengths.
+    count : (n,) int64
+        Photons [count].
+    low, high : (n,) int32
+        Lowest and highest photon [quanta].
+    peak : (n,) int32
+        Height of the densest bins: the surface, where there is one [quanta].
+    empty_count, empty_length : (n,) int64
+        Photons, and length of gate, away from it [count, quanta].
+    """
+
+    index: NDArray[np.int64]
+    count: NDArray[np.int64]
+    low: NDArray[np.int32]
+    high: NDArray[np.int32]
+    peak: NDArray[np.int32]
+    empty_count: NDArray[np.int64]
+    empty_length: NDArray[np.int64]
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays by name, for a file."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @property
+    def gate_m(self) -> NDArray[np.float64]:
+        """Length of the gate, (n,) float64 [m]: the spread of n photons by (n + 1) / (n - 1)."""
+        spread = (self.high.astype(np.int64) - self.low) / QUANTA_PER_M
+        return np.where(
+            self.count > 1, spread * (self.count + 1) / np.maximum(self.count - 1, 1), 0.0
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The along-track axis scaled by the noise rate, on the same cells.
+
+    One unit of the scaled plane is ``unit_m`` in height and holds ``alpha`` noise photons
+    per square; along the track it is as long as that takes.
+
+    Parameters
+    ----------
+    index : (n,) int64
+        Cell numbers.
+    start : (n,) float64
+        Scaled position of the cell's start [units].
+    per_m : (n,) float64
+        Units per metre of track within the cell [1/m].
+    alpha : (n,) float64
+        Noise photons per square unit; 1 unless the reach is what limits a unit's length.
+    noise : (n,) float64
+        Noise photons expected in the cell [count].
+    density : (n,) float64
+        Noise photons [1/m2].
+    unit_m, reference : float
+        Height of a unit [m]; noise density that gives a unit its aspect [1/m2].
+    """
+
+    index: NDArray[np.int64]
+    start: NDArray[np.float64]
+    per_m: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    density: NDArray[np.float64]
+    unit_m: float
+    reference: float
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays by name, for a file."""
+        return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "Scale":
+        """What :meth:`to_arrays` gave."""
+        values = {f.name: arrays[f.name] for f in fields(cls)}
+        return cls(
+            **{k: v for k, v in values.items() if v.ndim},
+            unit_m=float(values["unit_m"]),
+            reference=float(values["reference"]),
+        )

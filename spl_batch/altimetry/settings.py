@@ -1,0 +1,120 @@
+"""Settings of ``kind: altimetry``, each default written here and nowhere else.
+
+Each key has its unit in its name or in its description.
+"""
+
+from typing import Literal
+
+from pydantic import Field
+
+from spl_batch.settings.base import Positive, Section, Share
+
+
+class TrackSettings(Section):
+    """What was flown and where its photons are."""
+
+    name: str = Field("track", description="Title of the report.")
+    photons: str | tuple[str, ...] = Field(
+        description="ATL03 or MABEL-like HDF5, or CSV (along_track, height): a path or glob, or "
+        "several, relative to this file."
+    )
+    beams: tuple[str, ...] = Field(
+        (), description="Beams to process, as gt1r or channel006; all by default."
+    )
+    prf_hz: Positive | None = Field(
+        None, description="Pulse repetition frequency of MABEL-like files [Hz]; theirs by default."
+    )
+
+
+class RateSettings(Section):
+    """Noise rate along the track [W17 4.1.1]."""
+
+    source: Literal["auto", "product", "window"] = Field(
+        "auto",
+        description="The product's background rate, or photons of the gate away from the "
+        "surface; auto is the product's, where there is one, at the level of those photons.",
+    )
+    cell_m: Positive = Field(20.0, ge=1, description="Cell of the along-track grid [m].")
+    slice_m: Positive = Field(10.0, description="Height bin that the surface is found in [m].")
+    buffer_m: Positive = Field(
+        50.0, description="Half-height around the densest bins that is no empty window [m]."
+    )
+    smooth_cells: int = Field(
+        2, ge=0, description="Half-width of the smoothing of a rate from the window [count]."
+    )
+
+
+class BaselineSettings(Section):
+    """mDBSCAN [W17 3.1.2]: density in an ellipse against a multiple of the mean."""
+
+    scaled: bool = Field(True, description="On the axis that is scaled by the noise rate.")
+    along_m: Positive = Field(12.0, le=200, description="Semi-axis along the track [m].")
+    height_m: Positive = Field(4.0, le=200, description="Semi-axis in height [m].")
+    factor: Positive = Field(4.0, description="Least density, in mean densities.")
+
+
+class SignalSettings(Section):
+    """Which photons are signal [W17 4.1.2-4.1.3]."""
+
+    method: Literal["bayes", "mdbscan"] = Field(
+        "bayes", description="Neighbour distances [W17 ch. 4], or mDBSCAN for comparison."
+    )
+    scaling: bool = Field(True, description="Scale the along-track axis by the noise rate.")
+    neighbours: int = Field(
+        20, ge=1, le=64, description="Largest k of the k-th neighbours [count]; 12 to 20 in [W17]."
+    )
+    aspect: Positive = Field(
+        3.0,
+        description="Along-track over vertical extent of a neighbourhood at the mean noise rate; "
+        "1 in [W17].",
+    )
+    contrast_max: float = Field(
+        1000.0,
+        gt=1,
+        description="Signal is taken to be 1 to this many times as dense as noise, any order of "
+        "magnitude being as likely as another.",
+    )
+    reach_m: Positive = Field(
+        120.0, description="Farthest neighbour along the track, however few photons [m]."
+    )
+    window_m: Positive = Field(
+        2000.0,
+        description="The number of signal photons is estimated over three of these windows and "
+        "applied to the middle one [m].",
+    )
+    false_share: Share = Field(
+        0.0005,
+        description="Most that noise far from any surface may contribute to the signal; fewer "
+        "photons than estimated are taken where it would be more.",
+    )
+    mdbscan: BaselineSettings = BaselineSettings()
+
+
+class ProfileSettings(Section):
+    """Ground and canopy top from the signal photons."""
+
+    cell_m: Positive = Field(20.0, description="Length of a cell of the profiles [m].")
+    reach_cells: int = Field(
+        3, ge=1, le=20, description="Cells to each side that the ground is fitted over [count]."
+    )
+    slope_max: Positive = Field(1.0, description="Steepest ground that is followed [m/m].")
+    layer_m: Positive = Field(3.0, description="Thickness of the layer that is ground [m].")
+    canopy_min_m: Positive = Field(2.0, description="Least height of canopy above ground [m].")
+    canopy_share: float = Field(
+        0.98, gt=0, le=1, description="Quantile of canopy photons that is the canopy's top."
+    )
+    photons_min: int = Field(3, ge=2, description="Least photons of a height [count].")
+
+
+class TrackReferenceSettings(Section):
+    """What the ground profile is compared with."""
+
+    points: str | None = Field(
+        None, description="CSV with along_track and height, in metres, of the reference ground."
+    )
+    dtm: str | None = Field(
+        None, description="Raster of terrain heights, in any CRS; photons need latitude, longitude."
+    )
+    labels: str | None = Field(
+        None, description="ATL08 file or glob whose photon labels are compared with ours."
+    )

@@ -1,0 +1,194 @@
+"""Profiles like MABEL's with truth for every photon: mountain or flat, green or infrared.
+
+Not a link budget (that is :mod:`spl_batch.simulate`): photons per metre of track and noise per
+square metre are given, since these decide what a filter along a profile can do. Signal of
+one-minute flights at 20 km is about one photon per metre in the green and a few in the
+infrared; noise follows sky, albedo and slope and steps up over bright ground, as [W17]
+Fig. 4-5 shows it between 8 and 9 km. The gate follows a coarse terrain model and the product
+states a rate counted in the window far below ground that MABEL uses [W17 4.3].
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from spl_batch.altimetry.model import Background
+from spl_batch.settings.base import Positive, Section
+
+PIECE_M: Final = 4.0
+"""Track of one noise rate: 0.02 s at 200 m/s [m]."""
+
+SPEED_M_S: Final = 200.0
+PRF_HZ: Final = 5000.0
+NOISE: Final = 0
+GROUND: Final = 1
+CANOPY: Final = 2
+
+
+class TrackScene(Section):
+    """What a simulated track looks like."""
+
+    seed: int = Field(1, description="Of all random numbers.")
+    length_m: Positive = Field(4000.0, description="Length of the track [m].")
+    relief_m: float = Field(500.0, ge=0, description="Highest less lowest ground [m].")
+    signal_per_m: Positive = Field(1.5, description="Mean signal photons per metre [1/m].")
+    noise_per_m2: float = Field(0.02, ge=0, description="Median noise density [1/m2].")
+    noise_spread: float = Field(0.35, ge=0, description="Of ln noise, per wave of three.")
+    patch: float = Field(3.0, ge=1, description="Factor of the noise over a bright patch.")
+    patch_share: float = Field(
+        0.15, ge=0, lt=1, description="Length of the patch over the track's."
+    )
+    canopy: float = Field(0.0, ge=0, le=1, description="Share of the track that is wooded.")
+    above_m: Positive = Field(700.0, description="Gate above the coarse terrain [m].")
+    below_m: Positive = Field(500.0, description="Gate below it [m].")
+    spread_m: Positive = Field(0.4, description="SD of a ground return in height [m].")
+
+
+Kind = Literal["mountain", "flat"]
+Colour = Literal["green", "infrared"]
+
+
+def scene(kind: Kind, colour: Colour, seed: int, **changes: float) -> TrackScene:
+    """One of the four settings that the source tells apart.
+
+    Parameters
+    ----------
+    kind : {"mountain", "flat"}
+        California or Missouri.
+    colour : {"green", "infrared"}
+        Little signal and much noise, or the other way round.
+    seed : int
+        Of all random numbers.
+    **changes
+        Other values of :class:`TrackScene`.
+    """
+    ground = (
+        {"relief_m": 500.0}
+        if kind == "mountain"
+        else {"relief_m": 8.0, "above_m": 300.0, "below_m": 300.0, "patch": 1.0}
+    )
+    light = (
+        {"signal_per_m": 1.5, "noise_per_m2": 0.02}
+        if colour == "green"
+        else {"signal_per_m": 4.0, "noise_per_m2": 0.01}
+    )
+    return TrackScene.model_validate({"seed": seed, **ground, **light, **changes})
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Simulated photons in the order of their shots, with truth.
+
+    Parameters
+    ----------
+    along_m, height_m : (n,) float64
+        Photons [m].
+    truth : (n,) uint8
+        0 noise, 1 ground, 2 canopy.
+    ground_m : (n,) float64
+        Height of the ground below each photon [m].
+    background : Background
+        What the product states.
+    reference_m : (m, 2) float64
+        Along-track distance and height of the ground, every metre [m].
+    """
+
+    along_m: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    truth: NDArray[np.uint8]
+    ground_m: NDArray[np.float64]
+    background: Background
+    reference_m: NDArray[np.float64]
+
+
+def simulate_track(scene: TrackScene) -> Track:
+    """Draw a track's photons; the same scene gives the same photons.
+
+    Parameters
+    ----------
+    scene : TrackScene
+        What it looks like.
+    """
+    rng = np.random.default_rng(scene.seed)
+    reference = _terrain(rng, scene)
+    coarse = _smooth(reference[:, 1], 1001)
+    start = np.arange(0.0, scene.length_m, PIECE_M)
+    density = _noise_density(rng, scene, start)
+    gate = scene.above_m + scene.below_m
+    many = rng.poisson(density * PIECE_M * gate)
+    along = np.repeat(start, many) + rng.uniform(0.0, PIECE_M, many.sum())
+    height = np.interp(along, reference[:, 0], coarse)
+    height += rng.uniform(-scene.below_m, scene.above_m, len(along))
+    bright = scene.signal_per_m * np.exp(
+        0.4 * np.sin(2 * np.pi * start / 700 + rng.uniform(0, 6))
+        + 0.3 * rng.standard_normal(len(start))
+    )
+    few = rng.poisson(bright * PIECE_M)
+    signal = np.repeat(start, few) + rng.uniform(0.0, PIECE_M, few.sum())
+    above, truth = _canopy(rng, scene, signal)
+    surface = np.interp(signal, *reference.T) + above
+    surface += rng.normal(0.0, scene.spread_m, len(signal))
+    window = 5000.0 * PIECE_M
+    rate = rng.poisson(density * window) / window
+    along = np.concatenate([along, signal])
+    order = np.argsort(along, kind="stable")
+    along = along[order]
+    return Track(
+        along,
+        np.concatenate([height, surface])[order],
+        np.concatenate([np.zeros(many.sum(), np.uint8), truth])[order],
+        np.interp(along, *reference.T),
+        Background(start + PIECE_M / 2, rate),
+        reference,
+    )
+
+
+def _terrain(rng: np.random.Generator, scene: TrackScene) -> NDArray[np.float64]:
+    """Ground as a sum of waves whose heights fall with the square of their number."""
+    x = np.arange(-1000.0, scene.length_m + 1000.0)
+    number = np.arange(1, 67)
+    height = rng.rayleigh(1.0, len(number)) / number**2.0
+    phase = rng.uniform(0.0, 2 * np.pi, len(number))
+    z = sum(
+        h * np.sin(2 * np.pi * n * x / 4000.0 + p)
+        for n, h, p in zip(number, height, phase, strict=True)
+    )
+    z = np.asarray(z)
+    z = (z - z.min()) / np.ptp(z) * scene.relief_m + 100.0
+    return np.stack([x, z], axis=1)
+
+
+def _smooth(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    padded = np.pad(values, width // 2, mode="edge")
+    sums = np.concatenate([[0.0], np.cumsum(padded)])
+    mean: NDArray[np.float64] = (sums[width:] - sums[:-width]) / width
+    return mean
+
+
+def _noise_density(
+    rng: np.random.Generator, scene: TrackScene, start: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    log = np.zeros(len(start))
+    for wave_m in (3000.0, 1200.0, 500.0):
+        log += scene.noise_spread * np.sin(2 * np.pi * start / wave_m + rng.uniform(0, 2 * np.pi))
+    density = scene.noise_per_m2 * np.exp(log)
+    first = rng.uniform(0.1, 0.9 - scene.patch_share) * scene.length_m
+    inside = (start >= first) & (start < first + scene.patch_share * scene.length_m)
+    density[inside] *= scene.patch
+    return density
+
+
+def _canopy(
+    rng: np.random.Generator, scene: TrackScene, along: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Height above ground of each signal photon, and whether it is of the canopy."""
+    stands = int(scene.length_m / 50.0) + 2
+    wooded = rng.uniform(size=stands) < scene.canopy
+    tops = rng.uniform(8.0, 22.0, int(scene.length_m / 10.0) + 2)
+    leaf = wooded[(along / 50.0).astype(np.int64)] & (rng.uniform(size=len(along)) < 0.7)
+    top = tops[(along / 10.0).astype(np.int64)]
+    above = np.where(leaf, top * rng.beta(4.0, 2.0, len(along)), 0.0)
+    return above, np.where(leaf, CANOPY, GROUND).astype(np.uint8)

@@ -1,0 +1,1 @@
+"""Tables in, tables out: noise along the track, signal and noise, profiles."""

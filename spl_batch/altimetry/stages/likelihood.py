@@ -1,0 +1,104 @@
+"""How far the k-th neighbour is, for a photon of noise and for one of signal.
+
+Noise [W17 Eq. 4.4]: with x = alpha pi r^2 the noise expected within r, the k-th neighbour
+lies at x with density x^(k-1) e^-x / (k-1)!, a gamma law.
+
+Signal: the source takes the same law with the density of the signal, which "cannot be
+estimated directly because the area of the signal is unknown", and leaves its choice open.
+A track holds signal of many densities at once (bright and dark ground, canopy, slopes that
+spread it), so no single one is chosen here: the contrast c, signal and noise together over
+noise, is taken as unknown between 1 and C with equal probability per order of magnitude.
+That integral has a closed form,
+
+    p_k(x | signal) = [Q(k, x) - Q(k, C x)] / (x ln C),
+
+with Q the regularised upper incomplete gamma function, which is the chance of fewer than k
+noise photons within x. ``python -m benchmarks.altimetry pdf`` compares it with fixed contrasts.
+
+A neighbour that is not found within the reach is censored: its likelihood is the chance
+that it lies beyond, P_k(X > x) = Q(k, x) for noise, and its mean over c for signal.
+"""
+
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import integrate, special
+
+_FIRST: Final = float(np.log(1e-7))
+_LAST: Final = float(np.log(400.0))
+_COLUMNS: Final = 1024
+_STEPS: Final = 200
+"""Steps of the mean over contrasts [count]."""
+
+
+class Ratios(NamedTuple):
+    """Logarithms of the likelihood of signal over that of noise.
+
+    Parameters
+    ----------
+    within, beyond : (K, m) float64
+        For neighbour k at x, and beyond x.
+    first : float
+        ln x of the first column.
+    step : float
+        Columns per unit of ln x.
+    """
+
+    within: NDArray[np.float64]
+    beyond: NDArray[np.float64]
+    first: float
+    step: float
+
+
+def noise_pdf(k: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density of the k-th neighbour of noise over the noise expected within it [W17 Eq. 4.4]."""
+    density: NDArray[np.float64] = np.exp((k - 1) * np.log(x) - x - special.gammaln(k))
+    return density
+
+
+def signal_pdf(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
+    """Density of the k-th neighbour of signal whose contrast is unknown within 1..C."""
+    share = np.exp(_log_share(k, x, contrast_max))
+    density: NDArray[np.float64] = share / (x * np.log(contrast_max))
+    return density
+
+
+def _log_share(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
+    """Logarithm of [Q(k, x) - Q(k, C x)], from the tail in which it does not cancel."""
+    upper = special.gammaincc(k, x) - special.gammaincc(k, contrast_max * x)
+    lower = special.gammainc(k, contrast_max * x) - special.gammainc(k, x)
+    share = np.where(x < k, lower, upper)
+    log: NDArray[np.float64] = np.log(np.maximum(share, np.finfo(np.float64).tiny))
+    return log
+
+
+@lru_cache(maxsize=8)
+def ratios(neighbours: int, contrast_max: float) -> Ratios:
+    """Tables for :func:`spl_batch.altimetry.kernels.posterior.noise_posterior`.
+
+    Parameters
+    ----------
+    neighbours : int
+        Largest k [count].
+    contrast_max : float
+        C, largest density of signal over that of noise.
+    """
+    log_x = np.linspace(_FIRST, _LAST, _COLUMNS)
+    x = np.exp(log_x)
+    log_c = np.linspace(0.0, np.log(contrast_max), _STEPS)
+    within = np.empty((neighbours, _COLUMNS))
+    beyond = np.empty_like(within)
+    for row in range(neighbours):
+        k = row + 1
+        log_noise = row * log_x - x - special.gammaln(k)
+        log_signal = _log_share(k, x, contrast_max) - log_x - np.log(np.log(contrast_max))
+        within[row] = log_signal - log_noise
+        chance = special.gammaincc(k, np.exp(log_c[:, None] + log_x))
+        mean = integrate.trapezoid(chance, log_c, axis=0) / np.log(contrast_max)
+        tiny = np.finfo(np.float64).tiny
+        beyond[row] = np.log(np.maximum(mean, tiny)) - np.log(
+            np.maximum(special.gammaincc(k, x), tiny)
+        )
+    return Ratios(within, beyond, _FIRST, (_COLUMNS - 1) / (_LAST - _FIRST))

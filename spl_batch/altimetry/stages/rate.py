@@ -1,0 +1,265 @@
+"""Noise rate along the track and the axis that it scales [W17 4.1.1, Eq. 4.1].
+
+Everything lies on cells of an absolute along-track grid and is a function of the photons
+of a cell and its neighbours, so no cut of the track can change it.
+
+The empty window of the source is "the top or the bottom part of the vertical data profile".
+A gate that follows the terrain leaves a few hundred metres, so the window here is all of
+the gate that is farther than a buffer from the surface: the fullest three bins of height of
+a cell and its two neighbours (as the first step of DCC does, [W17] 3.2.3), the median of
+which over five cells passes over a bin that noise filled.
+
+Deviation: the source multiplies a cell by its rate, whatever the rate. At night that would
+press kilometres into a point, so a unit is never longer than the reach allows and the noise
+density in the scaled plane, 1 elsewhere, is less there.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.altimetry.model import Background, Cells, Scale
+from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.tiling import quanta
+
+HALO_CELLS: Final = 3
+"""Cells to each side that :func:`observe` looks at [count]: bins one, the median two."""
+
+CAP_UNITS: Final = 5.0
+"""Farthest neighbour in the scaled plane [units]; 78 noise photons are expected nearer."""
+
+_UNIT_M: Final = (0.5, 15.0)
+_ALPHA_MIN: Final = 1e-3
+_CLIP_SD: Final = 4.0
+
+
+def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateSettings) -> Cells:
+    """Count the photons of each cell, find the surface, and count what is away from it.
+
+    Parameters
+    ----------
+    along : (n,) int64
+        Along-track distance [quanta].
+    height : (n,) int32
+        Height [quanta].
+    settings : RateSettings
+        Cells and bins.
+
+    Returns
+    -------
+    Cells
+        Right where :data:`HALO_CELLS` cells to each side are given too.
+    """
+    size, bin_q = quanta(settings.cell_m), quanta(settings.slice_m)
+    index, cell = np.unique(along // size, return_inverse=True)
+    bins = height // bin_q
+    base = int(bins.min(initial=0))
+    width = int(bins.max(initial=0)) - base + 1
+    table = np.bincount(cell * width + (bins - base), minlength=len(index) * width)
+    table = table.reshape(len(index), width)
+    low = np.full(len(index), np.iinfo(np.int32).max, np.int32)
+    high = np.full(len(index), np.iinfo(np.int32).min, np.int32)
+    np.minimum.at(low, cell, height)
+    np.maximum.at(high, cell, height)
+    peak = _surface(index, table)
+    first = -(-(low.astype(np.int64)) // bin_q) - base
+    last = high.astype(np.int64) // bin_q - base
+    column = np.arange(width)
+    whole = (column >= first[:, None]) & (column < last[:, None])
+    reach = -(-quanta(settings.buffer_m) // bin_q)
+    # A gate too short for the buffer keeps the part of it farthest from the surface.
+    for part in (1.0, 0.5, 0.25):
+        away = whole & (np.abs(column - peak[:, None]) > max(int(reach * part), 1))
+        short = away.sum(1) * 4 < whole.sum(1)
+        if part == 1.0:
+            empty = away
+        empty = np.where((empty.sum(1) * 4 < whole.sum(1))[:, None], away, empty)
+        if not short.any():
+            break
+    empty = _without_clumps(table, empty)
+    return Cells(
+        index=index,
+        count=table.sum(1),
+        low=low,
+        high=high,
+        peak=((peak + base) * bin_q + bin_q // 2).astype(np.int32),
+        empty_count=np.where(empty, table, 0).sum(1),
+        empty_length=empty.sum(1) * bin_q,
+    )
+
+
+def _surface(index: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Bin of the surface of each cell."""
+    around = _neighbours(index, lambda at: table[at])
+    total = np.sum(around, axis=0)
+    if not len(total):
+        return np.zeros(0, np.int64)
+    three = ndimage.convolve1d(total, np.ones(3, np.int64), axis=1, mode="constant")
+    best = three.argmax(1)
+    # Missing neighbours repeat the cell itself, so that the median stays among real ones.
+    steps = np.stack(_neighbours(index, lambda at: best[at], reach=2, missing=best))
+    middle: NDArray[np.int64] = np.sort(steps, axis=0)[2]
+    return middle
+
+
+def _neighbours(
+    index: NDArray[np.int64],
+    values: Callable[[NDArray[np.intp]], NDArray[np.int64]],
+    reach: int = 1,
+    missing: NDArray[np.int64] | None = None,
+) -> list[NDArray[np.int64]]:
+    """Values of the cells at -reach..reach from each cell; zero or ``missing`` for absent ones."""
+    found = []
+    for step in range(-reach, reach + 1):
+        at = np.clip(np.searchsorted(index, index + step), 0, max(len(index) - 1, 0))
+        there = index[at] == index + step
+        value = values(at)
+        other = np.zeros_like(value) if missing is None else missing
+        found.append(np.where(there if value.ndim == 1 else there[:, None], value, other))
+    return found
+
+
+def _without_clumps(table: NDArray[np.int64], empty: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Leave out bins that hold far more than the others: cloud, or a surface not found."""
+    for _ in range(2):
+        mean = np.where(empty, table, 0).sum(1) / np.maximum(empty.sum(1), 1)
+        limit = mean + _CLIP_SD * np.sqrt(np.maximum(mean, 1.0))
+        empty = empty & (table <= limit[:, None])
+    return empty
+
+
+def window_of(
+    index: NDArray[np.int64], settings: RateSettings, window_m: float
+) -> NDArray[np.int64]:
+    """Window of the absolute grid that each cell lies in, (n,) int64."""
+    return index // max(round(window_m / settings.cell_m), 1)
+
+
+def of_window(
+    index: NDArray[np.int64], values: NDArray[np.float64], settings: RateSettings, window_m: float
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Sums of cells' values over their window and the two beside it.
+
+    Parameters
+    ----------
+    index : (n,) int64
+        Cells.
+    values : (m, n) float64
+        Of each cell.
+    settings : RateSettings
+        The cells.
+    window_m : float
+        Length of a window [m].
+
+    Returns
+    -------
+    at : (n,) intp
+        Row of each cell's window among those that hold cells.
+    sums : (m, w) float64
+    """
+    window, at = np.unique(window_of(index, settings, window_m), return_inverse=True)
+    own = np.stack([np.bincount(at, row, len(window)).astype(np.float64) for row in values])
+    return at, running(window, own)
+
+
+def running(window: NDArray[np.int64], own: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums of each window and those directly beside it, along the last axis."""
+    total = own.copy()
+    beside = np.diff(window) == 1
+    total[..., 1:] += np.where(beside, own[..., :-1], 0)
+    total[..., :-1] += np.where(beside, own[..., 1:], 0)
+    return total
+
+
+def join(parts: Sequence[Cells]) -> Cells:
+    """Cells of consecutive pieces of track."""
+    columns = [part.to_arrays() for part in parts]
+    return Cells(**{name: np.concatenate([c[name] for c in columns]) for name in columns[0]})
+
+
+def density_from_window(cells: Cells, settings: RateSettings) -> NDArray[np.float64]:
+    """Noise density from the empty window of a cell and those around it, (n,) [1/m2]."""
+    cell_m = settings.cell_m
+    counts = np.concatenate([[0], np.cumsum(cells.empty_count)])
+    areas = np.concatenate([[0.0], np.cumsum(cells.empty_length / QUANTA_PER_M * cell_m)])
+    reach = settings.smooth_cells
+    first = np.searchsorted(cells.index, cells.index - reach)
+    stop = np.searchsorted(cells.index, cells.index + reach, side="right")
+    area = areas[stop] - areas[first]
+    count = counts[stop] - counts[first]
+    whole = areas[-1]
+    overall = counts[-1] / whole if whole > 0 else 0.0
+    density: NDArray[np.float64] = np.where(
+        area > 0, count / np.where(area > 0, area, 1.0), overall
+    )
+    return density
+
+
+def density_from_product(
+    cells: Cells, background: Background, settings: RateSettings
+) -> NDArray[np.float64]:
+    """Noise density that the product states, meaned over each cell, (n,) [1/m2]."""
+    edges = np.stack([cells.index, cells.index + 1]) * settings.cell_m
+    at = background.along_m
+    step = np.diff(at)
+    middle = (background.per_m2[1:] + background.per_m2[:-1]) / 2
+    total = np.concatenate([[0.0], np.cumsum(middle * step)])
+    inside = np.clip(edges, at[0], at[-1])
+    width = inside[1] - inside[0]
+    mean = np.diff(np.interp(inside, at, total), axis=0)[0] / np.where(width > 0, width, 1.0)
+    here = np.interp(edges.mean(0), at, background.per_m2)
+    density: NDArray[np.float64] = np.where(width > 0, mean, here)
+    return density
+
+
+def density_from_both(
+    cells: Cells, background: Background, settings: RateSettings, window_m: float
+) -> NDArray[np.float64]:
+    """How the product's rate varies, at the level of the empty window, (n,) [1/m2].
+
+    A product counts in another window than the gate, in other units and through other
+    corrections; a few per cent too much noise is a third of a weak signal.
+    """
+    stated = density_from_product(cells, background, settings)
+    empty_m2 = cells.empty_length / QUANTA_PER_M * settings.cell_m
+    counted = np.stack([cells.empty_count.astype(np.float64), stated * empty_m2])
+    at, sums = of_window(cells.index, counted, settings, window_m)
+    seen, expected = sums[:, at]
+    return stated * np.where(expected > 0, seen / np.where(expected > 0, expected, 1.0), 1.0)
+
+
+def scale(
+    cells: Cells,
+    density: NDArray[np.float64],
+    rate: RateSettings,
+    signal: SignalSettings,
+) -> Scale:
+    """Scale the along-track axis so that noise is equally dense all along it.
+
+    Parameters
+    ----------
+    cells : Cells
+        All cells of a beam.
+    density : (n,) float64
+        Noise density of each [1/m2].
+    rate, signal : RateSettings, SignalSettings
+        Cells; aspect, reach, and whether to scale at all.
+    """
+    noise = density * cells.gate_m * rate.cell_m
+    known = density[density > 0]
+    reference = float(np.median(known)) if len(known) else 1e-6
+    unit_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
+    floor = CAP_UNITS / (unit_m * signal.reach_m)
+    wanted = density if signal.scaling else np.full(len(density), reference)
+    used = np.maximum(wanted, floor)
+    per_m = used * unit_m
+    alpha = np.maximum(wanted / used, _ALPHA_MIN)
+    gap = np.diff(cells.index, prepend=cells.index[:1]) - 1
+    step = per_m * rate.cell_m
+    before = np.maximum(gap, 0) * rate.cell_m * floor * unit_m
+    start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
+    return Scale(cells.index, start, per_m, alpha, noise, density, unit_m, reference)
