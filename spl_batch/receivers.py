@@ -50,6 +50,13 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.report.model:Report",
             "spl_batch.simulate:simulate_file",
         ),
+        "altimetry": Home(
+            "spl_batch.altimetry.settings:TrackWorkflow",
+            "spl_batch.altimetry.runner:KINDS",
+            "spl_batch.altimetry.api:RECEIVER",
+            "spl_batch.altimetry.report.model:TrackReport",
+            "spl_batch.altimetry.simulate:simulate_file",
+        ),
         "coincidence": Home(
             "spl_batch.geiger.coincidence.settings:CoincidenceWorkflow",
             "spl_batch.geiger.coincidence.runner:KINDS",

@@ -18,8 +18,9 @@ LABELS: Final[Mapping[str, type]] = {
     "height": np.int32,
     "score": np.float32,
     "far": np.uint8,
+    "baseline": np.uint8,
 }
-"""Score: mean ln P(noise), or 0 and -1 by mDBSCAN; far: away from any surface."""
+"""Score: mean ln P(noise); far: away from any surface; baseline: signal by mDBSCAN."""
 
 SIGNAL: Final = 1
 NOISE: Final = 0

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.settings.base import Positive, Section, Share
+from spl_batch.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
 class TrackSettings(Section):
@@ -93,7 +93,16 @@ class SignalSettings(Section):
 class ProfileSettings(Section):
     """Ground and canopy top from the signal photons."""
 
-    cell_m: Positive = Field(20.0, description="Length of a cell of the profiles [m].")
+    cell_m: Positive = Field(20.0, ge=1, description="Length of a cell of the profiles [m].")
+    photons_factor: float = Field(
+        1.5,
+        ge=1,
+        description="Photons that the ground is sought among, over the number of signal photons: "
+        "few get through a canopy, and a line is fitted that stray ones do not move.",
+    )
+    false_share: Share = Field(
+        0.01, description="Most that noise far from any surface may contribute to these."
+    )
     reach_cells: int = Field(
         3, ge=1, le=20, description="Cells to each side that the ground is fitted over [count]."
     )
@@ -118,3 +127,34 @@ class TrackReferenceSettings(Section):
     labels: str | None = Field(
         None, description="ATL08 file or glob whose photon labels are compared with ours."
     )
+    baseline: bool = Field(True, description="Run mDBSCAN beside it, for comparison.")
+    remove_bias: bool = Field(
+        False, description="Subtract the median difference before the statistics."
+    )
+
+
+class TrackOutputSettings(StoreSettings):
+    """What is written beside profiles and photon tables."""
+
+    hdf5: bool = Field(True, description="HDF5 inputs again, with the labels in them.")
+
+
+class WorkSettings(Section):
+    """How the track is cut for work; results never depend on it."""
+
+    segment_photons: int = Field(
+        1_000_000, ge=1000, description="Photons of a segment of track, at most [count]."
+    )
+
+
+class TrackWorkflow(BaseWorkflow):
+    """Everything that a run on photon profiles needs to know."""
+
+    kind: Literal["altimetry"] = Field("altimetry", description="Photon profiles along a track.")
+    track: TrackSettings
+    reference: TrackReferenceSettings | None = None
+    rate: RateSettings = RateSettings()
+    signal: SignalSettings = SignalSettings()
+    profile: ProfileSettings = ProfileSettings()
+    work: WorkSettings = WorkSettings()
+    outputs: TrackOutputSettings = TrackOutputSettings()

@@ -8,15 +8,24 @@ Fig. 4-5 shows it between 8 and 9 km. The gate follows a coarse terrain model an
 states a rate counted in the window far below ground that MABEL uses [W17 4.3].
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Literal
+from pathlib import Path
+from typing import Any, Final, Literal
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from pydantic import Field
 
+from spl_batch.altimetry.io.mabel import write_mabel
+from spl_batch.altimetry.io.track_csv import to_text
 from spl_batch.altimetry.model import Background
+from spl_batch.constants import SPEED_OF_LIGHT_M_S
+from spl_batch.io.atomic import write_bytes
 from spl_batch.settings.base import Positive, Section
+from spl_batch.settings.faults import validated
+from spl_batch.workflow import read_mapping
 
 PIECE_M: Final = 4.0
 """Track of one noise rate: 0.02 s at 200 m/s [m]."""
@@ -28,14 +37,25 @@ GROUND: Final = 1
 CANOPY: Final = 2
 
 
-class TrackScene(Section):
-    """What a simulated track looks like."""
+_START_S: Final = 1000.0
+_NORTH_M_PER_DEG: Final = 110_574.0
+"""Metres of a degree of latitude at the equator, where tracks run north along Greenwich."""
 
-    seed: int = Field(1, description="Of all random numbers.")
-    length_m: Positive = Field(4000.0, description="Length of the track [m].")
-    relief_m: float = Field(500.0, ge=0, description="Highest less lowest ground [m].")
+
+class Light(Section):
+    """What a channel detects."""
+
     signal_per_m: Positive = Field(1.5, description="Mean signal photons per metre [1/m].")
     noise_per_m2: float = Field(0.02, ge=0, description="Median noise density [1/m2].")
+
+
+class TrackScene(Light):
+    """What a simulated track looks like."""
+
+    seed: int = Field(1, ge=0, description="Of all random numbers.")
+    stream: int = Field(0, ge=0, description="Another number gives other photons, same ground.")
+    length_m: Positive = Field(4000.0, description="Length of the track [m].")
+    relief_m: float = Field(500.0, ge=0, description="Highest less lowest ground [m].")
     noise_spread: float = Field(0.35, ge=0, description="Of ln noise, per wave of three.")
     patch: float = Field(3.0, ge=1, description="Factor of the noise over a bright patch.")
     patch_share: float = Field(
@@ -45,6 +65,21 @@ class TrackScene(Section):
     above_m: Positive = Field(700.0, description="Gate above the coarse terrain [m].")
     below_m: Positive = Field(500.0, description="Gate below it [m].")
     spread_m: Positive = Field(0.4, description="SD of a ground return in height [m].")
+
+
+class SceneFile(Section):
+    """A scene file of ``kind: altimetry``: one track, seen by several channels."""
+
+    kind: Literal["altimetry"] = Field(description="Receiver that the scene is for.")
+    name: str = Field("simulated track", description="Title of the report.")
+    track: TrackScene = TrackScene()
+    channels: dict[str, Light] = Field(
+        {
+            "channel006": Light(),
+            "channel043": Light(signal_per_m=4.0, noise_per_m2=0.01),
+        },
+        description="What each channel detects; a green and an infrared one by default.",
+    )
 
 
 Kind = Literal["mountain", "flat"]
@@ -112,8 +147,8 @@ def simulate_track(scene: TrackScene) -> Track:
     scene : TrackScene
         What it looks like.
     """
-    rng = np.random.default_rng(scene.seed)
-    reference = _terrain(rng, scene)
+    reference = _terrain(np.random.default_rng([scene.seed, 0]), scene)
+    rng = np.random.default_rng([scene.seed, 1, scene.stream])
     coarse = _smooth(reference[:, 1], 1001)
     start = np.arange(0.0, scene.length_m, PIECE_M)
     density = _noise_density(rng, scene, start)
@@ -192,3 +227,89 @@ def _canopy(
     top = tops[(along / 10.0).astype(np.int64)]
     above = np.where(leaf, top * rng.beta(4.0, 2.0, len(along)), 0.0)
     return above, np.where(leaf, CANOPY, GROUND).astype(np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSummary:
+    """What was written.
+
+    Parameters
+    ----------
+    out : Path
+        Folder.
+    workflow : Path
+        Workflow file, ready to run.
+    photons : dict of str to int
+        Photons of each channel [count].
+    """
+
+    out: Path
+    workflow: Path
+    photons: dict[str, int]
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Label and value of what a user is told."""
+        return [(name, f"{count:,} photons") for name, count in self.photons.items()]
+
+
+def simulate_file(
+    scene: Path, out: Path, *, progress: Callable[[float], None] | None = None
+) -> TrackSummary:
+    """Simulate the track of a scene file: ``track.h5``, ``reference.csv``, ``workflow.yaml``.
+
+    Parameters
+    ----------
+    scene : Path
+        YAML with ``kind: altimetry``.
+    out : Path
+        Folder; made where it is missing.
+    progress : callable, optional
+        Told the share that is done, 0..1.
+    """
+    content = read_mapping(scene, "a scene is a mapping with kind: and track:")
+    return simulate(validated(SceneFile, content, str(scene)), out, progress=progress)
+
+
+def simulate(
+    scene: SceneFile, out: Path, *, progress: Callable[[float], None] | None = None
+) -> TrackSummary:
+    """Simulate a track that several channels see; see :func:`simulate_file`."""
+    channels: dict[str, dict[str, NDArray[Any]]] = {}
+    rates: dict[str, dict[str, NDArray[Any]]] = {}
+    reference = np.empty((0, 2))
+    for stream, (name, light) in enumerate(scene.channels.items()):
+        track = simulate_track(
+            scene.track.model_copy(update={**light.model_dump(), "stream": stream})
+        )
+        latitude = track.along_m / _NORTH_M_PER_DEG
+        channels[name] = {
+            "delta_time": _START_S + track.along_m / SPEED_M_S,
+            "elev": track.height_m.astype(np.float32),
+            "latitude": latitude,
+            "longitude": np.zeros(len(latitude)),
+            "truth": track.truth,
+        }
+        # One that the product would state: counts per second of what the receiver hears.
+        per_s = track.background.per_m2 * SPEED_M_S * SPEED_OF_LIGHT_M_S / (2.0 * PRF_HZ)
+        rates[name] = {
+            "delta_time": _START_S + track.background.along_m / SPEED_M_S,
+            "noise_rate": per_s,
+        }
+        reference = track.reference_m
+        if progress is not None:
+            progress((stream + 1) / len(scene.channels))
+    write_mabel(out / "track.h5", channels, rates, PRF_HZ)
+    write_bytes(
+        out / "reference.csv", to_text({"along_track": reference[:, 0], "height": reference[:, 1]})
+    )
+    workflow = {
+        "kind": "altimetry",
+        "track": {"name": scene.name, "photons": "track.h5"},
+        "reference": {"points": "reference.csv"},
+        "output": "out",
+    }
+    write_bytes(out / "workflow.yaml", yaml.safe_dump(workflow, sort_keys=False).encode())
+    return TrackSummary(
+        out, out / "workflow.yaml", {k: len(v["elev"]) for k, v in channels.items()}
+    )

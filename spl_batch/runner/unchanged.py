@@ -7,7 +7,7 @@ from typing import Any
 
 from spl_batch.errors import DamagedError, InputError
 from spl_batch.io.store import read_receipt
-from spl_batch.runner.context import Context
+from spl_batch.runner.context import RunContext
 
 
 @contextmanager
@@ -31,7 +31,7 @@ def unchanged(path: Path, then: Sequence[int]) -> Iterator[None]:
     _compare(path, then)
 
 
-def as_indexed(args: Mapping[str, Any], context: Context) -> Sequence[int]:
+def as_indexed(args: Mapping[str, Any], context: RunContext[Any]) -> Sequence[int]:
     """Stamp of an input when it was indexed; ``args`` name its ``source`` and ``path``."""
     receipt = read_receipt(context.store, "index_file", args["source"])
     if receipt is None:

@@ -132,6 +132,25 @@ def _without_clumps(table: NDArray[np.int64], empty: NDArray[np.bool_]) -> NDArr
     return empty
 
 
+def far(
+    along: NDArray[np.int64], height: NDArray[np.int32], cells: Cells, settings: RateSettings
+) -> NDArray[np.uint8]:
+    """1 for photons farther than the buffer from the surface of their cell, (n,) uint8."""
+    cell = np.searchsorted(cells.index, along // quanta(settings.cell_m))
+    away = np.abs(height.astype(np.int64) - cells.peak[cell]) > quanta(settings.buffer_m)
+    flag: NDArray[np.uint8] = away.astype(np.uint8)
+    return flag
+
+
+def far_length_m(cells: Cells, settings: RateSettings) -> NDArray[np.float64]:
+    """Length of gate of each cell that :func:`far` speaks of, (n,) float64 [m]."""
+    buffer = quanta(settings.buffer_m)
+    peak = cells.peak.astype(np.int64)
+    near = np.minimum(cells.high, peak + buffer) - np.maximum(cells.low, peak - buffer)
+    left: NDArray[np.float64] = np.maximum(cells.gate_m - np.maximum(near, 0) / QUANTA_PER_M, 0.0)
+    return left
+
+
 def window_of(
     index: NDArray[np.int64], settings: RateSettings, window_m: float
 ) -> NDArray[np.int64]:
@@ -260,6 +279,7 @@ def scale(
     alpha = np.maximum(wanted / used, _ALPHA_MIN)
     gap = np.diff(cells.index, prepend=cells.index[:1]) - 1
     step = per_m * rate.cell_m
-    before = np.maximum(gap, 0) * rate.cell_m * floor * unit_m
+    # Beyond twice the farthest neighbour it does not matter how far.
+    before = np.minimum(np.maximum(gap, 0) * rate.cell_m * floor * unit_m, 2 * CAP_UNITS)
     start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
     return Scale(cells.index, start, per_m, alpha, noise, density, unit_m, reference)

@@ -211,7 +211,7 @@ def mdbscan(
     if not core.any():
         return core
     nearest, _ = cKDTree(plane[core]).query(plane, distance_upper_bound=np.nextafter(1.0, 2.0))
-    signal: NDArray[np.bool_] = nearest <= 1.0
+    signal: NDArray[np.bool_] = np.asarray(nearest <= 1.0)
     return signal
 
 

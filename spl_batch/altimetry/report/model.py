@@ -1,0 +1,76 @@
+"""What the report of photon profiles says: one frozen model, from which its schema is made."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from spl_batch.report.model import (
+    SCHEMA_VERSION,
+    Count,
+    Failure,
+    Number,
+    Part,
+    Performance,
+    Provenance,
+    Statistics,
+)
+
+
+class TrackCounts(Part):
+    """Where every photon went."""
+
+    points_in: Count = Field(description="Photons in the input files [count].")
+    points_out: Count = Field(description="Photons in the delivered tables [count].")
+    signal: Count = Field(0, description="Labelled 1 [count].")
+    background: Count = Field(0, description="Labelled 0: noise [count].")
+    not_assessed: Count = Field(0, description="Labelled 255: no place, or a failed task [count].")
+
+
+class Agreement(Part):
+    """Signal and noise here against labels of another product."""
+
+    photons: Count = Field(description="Photons compared [count].")
+    precision: Number = Field(None, description="Share of our signal that is signal there.")
+    recall: Number = Field(None, description="Share of their signal that is signal here.")
+    f1: Number = Field(None, description="Harmonic mean of both.")
+
+
+class Beam(Part):
+    """One beam of one file, and what was found."""
+
+    file: str = Field(description="Input file.")
+    name: str = Field(description="Beam, as the product calls it.")
+    photons: Count = Field(description="Photons [count].")
+    signal: Count = Field(0, description="Signal photons [count].")
+    estimated: Number = Field(None, description="Signal photons by the noise rate [count].")
+    length_km: Number = Field(None, description="Track that holds photons [km].")
+    gate_m: Number = Field(None, description="Median length of the gate [m].")
+    rate_basis: Literal["product", "window", "product and window"] = Field(
+        description="Where the noise rate comes from."
+    )
+    noise_per_m2: tuple[Number, Number, Number] | None = Field(
+        None, description="Noise density, 5th, 50th and 95th percentile [1/m2]."
+    )
+    far_per_km2: Number = Field(
+        None, description="Signal photons far from any surface, per km2 of gate [1/km2]."
+    )
+    ground_cells: Count = Field(0, description="Cells of the profile with a ground [count].")
+    canopy_cells: Count = Field(0, description="Cells with canopy [count].")
+    cells: Count = Field(0, description="Cells of the profile [count].")
+    ground: Statistics | None = Field(None, description="Ground minus reference.")
+    baseline_ground: Statistics | None = Field(None, description="The same, by mDBSCAN.")
+    labels: dict[str, Agreement] = Field({}, description="By method: ours, mdbscan.")
+
+
+class TrackReport(Part):
+    """Everything that ``report.json`` holds and ``report.html`` shows."""
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    name: str = Field(description="Title of the report.")
+    method: Literal["bayes", "mdbscan"] = Field(description="What tells signal from noise.")
+    counts: TrackCounts
+    beams: tuple[Beam, ...] = ()
+    performance: Performance = Performance()
+    failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
+    warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")
+    provenance: Provenance

@@ -1,0 +1,109 @@
+"""The page of photon profiles."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+from spl_batch.altimetry.report.model import Beam, TrackReport
+from spl_batch.report import format as text
+from spl_batch.report.page import Front, render_page
+from spl_batch.report.pictures import Picture
+from spl_batch.report.summary import Verdict, failure_verdict
+
+SECTIONS: Final = (("profiles", "Profiles"), ("accuracy", "Accuracy"), ("beams", "Beams"))
+
+
+def render(report: TrackReport, pictures: Sequence[Mapping[str, Picture]]) -> str:
+    """The page, without any reference to another file; the same input gives the same text."""
+    flat = {f"{key}_{i}": shown for i, drawn in enumerate(pictures) for key, shown in drawn.items()}
+    return render_page(
+        "track.html.j2",
+        report,
+        Front(
+            title=report.name,
+            kicker="Photon-counting altimetry",
+            facts=tuple(_facts(report)),
+            sections=SECTIONS,
+            verdicts=tuple(_verdicts(report)),
+            cards=tuple(_cards(report)),
+        ),
+        package="spl_batch.altimetry.report",
+        pictures=flat,
+        keys=[[f"{key}_{i}" for key in drawn] for i, drawn in enumerate(pictures)],
+        compared=[b for b in report.beams if b.ground is not None],
+        labelled=[b for b in report.beams if b.labels],
+    )
+
+
+def _facts(report: TrackReport) -> Iterator[str]:
+    length = sum(b.length_km or 0.0 for b in report.beams)
+    n = len(report.beams)
+    yield f"{n} beam{'s' * (n != 1)}"
+    yield f"{text.significant(length)} km"
+
+
+def _verdicts(report: TrackReport) -> Iterator[Verdict]:
+    counts = report.counts
+    if counts.points_in == counts.points_out and counts.points_in:
+        yield Verdict("good", f"Every photon is delivered: {text.number(counts.points_in)}.")
+    else:
+        yield Verdict(
+            "bad",
+            f"{text.number(counts.points_in)} photons in, {text.number(counts.points_out)} out.",
+        )
+    rmse = mean_rmse([b for b in report.beams if b.ground is not None])
+    if rmse is None:
+        yield Verdict("neutral", "No reference was given, or none is near: accuracy is not known.")
+    else:
+        yield Verdict("good", f"Ground RMSE {text.centimetres(rmse)} against the reference.")
+    yield failure_verdict(report.failures, report.warnings)
+
+
+def mean_rmse(beams: Sequence[Beam]) -> float | None:
+    """Root of the mean square difference of all cells of some beams [m]; None without any."""
+    known = [b.ground for b in beams if b.ground is not None and b.ground.rmse is not None]
+    cells = sum(s.n for s in known)
+    if not cells:
+        return None
+    return float((sum(s.n * (s.rmse or 0.0) ** 2 for s in known) / cells) ** 0.5)
+
+
+def _cards(report: TrackReport) -> list[tuple[str, str, str]]:
+    counts, work = report.counts, report.performance
+    assessed = counts.signal + counts.background
+    rmse = mean_rmse(report.beams)
+    cards = [("Ground RMSE", text.centimetres(rmse), "against the reference")] if rmse else []
+    cells = sum(b.ground_cells for b in report.beams)
+    return [
+        *cards,
+        ("Photons", text.large(counts.points_in), f"{text.number(counts.points_out)} out"),
+        (
+            "Signal",
+            text.percent(counts.signal / assessed if assessed else None),
+            f"{text.large(counts.signal)} photons",
+        ),
+        ("Ground cells", text.large(cells), f"{sum(b.canopy_cells for b in report.beams)} wooded"),
+        ("Time", text.duration(work.wall_s), f"{text.large(work.points_per_s)} photons/s"),
+    ]
+
+
+def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
+    """Label and value of each number that the console shows after a run."""
+    counts, work = report.counts, report.performance
+    rows = [
+        ("photons", f"{counts.points_in:,} in, {counts.points_out:,} out"),
+        ("signal", f"{counts.signal:,}"),
+        ("noise", f"{counts.background:,}"),
+    ]
+    if counts.not_assessed:
+        rows.append(("not assessed", f"{counts.not_assessed:,}"))
+    rmse = mean_rmse(report.beams)
+    rows.append(("ground accuracy", "no reference" if rmse is None else f"RMSE {rmse:.2f} m"))
+    for beam in report.beams:
+        for method, agreement in beam.labels.items():
+            if agreement.f1 is not None:
+                rows.append((f"{beam.name} labels, {method}", f"F1 {agreement.f1:.3f}"))
+    rows.append(("time", f"{work.wall_s or 0.0:.1f} s"))
+    rows.append(("failures", str(len(report.failures)) if report.failures else "none"))
+    if report.warnings:
+        rows.append(("warnings", str(len(report.warnings))))
+    return rows

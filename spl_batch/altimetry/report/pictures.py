@@ -1,0 +1,125 @@
+"""Pictures of photon profiles: photons with ground and canopy, noise rate, differences."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from spl_batch.report import style
+from spl_batch.report.pictures import Picture
+from spl_batch.report.plots import WIDTH_IN
+
+MOST_PHOTONS: Final = 120_000
+"""A picture of more photons is thinned evenly: it has no pixels for them."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeamPictures:
+    """Plain arrays of one beam; along-track distance in every first column [m].
+
+    Parameters
+    ----------
+    name : str
+        File and beam.
+    photons : (n, 3) float64
+        Height [m] and label.
+    profile : (c, 3) float64
+        Ground and canopy top [m].
+    rate : (r, 2) float64
+        Noise density [1/m2].
+    differences : (d, 3) float64 or None
+        Ground minus reference, ours and mDBSCAN's [m].
+    """
+
+    name: str
+    photons: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    rate: NDArray[np.float64]
+    differences: NDArray[np.float64] | None
+
+
+def draw(beam: BeamPictures) -> dict[str, Picture]:
+    """Pictures of a beam, by what they show."""
+    drawn = {
+        "profile": _picture(
+            f"Profile of {beam.name}",
+            "Grey is noise, blue signal; brown the ground, green the top of the canopy.",
+            lambda: _profile(beam),
+            there=len(beam.photons) > 0,
+        ),
+        "rate": _picture(
+            f"Noise along {beam.name}",
+            "Noise photons per metre of track and metre of height; the along-track axis is "
+            "scaled by it before neighbours are counted.",
+            lambda: _rate(beam),
+            there=len(beam.rate) > 0,
+        ),
+    }
+    if beam.differences is not None:
+        found = np.isfinite(beam.differences[:, 1]).any()
+        drawn["differences"] = _picture(
+            f"Ground of {beam.name} minus reference",
+            "Blue ours, red mDBSCAN's, where both were run; beyond the axis at its edge.",
+            lambda: _differences(beam),
+            there=bool(found),
+        )
+    return drawn
+
+
+def _picture(title: str, caption: str, make: Callable[[], Figure], *, there: bool) -> Picture:
+    if not there:
+        return Picture(title, "There is nothing to show.")
+    with style.type_context():
+        png, width, height = style.to_png(make())
+    return Picture(title, caption, title, png, width, height)
+
+
+def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:
+    figure = style.figure(WIDTH_IN, height_in)
+    axes = figure.subplots()
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel(ylabel)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _profile(beam: BeamPictures) -> Figure:
+    figure, axes = _axes("along track [km]", "height [m]", 4.2)
+    x, z, label = beam.photons.T
+    for value, colour, size, name in (
+        (0, style.RULE, 0.5, "noise"),
+        (1, style.SIGNAL, 1.2, "signal"),
+    ):
+        mine = label == value
+        axes.scatter(
+            x[mine] / 1000, z[mine], s=size, c=colour, linewidths=0, rasterized=True, label=name
+        )
+    at, ground, top = beam.profile.T
+    axes.plot(at / 1000, top, color="#3f7a63", linewidth=0.7, label="canopy top")
+    axes.plot(at / 1000, ground, color=style.GROUND, linewidth=1.0, label="ground")
+    axes.legend(loc="upper right", markerscale=6)
+    return figure
+
+
+def _rate(beam: BeamPictures) -> Figure:
+    figure, axes = _axes("along track [km]", "noise [1/m\N{SUPERSCRIPT TWO}]", 2.0)
+    axes.plot(beam.rate[:, 0] / 1000, beam.rate[:, 1], color=style.NOISE, linewidth=0.8)
+    axes.set_ylim(bottom=0)
+    return figure
+
+
+def _differences(beam: BeamPictures) -> Figure:
+    figure, axes = _axes("along track [km]", "difference [m]", 2.4)
+    if beam.differences is None:
+        return figure
+    at, ours, theirs = beam.differences.T
+    known = np.abs(ours[np.isfinite(ours)])
+    limit = max(float(np.percentile(known, 99)) * 2.0, 1.0)
+    for values, colour in ((theirs, style.NOISE), (ours, style.SIGNAL)):
+        axes.plot(at / 1000, np.clip(values, -limit, limit), ".", color=colour, markersize=2.5)
+    axes.axhline(0.0, color=style.MUTED, linewidth=0.6)
+    axes.set_ylim(-limit * 1.05, limit * 1.05)
+    return figure

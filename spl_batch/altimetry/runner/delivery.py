@@ -1,0 +1,110 @@
+"""Stage ``deliver``: photon labels and profiles as tables, and labels back into HDF5."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.io.hdf5 import add_dataset, labelled_copy
+from spl_batch.altimetry.io.track_csv import to_text
+from spl_batch.altimetry.model import LABELS, NOT_ASSESSED
+from spl_batch.altimetry.runner.context import GROUP_PHOTONS, Context, place, rows_between
+from spl_batch.altimetry.runner.heights import COLUMNS
+from spl_batch.altimetry.runner.photons import Selection
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import InputError
+from spl_batch.io.atomic import remove, write_bytes
+from spl_batch.io.tables import read_columns, writing
+from spl_batch.runner.context import Produced
+from spl_batch.runner.unchanged import as_indexed, unchanged
+
+PASS_PHOTONS: Final = 2_000_000
+"""Photons whose labels are held at once [count]."""
+
+DELIVERED: Final = {
+    "along_track": np.float64,
+    "height": np.float64,
+    "signal": np.uint8,
+    "confidence": np.float32,
+}
+"""Columns of a photon table: [m], [m], 0 noise, 1 signal, 255 not assessed, 0..1."""
+
+_PROFILE: Final = tuple(name for name in COLUMNS if name != "baseline_ground")
+_DATASETS: Final[Mapping[str, tuple[type, float, str]]] = {
+    "spl_signal": (np.uint8, NOT_ASSESSED, "0 noise, 1 signal, 255 not assessed"),
+    "spl_confidence": (np.float32, math.nan, "confidence that the photon is signal, 0..1"),
+}
+
+
+def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write a beam's photons in the order of the file, and its profile."""
+    photons = context.output / "photons" / f"{args['delivered']}.parquet"
+    counts = np.zeros(256, np.int64)
+    with writing(photons, DELIVERED) as writer:
+        for _, part in _passes(args, context):
+            counts += np.bincount(part["signal"], minlength=256)
+            for start in range(0, len(part["signal"]), GROUP_PHOTONS):
+                rows = slice(start, start + GROUP_PHOTONS)
+                writer.write({name: part[name][rows] for name in DELIVERED})
+    columns = read_columns(place(context, "profiles", args["key"], ".parquet"), _PROFILE)
+    profile = context.output / "profiles" / f"{args['delivered']}.csv"
+    write_bytes(profile, to_text(columns))
+    facts = {
+        "points": int(counts.sum()),
+        "labels": {str(k): int(v) for k, v in enumerate(counts) if v},
+    }
+    return Produced([photons, profile], facts, int(counts.sum()))
+
+
+def _passes(
+    args: Mapping[str, Any], context: Context
+) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+    """Labels of a beam in the order of its file, a pass at a time: first photon, columns."""
+    chosen = Selection(args["key"], context)
+    for first in range(0, args["points"], PASS_PHOTONS):
+        n = min(PASS_PHOTONS, args["points"] - first)
+        part: dict[str, NDArray[Any]] = {
+            "along_track": np.full(n, np.nan),
+            "height": np.full(n, np.nan),
+            "signal": np.full(n, NOT_ASSESSED, np.uint8),
+            "confidence": np.full(n, np.nan, np.float32),
+        }
+        for segment in args["segments"]:
+            path = place(context, "scores", segment, ".parquet")
+            for rows in rows_between(path, tuple(LABELS), "row", first, first + n):
+                at = rows["row"] - first
+                part["along_track"][at] = rows["along"] / QUANTA_PER_M
+                part["height"][at] = rows["height"] / QUANTA_PER_M
+                part["signal"][at] = chosen(rows, "label")
+                part["confidence"][at] = -np.expm1(rows["score"])
+        yield first, part
+
+
+def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write an HDF5 input again with the labels of its beams in it."""
+    source = Path(args["path"])
+    target = context.output / "hdf5" / args["delivered"]
+    points = 0
+    try:
+        with unchanged(source, as_indexed(args, context)), labelled_copy(source, target) as file:
+            for beam in args["beams"]:
+                group = file[beam["group"]]
+                made = {
+                    name: add_dataset(
+                        group, name, beam["points"], fill, {"description": text}, dtype
+                    )
+                    for name, (dtype, fill, text) in _DATASETS.items()
+                }
+                for first, part in _passes(beam, context):
+                    rows = slice(first, first + len(part["signal"]))
+                    made["spl_signal"][rows] = part["signal"]
+                    made["spl_confidence"][rows] = part["confidence"]
+                points += beam["points"]
+    except InputError:
+        # What an earlier run made of it would pass for this run's.
+        remove(target)
+        raise
+    return Produced([target], {"points": points}, points)

@@ -1,0 +1,231 @@
+"""Stages ``rate`` and ``signal``: the noise along a beam, scores by segment, and what is signal.
+
+A segment is a run of cells. It reads the photons of its cells and of the reach of a score to
+each side, and writes those of its cells, so where a track is cut does not matter.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.model import LABELS, PHOTONS, Background, Cells, Scale
+from spl_batch.altimetry.runner.context import (
+    GROUP_PHOTONS,
+    Context,
+    gather,
+    place,
+    rows_between,
+)
+from spl_batch.altimetry.stages import rate as rates
+from spl_batch.altimetry.stages import signal as signals
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.io.tables import read_arrays, write_arrays, writing
+from spl_batch.runner.context import Produced
+from spl_batch.tiling import quanta
+
+OBSERVE_PHOTONS: Final = 500_000
+"""Photons whose cells are looked at together, about [count]."""
+
+_SURE: Final = np.float32(-30.0)
+"""Score of what mDBSCAN calls signal."""
+
+
+def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
+    """Noise of every cell of a beam, the scaled axis, and the cut into segments."""
+    workflow, beam = context.workflow, args["key"]
+    counted = read_arrays(place(context, "places", beam, ".npz"))
+    parts = [_observed(beam, run, context) for run in runs(counted["count"], OBSERVE_PHOTONS)]
+    cells = rates.join(parts) if parts else rates.observe(*_nothing(), workflow.rate)
+    density, basis = _density(cells, args, context)
+    scale = rates.scale(cells, density, workflow.rate, workflow.signal)
+    path = place(context, "rate", beam, ".npz")
+    far = rates.far_length_m(cells, workflow.rate)
+    arrays = {f"cells_{k}": v for k, v in cells.to_arrays().items()}
+    write_arrays(path, {**arrays, **scale.to_arrays(), "far_m": far})
+    segments = [
+        [int(cells.index[a]), int(cells.index[b - 1]) + 1, int(cells.count[a:b].sum())]
+        for a, b in runs(cells.count, workflow.work.segment_photons)
+    ]
+    facts = {
+        "basis": basis,
+        "segments": segments,
+        "noise_photons": float(scale.noise.sum()),
+        "density_per_m2": [float(v) for v in np.quantile(density, [0.05, 0.5, 0.95])]
+        if len(density)
+        else None,
+        "gate_m": float(np.median(cells.gate_m)) if len(cells.index) else None,
+        "length_m": len(cells.index) * workflow.rate.cell_m,
+    }
+    return Produced([path], facts, int(cells.count.sum()))
+
+
+def runs(count: NDArray[np.int64], most: int) -> Iterator[tuple[int, int]]:
+    """Runs of cells that hold about ``most`` photons, a cell at the least: first, stop."""
+    start = total = 0
+    for i, n in enumerate(count.tolist()):
+        if total and total + n > most:
+            yield start, i
+            start, total = i, 0
+        total += n
+    if total:
+        yield start, len(count)
+
+
+def _nothing() -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    return np.empty(0, np.int64), np.empty(0, np.int32)
+
+
+def _observed(beam: str, run: tuple[int, int], context: Context) -> Cells:
+    """Cells of a run, seen with those around it."""
+    settings = context.workflow.rate
+    size = quanta(settings.cell_m)
+    index = read_arrays(place(context, "places", beam, ".npz"))["index"]
+    first, stop = int(index[run[0]]), int(index[run[1] - 1]) + 1
+    reach = rates.HALO_CELLS
+    table = _photons(beam, (first - reach) * size, (stop + reach) * size, context)
+    cells = rates.observe(table["along"], table["height"], settings)
+    mine = (cells.index >= first) & (cells.index < stop)
+    return Cells(**{name: values[mine] for name, values in cells.to_arrays().items()})
+
+
+def _photons(beam: str, low: int, high: int, context: Context) -> dict[str, NDArray[Any]]:
+    path = place(context, "photons", beam, ".parquet")
+    return gather(rows_between(path, tuple(PHOTONS), "along", low, high), PHOTONS)
+
+
+def _density(
+    cells: Cells, args: Mapping[str, Any], context: Context
+) -> tuple[NDArray[np.float64], str]:
+    """Noise density of each cell, and where it comes from."""
+    workflow = context.workflow
+    settings = workflow.rate
+    if settings.source == "window" or not args["background"] or not len(cells.index):
+        return rates.density_from_window(cells, settings), "window"
+    stated = Background(**read_arrays(place(context, "background", args["key"], ".npz")))
+    if settings.source == "product":
+        return rates.density_from_product(cells, stated, settings), "product"
+    window_m = workflow.signal.window_m
+    return rates.density_from_both(cells, stated, settings, window_m), "product and window"
+
+
+def read_rate(beam: str, context: Context) -> tuple[Cells, Scale, NDArray[np.float64]]:
+    """Cells of a beam, its scaled axis, and the length of gate far from the surface [m]."""
+    arrays = read_arrays(place(context, "rate", beam, ".npz"))
+    names = [name for name in arrays if name.startswith("cells_")]
+    cells = Cells(**{name.removeprefix("cells_"): arrays[name] for name in names})
+    return cells, Scale.from_arrays(arrays), arrays["far_m"]
+
+
+def score(args: Mapping[str, Any], context: Context) -> Produced:
+    """Score the photons of a segment, and count them by score."""
+    workflow, beam = context.workflow, args["key"]
+    cells, scale, _ = read_rate(beam, context)
+    size = quanta(workflow.rate.cell_m)
+    low, high = args["cells"][0] * size, args["cells"][1] * size
+    wanted = workflow.reference is not None and workflow.reference.baseline
+    baseline = workflow.signal.method == "mdbscan" or wanted
+    reach_m = workflow.signal.reach_m
+    if baseline:
+        reach_m = max(reach_m, signals.baseline_reach_m(scale, workflow.signal.mdbscan))
+    reach = math.ceil((reach_m + 1.0) * QUANTA_PER_M)
+    table = _photons(beam, low - reach, high + reach, context)
+    mine = (table["along"] >= low) & (table["along"] < high)
+    labels = {name: table[name][mine] for name in PHOTONS}
+    labels["far"] = rates.far(labels["along"], labels["height"], cells, workflow.rate)
+    labels["baseline"] = np.zeros(len(labels["row"]), np.uint8)
+    if baseline:
+        mean = signals.mean_density(cells, scale, workflow.rate, workflow.signal)
+        found = signals.mdbscan(
+            table["along"], table["height"], scale, mean, workflow.rate, workflow.signal.mdbscan
+        )
+        labels["baseline"] = found[mine].astype(np.uint8)
+    if workflow.signal.method == "mdbscan":
+        labels["score"] = np.where(labels["baseline"] > 0, _SURE, np.float32(0.0))
+    else:
+        prior = signals.log_prior(cells, scale, workflow.rate, workflow.signal.window_m)
+        labels["score"] = signals.score(
+            table["along"], table["height"], mine, scale, prior, workflow.rate, workflow.signal
+        )
+    outputs = [
+        place(context, "scores", args["segment"], ".parquet"),
+        place(context, "counts", args["segment"], ".npz"),
+    ]
+    with writing(outputs[0], LABELS) as writer:
+        for start in range(0, len(labels["row"]), GROUP_PHOTONS):
+            writer.write({k: labels[k][start : start + GROUP_PHOTONS] for k in LABELS})
+    write_arrays(outputs[1], _counted(labels, context))
+    return Produced(outputs, {"photons": len(labels["row"])}, len(labels["row"]))
+
+
+def _counted(labels: Mapping[str, NDArray[Any]], context: Context) -> dict[str, NDArray[Any]]:
+    """Photons of a segment by window and score, all and those far from the surface."""
+    workflow = context.workflow
+    cell = labels["along"] // quanta(workflow.rate.cell_m)
+    each = rates.window_of(cell, workflow.rate, workflow.signal.window_m)
+    window, at = np.unique(each, return_inverse=True)
+    bins = at * signals.SCORE_BINS + signals.score_bins(labels["score"])
+    shape = (len(window), signals.SCORE_BINS)
+    far = bins[labels["far"] > 0]
+    return {
+        "window": window,
+        "counts": np.bincount(bins, minlength=shape[0] * shape[1]).reshape(shape),
+        "far": np.bincount(far, minlength=shape[0] * shape[1]).reshape(shape),
+    }
+
+
+def select(args: Mapping[str, Any], context: Context) -> Produced:
+    """Least score that is signal in each window of a beam."""
+    workflow, beam = context.workflow, args["key"]
+    cells, scale, far_m = read_rate(beam, context)
+    parts = [read_arrays(place(context, "counts", s, ".npz")) for s in args["segments"]]
+    window = rates.window_of(scale.index, workflow.rate, workflow.signal.window_m)
+    window = np.unique(window)
+    counts = np.zeros((2, len(window), signals.SCORE_BINS), np.int64)
+    for part in parts:
+        at = np.searchsorted(window, part["window"])
+        for i, name in enumerate(("counts", "far")):
+            np.add.at(counts[i], at, part[name])
+    values = np.stack([cells.count.astype(np.float64), scale.noise, cells.gate_m, far_m])
+    _, sums = rates.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
+    around = np.stack([rates.running(window, c.T.astype(np.float64)).T for c in counts])
+    estimated = np.maximum(sums[0] - sums[1], 0.0)
+    share = np.where(sums[3] > 0, sums[2] / np.where(sums[3] > 0, sums[3], 1.0), 0.0)
+    if workflow.signal.method == "mdbscan":
+        least = ground = np.ones(len(window), np.int64)
+    else:
+        least, ground = (
+            signals.thresholds(around[0], around[1], factor * estimated, share, false_share)
+            for factor, false_share in (
+                (1.0, workflow.signal.false_share),
+                (workflow.profile.photons_factor, workflow.profile.false_share),
+            )
+        )
+    path = place(context, "selection", beam, ".npz")
+    write_arrays(path, {"window": window, "label": least, "ground": np.minimum(ground, least)})
+    taken = sum(int(counts[0, i, least[i] :].sum()) for i in range(len(window)))
+    facts = {
+        "signal": taken,
+        "estimated": float(max(cells.count.sum() - scale.noise.sum(), 0.0)),
+        "far_signal": sum(int(counts[1, i, least[i] :].sum()) for i in range(len(window))),
+    }
+    return Produced([path], facts, int(cells.count.sum()))
+
+
+class Selection:
+    """What is signal, by window and score."""
+
+    def __init__(self, beam: str, context: Context) -> None:
+        self.arrays = read_arrays(place(context, "selection", beam, ".npz"))
+        self.workflow = context.workflow
+
+    def __call__(self, labels: Mapping[str, NDArray[Any]], which: str) -> NDArray[np.bool_]:
+        """Photons that pass the threshold ``label`` or ``ground``, (n,) bool."""
+        settings = self.workflow
+        cell = labels["along"] // quanta(settings.rate.cell_m)
+        window = rates.window_of(cell, settings.rate, settings.signal.window_m)
+        at = np.searchsorted(self.arrays["window"], window)
+        passed: NDArray[np.bool_] = signals.score_bins(labels["score"]) >= self.arrays[which][at]
+        return passed

@@ -1,0 +1,127 @@
+"""Ground and canopy top along the track, from signal photons.
+
+The source extracts "the ground surface" and does not say how. Here the ground of a cell is
+the lowest dense layer of its signal photons and its neighbours', under the slope that packs
+them best; what neighbouring cells contradict is put right; and a line is fitted through the
+layer with bisquare weights. The top of the canopy is a high quantile of the photons above
+that line. A cell's result depends on photons within :func:`reach_cells` of it.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.kernels.ground import agree, fit_ground, lowest_layers
+from spl_batch.altimetry.settings import ProfileSettings
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.tiling import quanta
+
+COLUMNS: Final = {
+    "cell": np.int64,
+    "along_track": np.float64,
+    "ground": np.float64,
+    "slope": np.float64,
+    "ground_error": np.float64,
+    "ground_photons": np.int64,
+    "canopy_top": np.float64,
+    "canopy_height": np.float64,
+    "canopy_photons": np.int64,
+}
+"""Columns of a profile: cell number, its middle, heights [m], counts; NaN where unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Cells of a profile, in order; columns as in :data:`COLUMNS`."""
+
+    columns: dict[str, NDArray[Any]]
+
+
+def reach_cells(settings: ProfileSettings) -> int:
+    """Cells to each side that decide a cell's heights [count]."""
+    return settings.reach_cells + 1
+
+
+def profile(
+    along: NDArray[np.int64],
+    height: NDArray[np.int32],
+    sure: NDArray[np.bool_],
+    owned: tuple[int, int],
+    settings: ProfileSettings,
+) -> Profile:
+    """Heights of the cells of a piece of track that hold signal.
+
+    Parameters
+    ----------
+    along, height : (n,) int64, (n,) int32
+        Photons that may be signal, of the piece and of :func:`reach_cells` to each side, in
+        order of distance and height [quanta].
+    sure : (n,) bool
+        Those that are labelled signal; canopy is made of them alone.
+    owned : (int, int)
+        First cell of the piece, and the one after its last.
+    settings : ProfileSettings
+        Cells, layer, canopy.
+    """
+    size = quanta(settings.cell_m)
+    index = np.unique(along // size)
+    # Whole numbers first: a distance does not depend on where the piece begins.
+    anchor = int(index[0]) * size if len(index) else 0
+    x = (along - anchor) / QUANTA_PER_M
+    z = height / QUANTA_PER_M
+    centre = (index * size - anchor + size // 2) / QUANTA_PER_M
+    first = np.searchsorted(along, (index - 1) * size)
+    stop = np.searchsorted(along, (index + 2) * size)
+    found, agreed = np.empty((len(index), 2)), np.empty((len(index), 2))
+    lowest_layers(
+        x, z, first, stop, centre,
+        settings.layer_m, settings.slope_max, settings.photons_min, found,
+    )  # fmt: skip
+    agree(index, settings.cell_m, settings.reach_cells, 2 * settings.layer_m, found, agreed)
+    fit = np.empty((len(index), 4))
+    fit_ground(x, z, first, stop, centre, settings.layer_m, settings.photons_min, agreed, fit)
+    mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
+    top, photons = _canopy(x, z, sure, along, index, size, centre, fit, mine, settings)
+    ground = fit[mine, 0]
+    bare = np.where(np.isfinite(ground), 0.0, np.nan)
+    return Profile(
+        {
+            "cell": index[mine],
+            "along_track": (index[mine] * size + size // 2) / QUANTA_PER_M,
+            "ground": ground,
+            "slope": fit[mine, 1],
+            "ground_error": fit[mine, 2],
+            "ground_photons": np.nan_to_num(fit[mine, 3]).astype(np.int64),
+            "canopy_top": np.where(photons > 0, top, ground),
+            "canopy_height": np.where(photons > 0, top - ground, bare),
+            "canopy_photons": photons,
+        }
+    )
+
+
+def _canopy(
+    x: NDArray[np.float64],
+    z: NDArray[np.float64],
+    sure: NDArray[np.bool_],
+    along: NDArray[np.int64],
+    index: NDArray[np.int64],
+    size: int,
+    centre: NDArray[np.float64],
+    fit: NDArray[np.float64],
+    mine: NDArray[np.intp],
+    settings: ProfileSettings,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Top of the canopy and photons in it, of the cells that are owned."""
+    start = np.searchsorted(along, index[mine] * size)
+    stop = np.searchsorted(along, (index[mine] + 1) * size)
+    top = np.full(len(mine), np.nan)
+    photons = np.zeros(len(mine), np.int64)
+    for i, (c, a, b) in enumerate(zip(mine, start, stop, strict=True)):
+        above = z[a:b] - fit[c, 0] - fit[c, 1] * (x[a:b] - centre[c])
+        leaf = above[(above >= settings.canopy_min_m) & sure[a:b]]
+        if len(leaf) >= settings.photons_min:
+            top[i] = fit[c, 0] + np.quantile(leaf, settings.canopy_share)
+            photons[i] = len(leaf)
+    return top, photons
