@@ -107,7 +107,7 @@ class ProfileSettings(Section):
         3, ge=1, le=20, description="Cells to each side that the ground is fitted over [count]."
     )
     slope_max: Positive = Field(1.0, description="Steepest ground that is followed [m/m].")
-    layer_m: Positive = Field(3.0, description="Thickness of the layer that is ground [m].")
+    layer_m: Positive = Field(1.5, description="Thickness of the layer that is ground [m].")
     canopy_min_m: Positive = Field(2.0, description="Least height of canopy above ground [m].")
     canopy_share: float = Field(
         0.98, gt=0, le=1, description="Quantile of canopy photons that is the canopy's top."

@@ -87,7 +87,7 @@ def _lowest(counts, least):  # type: ignore[no-untyped-def]
         if here < least or counts[b] == 0:
             continue
         top = b
-        while top < len(counts) - 2:
+        while top < min(len(counts) - 2, b + 2):
             above = counts[top] + counts[top + 1] + counts[top + 2]
             if above <= here:
                 break

@@ -83,6 +83,7 @@ def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:
     axes.set_xlabel(xlabel)
     axes.set_ylabel(ylabel)
     axes.spines[["top", "right"]].set_visible(False)
+    axes.ticklabel_format(useOffset=False)
     return figure, axes
 
 
@@ -90,7 +91,7 @@ def _profile(beam: BeamPictures) -> Figure:
     figure, axes = _axes("along track [km]", "height [m]", 4.2)
     x, z, label = beam.photons.T
     for value, colour, size, name in (
-        (0, style.RULE, 0.5, "noise"),
+        (0, "#aab4be", 0.5, "noise"),
         (1, style.SIGNAL, 1.2, "signal"),
     ):
         mine = label == value
@@ -99,7 +100,7 @@ def _profile(beam: BeamPictures) -> Figure:
         )
     at, ground, top = beam.profile.T
     axes.plot(at / 1000, top, color="#3f7a63", linewidth=0.7, label="canopy top")
-    axes.plot(at / 1000, ground, color=style.GROUND, linewidth=1.0, label="ground")
+    axes.plot(at / 1000, ground, color=style.GROUND, linewidth=0.8, label="ground")
     axes.legend(loc="upper right", markerscale=6)
     return figure
 

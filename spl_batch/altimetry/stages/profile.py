@@ -79,7 +79,7 @@ def profile(
         x, z, first, stop, centre,
         settings.layer_m, settings.slope_max, settings.photons_min, found,
     )  # fmt: skip
-    agree(index, settings.cell_m, settings.reach_cells, 2 * settings.layer_m, found, agreed)
+    agree(index, settings.cell_m, settings.reach_cells, 4 * settings.layer_m, found, agreed)
     fit = np.empty((len(index), 4))
     fit_ground(x, z, first, stop, centre, settings.layer_m, settings.photons_min, agreed, fit)
     mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
