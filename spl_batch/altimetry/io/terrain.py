@@ -44,9 +44,11 @@ def sample_terrain(
                 raise InputError(str(path), "raster without a CRS; give it one (gdal_edit -a_srs)")
             transformer = Transformer.from_crs("EPSG:4326", raster.crs, always_xy=True)
             x, y = transformer.transform(longitude, latitude)
-            column, row = ~raster.transform * (np.asarray(x), np.asarray(y))
+            x, y = np.asarray(x), np.asarray(y)
+            to_cell = ~raster.transform
             # Values stand at the centres of cells.
-            column, row = column - 0.5, row - 0.5
+            column = to_cell.a * x + to_cell.b * y + to_cell.c - 0.5
+            row = to_cell.d * x + to_cell.e * y + to_cell.f - 0.5
             inside = (column >= 0) & (row >= 0)
             inside &= (column <= raster.width - 1) & (row <= raster.height - 1)
             rows = np.flatnonzero(inside)

@@ -1,4 +1,8 @@
-"""Ground and canopy top of each cell of a profile, from signal photons."""
+"""Ground of each cell of a profile, from photons that may be signal.
+
+Along-track positions stay whole numbers until a cell's middle is taken off, so no result
+depends on where a piece of track begins.
+"""
 
 import numpy as np
 from numba import njit
@@ -10,15 +14,16 @@ _ROUNDS: int = 6
 _TUKEY: float = 4.685
 _MAD: float = 1.4826
 _LEAST_SPREAD_M: float = 0.05
+_QUANTA_PER_M: float = 1000.0
 
 
 @njit(nogil=True, cache=True)
 def lowest_layers(
-    along_m: NDArray[np.float64],
+    along: NDArray[np.int64],
     height_m: NDArray[np.float64],
     first: NDArray[np.int64],
     stop: NDArray[np.int64],
-    centre_m: NDArray[np.float64],
+    centre: NDArray[np.int64],
     layer_m: float,
     slope_max: float,
     photons_min: int,
@@ -32,12 +37,14 @@ def lowest_layers(
 
     Parameters
     ----------
-    along_m, height_m : (n,) float64
-        Signal photons in order along the track; distances from any one place [m].
+    along : (n,) int64
+        Photons in order along the track [quanta].
+    height_m : (n,) float64
+        Their heights [m].
     first, stop : (c,) int64
         Rows of the photons of a cell and its two neighbours.
-    centre_m : (c,) float64
-        Middle of each cell, from the same place [m].
+    centre : (c,) int64
+        Middle of each cell [quanta].
     layer_m, slope_max : float
         Thickness of a layer [m]; steepest slope [m/m].
     photons_min : int
@@ -48,16 +55,16 @@ def lowest_layers(
     bin_m = layer_m / 3.0
     for c in range(len(first)):
         out[c, 0] = out[c, 1] = np.nan
-        x = along_m[first[c] : stop[c]] - centre_m[c]
-        z = height_m[first[c] : stop[c]]
-        if len(x) < photons_min:
+        n = stop[c] - first[c]
+        if n < photons_min:
             continue
+        bins = np.empty(n, np.int64)
         fullest = photons_min - 1
         for step in range(2 * _STEPS + 1):
             # 0, 1, -1, 2, -2, ...: the gentlest first.
             turn = (step + 1) // 2 if step % 2 else -(step // 2)
             slope = slope_max * turn / _STEPS
-            base, counts = _count(x, z, slope, bin_m)
+            base, counts = _count(along, height_m, first[c], centre[c], slope, bin_m, bins)
             most = 0
             for b in range(1, len(counts) - 1):
                 most = max(most, counts[b - 1] + counts[b] + counts[b + 1])
@@ -69,14 +76,17 @@ def lowest_layers(
 
 
 @njit(nogil=True, cache=True)
-def _count(x, z, slope, bin_m):  # type: ignore[no-untyped-def]
+def _count(along, height_m, first, centre, slope, bin_m, bins):  # type: ignore[no-untyped-def]
     """Number of the lowest bin, and photons by bin of sheared height, an empty one around."""
-    level = z - slope * x
-    base = np.floor(level.min() / bin_m)
-    counts = np.zeros(int(np.floor(level.max() / bin_m) - base) + 3, np.int64)
-    for i in range(len(x)):
-        counts[int(np.floor(level[i] / bin_m) - base) + 1] += 1
-    return base, counts
+    least, most = np.int64(1 << 62), np.int64(-(1 << 62))
+    for i in range(len(bins)):
+        dx = (along[first + i] - centre) / _QUANTA_PER_M
+        bins[i] = np.int64(np.floor((height_m[first + i] - slope * dx) / bin_m))
+        least, most = min(least, bins[i]), max(most, bins[i])
+    counts = np.zeros(most - least + 3, np.int64)
+    for i in range(len(bins)):
+        counts[bins[i] - least + 1] += 1
+    return least, counts
 
 
 @njit(nogil=True, cache=True)
@@ -84,7 +94,7 @@ def _lowest(counts, least):  # type: ignore[no-untyped-def]
     """Middle bin of the lowest layer of three that holds ``least``, at its fullest."""
     for b in range(1, len(counts) - 1):
         here = counts[b - 1] + counts[b] + counts[b + 1]
-        if here < least or counts[b] == 0:
+        if here < least:
             continue
         top = b
         while top < min(len(counts) - 2, b + 2):
@@ -97,57 +107,12 @@ def _lowest(counts, least):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def agree(
-    index: NDArray[np.int64],
-    cell_m: float,
-    reach: int,
-    tolerance_m: float,
-    found: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
-    """Put heights that their neighbours contradict to the median of what these expect.
-
-    Parameters
-    ----------
-    index : (c,) int64
-        Cells, in order.
-    cell_m : float
-        Length of a cell [m].
-    reach : int
-        Neighbours to each side that are asked [count].
-    tolerance_m : float
-        Largest difference that stands [m].
-    found : (c, 2) float64
-        From :func:`lowest_layers`.
-    out : (c, 2) float64
-        Receives the same, put right; NaN where nothing was found.
-    """
-    expected = np.empty(2 * reach + 1)
-    for c in range(len(index)):
-        out[c] = found[c]
-        if np.isnan(found[c, 0]):
-            continue
-        n = 0
-        for other in range(max(c - reach, 0), min(c + reach + 1, len(index))):
-            away = index[other] - index[c]
-            if other == c or abs(away) > reach or np.isnan(found[other, 0]):
-                continue
-            slope = (found[other, 1] + found[c, 1]) / 2.0
-            expected[n] = found[other, 0] - slope * away * cell_m
-            n += 1
-        if n >= 2:
-            middle = np.median(expected[:n])
-            if abs(found[c, 0] - middle) > tolerance_m:
-                out[c, 0] = middle
-
-
-@njit(nogil=True, cache=True)
 def fit_ground(
-    along_m: NDArray[np.float64],
+    along: NDArray[np.int64],
     height_m: NDArray[np.float64],
     first: NDArray[np.int64],
     stop: NDArray[np.int64],
-    centre_m: NDArray[np.float64],
+    centre: NDArray[np.int64],
     layer_m: float,
     photons_min: int,
     layers: NDArray[np.float64],
@@ -157,35 +122,38 @@ def fit_ground(
 
     Parameters
     ----------
-    along_m, height_m, first, stop, centre_m, layer_m, photons_min
+    along, height_m, first, stop, centre, layer_m, photons_min
         As in :func:`lowest_layers`.
     layers : (c, 2) float64
-        From :func:`agree`.
+        Height at the middle [m] and slope [m/m] of the layer.
     out : (c, 4) float64
         Receives height at the middle [m], slope [m/m], standard error of the height [m] and
         photons in the layer [count]; NaN where these are too few.
     """
     for c in range(len(first)):
-        out[c] = np.nan
+        out[c, 0] = out[c, 1] = out[c, 2] = out[c, 3] = np.nan
         if np.isnan(layers[c, 0]):
             continue
-        x = along_m[first[c] : stop[c]] - centre_m[c]
-        z = height_m[first[c] : stop[c]]
-        inside = np.abs(z - layers[c, 0] - layers[c, 1] * x) <= layer_m
-        n = inside.sum()
+        x, z = np.empty(stop[c] - first[c]), np.empty(stop[c] - first[c])
+        n = 0
+        for row in range(first[c], stop[c]):
+            dx = (along[row] - centre[c]) / _QUANTA_PER_M
+            if abs(height_m[row] - layers[c, 0] - layers[c, 1] * dx) <= layer_m:
+                x[n], z[n] = dx, height_m[row]
+                n += 1
         if n >= photons_min:
-            _fit(x[inside], z[inside], layers[c, 0], layers[c, 1], out[c])
+            _fit(x[:n], z[:n], layers[c, 0], layers[c, 1], out[c])
             out[c, 3] = n
 
 
 @njit(nogil=True, cache=True)
 def _fit(x, z, level, slope, out):  # type: ignore[no-untyped-def]
     """Bisquare line through points: level at zero, slope, standard error of the level."""
-    spread = max(_MAD * np.median(np.abs(z - level - slope * x)), _LEAST_SPREAD_M)
+    weight, off = np.empty(len(x)), np.empty(len(x))
+    spread = _spread(x, z, level, slope, off)
     total = 0.0
     for _ in range(_ROUNDS):
         total = sx = sz = 0.0
-        weight = np.zeros(len(x))
         for i in range(len(x)):
             r = (z[i] - level - slope * x[i]) / (_TUKEY * spread)
             weight[i] = (1.0 - r * r) ** 2 if abs(r) < 1.0 else 0.0
@@ -202,6 +170,29 @@ def _fit(x, z, level, slope, out):  # type: ignore[no-untyped-def]
         # Photons within about a metre of each other tell no slope.
         slope = sxz / sxx if sxx > total else slope
         level = mz - slope * mx
-        spread = max(_MAD * np.median(np.abs(z - level - slope * x)), _LEAST_SPREAD_M)
+        spread = _spread(x, z, level, slope, off)
     out[0], out[1] = level, slope
     out[2] = spread / np.sqrt(max(total, 1.0))
+
+
+@njit(nogil=True, cache=True)
+def _spread(x, z, level, slope, off):  # type: ignore[no-untyped-def]
+    """Normalised median of the absolute distances from a line [m]."""
+    n = len(x)
+    for i in range(n):
+        off[i] = abs(z[i] - level - slope * x[i])
+    # Shell's sort: nothing to compile but loops, and a layer holds hundreds of photons.
+    gap = 1
+    while gap < n // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, n):
+            value = off[i]
+            j = i
+            while j >= gap and off[j - gap] > value:
+                off[j] = off[j - gap]
+                j -= gap
+            off[j] = value
+        gap //= 3
+    median = (off[(n - 1) // 2] + off[n // 2]) / 2.0
+    return max(_MAD * median, _LEAST_SPREAD_M)

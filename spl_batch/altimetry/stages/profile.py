@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.kernels.ground import agree, fit_ground, lowest_layers
+from spl_batch.altimetry.kernels.ground import fit_ground, lowest_layers
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.tiling import quanta
@@ -67,23 +67,19 @@ def profile(
     """
     size = quanta(settings.cell_m)
     index = np.unique(along // size)
-    # Whole numbers first: a distance does not depend on where the piece begins.
-    anchor = int(index[0]) * size if len(index) else 0
-    x = (along - anchor) / QUANTA_PER_M
     z = height / QUANTA_PER_M
-    centre = (index * size - anchor + size // 2) / QUANTA_PER_M
+    centre = index * size + size // 2
     first = np.searchsorted(along, (index - 1) * size)
     stop = np.searchsorted(along, (index + 2) * size)
-    found, agreed = np.empty((len(index), 2)), np.empty((len(index), 2))
+    found, fit = np.empty((len(index), 2)), np.empty((len(index), 4))
     lowest_layers(
-        x, z, first, stop, centre,
+        along, z, first, stop, centre,
         settings.layer_m, settings.slope_max, settings.photons_min, found,
     )  # fmt: skip
-    agree(index, settings.cell_m, settings.reach_cells, 4 * settings.layer_m, found, agreed)
-    fit = np.empty((len(index), 4))
-    fit_ground(x, z, first, stop, centre, settings.layer_m, settings.photons_min, agreed, fit)
+    agreed = agree(index, found, settings)
+    fit_ground(along, z, first, stop, centre, settings.layer_m, settings.photons_min, agreed, fit)
     mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
-    top, photons = _canopy(x, z, sure, along, index, size, centre, fit, mine, settings)
+    top, photons = _canopy(along, z, sure, index, centre, fit, mine, settings)
     ground = fit[mine, 0]
     bare = np.where(np.isfinite(ground), 0.0, np.nan)
     return Profile(
@@ -101,25 +97,60 @@ def profile(
     )
 
 
+def agree(
+    index: NDArray[np.int64], found: NDArray[np.float64], settings: ProfileSettings
+) -> NDArray[np.float64]:
+    """Layers, those put to what their neighbours expect that these contradict.
+
+    A neighbour expects its own height, carried along by the mean of both slopes. The median
+    of at least two decides where a layer is farther from it than four layers' thickness.
+
+    Parameters
+    ----------
+    index : (c,) int64
+        Cells, in order.
+    found : (c, 2) float64
+        Height [m] and slope [m/m] of each cell's layer; NaN where there is none.
+    settings : ProfileSettings
+        Length and number of cells; thickness of a layer.
+    """
+    expected = np.full((2 * settings.reach_cells + 1, len(index)), np.nan)
+    for row, step in enumerate(range(-settings.reach_cells, settings.reach_cells + 1)):
+        at = np.clip(np.searchsorted(index, index + step), 0, max(len(index) - 1, 0))
+        there = (index[at] == index + step) & (step != 0)
+        slope = (found[at, 1] + found[:, 1]) / 2.0
+        there &= np.isfinite(slope)
+        carried = found[at, 0] - slope * step * settings.cell_m
+        expected[row] = np.where(there, carried, np.nan)
+    asked = np.isfinite(expected).sum(axis=0)
+    # NaN sorts to the end: the median is that of those before it.
+    ordered = np.sort(expected, axis=0)
+    columns = np.arange(len(index))
+    middle = (ordered[np.maximum(asked - 1, 0) // 2, columns] + ordered[asked // 2, columns]) / 2.0
+    out = found.copy()
+    wrong = (asked >= 2) & (np.abs(found[:, 0] - middle) > 4.0 * settings.layer_m)
+    out[wrong, 0] = middle[wrong]
+    return out
+
+
 def _canopy(
-    x: NDArray[np.float64],
+    along: NDArray[np.int64],
     z: NDArray[np.float64],
     sure: NDArray[np.bool_],
-    along: NDArray[np.int64],
     index: NDArray[np.int64],
-    size: int,
-    centre: NDArray[np.float64],
+    centre: NDArray[np.int64],
     fit: NDArray[np.float64],
     mine: NDArray[np.intp],
     settings: ProfileSettings,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Top of the canopy and photons in it, of the cells that are owned."""
+    size = quanta(settings.cell_m)
     start = np.searchsorted(along, index[mine] * size)
     stop = np.searchsorted(along, (index[mine] + 1) * size)
     top = np.full(len(mine), np.nan)
     photons = np.zeros(len(mine), np.int64)
     for i, (c, a, b) in enumerate(zip(mine, start, stop, strict=True)):
-        above = z[a:b] - fit[c, 0] - fit[c, 1] * (x[a:b] - centre[c])
+        above = z[a:b] - fit[c, 0] - fit[c, 1] * ((along[a:b] - centre[c]) / QUANTA_PER_M)
         leaf = above[(above >= settings.canopy_min_m) & sure[a:b]]
         if len(leaf) >= settings.photons_min:
             top[i] = fit[c, 0] + np.quantile(leaf, settings.canopy_share)

@@ -1,0 +1,109 @@
+"""Small photon files of every layout, and runs on them."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow.parquet as pq
+import yaml
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.simulate import Track, scene, simulate_track
+from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
+
+FIRST_SEGMENT = 700_001
+ORIGIN_M = 14_000_020.0
+SEGMENT_M = 20.0
+SPEED_M_S = 7100.0
+
+
+def small_track(seed: int = 1, **changes: Any) -> Track:
+    """A flat track of 600 m with a gate of 200 m."""
+    wanted = {"length_m": 600.0, "above_m": 120.0, "below_m": 80.0, **changes}
+    return simulate_track(scene("flat", "green", seed, **wanted))
+
+
+def quanta(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Along-track distance and height of a (n, 2) table on the lattice."""
+    whole = np.rint(values * QUANTA_PER_M)
+    return whole[:, 0].astype(np.int64), whole[:, 1].astype(np.int32)
+
+
+def lattice(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Photons of a track on the lattice."""
+    return quanta(np.stack([track.along_m, track.height_m], axis=1))
+
+
+def write_atl03(path: Path, tracks: dict[str, Track], *, rate: bool = True) -> Path:
+    """An ATL03 file with what this project reads, and one dataset that it does not."""
+    with h5py.File(path, "w") as file:
+        file.attrs["short_name"] = "ATL03"
+        for beam, track in tracks.items():
+            count = int(np.ceil(track.along_m.max() / SEGMENT_M)) + 1
+            segment = np.minimum((track.along_m / SEGMENT_M).astype(int), count - 1)
+            start = ORIGIN_M + SEGMENT_M * np.arange(count)
+            place = file.create_group(beam)
+            heights = {
+                "h_ph": track.height_m.astype(np.float32),
+                "dist_ph_along": (track.along_m - SEGMENT_M * segment).astype(np.float32),
+                "lat_ph": 30.0 + track.along_m / 111_000.0,
+                "lon_ph": np.full(len(track.along_m), -104.0),
+                "quality_ph": np.zeros(len(track.along_m), np.int8),
+            }
+            geolocation = {
+                "segment_dist_x": start,
+                "segment_ph_cnt": np.bincount(segment, minlength=count).astype(np.int32),
+                "segment_id": FIRST_SEGMENT + np.arange(count, dtype=np.int32),
+                "delta_time": start / SPEED_M_S,
+            }
+            per_s = track.background.per_m2 * SPEED_M_S * SPEED_OF_LIGHT_M_S / 2.0 / 10_000.0
+            background = {
+                "delta_time": (ORIGIN_M + track.background.along_m) / SPEED_M_S,
+                "bckgrd_rate": per_s.astype(np.float32),
+            }
+            groups = {"heights": heights, "geolocation": geolocation}
+            if rate:
+                groups["bckgrd_atlas"] = background
+            for name, columns in groups.items():
+                for key, values in columns.items():
+                    place.create_dataset(f"{name}/{key}", data=values)
+    return path
+
+
+def write_atl08(path: Path, atl03: Path, tracks: dict[str, Track]) -> Path:
+    """ATL08 classes that are the truth; photons of noise are partly listed, partly not."""
+    with h5py.File(atl03) as source, h5py.File(path, "w") as file:
+        for beam, track in tracks.items():
+            count = source[f"{beam}/geolocation/segment_ph_cnt"][()]
+            first = np.repeat(np.cumsum(count) - count, count)
+            segment = np.repeat(source[f"{beam}/geolocation/segment_id"][()], count)
+            listed = (track.truth > 0) | (np.arange(len(track.truth)) % 10 == 0)
+            group = file.create_group(f"{beam}/signal_photons")
+            number = np.arange(len(track.truth)) - first + 1
+            group["classed_pc_flag"] = track.truth[listed].astype(np.int8)
+            group["classed_pc_indx"] = number[listed].astype(np.int32)
+            group["ph_segment_id"] = segment[listed].astype(np.int32)
+    return path
+
+
+def write_csv(path: Path, track: Track) -> Path:
+    """A CSV with a column more than needed, in any order."""
+    rows = zip(track.height_m, track.along_m, track.truth, strict=True)
+    lines = [f"{z:.3f},{x:.3f},{t}" for z, x, t in rows]
+    path.write_text("\n".join(["Height,Along_Track,truth", *lines]) + "\n")
+    return path
+
+
+def write_workflow(folder: Path, photons: str, **sections: Any) -> Path:
+    """A workflow beside its files."""
+    content = {"kind": "altimetry", "track": {"photons": photons}, "output": "out", **sections}
+    path = folder / "workflow.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def labels(output: Path, name: str) -> dict[str, NDArray[Any]]:
+    """Columns of a delivered photon table."""
+    table = pq.read_table(output / "photons" / f"{name}.parquet")
+    return {column: table.column(column).to_numpy() for column in table.column_names}
