@@ -193,7 +193,7 @@ def test_a_wrong_hdf5_file_is_named_in_one_line(
     [
         ("x,z\n1,2\n", "no column along_track and height"),
         ("along_track,height\n1,high\n", "cannot be read as numbers"),
-        ("along_track,height\n1,2e7\n", "at most 100000 m"),
+        ("along_track,height\n1,2e7\n", "at most 20000 m"),
         ("along_track;height\n1;2\n", "with commas between"),
     ],
 )

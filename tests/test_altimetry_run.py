@@ -258,6 +258,27 @@ def test_files_without_photons_start_nothing(tmp_path: Path) -> None:
     assert "they hold no photons" in ended.text
 
 
+def test_a_beam_without_photons_is_delivered_empty(tmp_path: Path) -> None:
+    path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(1), "gt3r": small_track(2)})
+    with h5py.File(path, "r+") as file:
+        for name in ("h_ph", "dist_ph_along", "lat_ph", "lon_ph"):
+            del file[f"gt3r/heights/{name}"]
+            file[f"gt3r/heights/{name}"] = np.empty(0)
+        file["gt3r/geolocation/segment_ph_cnt"][:] = 0
+    workflow = write_workflow(tmp_path, "a.h5", reference={"baseline": False})
+    assert run(workflow).status == 0
+    assert [b["photons"] > 0 for b in report(workflow)["beams"]] == [True, False]
+    assert len(labels(tmp_path / "out", "a/gt3r")["signal"]) == 0
+
+
+def test_too_little_memory_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    write_csv(tmp_path / "photons.csv", small_track(1))
+    workflow = write_workflow(tmp_path, "photons.csv")
+    ended = surveys.command("plan", workflow, "--memory", "500MiB")
+    assert ended.status == 2
+    assert "work.segment_photons" in ended.text
+
+
 def test_photons_without_a_height_stay_without_a_label(tmp_path: Path) -> None:
     path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(1)}, rate=False)
     with h5py.File(path, "r+") as file:

@@ -35,7 +35,9 @@ class RateSettings(Section):
         "surface; auto is the product's, where there is one, at the level of those photons.",
     )
     cell_m: Positive = Field(20.0, ge=1, description="Cell of the along-track grid [m].")
-    slice_m: Positive = Field(10.0, description="Height bin that the surface is found in [m].")
+    slice_m: Positive = Field(
+        10.0, ge=1, description="Height bin that the surface is found in [m]."
+    )
     buffer_m: Positive = Field(
         50.0, description="Half-height around the densest bins that is no empty window [m]."
     )

@@ -109,15 +109,14 @@ def add_dataset(
     """
     if name in group:
         del group[name]
+    # A dataset of nothing cannot be cut into chunks.
+    packed = {"chunks": (min(_CHUNK, size),), "compression": "gzip", "shuffle": True}
     made = group.create_dataset(
         name,
         shape=(size,),
         dtype=dtype,
-        chunks=(min(_CHUNK, max(size, 1)),),
-        compression="gzip",
-        compression_opts=4,
-        shuffle=True,
         fillvalue=np.dtype(dtype).type(fill),
+        **(packed if size else {}),
     )
     made.attrs.update(attributes)
     return made

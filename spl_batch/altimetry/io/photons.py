@@ -18,7 +18,7 @@ from spl_batch.io.las_header import open_input
 
 Layout = Literal["atl03", "mabel", "csv"]
 
-_HEIGHT_MAX_M: Final = 1e5
+_HEIGHT_MAX_M: Final = 2e4
 _ALONG_MAX_M: Final = 1e9
 
 

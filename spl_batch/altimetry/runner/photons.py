@@ -29,6 +29,9 @@ from spl_batch.tiling import quanta
 OBSERVE_PHOTONS: Final = 500_000
 """Photons whose cells are looked at together, about [count]."""
 
+OBSERVE_CELLS: Final = 1024
+"""Cells that are looked at together, at most: a table of them by height is held [count]."""
+
 _SURE: Final = np.float32(-30.0)
 """Score of what mDBSCAN calls signal."""
 
@@ -37,7 +40,10 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
     """Noise of every cell of a beam, the scaled axis, and the cut into segments."""
     workflow, beam = context.workflow, args["key"]
     counted = read_arrays(place(context, "places", beam, ".npz"))
-    parts = [_observed(beam, run, context) for run in runs(counted["count"], OBSERVE_PHOTONS)]
+    parts = [
+        _observed(beam, run, context)
+        for run in runs(counted["count"], OBSERVE_PHOTONS, OBSERVE_CELLS)
+    ]
     cells = rates.join(parts) if parts else rates.observe(*_nothing(), workflow.rate)
     density, basis = _density(cells, args, context)
     scale = rates.scale(cells, density, workflow.rate, workflow.signal)
@@ -62,11 +68,21 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([path], facts, int(cells.count.sum()))
 
 
-def runs(count: NDArray[np.int64], most: int) -> Iterator[tuple[int, int]]:
-    """Runs of cells that hold about ``most`` photons, a cell at the least: first, stop."""
+def runs(
+    count: NDArray[np.int64], most: int, cells: int = np.iinfo(np.int64).max
+) -> Iterator[tuple[int, int]]:
+    """Runs of cells that hold ``most`` photons, or one cell of more: first, stop.
+
+    Parameters
+    ----------
+    count : (n,) int64
+        Photons of each cell, at least one in each [count].
+    most, cells : int
+        Photons and cells of a run, at most [count].
+    """
     start = total = 0
     for i, n in enumerate(count.tolist()):
-        if total and total + n > most:
+        if total and (total + n > most or i - start >= cells):
             yield start, i
             start, total = i, 0
         total += n

@@ -71,15 +71,12 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     column = np.arange(width)
     whole = (column >= first[:, None]) & (column < last[:, None])
     reach = -(-quanta(settings.buffer_m) // bin_q)
-    # A gate too short for the buffer keeps the part of it farthest from the surface.
-    for part in (1.0, 0.5, 0.25):
+    empty = np.zeros_like(whole)
+    for part in (0.25, 0.5, 1.0):
+        # The widest buffer that leaves a quarter of the gate, the narrowest where none does.
         away = whole & (np.abs(column - peak[:, None]) > max(int(reach * part), 1))
-        short = away.sum(1) * 4 < whole.sum(1)
-        if part == 1.0:
-            empty = away
-        empty = np.where((empty.sum(1) * 4 < whole.sum(1))[:, None], away, empty)
-        if not short.any():
-            break
+        fits = away.sum(axis=1) * 4 >= whole.sum(axis=1)
+        empty = np.where((fits | ~empty.any(axis=1))[:, None], away, empty)
     empty = _without_clumps(table, empty)
     return Cells(
         index=index,
