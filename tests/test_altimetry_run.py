@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pyarrow.csv
 import pytest
+import rasterio
 import yaml
 from pydantic import BaseModel
 
@@ -192,6 +193,33 @@ def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:
         hit = group["truth"][()] > 0
         kept = group["spl_signal"][()] == 1
         assert np.count_nonzero(hit & kept) > 0.9 * np.count_nonzero(hit)
+
+
+def test_ground_is_compared_with_a_terrain_raster(tmp_path: Path) -> None:
+    track = small_track(3)
+    degree = track.along_m / 111_000.0
+    rows = zip(track.along_m, track.height_m, degree, strict=True)
+    lines = [f"{x:.3f},{z:.3f},{y:.9f},10.0" for x, z, y in rows]
+    head = "along_track,height,latitude,longitude"
+    (tmp_path / "photons.csv").write_text("\n".join([head, *lines]) + "\n")
+    step = 5.0 / 111_000.0
+    at = 620.0 - 5.0 * (np.arange(128) + 0.5)
+    heights = np.repeat(np.interp(at, *track.reference_m.T)[:, None], 3, axis=1)
+    with rasterio.open(
+        tmp_path / "dtm.tif", "w", driver="GTiff", height=128, width=3, count=1, dtype="float32",
+        crs="EPSG:4326",
+        transform=rasterio.Affine(step, 0, 10.0 - 1.5 * step, 0, -step, 620.0 / 111_000.0),
+    ) as raster:  # fmt: skip
+        raster.write(heights.astype(np.float32), 1)
+    workflow = write_workflow(tmp_path, "photons.csv", reference={"dtm": "dtm.tif"})
+    assert run(workflow).status == 0
+    (beam,) = report(workflow)["beams"]
+    assert beam["ground"]["n"] >= 28
+    assert beam["ground"]["rmse"] < 0.3
+    (tmp_path / "dtm.tif").write_text("no raster")
+    ended = run(workflow)
+    assert ended.status == 1
+    assert "dtm.tif" in " ".join(f["reason"] for f in report(workflow)["failures"])
 
 
 def test_mdbscan_can_be_the_method(tmp_path: Path) -> None:
