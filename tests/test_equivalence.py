@@ -145,9 +145,8 @@ WAYS: dict[str, Way] = {
 SLOW_WAYS: dict[str, Way] = {
     "1 worker, killed after 1 task": killed(1),
     "1 worker, killed after 14 tasks": killed(14),
-    "2 workers": workers(2),
+    "2 workers of a cluster by its address": on_a_cluster,
     "4 workers": workers(4),
-    "cluster by its address": on_a_cluster,
 }
 """Ways that start processes, for the small survey."""
 
