@@ -187,6 +187,15 @@ def test_no_span_of_several_files_holds_more_than_they_say(
     assert held.max() <= fullest_span(listed, span_s)
 
 
+def test_times_that_are_none_do_no_harm_to_the_rest() -> None:
+    rate = Rate()
+    rate.add(np.array([-1e300, 5.0, 5.001, 1e18, 1e300]))
+    fullest = rate.fullest()
+    assert (fullest[0], fullest[-1]) == (2, 5)
+    assert most_points(fullest, 10.0) == 2
+    assert most_points(fullest, 1e17) == 5
+
+
 def test_files_that_follow_each_other_do_not_add_up() -> None:
     listed = []
     for first in (0.0, 20.0, 40.0):

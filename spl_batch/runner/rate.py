@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 BINS_PER_S: Final = 256
 """Bins of a second that points are counted in [1/s]."""
 
+_FAR_BINS: Final = 2.0**60
+
 _MERGE_AT: Final = 64
 """Parts that are kept before they are joined [count]."""
 
@@ -22,7 +24,9 @@ class Rate:
 
     def add(self, time_s: NDArray[np.float64]) -> None:
         """Count points in; times are finite [s]."""
-        self._parts.append(_counted(np.floor(time_s * BINS_PER_S).astype(np.int64), None))
+        # Times that are none may be anything; they are far from all others, wherever that is.
+        bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
+        self._parts.append(_counted(bins, None))
         if len(self._parts) > _MERGE_AT:
             self._parts = [self._joined()]
 
