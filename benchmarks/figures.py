@@ -223,7 +223,7 @@ def afterpulse_curve(folder: Path) -> Figure:
         axes.set(xlim=(-0.4, 25), ylim=(0, 100), title=title, xlabel="vegetation returns lost [%]")
         bare(axes)
     panels[0].set_ylabel("afterpulses of vegetation removed [%]")
-    panels[1].legend(loc="lower right")
+    panels[0].legend(loc="lower right")
     return drawn
 
 
