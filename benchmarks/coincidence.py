@@ -14,6 +14,9 @@ method's points:
   canopy of the covered spoke target;
 - the ratio of intensities of paint and bare ground; distances from the tube of the coil;
 - speed and memory of the stage.
+
+With ``--picture PATH`` it draws detections and points of the first method on the spoke targets and
+the tri-bars, from above.
 """
 
 import argparse
@@ -32,6 +35,8 @@ from spl_batch.geiger.coincidence import accuracy, io
 from spl_batch.geiger.coincidence.kernels.scene import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.simulate import simulate
 from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
+from spl_batch.io.atomic import write_bytes
+from spl_batch.report import style
 
 RESOLVED = 0.5
 """Contrast from which a tri-bar counts as resolved."""
@@ -42,6 +47,9 @@ MARGIN_M = 1.0
 
 STEP_M = 0.1
 """Step of the true places that completeness is taken of [m]."""
+
+LARGEST = 150_000
+"""Most bytes of the picture."""
 
 CANOPY_M = 7.0
 """Half the edge of a canopy [m]."""
@@ -55,7 +63,13 @@ class Cloud:
     weight: NDArray[np.float64]
 
 
-def main(folder: Path, scene: SceneSettings, methods: Sequence[str], workers: int) -> None:
+def main(
+    folder: Path,
+    scene: SceneSettings,
+    methods: Sequence[str],
+    workers: int,
+    drawn: Path | None = None,
+) -> None:
     """Print everything."""
     if not (folder / "workflow.yaml").exists():
         start = time.perf_counter()
@@ -65,7 +79,8 @@ def main(folder: Path, scene: SceneSettings, methods: Sequence[str], workers: in
     targets = build(scene)
     print(f"extent {scene.extent_m[0]:g} x {scene.extent_m[1]:g} m, seed {scene.seed}, "
           f"targets {', '.join(scene.targets)}")  # fmt: skip
-    judge("detections", _detections(folder, scene), scene, targets)
+    detections = _detections(folder, scene)
+    judge("detections", detections, scene, targets)
     for method in methods:
         output = folder / f"out_{method}"
         result = api.run(
@@ -73,11 +88,40 @@ def main(folder: Path, scene: SceneSettings, methods: Sequence[str], workers: in
             workers=workers,
             overrides=(f"output={output.name}", f"coincidence.method={method}"),
         )
-        judge(method, _points(output, scene), scene, targets)
+        points = _points(output, scene)
+        judge(method, points, scene, targets)
+        if drawn is not None and method == methods[0]:
+            picture(drawn, detections, points)
         for name, stage in result.report.performance.stages.items():
             print(f"  stage {name:12s} {stage.wall_s:8.1f} s in {stage.tasks} tasks, "
                   f"{stage.points_per_s or 0:10,.0f} detections/s and worker, "
                   f"peak {stage.peak_rss_mb:,.0f} MB")  # fmt: skip
+
+
+def picture(path: Path, before: Cloud, after: Cloud) -> None:
+    """Draw the spoke targets and the tri-bars from above, detections over points."""
+    x, y = PLACES_M["bars"]
+    parts = (
+        ("open spokes", (-5.5, 5.5, -5.5, 5.5)),
+        ("beneath leaves", (-5.5, 5.5, -30.5, -19.5)),
+        ("tri-bars of 50 to 5 cm, running north", (x - 13.5, x - 0.5, y - 1.7, y + 4.5)),
+    )
+    with style.type_context():
+        drawn = style.figure(9.0, 5.0)
+        panels = drawn.subplots(2, 3, gridspec_kw={"width_ratios": (1, 1, 1.35)})
+        for column, (title, (west, east, south, north)) in enumerate(parts):
+            for row, cloud in enumerate((before, after)):
+                axes, (px, py, pz) = panels[row, column], cloud.xyz.T
+                level = np.abs(pz - accuracy.TARGET_HEIGHT_M) < accuracy.BAND_M
+                shown = level & (px > west) & (px < east) & (py > south) & (py < north)
+                axes.scatter(px[shown], py[shown], s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
+                axes.set(
+                    aspect="equal", xlim=(west, east), ylim=(south, north), xticks=(), yticks=()
+                )
+            panels[0, column].set_title(title)
+        for row, name in enumerate(("detections", "points")):
+            panels[row, 0].set_ylabel(name)
+        write_bytes(path, style.to_png(drawn, LARGEST)[0])
 
 
 def _detections(folder: Path, scene: SceneSettings) -> Cloud:
@@ -211,6 +255,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--methods", nargs="+", default=["bridge_sign", "posterior"])
+    parser.add_argument("--picture", type=Path)
     return parser.parse_args()
 
 
@@ -218,4 +263,4 @@ if __name__ == "__main__":
     given = parse()
     flown = SceneSettings(seed=given.seed, extent_m=(given.extent, given.extent))
     with tempfile.TemporaryDirectory() as temporary:
-        main(given.folder or Path(temporary), flown, given.methods, given.workers)
+        main(given.folder or Path(temporary), flown, given.methods, given.workers, given.picture)
