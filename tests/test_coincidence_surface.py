@@ -113,6 +113,17 @@ def test_a_level_surface_is_found_at_its_height() -> None:
     assert not kind.any()
 
 
+@pytest.mark.parametrize("height", np.linspace(-0.5, 0.5, 11))
+def test_heights_are_drawn_to_the_centre_by_little(height: float) -> None:
+    sigma, k = 1.17, np.arange(-8, 9)  # 5 cm and a bin of 5 cm in voxels of 4.5 cm
+    layer = np.exp(-0.5 * ((k - height) / sigma) ** 2) / (sigma * math.sqrt(2 * math.pi))
+    raster = np.rint(np.broadcast_to(layer * UNIT, (17, 17, 17))).astype(np.int64)
+    c = coefficients(raster[6:11, 6:11, 6:11], 2)
+    found = maximum(c, 0.5, 1.0)[2][2]
+    assert abs(found - height) < 0.12
+    assert abs(found) <= abs(height) + 1e-9
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_weaker_points_against_all_pairs(seed: int) -> None:
     rng = np.random.default_rng(seed)
