@@ -145,6 +145,22 @@ def test_a_bad_file_is_named_and_the_rest_goes_on(survey: Path) -> None:
     assert np.array_equal(delivered(survey / "out_bad"), delivered(survey / "out"))
 
 
+def test_wrong_attitudes_and_empty_files_are_warned_of(survey: Path) -> None:
+    empty = pa.table({k: pa.array([], pa.int64()) for k in io.DETECTION_COLUMNS})
+    pq.write_table(empty, survey / "l1" / "none_detections.parquet")
+    changes = ("array.columns=64", "output=out_wrong", "coincidence.bridge_sign.threshold=0.5")
+    try:
+        result = api.run(survey / "workflow.yaml", workers=0, overrides=changes)
+    finally:
+        (survey / "l1" / "none_detections.parquet").unlink()
+    warnings = "\n".join(result.report.warnings)
+    assert "l1/none_detections.parquet: holds no rows" in warnings
+    assert "pass_1_detections.parquet" in warnings
+    assert "fields of view off their lines of sight" in warnings
+    sound = json.loads((survey / "out" / "report.json").read_text())
+    assert sound["warnings"] == []
+
+
 GOOD = {
     "frame": [7, 7, 8],
     "detector": [1, 3, 2],

@@ -68,6 +68,14 @@ def test_detections_lie_on_their_lines_of_sight() -> None:
     assert bins == pytest.approx(0.5, abs=0.03)
 
 
+def test_sight_errors_are_angles_in_fields_of_view() -> None:
+    frames, detections = flown()
+    assert stages.sight_error(frames, detections, SMALL.array) < 0.05
+    moved = Detections(detections.frame, detections.detector + 3, detections.xyz)
+    kept = moved.take(moved.detector % SMALL.array.columns >= 3)
+    assert stages.sight_error(frames, kept, SMALL.array) == pytest.approx(3.0, abs=0.05)
+
+
 @settings(deadline=None, max_examples=4)
 @given(st.integers(1100, 3900), st.sampled_from([32, 57, 200]))
 def test_no_cut_changes_a_point(tile: int, volume: int) -> None:

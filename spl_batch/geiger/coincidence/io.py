@@ -231,9 +231,18 @@ def stored_frames(
     """
     # Bounds of a row group are compared as whole numbers.
     spans = {"x": (int(west_m) - 1, int(east_m) + 1), "y": (int(south_m) - 1, int(north_m) + 1)}
+    return _frames(path, spans)
+
+
+def _frames(path: Path, spans: Mapping[str, tuple[int, int]]) -> Frames:
     read, _ = read_between(path, ("frame", *"xyz", *_TURN), spans)
     turn = np.stack([read[k] for k in _TURN], axis=-1).reshape(-1, 3, 3)
     return Frames(read["frame"], np.stack([read[k] for k in "xyz"], axis=-1), turn)
+
+
+def frames_around(path: Path, number: int) -> Frames:
+    """Frames of the row group that a frame lies in; none where the file has it not."""
+    return _frames(path, {"frame": (number, number)})
 
 
 def frame_numbers(path: Path) -> NDArray[np.int64]:

@@ -140,8 +140,11 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     if not frames or not detections:
         reasons = "; ".join(map(str, bad)) or "survey.frames and survey.detections hold no rows"
         raise WorkflowError(f"no input is usable: {reasons}")
-    warnings = () if crs is not None else ("survey.crs is not set: the points will have no CRS",)
-    return L1Inputs(frames, detections, tuple(bad), warnings, crs)
+    warnings = [] if crs is not None else ["survey.crs is not set: the points will have no CRS"]
+    usable = {file.path for file in (*frames, *detections)} | {Path(e.path) for e in bad}
+    empty = [path for paths in named.values() for path in paths if path not in usable]
+    warnings += [f"{name_below(path, base)}: holds no rows" for path in empty]
+    return L1Inputs(frames, detections, tuple(bad), tuple(warnings), crs)
 
 
 def _usable(

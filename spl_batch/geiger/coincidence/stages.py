@@ -279,6 +279,36 @@ def looking_at(
     return np.flatnonzero(near | (way[..., 2] > -1e-6).any(axis=1))
 
 
+def sight_error(frames: Frames, detections: Detections, array: ArraySettings) -> float:
+    """How far detections lie from their lines of sight, typically.
+
+    Parameters
+    ----------
+    frames : Frames
+        Some frames.
+    detections : Detections
+        In order of their frames; those of other frames are left out.
+    array : ArraySettings
+        Tells where each detector looks.
+
+    Returns
+    -------
+    float
+        Median angle in fields of view of a detector; 0 without detections.
+    """
+    own = detections.of(frames)
+    if not len(own):
+        return 0.0
+    row = np.searchsorted(frames.number, own.frame)
+    away = own.xyz * QUANTUM_M - frames.origin_m[row]
+    body = np.einsum("nji,nj->ni", frames.turn[row], away)
+    at = body[:, :2] / -body[:, 2:]
+    place = np.stack(np.divmod(own.detector, array.columns), axis=-1)
+    middle = 0.5 * (np.array([array.rows, array.columns]) - 1)
+    off = at - (place - middle) * math.tan(array.ifov_rad)
+    return float(np.median(np.hypot(off[:, 0], off[:, 1])) / array.ifov_rad)
+
+
 def _within(xyz: NDArray[np.int64], box: Box, edge_q: int) -> NDArray[np.bool_]:
     """Which places lie in a box of voxels: (n,) bool."""
     inside: NDArray[np.bool_] = np.all(

@@ -35,6 +35,9 @@ SLICE_Q: Final = 200
 SLICE_PLACES: Final = 20_000
 """Places of a slice at most [count]."""
 
+FAR_OFF: Final = 2.0
+"""Fields of view between a detection and its line of sight that are warned of [1/1]."""
+
 _FAR_APART: Final = 512
 """Frames between two that look at a tile that are rather read than skipped [count]."""
 
@@ -124,8 +127,29 @@ def index_file(args: Mapping[str, Any], context: CoincidenceContext) -> Produced
         "numbers": [int(detections.frame[0]), int(detections.frame[-1])] if low else [],
         "bounds": [*low, *high],
         "tiles": tiles,
+        "warnings": _sight_warnings(args, context, detections),
     }
     return Produced([target], facts, len(detections), {args["path"]: args["stamp"]})
+
+
+def _sight_warnings(
+    args: Mapping[str, Any], context: CoincidenceContext, detections: Detections
+) -> list[str]:
+    """Warn where detections do not lie where their detectors look."""
+    if not len(detections):
+        return []
+    number = int(detections.frame[len(detections) // 2])
+    paths = (frames_path(context.store, key) for key in args["frames"])
+    frames = Frames.joined([io.frames_around(path, number) for path in paths])
+    off = stages.sight_error(frames, detections, context.workflow.array)
+    if off < FAR_OFF:
+        return []
+    said = (
+        f"detections lie {off:.1f} fields of view off their lines of sight; looks are counted "
+        "elsewhere: check heading, roll and pitch of the frames, and rows, columns and ifov_rad "
+        "of the array"
+    )
+    return [said]
 
 
 def _refuse_unknown(path: Path, detections: Detections, frames: NDArray[np.int64]) -> None:
