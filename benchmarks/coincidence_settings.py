@@ -43,7 +43,7 @@ def main(seed: int) -> None:
             ]
             spent = time.process_time() - start
             print(f"{window:4d}   {threshold:.3f} {_wheel(found[0], wheel)}   "
-                  f"        {_bars(found[1])}      {detected / spent:8,.0f}", flush=True)  # fmt: skip
+                  f"        {_bars(found[1])}  {detected / spent:12,.0f}", flush=True)  # fmt: skip
 
 
 def _part(scene: SceneSettings) -> Bounds:

@@ -1,6 +1,7 @@
 """Coincidence processing as users have it: files in, a workflow, points and a report out."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,6 @@ from spl_batch.cli import live
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.geiger.coincidence import io, stages
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
-from spl_batch.geiger.coincidence.simulate import simulate
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
 from spl_batch.tiling import Bounds
 from spl_batch.workflow import load_any, parse_any
@@ -31,7 +31,10 @@ ROOT = Path(__file__).parents[1]
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """L1 files of the small scene, a workflow, and a run of it."""
     folder = tmp_path_factory.mktemp("coincidence")
-    made = simulate(SMALL, folder)
+    scene = yaml.safe_load((ROOT / "workflows" / "coincidence_scene.yaml").read_text())
+    small = {**scene, **SMALL.model_dump(mode="json")}
+    (folder / "given.yaml").write_text(yaml.safe_dump(small))
+    made = api.simulate(folder / "given.yaml", folder)
     assert made.frames == len(flown()[0])
     assert made.detections == len(flown()[1])
     assert api.run(folder / "workflow.yaml", workers=0).exit_status == 0
@@ -85,8 +88,11 @@ def test_the_report_says_what_was_made(survey: Path) -> None:
 
 
 def test_no_cut_changes_the_points(survey: Path) -> None:
-    changes = ("tiling.tile_m=2.9", "coincidence.volume_voxels=50", "output=out_cut")
-    assert api.run(survey / "workflow.yaml", workers=0, overrides=changes).exit_status == 0
+    # The complete workflow of the examples, with another array, and other tiles and volumes.
+    complete = shutil.copy(ROOT / "workflows" / "coincidence.yaml", survey / "complete.yaml")
+    changes = ("array.rows=16", "array.columns=32", "tiling.tile_m=2.9", "output=out_cut")
+    changes += ("coincidence.volume_voxels=50",)
+    assert api.run(complete, workers=0, overrides=changes).exit_status == 0
     assert len(list((survey / "out_cut" / "points").glob("*.laz"))) > 2
     assert np.array_equal(delivered(survey / "out_cut"), delivered(survey / "out"))
 
