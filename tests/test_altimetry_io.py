@@ -212,6 +212,33 @@ def test_a_reference_of_one_height_is_refused(tmp_path: Path) -> None:
         read_profile(path)
 
 
+@pytest.mark.parametrize("layout", ["atl03", "mabel"])
+def test_whatever_is_damaged_there_is_one_line_or_photons(tmp_path: Path, layout: str) -> None:
+    if layout == "atl03":
+        path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(length_m=100.0)})
+    else:
+        path = tmp_path / "track.h5"
+        track = TrackScene(length_m=100.0, above_m=50.0, below_m=50.0)
+        simulate(SceneFile(kind="altimetry", track=track), tmp_path)
+    sound = path.read_bytes()
+    refused = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        content = bytearray(sound)
+        for at in rng.integers(8, 6000, 4):
+            content[at : at + 4] = rng.bytes(4)
+        path.write_bytes(content)
+        try:
+            file = inspect(path, None)
+            for beam in file.beams:
+                whole(path, file.layout, beam.name)
+                read_background(path, file.layout, beam.name, None)
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error)  # noqa: PT017 - most of these files are refused
+    assert refused > 10
+
+
 def test_a_damaged_chunk_is_found_where_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "atl03.h5"
     write_atl03(path, {"gt1r": small_track()})

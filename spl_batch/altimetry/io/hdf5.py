@@ -16,6 +16,8 @@ from spl_batch.io.las_header import open_input
 
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _CHUNK: Final = 65_536
+_FAULTS: Final = (OSError, RuntimeError, ValueError, TypeError, KeyError)
+"""What h5py raises over files that make no sense."""
 
 
 @contextmanager
@@ -33,7 +35,9 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except (OSError, RuntimeError) as error:
+    except InputError:
+        raise
+    except _FAULTS as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"damaged HDF5 ({reason}); copy it again") from error
 
