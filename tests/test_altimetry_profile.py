@@ -54,11 +54,22 @@ def test_a_cell_that_its_neighbours_contradict_is_put_right() -> None:
     found = np.stack([10.0 + 2.0 * index, np.full(9, 0.1)], axis=1)
     found[4, 0] -= 30.0
     found[7] = np.nan
-    out = agree(index, found, SETTINGS)
+    out, asked = agree(index, found, SETTINGS)
     assert out[4, 0] == pytest.approx(18.0)
     assert np.isnan(out[7]).all()
+    assert asked.tolist() == [3, 4, 5, 6, 5, 5, 4, 0, 2]
     kept = [0, 1, 2, 3, 5, 6, 8]
     np.testing.assert_array_equal(out[kept], found[kept])
+
+
+def test_a_lonely_clump_needs_photons_that_are_labelled_signal() -> None:
+    rng = np.random.default_rng(5)
+    x, z = rng.uniform(105.0, 115.0, 12), rng.normal(30.0, 0.2, 12)
+    along, height = in_order(*quanta(np.stack([x, z], axis=1)))
+    for sure, there in ((True, True), (False, False)):
+        flags = np.full(12, sure)
+        columns = profile(along, height, flags, EVERYTHING, SETTINGS).columns
+        assert np.isfinite(columns["ground"]).any() == there
 
 
 def slow_layer(x: np.ndarray, z: np.ndarray, layer_m: float, photons_min: int) -> tuple[float, int]:

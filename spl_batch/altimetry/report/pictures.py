@@ -74,7 +74,7 @@ def _picture(title: str, caption: str, make: Callable[[], Figure], *, there: boo
         return Picture(title, "There is nothing to show.")
     with style.type_context():
         png, width, height = style.to_png(make())
-    return Picture(title, caption, title, png, width, height)
+    return Picture(title, f"{title}. {caption}", title, png, width, height)
 
 
 def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:

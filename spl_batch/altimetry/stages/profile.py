@@ -18,6 +18,9 @@ from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.tiling import quanta
 
+_ALONE: Final = 3
+"""How many times the least photons a layer needs that no two neighbours confirm."""
+
 COLUMNS: Final = {
     "cell": np.int64,
     "along_track": np.float64,
@@ -76,7 +79,15 @@ def profile(
         along, z, first, stop, centre,
         settings.layer_m, settings.slope_max, settings.photons_min, found,
     )  # fmt: skip
-    agreed = agree(index, found, settings)
+    agreed, asked = agree(index, found, settings)
+    # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
+    # labelled signal have to vouch for a layer, more of them where no neighbour does.
+    for c in np.flatnonzero(np.isfinite(agreed[:, 0])):
+        rows = slice(first[c], stop[c])
+        line = agreed[c, 0] + agreed[c, 1] * ((along[rows] - centre[c]) / QUANTA_PER_M)
+        inside = sure[rows] & (np.abs(z[rows] - line) <= settings.layer_m)
+        if np.count_nonzero(inside) < (1 if asked[c] >= 2 else _ALONE * settings.photons_min):
+            agreed[c] = np.nan
     fit_ground(along, z, first, stop, centre, settings.layer_m, settings.photons_min, agreed, fit)
     mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
     top, photons = _canopy(along, z, sure, index, centre, fit, mine, settings)
@@ -99,11 +110,12 @@ def profile(
 
 def agree(
     index: NDArray[np.int64], found: NDArray[np.float64], settings: ProfileSettings
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Layers, those put to what their neighbours expect that these contradict.
 
     A neighbour expects its own height, carried along by the mean of both slopes. The median
-    of at least two decides where a layer is farther from it than four layers' thickness.
+    of at least two decides where a layer is farther from it than two layers' thickness; a
+    single neighbour's word is enough to take it away.
 
     Parameters
     ----------
@@ -113,6 +125,13 @@ def agree(
         Height [m] and slope [m/m] of each cell's layer; NaN where there is none.
     settings : ProfileSettings
         Length and number of cells; thickness of a layer.
+
+    Returns
+    -------
+    layers : (c, 2) float64
+        Put right.
+    asked : (c,) int64
+        Neighbours that expect something [count].
     """
     expected = np.full((2 * settings.reach_cells + 1, len(index)), np.nan)
     for row, step in enumerate(range(-settings.reach_cells, settings.reach_cells + 1)):
@@ -128,9 +147,9 @@ def agree(
     columns = np.arange(len(index))
     middle = (ordered[np.maximum(asked - 1, 0) // 2, columns] + ordered[asked // 2, columns]) / 2.0
     out = found.copy()
-    wrong = (asked >= 2) & (np.abs(found[:, 0] - middle) > 4.0 * settings.layer_m)
-    out[wrong, 0] = middle[wrong]
-    return out
+    wrong = np.abs(found[:, 0] - middle) > 2.0 * settings.layer_m
+    out[wrong, 0] = np.where(asked[wrong] >= 2, middle[wrong], np.nan)
+    return out, asked
 
 
 def _canopy(
