@@ -44,7 +44,7 @@ _FILLED = 2.0
 _WIDE_M = 16.0
 """Cells that tell the occupied area from voids [m]."""
 
-_GAP_SPACINGS = 12.0
+_GAP_SPACINGS = 10.0
 """Edges longer than this many mean spacings of the points around cross a gap of the ground
 [count]."""
 
