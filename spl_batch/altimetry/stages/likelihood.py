@@ -87,7 +87,8 @@ def ratios(neighbours: int, contrast_max: float) -> Ratios:
     """
     log_x = np.linspace(_FIRST, _LAST, _COLUMNS)
     x = np.exp(log_x)
-    log_c = np.linspace(0.0, np.log(contrast_max), _STEPS)
+    # Closest near a contrast of 1, where the chance falls fastest.
+    log_c = np.log(contrast_max) * np.linspace(0.0, 1.0, _STEPS) ** 2
     within = np.empty((neighbours, _COLUMNS))
     beyond = np.empty_like(within)
     for row in range(neighbours):
