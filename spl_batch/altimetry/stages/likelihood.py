@@ -24,10 +24,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import integrate, special
+from scipy import integrate, interpolate, special
 
 _FIRST: Final = float(np.log(1e-7))
-_LAST: Final = float(np.log(400.0))
+_LAST: Final = float(np.log(100.0))
 _COLUMNS: Final = 1024
 _STEPS: Final = 200
 """Steps of the mean over contrasts [count]."""
@@ -87,19 +87,32 @@ def ratios(neighbours: int, contrast_max: float) -> Ratios:
     """
     log_x = np.linspace(_FIRST, _LAST, _COLUMNS)
     x = np.exp(log_x)
+    within = np.empty((neighbours, _COLUMNS))
+    for row in range(neighbours):
+        log_noise = row * log_x - x - special.gammaln(row + 1)
+        log_signal = _log_share(row + 1, x, contrast_max) - log_x - np.log(np.log(contrast_max))
+        within[row] = log_signal - log_noise
+    beyond = _beyond(neighbours, contrast_max, log_x)
+    return Ratios(within, beyond, _FIRST, (_COLUMNS - 1) / (_LAST - _FIRST))
+
+
+def _beyond(
+    neighbours: int, contrast_max: float, log_x: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Logarithm of P(X > x | signal) / P(X > x | noise), (K, m) float64.
+
+    It is smooth in ln x: every eighth value is integrated, a spline gives the others.
+    """
     # Closest near a contrast of 1, where the chance falls fastest.
     log_c = np.log(contrast_max) * np.linspace(0.0, 1.0, _STEPS) ** 2
-    within = np.empty((neighbours, _COLUMNS))
-    beyond = np.empty_like(within)
+    knots = np.linspace(log_x[0], log_x[-1], len(log_x) // 8)
+    x = np.exp(knots)
+    tiny = np.finfo(np.float64).tiny
+    rows = np.empty((neighbours, len(log_x)))
     for row in range(neighbours):
-        k = row + 1
-        log_noise = row * log_x - x - special.gammaln(k)
-        log_signal = _log_share(k, x, contrast_max) - log_x - np.log(np.log(contrast_max))
-        within[row] = log_signal - log_noise
-        chance = special.gammaincc(k, np.exp(log_c[:, None] + log_x))
+        chance = special.gammaincc(row + 1, np.exp(log_c[:, None] + knots))
         mean = integrate.trapezoid(chance, log_c, axis=0) / np.log(contrast_max)
-        tiny = np.finfo(np.float64).tiny
-        beyond[row] = np.log(np.maximum(mean, tiny)) - np.log(
-            np.maximum(special.gammaincc(k, x), tiny)
-        )
-    return Ratios(within, beyond, _FIRST, (_COLUMNS - 1) / (_LAST - _FIRST))
+        noise = special.gammaincc(row + 1, x)
+        ratio = np.log(np.maximum(mean, tiny)) - np.log(np.maximum(noise, tiny))
+        rows[row] = interpolate.CubicSpline(knots, ratio)(log_x)
+    return rows
