@@ -25,7 +25,7 @@ from tests.clusters import Cluster
 @pytest.mark.parametrize(
     ("patch", "arguments", "said"),
     [
-        (("preparing.code_version", lambda: "0.0+other"), (), "here it is 0.0+other"),
+        (("imaging.code_version", lambda: "0.0+other"), (), "here it is 0.0+other"),
         (("pipeline.lock_file", lambda _: Path("/nowhere")), (), "must share that path"),
         (None, ("--memory", "3GiB"), "less than --memory 3072 MiB; lower --memory"),
     ],
