@@ -234,7 +234,7 @@ def test_a_frame_twice_is_a_fault(tmp_path: Path) -> None:
         ("survey.crs=EPSG:0", "survey.crs: 'EPSG:0' is not a known CRS"),
         ("survey.crs=EPSG:4326", "survey.crs: .*degrees"),
         ("survey.frames=none_*.parquet", "survey.frames: .* matches no file"),
-        ("output=l1/..", "lies in the output folder"),
+        ("output=l1/..", "in the output folder"),
         ("survey.detections=l1/*_frames.parquet", "no input is usable: .*no column 'detector'"),
     ],
 )

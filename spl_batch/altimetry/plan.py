@@ -1,8 +1,8 @@
 """Inputs, phases and cost of ``kind: altimetry``."""
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -13,9 +13,17 @@ from spl_batch.altimetry.runner.delivery import PASS_PHOTONS
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.inputs import expand, name_below, source_key
+from spl_batch.plan.inputs import (
+    check_keys,
+    expand,
+    name_below,
+    refuse_own,
+    source_key,
+    stem_names,
+)
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.runner.unchanged import stamp
 from spl_batch.task import Task
 from spl_batch.tiling import quanta
 
@@ -41,7 +49,6 @@ class Source:
 
     path: Path
     name: str
-    delivered: str
     key: int
     file: TrackFile
     beams: tuple[BeamFacts, ...]
@@ -60,6 +67,11 @@ class Inputs:
 @dataclass
 class Tracks(Ledger[Inputs, TrackWorkflow]):
     """What a run on photon profiles knows so far."""
+
+    @cached_property
+    def delivered(self) -> dict[int, str]:
+        """What the results of each file are called, by its key."""
+        return stem_names(self.inputs.sources)
 
     def beams(self) -> Iterator[tuple[Source, BeamFacts, str]]:
         """Every beam of every file, and what the store calls it."""
@@ -95,17 +107,15 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
         found += expand(name, base, f"reference.{key}", faults)
     if reference is not None and reference.points and reference.dtm:
         faults.append("reference: points and dtm are both given; name one of them")
-    own = [str(path) for path in paths if output in path.parents]
-    if own:
-        faults.append(f"track.photons: {own[0]} lies in the output folder; name another output")
+    refuse_own(paths, output, "track.photons", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
     good, bad, warnings = _inspect(paths, workflow)
-    names = _delivered([path for path, _, _ in good])
-    sources = [
-        Source(path, name_below(path, base), name, source_key(name_below(path, base)), file, beams)
-        for (path, file, beams), name in zip(good, names, strict=True)
-    ]
+    sources = []
+    for path, file, beams in good:
+        name = name_below(path, base)
+        sources.append(Source(path, name, source_key(name), file, beams))
+    check_keys(sources)
     return Inputs(
         tuple(sorted(sources, key=lambda s: s.name)), tuple(bad), tuple(warnings), tuple(found)
     )
@@ -136,14 +146,6 @@ def _inspect(
             ]
         good.append((path, file, beams))
     return good, bad, warnings
-
-
-def _delivered(paths: Sequence[Path]) -> list[str]:
-    """Names of results: the file's, with its folder where two have the same."""
-    stems = Counter(path.stem for path in paths)
-    return [
-        path.stem if stems[path.stem] == 1 else f"{path.parent.name}_{path.name}" for path in paths
-    ]
 
 
 def _index(tracks: Tracks) -> Iterator[Task]:
@@ -211,7 +213,7 @@ def _profile(tracks: Tracks) -> Iterator[Task]:
 def _compare(tracks: Tracks) -> Iterator[Task]:
     if tracks.workflow.reference is None:
         return
-    stamps = [[str(p), p.stat().st_size, p.stat().st_mtime_ns] for p in tracks.inputs.reference]
+    stamps = [[str(path), *stamp(path)] for path in tracks.inputs.reference]
     for source, beam, key in tracks.beams():
         if key not in tracks.of("profile"):
             continue
@@ -228,7 +230,7 @@ def _compare(tracks: Tracks) -> Iterator[Task]:
 def _delivery(tracks: Tracks, source: Source, beam: BeamFacts, key: str) -> dict[str, Any]:
     return {
         "key": key,
-        "delivered": f"{source.delivered}/{beam.name}",
+        "delivered": f"{tracks.delivered[source.key]}/{beam.name}",
         "segments": [s for s, _, _ in tracks.segments(key)],
         "points": tracks.of("take_in")[key].points,
     }
@@ -261,7 +263,7 @@ def _deliver_file(tracks: Tracks) -> Iterator[Task]:
         args = {
             "source": str(source.key),
             "path": str(source.path),
-            "delivered": f"{source.delivered}{source.path.suffix}",
+            "delivered": f"{tracks.delivered[source.key]}{source.path.suffix}",
             "beams": listed,
         }
         needs = tuple(need for beam in listed for need in _delivery_needs(beam))

@@ -45,6 +45,29 @@ def parse_crs(text: str, key: str) -> CRS:
         raise WorkflowError(f"{key}: {text!r} is not a known CRS; write e.g. EPSG:32615") from None
 
 
+def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
+    """CRS in metres that a user names; none where none is named, or it has a fault.
+
+    Parameters
+    ----------
+    text : str, optional
+        Anything that PROJ takes.
+    key : str
+        The workflow key, for the message.
+    faults : list of str
+        What is wrong with it is added to it.
+    """
+    if text is None:
+        return None
+    try:
+        crs = parse_crs(text, key)
+    except WorkflowError as error:
+        faults.append(str(error))
+        return None
+    faults += [f"{key}: {problem}" for problem in crs_problems(crs, None, None)]
+    return crs
+
+
 def crs_from_wkt(data: bytes) -> CRS | None:
     """CRS of a WKT record; none where it is empty.
 

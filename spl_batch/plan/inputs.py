@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.io.atomic import checksum
-from spl_batch.io.crs import crs_problems, horizontal, same_crs
+from spl_batch.io.crs import crs_problems, horizontal, parse_crs, same_crs
 from spl_batch.io.las import LasFacts, inspect
+from spl_batch.plan.ledger import AnySource
 from spl_batch.workflow import Workflow
 
 MAX_POINTS = 2**32 - 1
@@ -100,13 +100,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
         if name is not None and not (base / name).exists():
             faults.append(f"{key}: {base / name} does not exist")
-    own = [str(path) for path in paths if output in path.parents]
-    if own:
-        more = f" and {len(own) - 1} more" if len(own) > 1 else ""
-        faults.append(
-            f"survey.flightlines: {own[0]}{more} in the output folder {output}; name the raw "
-            "files, or another output"
-        )
+    refuse_own(paths, output, "survey.flightlines", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
     good, bad = _inspect(paths)
@@ -122,8 +116,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         Source(f.path, name_below(f.path, base), name, source_key(name), f)
         for f, name in zip(good, names, strict=True)
     )
-    if len({s.key for s in sources}) < len(sources):
-        raise WorkflowError("two input files share a key by chance; rename one of them")
+    check_keys(sources)
     _check_reference(reference, workflow, crs)
     return Inputs(
         tuple(sorted(sources, key=lambda s: s.name)),
@@ -144,6 +137,46 @@ def _polygon_checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, st
             parts = path.parent.glob(f"{glob.escape(path.stem)}.*")
             whole = sorted(parts) if path.suffix.lower() == ".shp" else [path]
             yield key, " ".join(checksum(part) for part in whole)
+
+
+def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str]) -> None:
+    """Add a fault where inputs lie among the results of the run.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        From :func:`expand`.
+    output : Path
+        Folder of the results.
+    key : str
+        Key of the workflow that they come from.
+    faults : list of str
+        Receives it.
+    """
+    own = [str(path) for path in paths if output in path.parents]
+    if own:
+        more = f" and {len(own) - 1} more" if len(own) > 1 else ""
+        faults.append(
+            f"{key}: {own[0]}{more} in the output folder {output}; name the raw files, or "
+            "another output"
+        )
+
+
+def check_keys(sources: Iterable[AnySource]) -> None:
+    """Refuse files of different names whose keys are the same."""
+    names = {source.name: source.key for source in sources}
+    if len(set(names.values())) < len(names):
+        raise WorkflowError("two input files share a key by chance; rename one of them")
+
+
+def stem_names(sources: Sequence[AnySource]) -> dict[int, str]:
+    """What results of each file are called, by key: its stem, with the key where two share it."""
+    stems = Counter(Path(source.name).stem for source in sources)
+    found = {}
+    for source in sources:
+        stem = Path(source.name).stem
+        found[source.key] = stem if stems[stem] == 1 else f"{stem}_{source.key}"
+    return found
 
 
 def source_key(name: str) -> int:
@@ -227,7 +260,8 @@ def _survey_crs(
     workflow: Workflow, files: Sequence[LasFacts]
 ) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
     """CRS of the survey: the setting, else what most points say; files that differ are bad."""
-    given = _parse_crs(workflow.survey.crs, "survey.crs")
+    named = workflow.survey.crs
+    given = None if named is None else parse_crs(named, "survey.crs")
     good: list[LasFacts] = []
     bad: list[InputError] = []
     for facts in (_without_wrong_crs(f, given) for f in files):
@@ -272,17 +306,9 @@ def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
     return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
 
 
-def _parse_crs(text: str | None, key: str) -> CRS | None:
-    if text is None:
-        return None
-    try:
-        return CRS.from_user_input(text)
-    except CRSError:
-        raise WorkflowError(f"{key}: {text!r} is no CRS; write e.g. EPSG:32615") from None
-
-
 def _check_reference(paths: Iterable[Path], workflow: Workflow, crs: CRS | None) -> None:
-    given = _parse_crs(workflow.reference.crs if workflow.reference else None, "reference.crs")
+    named = workflow.reference.crs if workflow.reference else None
+    given = None if named is None else parse_crs(named, "reference.crs")
     faults = []
     for path in paths:
         try:

@@ -14,12 +14,13 @@ from spl_batch.errors import InputError, WorkflowError
 from spl_batch.geiger.coincidence import io
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
 from spl_batch.geiger.coincidence.stages import least_detections, reach_q
-from spl_batch.io.crs import crs_problems, parse_crs
+from spl_batch.io.crs import projected_crs
 from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.inputs import expand, name_below, source_key
+from spl_batch.plan.inputs import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.plan.memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
+from spl_batch.runner.unchanged import stamp
 from spl_batch.task import Receipt, Task
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
@@ -71,9 +72,12 @@ class L1File:
     @property
     def args(self) -> dict[str, Any]:
         """The file as the arguments of a task name it."""
-        stat = self.path.stat()
-        stamp = [stat.st_size, stat.st_mtime_ns]
-        return {"source": str(self.key), "path": str(self.path), "name": self.name, "stamp": stamp}
+        return {
+            "source": str(self.key),
+            "path": str(self.path),
+            "name": self.name,
+            "stamp": list(stamp(self.path)),
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,16 +131,14 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
         for key in ("frames", "detections")
     }
     for key, paths in named.items():
-        own = [str(path) for path in paths if output in path.parents]
-        faults += [f"survey.{key}: {own[0]} lies in the output folder {output}"] if own else []
-    crs = None if workflow.survey.crs is None else parse_crs(workflow.survey.crs, "survey.crs")
-    if crs is not None:
-        faults += [f"survey.crs: {text}" for text in crs_problems(crs, (0, 0, 0), (0, 0, 0))]
+        refuse_own(paths, output, f"survey.{key}", faults)
+    crs = projected_crs(workflow.survey.crs, "survey.crs", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
     bad: list[InputError] = []
     frames = _usable(named["frames"], io.FRAME_COLUMNS, base, bad)
     detections = _usable(named["detections"], io.DETECTION_COLUMNS, base, bad)
+    check_keys((*frames, *detections))
     if not frames or not detections:
         reasons = "; ".join(map(str, bad)) or "survey.frames and survey.detections hold no rows"
         raise WorkflowError(f"no input is usable: {reasons}")

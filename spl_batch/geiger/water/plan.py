@@ -7,14 +7,21 @@ from types import MappingProxyType
 from typing import Final
 
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.geiger.water.io import FrameFacts, inspect_frames
 from spl_batch.geiger.water.runner.tasks import PIECE_FRAMES
 from spl_batch.geiger.water.settings import WaterWorkflow
+from spl_batch.io.crs import projected_crs
 from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.inputs import expand, name_below, source_key
+from spl_batch.plan.inputs import (
+    check_keys,
+    expand,
+    name_below,
+    refuse_own,
+    source_key,
+    stem_names,
+)
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.plan.memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
@@ -130,10 +137,8 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
             except InputError as error:
                 # Without one of its distances a calibration would silently be another.
                 faults.append(f"calibration.frames[{k}]: {error}")
-    own = [str(path) for path in paths if output in path.parents]
-    if own:
-        faults.append(f"survey.frames: {own[0]} lies in the output folder {output}; name another")
-    crs = _crs(workflow.survey.crs, faults)
+    refuse_own(paths, output, "survey.frames", faults)
+    crs = projected_crs(workflow.survey.crs, "survey.crs", faults)
     if faults:
         raise WorkflowError("; ".join(faults))
     sources: list[FrameSource] = []
@@ -150,9 +155,7 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
         warnings += _remarks(source, per)
     if crs is None and sources:
         warnings.append("survey.crs is not set: rasters will have none")
-    names = [s.name for s in (*sources, *targets)]
-    if len({source_key(n) for n in names}) < len(set(names)):
-        raise WorkflowError("two input files share a key by chance; rename one of them")
+    check_keys((*sources, *targets))
     return WaterInputs(
         tuple(sorted(sources, key=lambda s: s.name)),
         tuple(targets),
@@ -186,19 +189,6 @@ def _remarks(source: FrameSource, per: int) -> Iterator[str]:
             f"{source.name}: its truth is for {source.facts.truth_frames} frames an acquisition, "
             f"surface.frames_per_acquisition is {per}; it is not compared with"
         )
-
-
-def _crs(text: str | None, faults: list[str]) -> CRS | None:
-    if text is None:
-        return None
-    try:
-        crs = CRS.from_user_input(text)
-    except CRSError:
-        faults.append(f"survey.crs: {text!r} is no CRS; write e.g. EPSG:32616")
-        return None
-    if not crs.is_projected or crs.axis_info[0].unit_conversion_factor != 1.0:
-        faults.append(f"survey.crs: {text!r} must be projected, in metres")
-    return crs
 
 
 def estimate(ledger: WaterLedger, context: RunContext[WaterWorkflow] | None = None) -> Cost:
@@ -302,7 +292,7 @@ def _make(ledger: WaterLedger) -> Iterator[Task]:
 
 def _deliver(kind: str, ledger: WaterLedger) -> Iterator[Task]:
     made = ledger.of("make_surfaces")
-    stems = delivered_names(ledger.inputs.sources)
+    stems = stem_names(ledger.inputs.sources)
     for source in ledger.inputs.sources:
         pieces = [name for name, _, _ in ledger.pieces(source)]
         # A surface that is missing would shift the acquisitions behind it.
@@ -310,15 +300,6 @@ def _deliver(kind: str, ledger: WaterLedger) -> Iterator[Task]:
             args = {"pieces": pieces, "delivered": stems[source.key]}
             needs = tuple(("make_surfaces", name) for name in pieces)
             yield Task(kind, str(source.key), args, needs, source.facts.frames)
-
-
-def delivered_names(sources: Sequence[FrameSource]) -> dict[int, str]:
-    """What the results of each file are called: its name without folder and suffix, if it can."""
-    stems = [Path(s.name).stem for s in sources]
-    return {
-        s.key: stem if stems.count(stem) == 1 else f"{stem}_{s.key}"
-        for s, stem in zip(sources, stems, strict=True)
-    }
 
 
 def _points(ledger: WaterLedger) -> Iterator[Task]:
