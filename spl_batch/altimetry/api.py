@@ -54,14 +54,14 @@ class Altimetry(Receiver[Tracks, Context]):
         inputs = gather_inputs(workflow, place.base, place.output)
         if not inputs.sources:
             raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
-        context: Context = RunContext(workflow, place.base, place.output, "", code_version())
+        context = self.context(workflow, place, "", code_version())
         tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, tracks, context)
 
-    def context(
-        self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
-    ) -> RunContext[Any]:
+    def context(self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str) -> Context:
         """What its tasks are given."""
+        if not isinstance(workflow, TrackWorkflow):
+            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no photon profiles")
         return RunContext(workflow, place.base, place.output, crs_wkt, code)
 
     def cost(self, prepared: Prepared[Tracks, Context]) -> TrackCost:

@@ -186,3 +186,19 @@ def input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
     """
     found = digest if digest is not None else checksum(path)
     return InputFile(path=path.name, role=role, size=path.stat().st_size, hash=f"blake2b:{found}")
+
+
+def indexed_file(facts: Mapping[str, Any], role: str, points: int | None = None) -> InputFile:
+    """Identity of an input file as it was read, which may be gone by now.
+
+    Parameters
+    ----------
+    facts : mapping
+        Of the task that read it: ``name``, ``size`` [byte] and ``hash``.
+    role : str
+        What it is for.
+    points : int, optional
+        Points, detections or frames in it [count].
+    """
+    digest = f"blake2b:{facts['hash']}"
+    return InputFile(path=facts["name"], role=role, size=facts["size"], hash=digest, points=points)

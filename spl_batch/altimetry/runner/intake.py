@@ -23,7 +23,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     path = Path(args["path"])
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
-    facts = {"checksum": digest, "name": args["name"], "path": str(path)}
+    facts = {"hash": digest, "name": args["name"], "size": args["stamp"][0]}
     return Produced([], facts, 0, {str(path): args["stamp"]})
 
 

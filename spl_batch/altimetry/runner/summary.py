@@ -1,6 +1,6 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,12 +15,13 @@ from spl_batch.altimetry.runner.context import Context, place
 from spl_batch.altimetry.runner.photons import Selection, read_rate
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.io.tables import read_arrays, read_columns, read_groups, reading
-from spl_batch.report.model import Failure, Statistics
+from spl_batch.report.model import Statistics
 from spl_batch.report.pictures import Picture
 from spl_batch.report.write import write_both
 from spl_batch.runner.remember import (
     Receipts,
     RunFacts,
+    indexed_file,
     input_file,
     performance,
     provenance,
@@ -46,17 +47,14 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     """
     delivered = list(done["deliver_beam"].items())
     counts = _counts(done)
-    inputs = [
-        input_file(Path(r.facts["path"]), "photons", r.facts["checksum"])
-        for r in done["index_file"].values()
-    ]
+    inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
     report = TrackReport(
         name=context.workflow.track.name,
         method=context.workflow.signal.method,
         counts=counts,
         beams=tuple(_beam(done, key, receipt, context) for key, receipt in delivered),
         performance=performance(facts, counts.points_in),
-        failures=tuple(_failures(facts)),
+        failures=tuple(facts.failures),
         warnings=tuple(facts.notes),
         provenance=provenance(
             context, [*inputs, *(input_file(Path(p), "reference") for p in facts.reference)]
@@ -66,10 +64,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     write_both(context.output, report, render(report, pictures))
     remember(done, context, facts)
     return report
-
-
-def _failures(facts: RunFacts) -> Iterator[Failure]:
-    yield from facts.failures
 
 
 def _counts(done: Receipts) -> TrackCounts:

@@ -24,7 +24,14 @@ from spl_batch.io.tables import read_arrays
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import InputFile
 from spl_batch.report.write import write_both
-from spl_batch.runner.remember import Receipts, RunFacts, performance, provenance, remember
+from spl_batch.runner.remember import (
+    Receipts,
+    RunFacts,
+    indexed_file,
+    performance,
+    provenance,
+    remember,
+)
 
 LARGEST_MAP: Final = 4_000
 """More cells along a side are thinned, whole tiles at a time [count]."""
@@ -94,14 +101,8 @@ def _intensity(done: Receipts) -> Intensity:
 def _inputs(done: Receipts) -> Iterable[InputFile]:
     for kind, role in (("frames", "frames"), ("index_file", "detections")):
         for receipt in done.get(kind, {}).values():
-            facts = receipt.facts
-            yield InputFile(
-                path=facts["name"],
-                role=role,
-                size=facts["size"],
-                hash=f"blake2b:{facts['hash']}",
-                points=facts["frames" if kind == "frames" else "points"],
-            )
+            held = receipt.facts["frames" if kind == "frames" else "points"]
+            yield indexed_file(receipt.facts, role, held)
 
 
 def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | None:

@@ -22,9 +22,15 @@ from spl_batch.geiger.water.runner.tasks import WaterContext
 from spl_batch.io.raster_parts import read_overview
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.maps import Raster
-from spl_batch.report.model import InputFile
 from spl_batch.report.write import write_both
-from spl_batch.runner.remember import Receipts, RunFacts, performance, provenance, remember
+from spl_batch.runner.remember import (
+    Receipts,
+    RunFacts,
+    indexed_file,
+    performance,
+    provenance,
+    remember,
+)
 
 Floats = NDArray[np.float64]
 
@@ -64,16 +70,7 @@ def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterRe
         warnings=tuple(facts.notes),
         provenance=provenance(
             context,
-            [
-                InputFile(
-                    path=r.facts["name"],
-                    role="frames",
-                    size=r.facts["size"],
-                    hash=f"blake2b:{r.facts['hash']}",
-                    points=r.facts["frames"],
-                )
-                for r in counted.values()
-            ],
+            [indexed_file(r.facts, "frames", r.facts["frames"]) for r in counted.values()],
         ),
     )
     pictures = make_pictures(_pictures(done, context, pixels, report))
