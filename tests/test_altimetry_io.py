@@ -111,6 +111,14 @@ def test_atl08_says_what_is_signal(tmp_path: Path) -> None:
     assert high - low > 0.9 * len(track.truth)
     np.testing.assert_array_equal(found.signal, track.truth[low:high] > 0)
     assert read_labels(atl03, [], "gt1r") is None
+    other = write_atl08(tmp_path / "other_day.h5", atl03, {"gt1r": track})
+    with h5py.File(other, "r+") as file:
+        file["gt1r/signal_photons/delta_time"][:] += 86_400.0
+        file["gt1r/signal_photons/classed_pc_flag"][:] = 0
+    assert read_labels(atl03, [other], "gt1r") is None
+    again = read_labels(atl03, [other, atl08], "gt1r")
+    assert again is not None
+    np.testing.assert_array_equal(again.signal, found.signal)
 
 
 def test_terrain_is_read_between_cell_centres(tmp_path: Path) -> None:

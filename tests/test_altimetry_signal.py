@@ -189,3 +189,15 @@ def test_kept_photons_lie_nearer_to_the_ground_than_mdbscan_s(kind: str, colour:
         )
         assert ours < rmse(signals.mdbscan(along, height, scale, mean, RATE, mdbscan))
     assert ours < 2.0
+
+
+def test_a_segment_of_few_photons_fits_the_lattice() -> None:
+    index = np.arange(40_000, dtype=np.int64) * 13
+    one = np.ones(len(index), np.int64)
+    ends = (one.astype(np.int32) * 0, one.astype(np.int32) * 100_000)
+    sparse = Cells(index, one, *ends, ends[0], one, one)
+    scaled = rates.scale(sparse, np.full(len(index), 1e-6), RATE, SIGNAL)
+    cells = signals.most_cells(scaled, RATE)
+    assert (scaled.start[-1] - scaled.start[0]) * signals.UNIT_QUANTA > 2**30
+    assert 10_000 < cells < len(index)
+    assert (scaled.start[cells] - scaled.start[0]) * signals.UNIT_QUANTA < 2**30

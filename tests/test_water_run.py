@@ -222,7 +222,10 @@ def test_a_missing_chunk_is_told(tank: Path, tmp_path: Path) -> None:
         ({"camera": {"rows": 16, "cols": 18}}, "the camera (n, 16, 18); correct camera.rows"),
         ({"survey": {"frames": "frames/*.hdf"}}, "matches no file"),
         ({"survey": {"frames": "frames/*.h5", "crs": "EPSG:4326"}}, "is geographic (degrees)"),
-        ({"survey": {"frames": "frames/*.h5", "crs": "moon"}}, "'moon' is not a known CRS; write e.g."),
+        (
+            {"survey": {"frames": "frames/*.h5", "crs": "moon"}},
+            "'moon' is not a known CRS; write e.g.",
+        ),
         ({"pixels": {"dead": [[40, 1]]}}, "[40, 1] is no pixel of 20 x 18"),
         ({"gate": {"width_bins": 9000}}, "gate.width_bins: more than camera.bins"),
         ({"surface": {"frames_per_acquisition": 500}}, "holds 180 frames, fewer than"),

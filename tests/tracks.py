@@ -84,6 +84,8 @@ def write_atl08(path: Path, atl03: Path, tracks: dict[str, Track]) -> Path:
             group["classed_pc_flag"] = track.truth[listed].astype(np.int8)
             group["classed_pc_indx"] = number[listed].astype(np.int32)
             group["ph_segment_id"] = segment[listed].astype(np.int32)
+            time = np.repeat(source[f"{beam}/geolocation/delta_time"][()], count)
+            group["delta_time"] = time[listed] + 0.001
     return path
 
 

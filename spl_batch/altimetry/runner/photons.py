@@ -53,7 +53,9 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
     write_arrays(path, {**arrays, **scale.to_arrays(), "far_m": far})
     segments = [
         [int(cells.index[a]), int(cells.index[b - 1]) + 1, int(cells.count[a:b].sum())]
-        for a, b in runs(cells.count, workflow.work.segment_photons)
+        for a, b in runs(
+            cells.count, workflow.work.segment_photons, signals.most_cells(scale, workflow.rate)
+        )
     ]
     facts = {
         "basis": basis,

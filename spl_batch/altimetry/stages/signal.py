@@ -65,6 +65,16 @@ def scaled(
     return u.astype(np.int64), v.astype(np.int64), cell
 
 
+def most_cells(scale: Scale, rate: RateSettings) -> int:
+    """Cells, as far apart as they may be, that the lattice has room for [count].
+
+    Where photons are few, a segment is long: its positions are int32 from its first one.
+    """
+    widest = float(scale.per_m.max(initial=0.0)) * rate.cell_m + 2.0 * CAP_UNITS
+    # Half of the room, so that the reach to either side fits in as well.
+    return max(int(2**30 / (widest * UNIT_QUANTA)), 1)
+
+
 def log_prior(
     cells: Cells, scale: Scale, rate: RateSettings, window_m: float
 ) -> NDArray[np.float64]:
