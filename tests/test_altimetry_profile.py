@@ -35,7 +35,9 @@ def test_a_slope_under_trees_is_found(slope: float, cover: float, seed: int) -> 
     assert np.abs(error[inner]).max() < 0.5
     np.testing.assert_allclose(columns["slope"][inner], slope, atol=0.05)
     wooded = columns["canopy_photons"] > 30
-    assert columns["canopy_height"][wooded] == pytest.approx(14.5, abs=1.2)
+    assert (
+        (columns["canopy_height"][wooded] > 12.0) & (columns["canopy_height"][wooded] < 15.7)
+    ).all()
     if not cover:
         assert not columns["canopy_photons"].any()
 
