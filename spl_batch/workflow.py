@@ -108,7 +108,10 @@ def parse_workflow(content: Mapping[str, Any], where: str) -> Workflow:
     """
     workflow = parse_any(content, where)
     if not isinstance(workflow, Workflow):
-        raise WorkflowError(f"{where}: kind: {workflow.kind}; this is for airborne surveys only")
+        raise WorkflowError(
+            f"{where}: kind: {workflow.kind}; filters are compared on airborne surveys only "
+            f"(kind: {IMAGING}); `spl-batch run` processes this one"
+        )
     return workflow
 
 

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.altimetry.kernels.ground import fit_ground, lowest_layers
+from spl_batch.altimetry.runner.heights import REFERENCE_GAP_M, between
 from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.stages.profile import agree, profile, reach_cells
@@ -141,3 +142,10 @@ def test_heights_do_not_depend_on_where_the_track_is_cut(seed: int, cut: int) ->
     for name, values in whole.items():
         joined = np.concatenate([p[name] for p in parts])
         np.testing.assert_array_equal(values, joined, err_msg=name)
+
+
+def test_a_reference_says_nothing_of_its_wide_gaps() -> None:
+    known = np.array([[0.0, 1.0], [100.0, 3.0], [101.0 + REFERENCE_GAP_M, 9.0]])
+    at = np.array([-1.0, 0.0, 50.0, 100.0, 200.0, 101.0 + REFERENCE_GAP_M, 400.0])
+    np.testing.assert_equal(between(at, known), [np.nan, 1.0, 2.0, 3.0, np.nan, 9.0, np.nan])
+    np.testing.assert_equal(between(at[1:3], known[:1]), [1.0, np.nan])

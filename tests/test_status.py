@@ -172,7 +172,10 @@ def test_the_state_of_a_run_in_its_middle() -> None:
     assert status.running == {}
     assert "time left" not in drawn(live.draw(status))
     status.feed(as_record(RunStarted("w.yaml", 2, "0.1+x")))
-    assert status == RunStatus(), "a new run starts from nothing"
+    assert (status.ended, status.stages["denoise"].done) == (None, 2), "nothing is known anew"
+    status.feed(as_record(PhaseStarted("index", "index_file", 1, 0, 5)))
+    assert (status.stages["denoise"].total, status.tiles, status.failures) == (0, {}, [])
+    assert status.stages["index"].left == 1, "a new run starts from nothing"
 
 
 def test_the_rate_is_that_of_all_workers_together() -> None:
@@ -237,7 +240,26 @@ def test_status_says_whether_a_run_works_ended_or_was_killed(
     log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in a_run()))
     said = surveys.command("status", tmp_path).out
     assert "stopped before its end; the same command continues" in said
+    assert "time left about" not in said
     assert "failed: denoise 1_0" in said
+
+
+def test_a_run_that_never_began_its_work_hides_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    failed = [RunStarted("w.yaml", 2, "code"), RunEnded(3, "no answer")]
+    log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in [*a_run(), *failed]))
+    shown = api.status(tmp_path)
+    assert shown.ended is not None
+    assert shown.ended["reason"] == "no answer"
+    assert shown.stages["denoise"].done > 0
+    assert shown.running == {}, "nobody works there"
+    with log.open("a") as stream:
+        for event in (
+            RunStarted("w.yaml", 2, "code"),
+            PhaseStarted("index", "index_file", 4, 0, 9),
+        ):
+            stream.write(json.dumps(as_record(event)) + "\n")
+    assert api.status(tmp_path).stages["denoise"].done == 0, "a run that works speaks for itself"
 
 
 # The screen

@@ -1,5 +1,6 @@
 """Inputs, phases and cost of ``kind: altimetry``."""
 
+import glob
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -104,6 +105,9 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
     found: list[Path] = []
     for key in ("points", "dtm", "labels"):
         name = getattr(reference, key) if reference is not None else None
+        if key != "labels" and name is not None and glob.has_magic(name):
+            faults.append(f"reference.{key}: {name} is a pattern; name one file")
+            continue
         found += expand(name, base, f"reference.{key}", faults)
     if reference is not None and reference.points and reference.dtm:
         faults.append("reference: points and dtm are both given; name one of them")

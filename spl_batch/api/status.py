@@ -20,6 +20,9 @@ from spl_batch.runner import STAGES
 _FIRST_EVENT: Final = b'"event": "RunStarted"'
 """What the log has in the first line of each run."""
 
+_WORK_EVENT: Final = b'"event": "PhaseStarted"'
+"""What it has where a run knows its first tasks, and those that are finished."""
+
 _BLOCK_BYTES: Final = 1 << 22
 """Bytes of the log read at once [byte]."""
 
@@ -125,6 +128,8 @@ class RunStatus:
         Kinds of task that have begun.
     order : sequence of str
         Names of the stages, in order.
+    waiting : mapping or None
+        Fields of a :class:`~spl_batch.api.events.RunStarted` whose work has not begun.
     """
 
     stages: dict[str, StageStatus] = field(default_factory=dict)
@@ -138,6 +143,7 @@ class RunStatus:
     holder: Mapping[str, Any] | None = None
     kinds: set[str] = field(default_factory=set)
     order: Sequence[str] = STAGES
+    waiting: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         self.stages = {name: StageStatus(name) for name in self.order}
@@ -164,6 +170,12 @@ class RunStatus:
             take(record)
 
     def _run_started(self, record: Mapping[str, Any]) -> None:
+        if self.kinds:  # what earlier runs did stands until this one knows what is finished
+            self.ended, self.waiting = None, record
+        else:
+            self._start_over(record)
+
+    def _start_over(self, record: Mapping[str, Any]) -> None:
         fresh = RunStatus(order=tuple(record.get("stages") or STAGES))
         for name in self.__slots__:
             setattr(self, name, getattr(fresh, name))
@@ -174,6 +186,8 @@ class RunStatus:
         self.dashboard = record.get("dashboard", "")
 
     def _phase_started(self, record: Mapping[str, Any]) -> None:
+        if self.waiting is not None:
+            self._start_over(self.waiting)
         if record["kind"] in self.kinds:
             self._begin_again()
         self.kinds.add(record["kind"])
@@ -299,7 +313,10 @@ def _latest_run(log: Path) -> int:
     if not log.stat().st_size:
         return 0
     with log.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as whole:
-        return whole.rfind(b"\n", 0, max(whole.rfind(_FIRST_EVENT), 0)) + 1
+        # A run that ended before its work began says nothing of what is done.
+        began = whole.rfind(_WORK_EVENT)
+        first = whole.rfind(_FIRST_EVENT, 0, began if began >= 0 else len(whole))
+        return whole.rfind(b"\n", 0, max(first, 0)) + 1
 
 
 def _seconds(record: Mapping[str, Any]) -> float:

@@ -219,6 +219,10 @@ def main(arguments: list[str] | None = None) -> None:
     except SplBatchError as error:
         click.echo(f"spl-batch: {error}", err=True)
         sys.exit(error.exit_status if error.exit_status != 1 else 2)
+    except TimeoutError as error:
+        said = str(error) or "no answer in time"
+        click.echo(f"spl-batch: {said}; the machine is busy, run again to continue", err=True)
+        sys.exit(3)
     except OSError as error:
         full = error.errno in {errno.ENOSPC, errno.EDQUOT}
         remedy = "free some space and run again" if full else "check the path and its rights"

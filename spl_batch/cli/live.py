@@ -93,10 +93,11 @@ def draw(status: RunStatus) -> RenderableType:
     return Group(bars(status.stages.values()), *details(status))
 
 
-def details(status: RunStatus) -> list[RenderableType]:
-    """Maps, workers, running and failed tasks, time left."""
+def details(status: RunStatus, *, working: bool = True) -> list[RenderableType]:
+    """Maps and failed tasks; of a run that was not killed workers, running tasks, time left too."""
     parts: list[RenderableType] = maps(status) if status.tiles else []
-    parts += [Text(line, style="dim") for line in _facts(status)]
+    if working:
+        parts += [Text(line, style="dim") for line in _facts(status)]
     return [*parts, *_failures(status)]
 
 

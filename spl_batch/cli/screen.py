@@ -113,7 +113,8 @@ def _whole(status: "RunStatus") -> RenderableType:
             duration(stage.elapsed_s) if stage.began_s and stage.points else "",
             duration(stage.left_s) if stage.left else "",
         )
-    return Group(table, Text(_what_it_does(status)), *details(status))
+    killed = status.ended is None and status.holder is None
+    return Group(table, Text(_what_it_does(status)), *details(status, working=not killed))
 
 
 def _what_it_does(status: "RunStatus") -> str:

@@ -15,7 +15,7 @@ from spl_batch.report.format import (
     significant,
     surface_name,
 )
-from spl_batch.report.model import Failure, Report, Statistics
+from spl_batch.report.model import Failure, Performance, Report, Statistics
 
 Tone = Literal["good", "attention", "bad", "neutral"]
 
@@ -87,13 +87,32 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         name, statistics = terrain
         error, mean = centimetres(statistics.rmse), centimetres(statistics.mean)
         rows.append(("DTM accuracy", f"RMSE {error}, mean {mean} on {surface_name(name)}"))
+    return [(label, _ascii(value)) for label, value in rows] + ending_rows(
+        work, report.failures, report.warnings
+    )
+
+
+def ending_rows(
+    work: Performance, failures: Sequence[Failure], warnings: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Label and value of what the console shows last, whatever the receiver.
+
+    Parameters
+    ----------
+    work : Performance
+        Cost of the run.
+    failures : sequence of Failure
+        What did not make it.
+    warnings : sequence of str
+        What a reader has to know.
+    """
     speed = f"{large(work.points_per_s)} points/s"
-    rows.append(("time", f"{duration(work.wall_s)} ({speed})"))
+    rows = [("time", f"{duration(work.wall_s)} ({speed})")]
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MB per worker"))
-    rows.append(("failures", number(len(report.failures)) if report.failures else "none"))
-    if report.warnings:
-        rows.append(("warnings", number(len(report.warnings))))
+    rows.append(("failures", number(len(failures)) if failures else "none"))
+    if warnings:
+        rows.append(("warnings", number(len(warnings))))
     return [(label, _ascii(value)) for label, value in rows]
 
 

@@ -7,7 +7,7 @@ from spl_batch.altimetry.report.model import Beam, TrackReport
 from spl_batch.report import format as text
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
-from spl_batch.report.summary import Verdict, failure_verdict
+from spl_batch.report.summary import Verdict, ending_rows, failure_verdict
 
 SECTIONS: Final = (("profiles", "Profiles"), ("accuracy", "Accuracy"), ("beams", "Beams"))
 
@@ -102,8 +102,4 @@ def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
         for method, agreement in beam.labels.items():
             if agreement.f1 is not None:
                 rows.append((f"{beam.name} labels, {method}", f"F1 {agreement.f1:.3f}"))
-    rows.append(("time", f"{work.wall_s or 0.0:.1f} s"))
-    rows.append(("failures", str(len(report.failures)) if report.failures else "none"))
-    if report.warnings:
-        rows.append(("warnings", str(len(report.warnings))))
-    return rows
+    return rows + ending_rows(work, report.failures, report.warnings)

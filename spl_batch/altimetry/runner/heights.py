@@ -28,6 +28,9 @@ COLUMNS: Final = {
 }
 """Columns of a profile in the store; the last one is mDBSCAN's ground."""
 
+REFERENCE_GAP_M: Final = 200.0
+"""Points of a reference that are farther apart say nothing of what lies between them [m]."""
+
 
 def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Heights along a beam, segment by segment."""
@@ -147,15 +150,23 @@ def _reference_heights(
     if reference is None:
         return unknown
     if reference.points is not None:
-        known = read_profile(context.resolve(reference.points))
-        heights: NDArray[np.float64] = np.interp(
-            at, known[:, 0], known[:, 1], left=np.nan, right=np.nan
-        )
-        return heights
+        return between(at, read_profile(context.resolve(reference.points)))
     if reference.dtm is not None:
         path = context.resolve(reference.dtm)
         return sample_terrain(path, columns["latitude"], columns["longitude"])
     return unknown
+
+
+def between(at: NDArray[np.float64], known: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights of a reference at places, NaN beyond it and where its points are far apart [m]."""
+    heights: NDArray[np.float64] = np.interp(
+        at, known[:, 0], known[:, 1], left=np.nan, right=np.nan
+    )
+    if len(known) > 1:
+        after = np.clip(np.searchsorted(known[:, 0], at), 1, len(known) - 1)
+        low, high = known[after - 1, 0], known[after, 0]
+        heights[(high - low > REFERENCE_GAP_M) & (low < at) & (at < high)] = np.nan
+    return heights
 
 
 def _agreement(args: Mapping[str, Any], context: Context) -> dict[str, dict[str, int]]:

@@ -14,7 +14,7 @@ from spl_batch.geiger.coincidence.runner import CoincidenceContext
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase
-from spl_batch.report import format as text
+from spl_batch.report.summary import ending_rows
 from spl_batch.runner import code_version
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
@@ -104,7 +104,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
             ("looks", f"{counts.looks:,} in {counts.frames:,} frames"),
             ("detections", f"{counts.detections:,}"),
             ("points", f"{counts.points:,} in {counts.tiles:,} tiles"),
-            ("time", text.duration(report.performance.wall_s)),
+            *ending_rows(report.performance, report.failures, report.warnings),
         ]
 
     def results(self, output: Path) -> list[tuple[str, list[Path]]]:

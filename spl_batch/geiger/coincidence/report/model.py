@@ -23,7 +23,7 @@ class Counts(Part):
     frames: Count = Field(0, description="Laser pulses [count].")
     looks: Count = Field(0, description="Frames times detectors [count].")
     detections: Count = Field(0, description="Looks that ended in a detection [count].")
-    tiles: Count = Field(0, description="Tiles that were looked at [count].")
+    tiles: Count = Field(0, description="Tiles that hold points [count].")
     points: Count = Field(0, description="Points delivered [count].")
     surface: Count = Field(0, description="Of these, maxima in one direction [count].")
     ridge: Count = Field(0, description="Maxima in two [count].")

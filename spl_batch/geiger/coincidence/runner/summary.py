@@ -81,7 +81,7 @@ def _counts(done: Receipts, context: CoincidenceContext) -> Counts:
         frames=frames,
         looks=frames * context.workflow.array.detectors,
         detections=sum(r.facts["points"] for r in done.get("index_file", {}).values()),
-        tiles=len(made),
+        tiles=sum(1 for facts in made if facts["points"]),
         points=sum(f["points"] for f in made),
         surface=kinds[1],
         ridge=kinds[2],

@@ -6,7 +6,7 @@ from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.report import format as text
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
-from spl_batch.report.summary import Verdict, failure_verdict
+from spl_batch.report.summary import Verdict, ending_rows, failure_verdict
 
 
 def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:
@@ -104,10 +104,7 @@ def screen_summary(report: WaterReport) -> list[tuple[str, str]]:
         rows.append(("bias", f"{_plain(found.signed_bias_m, 1e3)} mm"))
     if report.floor is not None:
         rows.append(("sea floor", f"{_plain(report.floor.refracted_beam_m, 1e3)} mm"))
-    rows.append(("failures", str(len(report.failures)) if report.failures else "none"))
-    if report.warnings:
-        rows.append(("warnings", str(len(report.warnings))))
-    return rows
+    return rows + ending_rows(report.performance, report.failures, report.warnings)
 
 
 def _plain(value: float | None, factor: float = 1.0) -> str:

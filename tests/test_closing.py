@@ -1,0 +1,77 @@
+"""Workers that do not end in time spoil no run whose tasks are done."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any, Self
+
+import pytest
+
+from spl_batch import graph
+from spl_batch.graph.work import Footing
+
+
+class Heard:
+    """An observer that remembers what it is told of workers."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def started(self, task: Any, worker: str) -> None:
+        """Nothing begins here."""
+
+    def seen(self, workers: Any) -> None:
+        """Nobody is there to be seen."""
+
+    def noted(self, text: str) -> None:
+        self.notes.append(text)
+
+
+@contextlib.contextmanager
+def slow_to_end(*_: object) -> Iterator[str]:
+    yield "nowhere"
+    raise TimeoutError
+
+
+class Client:
+    """A client of nothing."""
+
+    id = "none"
+    dashboard_link = ""
+
+    def __init__(self, address: str) -> None:
+        assert address == "nowhere"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """There is nothing to let go of."""
+
+
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch) -> Heard:
+    monkeypatch.setattr(graph, "local_cluster", slow_to_end)
+    monkeypatch.setattr("distributed.Client", Client)
+    return Heard()
+
+
+def enter(heard: Heard) -> Any:
+    return graph.executor(
+        workers=1,
+        memory_bytes=2**30,
+        scheduler=None,
+        observer=heard,
+        footing=Footing("code", "mark", "content"),
+    )
+
+
+def test_what_is_done_stays_done(heard: Heard) -> None:
+    with enter(heard) as (pool, _):
+        assert isinstance(pool, graph.OnDask)
+    assert heard.notes == ["the workers did not end in time; they end with this process"]
+
+
+def test_a_task_that_has_no_answer_is_still_heard_of(heard: Heard) -> None:
+    with pytest.raises(TimeoutError, match="of the task"), enter(heard):
+        raise TimeoutError("of the task")
+    assert heard.notes == []
