@@ -347,7 +347,7 @@ def test_crs_in_degrees(survey: Path) -> None:
     refused(run(survey), "good.laz", "degree")
     surveys.write_cloud(path, surveys.flightline(shots=TINY), crs=None)
     refused(run(survey, "--set", "survey.crs=EPSG:4326"), "degree")
-    refused(run(survey, "--set", "survey.crs=EPSG:nonsense"), "survey.crs", "no CRS")
+    refused(run(survey, "--set", "survey.crs=EPSG:nonsense"), "survey.crs", "not a known CRS")
     warned(run(survey), "no input file carries a CRS")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from spl_batch.api.preparing import parse_bytes
@@ -328,6 +328,7 @@ def cut(counts: Mapping[CellId, int], largest: int, most: float) -> dict[str, Un
 
 @settings(deadline=None, max_examples=50)
 @given(tile_points, st.sampled_from([8, 6, 4, 3, 2, 1]), st.integers(1, 9000))
+@example({CellId(0, 0): 1, CellId(0, -1): 1}, 8, 1)
 def test_blocks_own_each_tile_once_and_hold_what_they_may(
     counts: dict[CellId, int], largest: int, most: int
 ) -> None:
@@ -344,7 +345,8 @@ def test_blocks_own_each_tile_once_and_hold_what_they_may(
         assert unit.held <= most or side == 1
         assert unit.points == sum(n for t, n in counts.items() if owning[t] == [name])
     pieces = list(from_counts(counts, EDGE))
-    cuts = [p.cut([side * EDGE for side in sides], HALO, most + 0.5) for p in pieces]
+    # what a unit reads is a multiple of 0.01 points: halves of that tell sums from their last bit
+    cuts = [p.cut([side * EDGE for side in sides], HALO, most + 0.005) for p in pieces]
     for level, side in enumerate(sides):
         expected = [u for n, u in found.items() if n.endswith(f"_{side}")]
         assert sum(c[level].units for c in cuts) == len(expected)

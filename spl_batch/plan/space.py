@@ -86,7 +86,8 @@ def unit_of(
         bounds = cell_bounds(tile, tile_q)
         held += counts[tile] * _shared(bounds, grow(core, halo_q)) / tile_q**2
         owned += counts[tile] if overlap(bounds, core) else 0
-    return Unit(str(cell), cell, core, tuple(near), int(owned), math.ceil(held))
+    # shares of tiles add up to whole points, but for the last bit of a sum
+    return Unit(str(cell), cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
 
 
 def cells_with_points(counts: Mapping[CellId, int], tile_q: int, unit_q: int) -> list[CellId]:
