@@ -151,6 +151,21 @@ def test_a_bad_file_is_named_and_the_rest_goes_on(survey: Path) -> None:
     assert np.array_equal(delivered(survey / "out_bad"), delivered(survey / "out"))
 
 
+def test_frames_whose_detections_cannot_be_read_are_no_looks(survey: Path, tmp_path: Path) -> None:
+    shutil.copytree(survey / "l1", tmp_path / "l1")
+    shutil.copy(survey / "workflow.yaml", tmp_path)
+    first = min((tmp_path / "l1").glob("*_detections.parquet"))
+    first.write_bytes(b"PAR1 no more")
+    result = api.run(tmp_path / "workflow.yaml", workers=0)
+    assert result.exit_status == 1
+    assert any("left out with all their looks" in text for text in result.report.warnings)
+    for path in (first, first.with_name(first.name.replace("detections", "frames"))):
+        path.unlink()
+    again = api.run(tmp_path / "workflow.yaml", workers=0, overrides=("output=without",))
+    assert again.exit_status == 0
+    assert np.array_equal(delivered(tmp_path / "out"), delivered(tmp_path / "without"))
+
+
 def test_wrong_attitudes_and_empty_files_are_warned_of(survey: Path) -> None:
     empty = pa.table({k: pa.array([], pa.int64()) for k in io.DETECTION_COLUMNS})
     pq.write_table(empty, survey / "l1" / "none_detections.parquet")

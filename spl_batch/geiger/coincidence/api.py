@@ -77,6 +77,11 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
             raise WorkflowError("no input is usable: " + "; ".join(reasons))
         if phase.kind == "frames":
             yield from _twice(prepared.ledger)
+        if phase.kind == "index_file" and prepared.ledger.answered is not None:
+            yield (
+                "detections could not be read: frames outside the numbers of those that were are "
+                "left out with all their looks"
+            )
 
     def edge_m(self, kind: str, ledger: L1Ledger) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""

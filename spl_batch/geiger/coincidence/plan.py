@@ -94,6 +94,8 @@ class L1Inputs:
         What a user should know before the work starts.
     crs : CRS, optional
         CRS of all coordinates.
+    unread : int
+        Detections files that cannot be used [count].
     """
 
     frames: tuple[L1File, ...]
@@ -101,6 +103,7 @@ class L1Inputs:
     bad: tuple[InputError, ...]
     warnings: tuple[str, ...]
     crs: CRS | None
+    unread: int
 
     @property
     def sources(self) -> tuple[L1File, ...]:
@@ -137,6 +140,7 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
         raise WorkflowError("; ".join(faults))
     bad: list[InputError] = []
     frames = _usable(named["frames"], io.FRAME_COLUMNS, base, bad)
+    without = len(bad)
     detections = _usable(named["detections"], io.DETECTION_COLUMNS, base, bad)
     check_keys((*frames, *detections))
     if not frames or not detections:
@@ -146,7 +150,8 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     usable = {file.path for file in (*frames, *detections)} | {Path(e.path) for e in bad}
     empty = [path for paths in named.values() for path in paths if path not in usable]
     warnings += [f"{name_below(path, base)}: holds no rows" for path in empty]
-    return L1Inputs(frames, detections, tuple(bad), tuple(warnings), crs)
+    unread = len(bad) - without
+    return L1Inputs(frames, detections, tuple(bad), tuple(warnings), crs, unread)
 
 
 def _usable(
@@ -177,6 +182,17 @@ class L1Ledger(Ledger[L1Inputs, CoincidenceWorkflow]):
             for tile, n in receipt.facts["tiles"].items():
                 own[tile] = own.get(tile, 0) + n
         return {tile: n for tile, n in sorted(own.items()) if _with_halo(tile, own) >= self.least}
+
+    @property
+    def answered(self) -> list[list[int]] | None:
+        """Numbers of frames whose detections are known, first and last; None where all are.
+
+        A look whose detection lies in a file that cannot be read would count as one without.
+        """
+        indexed = self.of("index_file")
+        if not self.inputs.unread and len(indexed) == len(self.inputs.detections):
+            return None
+        return sorted(r.facts["numbers"] for r in indexed.values() if r.facts["numbers"])
 
     @property
     def least(self) -> int:
@@ -222,6 +238,7 @@ def _coincide(ledger: L1Ledger) -> Iterator[Task]:
             "files": using,
             "heights_q": heights,
             "detections": n,
+            "answered": ledger.answered,
         }
         needs = [*(("frames", k) for k in near), *(("index_file", k) for k in using)]
         yield Task("coincide", tile, args, tuple(needs), n)

@@ -1,6 +1,6 @@
 """Tasks of coincidence processing: index the files, make the points of a tile, deliver them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -195,8 +195,19 @@ def _frames(args: Mapping[str, Any], context: CoincidenceContext, region: Bounds
     for key, reach in zip(args["frames"], args["reach_m"], strict=True):
         box = (west - reach, east + reach, south - reach, north + reach)
         found = io.stored_frames(frames_path(context.store, key), *box)
+        found = found.take(_answered(found.number, args["answered"]))
         parts.append(found.take(stages.looking_at(found, workflow.array, low, high)))
     return Frames.joined(parts)
+
+
+def _answered(
+    numbers: NDArray[np.int64], spans: Sequence[Sequence[int]] | None
+) -> NDArray[np.bool_]:
+    """Frames whose detections are known."""
+    known = np.full(len(numbers), spans is None)
+    for first, last in spans or ():
+        known |= (numbers >= first) & (numbers <= last)
+    return known
 
 
 def _detections(args: Mapping[str, Any], store: Store, frames: Frames) -> Detections:
