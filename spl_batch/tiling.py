@@ -39,6 +39,12 @@ class CellId(NamedTuple):
         return f"{self.i}_{self.j}"
 
 
+def parse_cell(name: str) -> CellId:
+    """Cell of a name such as ``"-3_12"``."""
+    i, j = name.split("_")
+    return CellId(int(i), int(j))
+
+
 def quanta(length_m: float) -> int:
     """Length on the lattice, rounded to the nearest quantum [quanta].
 

@@ -52,8 +52,6 @@ class Altimetry(Receiver[Tracks, Context]):
     ) -> Prepared[Tracks, Context]:
         """Find and check every file of a workflow, from headers alone."""
         inputs = gather_inputs(workflow, place.base, place.output)
-        if not inputs.sources:
-            raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
         context = self.context(workflow, place, "", code_version())
         tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, tracks, context)

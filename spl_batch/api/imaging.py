@@ -56,8 +56,6 @@ class Imaging(Receiver[Survey, Context]):
         """Find and check every file of a workflow, from headers alone."""
         _check_cells(workflow, place.workflow)
         inputs = gather_inputs(workflow, place.base, place.output)
-        if not inputs.sources:
-            raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
         context = Context(workflow, place.base, place.output, crs_wkt, code_version())
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)

@@ -46,6 +46,9 @@ def prepare(
     place = Place(path, base, (base / workflow.output).resolve())
     found: Receiver[Any, Any] = receiver(workflow.kind)
     prepared = found.prepare(workflow, place, Limits(limit, max(workers, 1)))
+    inputs = prepared.ledger.inputs
+    if not inputs.sources:
+        raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
     prepared.context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
     return prepared
 

@@ -11,11 +11,10 @@ from spl_batch.plan.inputs import source_args
 from spl_batch.plan.memory import refusal, surface_reach_m
 from spl_batch.plan.space import Unit, fired_index, owners, units, voxel_index
 from spl_batch.plan.survey import Survey, mosaic_parts
-from spl_batch.runner.space_domain import parse_cell
 from spl_batch.stages.local_noise import MARGIN_VOXELS
 from spl_batch.stages.surface import PRODUCTS
 from spl_batch.task import Task
-from spl_batch.tiling import CellId, cell_runs, grow, quanta
+from spl_batch.tiling import CellId, cell_runs, grow, parse_cell, quanta
 
 MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
 """What the intensity raster holds, as its band is called."""

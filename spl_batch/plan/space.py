@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from spl_batch.runner.space_domain import parse_cell
 from spl_batch.task import Receipt
 from spl_batch.tiling import (
     Bounds,
@@ -14,6 +13,7 @@ from spl_batch.tiling import (
     cells_touching,
     grow,
     overlap,
+    parse_cell,
     quanta,
 )
 

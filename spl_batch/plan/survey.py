@@ -12,8 +12,7 @@ from spl_batch.plan.ledger import Ledger
 from spl_batch.plan.memory import halo_m, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, tile_counts
-from spl_batch.runner.space_domain import parse_cell
-from spl_batch.tiling import Bounds, CellId, quanta
+from spl_batch.tiling import Bounds, CellId, parse_cell, quanta
 from spl_batch.workflow import Workflow
 
 

@@ -13,9 +13,8 @@ from spl_batch.io.tables import read_table
 from spl_batch.model import PointTable
 from spl_batch.runner.context import Context
 from spl_batch.runner.profile import LENGTH_M, WIDTH_M
-from spl_batch.runner.space_domain import parse_cell
 from spl_batch.task import Receipt
-from spl_batch.tiling import Bounds, BoxIndex, CellId, cell_bounds, quanta
+from spl_batch.tiling import Bounds, BoxIndex, CellId, cell_bounds, parse_cell, quanta
 
 FAR_M: Final = 50.0
 """Farther from where most returns of its column lie, a point is taken for noise [m]."""

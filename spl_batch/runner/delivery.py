@@ -15,9 +15,8 @@ from spl_batch.io.las_write import write_classified, write_points
 from spl_batch.io.rasters import write_cog
 from spl_batch.model import COLUMNS, PointTable
 from spl_batch.runner.context import Context, Produced
-from spl_batch.runner.space_domain import parse_cell
 from spl_batch.runner.unchanged import as_indexed, unchanged
-from spl_batch.tiling import Bounds, cells_of_runs, quanta
+from spl_batch.tiling import Bounds, cells_of_runs, parse_cell, quanta
 
 PASS_POINTS = 32_000_000
 """Points of a file whose labels are held in memory at once [count]."""

@@ -22,7 +22,7 @@ from spl_batch.stages import surface as surfacing
 from spl_batch.stages.fired import FiredPart
 from spl_batch.stages.stray import stray
 from spl_batch.stages.water import submerged
-from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, quanta
+from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, parse_cell, quanta
 
 Units = dict[CellId, list[tuple[str, str]]]
 
@@ -151,12 +151,6 @@ def _ground_cell(args: Mapping[str, Any], context: Context) -> Bounds:
 
 def _cells(names: Sequence[str]) -> list[CellId]:
     return [parse_cell(name) for name in names]
-
-
-def parse_cell(name: str) -> CellId:
-    """Cell of a name such as ``"-3_12"``."""
-    i, j = name.split("_")
-    return CellId(int(i), int(j))
 
 
 def _units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:

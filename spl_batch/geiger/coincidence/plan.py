@@ -22,6 +22,7 @@ from spl_batch.plan.memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.unchanged import stamp
 from spl_batch.task import Receipt, Task
+from spl_batch.tiling import parse_cell
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 1.0e6, "coincidence": 30_000.0, "deliver": 0.5e6}
@@ -201,7 +202,7 @@ class L1Ledger(Ledger[L1Inputs, CoincidenceWorkflow]):
 
 
 def _with_halo(tile: str, own: Mapping[str, int]) -> int:
-    i, j = map(int, tile.split("_"))
+    i, j = parse_cell(tile)
     return sum(own.get(f"{p}_{q}", 0) for p in (i - 1, i, i + 1) for q in (j - 1, j, j + 1))
 
 
@@ -248,7 +249,7 @@ def _may_look(frames: Receipt, tile: str, ledger: L1Ledger, halo_m: float) -> bo
     """Whether a file's sensor came near enough to a tile to see it."""
     west, east, south, north = frames.facts["places_m"]
     edge, reach = ledger.workflow.tiling.tile_m, frames.facts["reach_m"] + halo_m
-    i, j = map(int, tile.split("_"))
+    i, j = parse_cell(tile)
     return bool(
         west - reach <= (i + 1) * edge
         and east + reach >= i * edge

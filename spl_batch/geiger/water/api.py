@@ -53,8 +53,6 @@ class Water(Receiver[WaterLedger, WaterContext]):
     ) -> Prepared[WaterLedger, WaterContext]:
         """Find and check every file of a workflow, from what it declares."""
         inputs = gather_inputs(workflow, place.base, place.output)
-        if not inputs.sources:
-            raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
         context = self.context(workflow, place, crs_wkt, code_version())
         ledger = WaterLedger(inputs, workflow, limits.memory_bytes, limits.workers)

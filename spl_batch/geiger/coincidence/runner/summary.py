@@ -18,7 +18,6 @@ from spl_batch.geiger.coincidence.runner.tasks import (
     MAP_CELLS,
     CoincidenceContext,
     map_path,
-    parse,
 )
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.maps import Raster
@@ -32,6 +31,7 @@ from spl_batch.runner.remember import (
     provenance,
     remember,
 )
+from spl_batch.tiling import parse_cell
 
 LARGEST_MAP: Final = 4_000
 """More cells along a side are thinned, whole tiles at a time [count]."""
@@ -107,7 +107,7 @@ def _inputs(done: Receipts) -> Iterable[InputFile]:
 
 def _map(done: Receipts, context: CoincidenceContext, name: str) -> Raster | None:
     """Maps of all tiles side by side, north first."""
-    tiles = [parse(tile) for tile, r in done.get("coincide", {}).items() if r.facts["points"]]
+    tiles = [parse_cell(tile) for tile, r in done.get("coincide", {}).items() if r.facts["points"]]
     if not tiles:
         return None
     west, east = min(t.i for t in tiles), max(t.i for t in tiles) + 1

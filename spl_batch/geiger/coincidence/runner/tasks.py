@@ -22,7 +22,7 @@ from spl_batch.model import PointTable
 from spl_batch.runner import Kind
 from spl_batch.runner.context import Produced, RunContext
 from spl_batch.runner.unchanged import unchanged
-from spl_batch.tiling import Bounds, CellId, cell_bounds, grow
+from spl_batch.tiling import Bounds, cell_bounds, grow, parse_cell
 
 CoincidenceContext = RunContext[CoincidenceWorkflow]
 
@@ -165,7 +165,7 @@ def _refuse_unknown(path: Path, detections: Detections, frames: NDArray[np.int64
 def coincide_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produced:
     """Make the points of a tile from all looks at it."""
     workflow, store = context.workflow, context.store
-    region = cell_bounds(parse(args["tile"]), workflow.tile_q)
+    region = cell_bounds(parse_cell(args["tile"]), workflow.tile_q)
     frames = _frames(args, context, region)
     detections = _detections(args, store, frames)
     points = stages.coincide(frames, detections, region, workflow.coincidence, workflow.array)
@@ -176,12 +176,6 @@ def coincide_tile(args: Mapping[str, Any], context: CoincidenceContext) -> Produ
     spread = np.percentile(points.intensity, [5, 50, 95]).tolist() if len(points) else []
     facts = {"points": len(points), "kinds": kinds, "intensity": spread, "frames": len(frames)}
     return Produced([target, drawn], facts, int(args["detections"]))
-
-
-def parse(tile: str) -> CellId:
-    """Tile of a name such as ``25000_210000``."""
-    i, j = tile.split("_")
-    return CellId(int(i), int(j))
 
 
 def _frames(args: Mapping[str, Any], context: CoincidenceContext, region: Bounds) -> Frames:
