@@ -219,6 +219,8 @@ def _started(workflow: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]
 def _wait_for(output: Path, receipts: int, process: subprocess.Popen[bytes]) -> None:
     while process.poll() is None and sum(1 for _ in _receipt_files(output)) < receipts:
         time.sleep(0.005)
+    if process.poll() is not None:
+        sys.exit(f"the run ended with {process.returncode} before it was to be killed")
 
 
 @contextmanager

@@ -113,7 +113,7 @@ def survey(folder: Path) -> Noise:
     parts = [
         f"{path.parent.name}/{path.stem}" for path in store.path("voxels", "").glob("*/*.zarr")
     ]
-    expected = expected_noise(mm, parts, 100, store, settings.noise)
+    expected = expected_noise(mm, np.ones(len(mm[0]), np.bool_), parts, 100, store, settings.noise)
     xyz = np.stack([truth[axis] for axis in "xyz"], axis=1)
     background = truth["kind"] == BACKGROUND
     signal = ~np.isin(truth["kind"], (BACKGROUND, AFTERPULSE))

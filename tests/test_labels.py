@@ -53,9 +53,10 @@ def test_labels_of_other_units_come_back_to_each_point(
     for u in units:
         core = cell_bounds(u, unit)
         near = [t for t in tiles if t in set(cells_touching(core, TILE))]
-        found, owner, row = read_region(store, near, core, CANONICAL_ORDER, {})
+        found, origin = read_region(store, near, core, CANONICAL_ORDER, {})
         # The label is a function of the point alone, so that it can be recomputed.
-        write_labels(store.labels("ground", str(u)), owner, row, {"ground": found["index"] % 7})
+        all_of_it = origin.of(np.ones(len(found), np.bool_))
+        write_labels(store.labels("ground", str(u)), *all_of_it, {"ground": found["index"] % 7})
     holders = {
         t: [("ground", str(u)) for u in cells_touching(cell_bounds(t, TILE), unit) if u in units]
         for t in tiles
@@ -67,7 +68,7 @@ def test_labels_of_other_units_come_back_to_each_point(
         seen += len(back)
     assert seen == n
     region = Bounds(-120, -33, 155, 101)
-    got, _, _ = read_region(store, tiles, region, CANONICAL_ORDER, {"ground": holders})
+    got, _ = read_region(store, tiles, region, CANONICAL_ORDER, {"ground": holders})
     mine = table.take(inside(table["x"], table["y"], region))
     assert np.array_equal(got["index"], mine["index"]), "canonical order, nothing lost"
     assert np.array_equal(got["ground"], mine["index"] % 7)
@@ -98,5 +99,6 @@ def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
 
 
 def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
-    table, tiles, rows = read_region(Store(tmp_path), [], Bounds(0, 0, 9, 9), CANONICAL_ORDER, {})
+    table, origin = read_region(Store(tmp_path), [], Bounds(0, 0, 9, 9), CANONICAL_ORDER, {})
+    tiles, rows = origin.of(np.empty(0, np.bool_))
     assert len(table) == len(tiles) == len(rows) == 0

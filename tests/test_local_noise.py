@@ -34,9 +34,9 @@ def listened(until_m: float, *, holes: np.ndarray | None = None) -> np.ndarray:
         squares &= ~holes
     x, y = np.indices(squares.shape[:2]).reshape(2, -1)
     voxel = (x // 4, y // 4, np.full(len(x), MIDDLE))
-    found = local_noise.listened_density(
-        np.rint(amount).astype(np.int64), pack(squares), voxel, (x, y), 10.0
-    )
+    heard = local_noise.listened(np.rint(amount).astype(np.int64), pack(squares), 10.0)
+    assert heard is not None
+    found = heard.at(voxel, (x, y))
     return found.reshape(squares.shape[:2])[:, 8:-8]
 
 
@@ -118,7 +118,9 @@ def ridge(per_square: float, height: float) -> tuple[np.ndarray, np.ndarray]:
     x, y = np.indices(rate.shape).reshape(2, -1)
     voxel = (x // 4, y // 4, np.full(len(x), MIDDLE))
     amounts = np.repeat(np.rint(amount).astype(np.int64)[:, :, None], SIZE[2], axis=2)
-    found = local_noise.listened_density(amounts, pack(beamlets), voxel, (x, y), 10.0)
+    heard = local_noise.listened(amounts, pack(beamlets), 10.0)
+    assert heard is not None
+    found = heard.at(voxel, (x, y))
     return found.reshape(rate.shape)[8:-8, 8:-8], true[12:-12, 12:-12]
 
 

@@ -30,7 +30,7 @@ from spl_batch.api.events import (
 )
 from spl_batch.api.lock import holder, lock_file, locked
 from spl_batch.api.progress import end_last_line
-from spl_batch.api.status import Follower, RunStatus
+from spl_batch.api.status import Follower, RunStatus, StageStatus
 from spl_batch.api.tilemap import COLUMNS, ROWS, State, TileMap
 from spl_batch.cli import live, screen, view
 from spl_batch.errors import WorkflowError
@@ -189,6 +189,26 @@ def test_the_rate_is_that_of_all_workers_together() -> None:
     assert stage.elapsed_s == 2 * (len(records) - 3)
     assert stage.points_per_s == 100 / stage.elapsed_s
     assert stage.left_s == 300 / stage.points_per_s
+
+
+def test_first_tasks_that_compile_do_not_foretell_the_rest() -> None:
+    stage = StageStatus("denoise", total=100, left_points=10_000, points_to_do=10_000)
+    stage.began_s, stage.latest_s, stage.expected_s = 1000.0, 1000.0, 50.0
+    assert stage.left_s == 50.0
+    stage.done, stage.points, stage.left_points, stage.latest_s = 1, 100, 9_900, 1060.0
+    own_s = 9_900 / (100 / 60)
+    assert stage.left_s == pytest.approx(0.05 * own_s + 0.95 * 49.5), "one task took a minute"
+    stage.done, stage.points, stage.left_points, stage.latest_s = 20, 2_000, 8_000, 1070.0
+    assert stage.left_s == 8_000 / (2_000 / 70)
+
+
+def test_of_a_killed_run_nothing_is_shown_as_running(tmp_path: Path) -> None:
+    records = [as_record(event) for event in a_run()]
+    (tmp_path / "log.jsonl").write_text("".join(json.dumps(r) + "\n" for r in records))
+    found = Follower(tmp_path).update()
+    assert (found.running, found.holder, found.ended) == ({}, None, None)
+    assert not found.tiles["denoise"].running.any()
+    assert State.RUNNING not in found.tiles["denoise"].states()
 
 
 # The log

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from spl_batch.errors import StoppedError, StoreError, WorkflowError
-from spl_batch.io.atomic import checksum, replacing, scratch_name, sweep, write_bytes
+from spl_batch.io.atomic import (
+    checksum,
+    owned_by,
+    replacing,
+    scratch_name,
+    sweep,
+    write_bytes,
+)
 from spl_batch.io.store import (
     Store,
     append_log,
@@ -225,3 +232,17 @@ def test_the_log_has_one_line_for_each_event(tmp_path: Path) -> None:
         append_log(tmp_path, {"event": "Note", "text": f"two\nlines {k}"})
     lines = (tmp_path / "log.jsonl").read_text().splitlines()
     assert [json.loads(line)["text"][-1] for line in lines] == ["0", "1", "2"]
+
+
+def test_a_task_of_a_run_that_is_over_replaces_nothing(tmp_path: Path) -> None:
+    mark, path = tmp_path / "lock", tmp_path / "labels"
+    mark.write_text("first run")
+    with owned_by(str(mark), "first run"):
+        write_bytes(path, b"of the first run")
+        mark.write_text("second run")
+        with owned_by(str(mark), "second run"):
+            write_bytes(path, b"of the second run")
+        with pytest.raises(StoppedError, match="another run has begun here"):
+            write_bytes(path, b"late")
+    assert path.read_bytes() == b"of the second run"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["labels", "lock"]

@@ -24,6 +24,8 @@ class RunStarted:
         Time that each stage is expected to take if nothing of it is finished [s].
     stages : sequence of str
         Names of all stages, in order.
+    phases : mapping of str to int
+        Phases of each stage [count].
     """
 
     workflow: str
@@ -31,6 +33,7 @@ class RunStarted:
     code: str
     expected_s: Mapping[str, float] = field(default_factory=dict)
     stages: Sequence[str] = ()
+    phases: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Run a workflow: phase after phase, skipping what is finished, isolating what fails."""
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -123,7 +124,8 @@ def run(
         repairs = Repairs(prepared.context.store)
         progress = Progress(output, listener, invocation, repairs, kinds(_kind(prepared)))
         code = prepared.context.code
-        progress.tell(RunStarted(str(workflow), workers, code, _expected_s(cost), order))
+        phases = Counter(progress.stage(phase.kind) for phase in prepared.receiver.phases)
+        progress.tell(RunStarted(str(workflow), workers, code, _expected_s(cost), order, phases))
         progress.tidy()
         with _telling_the_end(progress):
             for warning in prepared.ledger.inputs.warnings:
@@ -165,14 +167,16 @@ def _conclude(
     if until is not None and until != "report":
         status = int(bool(progress.failures or ledger.inputs.bad))
         return RunResult(status, context.output, None)
+    earlier_s = _earlier_wall_s(context.output, progress)
     facts = RunFacts(
-        time.perf_counter() - start_s + _earlier_wall_s(context.output, progress),
+        time.perf_counter() - start_s + earlier_s,
         progress.invocation.workers,
         progress.costs,
         tuple(failures(prepared, progress.failures)),
         progress.notes,
         receiver.reference(ledger),
         receiver.not_read(ledger),
+        earlier_s,
     )
     written = receiver.report(ledger.done, context, facts)
     screen = (*receiver.screen(written),)

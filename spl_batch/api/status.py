@@ -23,6 +23,9 @@ _FIRST_EVENT: Final = b'"event": "RunStarted"'
 _WORK_EVENT: Final = b'"event": "PhaseStarted"'
 """What it has where a run knows its first tasks, and those that are finished."""
 
+TRUSTED_SHARE: Final = 0.2
+"""Share of a stage's points from which on the time left follows from its own speed alone."""
+
 _BLOCK_BYTES: Final = 1 << 22
 """Bytes of the log read at once [byte]."""
 
@@ -43,10 +46,14 @@ class StageStatus:
         Summed time of those tasks [s].
     left_points : int
         Points of tasks that are still to do [count].
+    points_to_do : int
+        Points of tasks that this run had to do when their phases began [count].
     began_s, latest_s : float
         When its first phase began, and its latest event; 0 before that [s since 1970].
     expected_s : float
         Time that the whole stage was expected to take; 0 where unknown [s].
+    phases_left : int
+        Phases of it that have not begun, as far as is known [count].
     """
 
     stage: str
@@ -56,9 +63,11 @@ class StageStatus:
     points: int = 0
     wall_s: float = 0.0
     left_points: int = 0
+    points_to_do: int = 0
     began_s: float = 0.0
     latest_s: float = 0.0
     expected_s: float = 0.0
+    phases_left: int = 0
 
     @property
     def left(self) -> int:
@@ -80,9 +89,19 @@ class StageStatus:
         """Time that it will still take, as far as can be told [s]."""
         if not self.began_s:
             return self.expected_s
-        if self.points_per_s > 0:
-            return self.left_points / self.points_per_s
-        return self.expected_s if self.left else 0.0
+        left_s = self._left_of_phases_s() if self.left else 0.0
+        return max(left_s, self.expected_s - self.elapsed_s) if self.phases_left else left_s
+
+    def _left_of_phases_s(self) -> float:
+        """The same of the phases that have begun."""
+        expected_s = self.expected_s * self.left / self.total
+        if self.points_per_s == 0:
+            return expected_s
+        # The first tasks compile kernels and warm caches: their rate is no rate to go by.
+        weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0)
+        if not expected_s:
+            weight = 1.0
+        return weight * self.left_points / self.points_per_s + (1 - weight) * expected_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +200,8 @@ class RunStatus:
             setattr(self, name, getattr(fresh, name))
         for name, seconds in record.get("expected_s", {}).items():
             self.stages[name].expected_s = seconds
+        for name, phases in record.get("phases", {}).items():
+            self.stages[name].phases_left = phases
 
     def _workers_ready(self, record: Mapping[str, Any]) -> None:
         self.dashboard = record.get("dashboard", "")
@@ -192,9 +213,11 @@ class RunStatus:
             self._begin_again()
         self.kinds.add(record["kind"])
         stage = self.stages[record["stage"]]
+        stage.phases_left -= stage.phases_left > 0
         stage.total += record["tasks"] + record["skipped"]
         stage.done += record["skipped"]
         stage.left_points += record["points"]
+        stage.points_to_do += record["points"]
         stage.latest_s = _seconds(record)
         stage.began_s = stage.began_s or stage.latest_s
         if record.get("tiles"):
@@ -238,8 +261,14 @@ class RunStatus:
 
     def _run_ended(self, record: Mapping[str, Any]) -> None:
         self.ended = record
-        self.running.clear()
         self.dashboard = ""
+        self.nothing_runs()
+
+    def nothing_runs(self) -> None:
+        """Take what was running for waiting: the run is over, or was killed."""
+        self.running.clear()
+        for tiles in self.tiles.values():
+            tiles.running[:] = 0
 
 
 class Follower:
@@ -280,6 +309,8 @@ class Follower:
         except OSError as error:
             raise WorkflowError(f"{self._log}: cannot be read: {error.strerror}") from None
         self.status.holder = holder(self.output)
+        if self.status.holder is None:
+            self.status.nothing_runs()
         return self.status
 
     def _take(self, content: bytes) -> None:

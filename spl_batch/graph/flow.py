@@ -237,7 +237,7 @@ class _Flow:
     def _count(self, found: Mapping[str, Mapping[str, Any]], now: float) -> None:
         gone = [address for address in self.threads if address not in found]
         for address in gone:
-            self.to.observer.noted(f"worker {address} is gone; its tasks run on others")
+            self.to.observer.noted(f"worker {address} is gone; its tasks go to others")
         if found:
             self.populated_s = now
         elif self.to.local and now - self.populated_s > PATIENCE_S:

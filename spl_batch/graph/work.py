@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from spl_batch.errors import StoppedError
+from spl_batch.io.atomic import owned_by
 from spl_batch.runner import code_version, run_task
 from spl_batch.runner.context import RunContext
 from spl_batch.task import Receipt, Task, WorkersSeen
@@ -82,7 +83,8 @@ def work(
     if fault:
         raise StoppedError(f"worker {worker.address} {fault}; mend it and run again")
     worker.log_event(topic, {"kind": task.kind, "name": task.name, "worker": worker.address})
-    return worker.address, run_task(task, key, context)
+    with owned_by(footing.mark, footing.content):
+        return worker.address, run_task(task, key, context)
 
 
 @cache

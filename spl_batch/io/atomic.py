@@ -8,6 +8,7 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +25,7 @@ _CONCERNS_EVERYTHING: Final = {
     errno.EFBIG: "too large for the file system or the shell's limit (ulimit -f); run again "
     "where it fits",
 }
+_OWNER: Final[ContextVar[tuple[str, str] | None]] = ContextVar("owner", default=None)
 _NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 
 
@@ -31,6 +33,37 @@ def scratch_name(path: Path) -> Path:
     """A name beside ``path`` for something that is not finished; no two calls give the same."""
     # Long names of inputs must not become too long.
     return path.with_name(f".{path.name[:128]}.{secrets.token_hex(8)}{SCRATCH}")
+
+
+@contextmanager
+def owned_by(mark: str, content: str) -> Iterator[None]:
+    """Put nothing in place in this block, in this thread, once somebody else works there.
+
+    A task goes on when its run is killed elsewhere; what the run after it makes must not be
+    replaced by what this one made with other settings.
+
+    Parameters
+    ----------
+    mark : str
+        Path of a file that names who works there.
+    content : str
+        What it holds for the run of this block.
+    """
+    token = _OWNER.set((mark, content))
+    try:
+        yield
+    finally:
+        _OWNER.reset(token)
+
+
+def _stop_if_disowned() -> None:
+    owner = _OWNER.get()
+    if owner is None:
+        return
+    mark, content = owner
+    with suppress(OSError):
+        if Path(mark).read_text(encoding="utf-8") != content:
+            raise StoppedError(f"{mark}: another run has begun here; this one is over")
 
 
 @contextmanager
@@ -60,6 +93,7 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             with uploading(path) as temporary:
                 yield temporary
+                _stop_if_disowned()
         except OSError as error:
             stop_if_full(error, path)
             raise
@@ -68,6 +102,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         _make_folder(path.parent)
         yield temporary
+        _stop_if_disowned()
         _put_in_place(temporary, path)
     except OSError as error:
         stop_if_full(error, path)

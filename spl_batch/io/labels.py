@@ -6,14 +6,14 @@ otherwise than the tiles (ground cells, blocks) need no join to find their point
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.io.store import Store
 from spl_batch.io.tables import read_between, read_table, writing
-from spl_batch.model import COLUMNS, PointTable, concat
+from spl_batch.model import COLUMNS, PointTable, empty_table
 from spl_batch.order import lexicographic_order
 from spl_batch.tiling import Bounds, CellId, inside
 
@@ -26,6 +26,28 @@ DEFAULTS: dict[str, float] = {
     "classification": 255,
 }
 """Label of a point that no unit has labelled."""
+
+
+class Origin(NamedTuple):
+    """Where on disk the n points of a region lie.
+
+    Parameters
+    ----------
+    tiles : (t, 2) int32
+        Column and row of each tile.
+    owner : (n,) uint16 or uint32
+        Which of them holds each point.
+    row : (n,) uint32
+        Row of each point in its tile's file.
+    """
+
+    tiles: NDArray[np.int32]
+    owner: NDArray[np.unsignedinteger[Any]]
+    row: NDArray[np.uint32]
+
+    def of(self, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
+        """Tile (m, 2) and row (m,) of some points, given as (n,) bool."""
+        return self.tiles[self.owner[chosen]], self.row[chosen]
 
 
 def write_labels(
@@ -127,7 +149,7 @@ def read_region(
     bounds: Bounds,
     columns: Sequence[str],
     labels: Mapping[str, Mapping[CellId, Sequence[tuple[str, str]]]],
-) -> tuple[PointTable, NDArray[np.int32], NDArray[np.uint32]]:
+) -> tuple[PointTable, Origin]:
     """Points of a region in canonical order, with labels.
 
     Parameters
@@ -147,27 +169,33 @@ def read_region(
     -------
     table : PointTable
         The points.
-    tile : (n, 2) int32
-        Tile of each point.
-    row : (n,) uint32
-        Row of each point in its tile's file.
+    origin : Origin
+        Where they lie.
     """
     names = [*columns, *labels]
-    tables, owners, rows = [], [], []
-    for tile in sorted(tiles):
+    held = sorted(tiles)
+    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in (*names, "row")}
+    for tile in held:
         span = {"x": (bounds.xmin, bounds.xmax - 1)}
         values, row = read_between(store.tile(str(tile)), columns, span)
         of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
         found = _labels_of(store, tile, int(row[-1]) + 1 if len(row) else 0, of_tile)
-        table = PointTable({**values, **{name: found[name][row] for name in labels}})
-        chosen = np.flatnonzero(inside(table["x"], table["y"], bounds))
-        tables.append(table.take(chosen))
-        owners.append(np.tile(np.array(tile, dtype=np.int32), (len(chosen), 1)))
-        rows.append(row[chosen].astype(np.uint32))
-    table = concat(tables, names)
-    if not tables:
-        return table, np.empty((0, 2), np.int32), np.empty(0, np.uint32)
+        chosen = np.flatnonzero(inside(values["x"], values["y"], bounds))
+        for name in columns:
+            parts[name].append(values.pop(name)[chosen])
+        for name in labels:
+            parts[name].append(found[name][row[chosen]])
+        parts["row"].append(row[chosen].astype(np.uint32))
+    cells = np.array(held, dtype=np.int32).reshape(-1, 2)
+    if not held:
+        nothing = np.empty(0, np.uint32)
+        return empty_table(names), Origin(cells, nothing, nothing)
+    index = np.min_scalar_type(len(held))
+    owner = np.repeat(np.arange(len(held), dtype=index), [len(part) for part in parts["row"]])
     # Tiles are in canonical order, and points of different ones differ in x or, where their
     # tiles stand in one column, in y: a stable sort by x puts all in canonical order.
-    order = lexicographic_order([table["x"]])
-    return table.take(order), np.concatenate(owners)[order], np.concatenate(rows)[order]
+    order = lexicographic_order([np.concatenate(parts["x"])])
+    # A column at a time: a region is the largest thing that a worker holds.
+    merged = {name: np.concatenate(parts.pop(name))[order] for name in (*names, "row")}
+    in_file = merged.pop("row")
+    return PointTable(merged), Origin(cells, owner[order], in_file)

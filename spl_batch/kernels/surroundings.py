@@ -26,7 +26,7 @@ class Columns(NamedTuple):
 
     Parameters
     ----------
-    order : (n,) int64
+    order : (n,) int32
         Rows in that order.
     starts : (nx * ny + 1,) int64
         Where columns start in ``order``, then n.
@@ -36,34 +36,36 @@ class Columns(NamedTuple):
         Edge of a column [quanta].
     """
 
-    order: NDArray[np.int64]
+    order: NDArray[np.int32]
     starts: NDArray[np.int64]
     shape: tuple[int, int]
     edge: int
 
 
-def columns(xyz: NDArray[np.int64], edge: int) -> Columns:
+def columns(xyz: NDArray[np.int32], edge: int) -> Columns:
     """List points by column.
 
     Parameters
     ----------
-    xyz : (n, 3) int64
-        Coordinates >= 0 [quanta], n >= 1.
+    xyz : (n, 3) int32
+        Coordinates >= 0 [quanta], 1 <= n < 2**31.
     edge : int
         Edge of a column [quanta].
     """
     i, j = xyz[:, 0] // edge, xyz[:, 1] // edge
     nx, ny = int(i.max()) + 1, int(j.max()) + 1
-    column = i * ny + j
-    height = int(xyz[:, 2].max()) + 1
-    order = np.argsort(column * height + xyz[:, 2]).astype(np.int64)
+    column = i.astype(np.int64) * ny + j
     count = np.bincount(column, minlength=nx * ny)
+    height = int(xyz[:, 2].max()) + 1
+    column *= height
+    column += xyz[:, 2]
+    order = np.argsort(column).astype(np.int32)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     return Columns(order, starts, (nx, ny), edge)
 
 
 @njit(nogil=True, cache=True)
-def _first_from(z: NDArray[np.int64], low: int, high: int, level: int) -> int:
+def _first_from(z: NDArray[np.int32], low: int, high: int, level: int) -> int:
     """First of the ascending ``z[low:high]`` that is not below a level."""
     while low < high:
         middle = (low + high) // 2
@@ -76,14 +78,14 @@ def _first_from(z: NDArray[np.int64], low: int, high: int, level: int) -> int:
 
 @njit(nogil=True, cache=True)
 def weigh_around(
-    xyz: NDArray[np.int64],
+    xyz: NDArray[np.int32],
     time: NDArray[np.float64],
     channel: NDArray[np.uint8],
-    weight: NDArray[np.int64],
+    weight: NDArray[np.int16],
     starts: NDArray[np.int64],
     shape: tuple[int, int],
     edge: int,
-    rows: NDArray[np.int64],
+    rows: NDArray[np.int32],
     radii: NDArray[np.int64],
     tilt: NDArray[np.float64],
     out: NDArray[np.int64],
@@ -92,15 +94,15 @@ def weigh_around(
 
     Parameters
     ----------
-    xyz : (n, 3) int64
+    xyz : (n, 3) int32
         Points in the order of :class:`Columns` [quanta].
     time, channel : (n,) float64, uint8
         Their beamlets.
-    weight : (n,) int64
+    weight : (n,) int16
         0 to :data:`UNIT`.
     starts, shape, edge
         As in :class:`Columns`.
-    rows : (m,) int64
+    rows : (m,) int32
         Points to count around.
     radii : (k, 2) int64
         Horizontal and vertical radius of each kernel [quanta]; the first one contains the
@@ -140,7 +142,7 @@ def weigh_around(
 
 @njit(nogil=True, cache=True)
 def _parent(
-    row: int, xyz: NDArray[np.int64], time: NDArray[np.float64], channel: NDArray[np.uint8],
+    row: int, xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
     starts: NDArray[np.int64], shape: tuple[int, int], edge: int, lag: int, aside: int,
 ) -> int:  # fmt: skip
     """The lowest return of the beamlet above one of it; -1 for none.
@@ -164,7 +166,7 @@ def _parent(
 
 @njit(nogil=True, cache=True)
 def _sum_around(
-    row: int, xyz: NDArray[np.int64], true: NDArray[np.bool_], starts: NDArray[np.int64],
+    row: int, xyz: NDArray[np.int32], true: NDArray[np.bool_], starts: NDArray[np.int64],
     shape: tuple[int, int], edge: int, wide: int, high: int, plane: NDArray[np.float64],
     levels: NDArray[np.float64], thick: float, sums: NDArray[np.int64],
 ) -> None:  # fmt: skip
@@ -214,9 +216,9 @@ def _plane_of(sums: NDArray[np.int64], plane: NDArray[np.float64]) -> bool:
 
 @njit(nogil=True, cache=True)
 def behind_plane(
-    xyz: NDArray[np.int64], time: NDArray[np.float64], channel: NDArray[np.uint8],
+    xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
     true: NDArray[np.bool_], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
-    rows: NDArray[np.int64], lag: int, wide: int, high: int, thick: int, share: float,
+    rows: NDArray[np.int32], lag: int, wide: int, high: int, thick: int, share: float,
     least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Whether points lie behind a plane that the true returns around their parent make.

@@ -4,6 +4,7 @@ A task's need is that of a worker that has compiled its kernels and the points t
 task holds at once times the bytes of each; `benchmarks/memory.py` measures them.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -198,10 +199,11 @@ def refusal(kind: str, points: float, limit: int) -> str:
     needed = task_bytes(kind, points)
     if needed <= usable_bytes(limit):
         return ""
+    enough = math.ceil(needed / USABLE_SHARE / 2**20)
     return (
         f"{NAMES[kind]} with {points:,.0f} points in reach needs about {needed / 2**20:,.0f} MiB, "
         f"more than {USABLE_SHARE:.0%} of --memory {limit / 2**20:,.0f} MiB; "
-        f"raise it or {REMEDIES[kind]}"
+        f"raise it to {enough}MiB or {REMEDIES[kind]}"
     )
 
 

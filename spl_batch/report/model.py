@@ -191,6 +191,9 @@ class Performance(Part):
     """Cost of the run."""
 
     wall_s: Number = Field(None, description="From start to the report [s].")
+    earlier_wall_s: Number = Field(
+        None, description="The part of it that earlier runs took, whose work was found [s]."
+    )
     points_per_s: Number = Field(None, description="Input points per second, end to end [1/s].")
     peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
     workers: Count | None = Field(None, description="Workers [count].")

@@ -107,13 +107,20 @@ def ending_rows(
         What a reader has to know.
     """
     speed = f"{large(work.points_per_s)} points/s"
-    rows = [("time", f"{duration(work.wall_s)} ({speed})")]
+    rows = [("time", f"{duration(work.wall_s)} ({speed}){_of_which(work)}")]
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MB per worker"))
     rows.append(("failures", number(len(failures)) if failures else "none"))
     if warnings:
         rows.append(("warnings", number(len(warnings))))
     return [(label, _ascii(value)) for label, value in rows]
+
+
+def _of_which(work: Performance) -> str:
+    """What a run took that went on with the work of others."""
+    if not work.earlier_wall_s or work.wall_s is None:
+        return ""
+    return f", {duration(work.wall_s - work.earlier_wall_s)} of it in this run"
 
 
 def _accuracy_verdict(report: Report) -> Verdict:

@@ -53,10 +53,12 @@ class Kind:
 
 
 LIBRARIES: Final = (
+    "laspy",
     "lazrs",
     "numba",
     "numpy",
     "pyproj",
+    "rasterio",
     "scikit-image",
     "scipy",
     "shapely",

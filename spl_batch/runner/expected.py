@@ -1,7 +1,7 @@
 """Noise expected at points: the sum of all stretches' shares of the voxels around them."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,17 +10,20 @@ from spl_batch.io.store import Store
 from spl_batch.io.voxels import add_voxels
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages import voxel_noise
-from spl_batch.stages.local_noise import MARGIN_VOXELS, SQUARES, listened_density
+from spl_batch.stages.local_noise import MARGIN_VOXELS, SQUARES, Listened, listened
 from spl_batch.tiling import cell_index, quanta
+
+AT_ONCE: Final = 1 << 18
+"""Points whose voxels are looked up at once [count]."""
 
 
 class Expected(NamedTuple):
-    """Noise density at n points [1/m3].
+    """Noise density at points [1/m3].
 
     Parameters
     ----------
-    mean : (n,) float64
-        Of each point's whole voxel: what is delivered.
+    mean : (m,) float64
+        Of each told point's whole voxel: what is delivered.
     local : (n,) float64
         Of the part of it that is listened to: what points are tested with.
     """
@@ -34,12 +37,28 @@ class _Box(NamedTuple):
 
     corner: tuple[int, int, int]
     shape: tuple[int, int, int]
+    edge: int
+
+    def places(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> "_Places":
+        """Voxels and squares of some points."""
+        at = [axis.astype(np.int64, copy=False) for axis in xyz]
+        x, y, z = (cell_index(p, self.edge) - c for p, c in zip(at, self.corner, strict=True))
+        across, along = (
+            (at[k] - self.corner[k] * self.edge) * SQUARES // self.edge for k in (0, 1)
+        )
+        return _Places((x, y, z), (across, along))
+
+
+class _Places(NamedTuple):
+    """Indices of voxels, and of squares in a layer of them."""
+
     voxel: tuple[NDArray[np.int64], ...]
     square: tuple[NDArray[np.int64], ...]
 
 
 def expected_noise(
     xyz: Sequence[NDArray[np.integer[Any]]],
+    told: NDArray[np.bool_],
     parts: Sequence[str],
     beamlets: int,
     store: Store,
@@ -51,6 +70,8 @@ def expected_noise(
     ----------
     xyz : three of (n,) integer
         Absolute coordinates [quanta].
+    told : (n,) bool
+        Points whose density is delivered.
     parts : sequence of str
         ``LINE/K`` of every stretch with voxels within two voxels of the points'.
     beamlets : int
@@ -60,13 +81,14 @@ def expected_noise(
     settings : NoiseSettings
         Voxel and correction.
     """
-    if not len(xyz[0]) or not parts:
-        return Expected(np.zeros(len(xyz[0])), np.zeros(len(xyz[0])))
+    n = len(xyz[0])
+    if not n or not parts:
+        return Expected(np.zeros(np.count_nonzero(told)), np.zeros(n))
     box = _box(xyz, quanta(settings.voxel_m))
     published = settings.correction == "published"
     names = ("amount", "shots", "beamlets") if published else ("amount",)
     totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
-    local = np.zeros(len(xyz[0]))
+    local = np.zeros(n)
     for line in _by_line(parts):
         sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
         if not published:
@@ -76,9 +98,9 @@ def expected_noise(
         for name in names:
             totals[name] += sums[name]
         if not published:
-            local += listened_density(
-                sums["amount"], sums["squares"], box.voxel, box.square, settings.voxel_m
-            )
+            heard = listened(sums["amount"], sums["squares"], settings.voxel_m)
+            if heard is not None:
+                _add(local, heard, box, xyz)
     density = voxel_noise.density(
         totals["amount"],
         settings,
@@ -87,18 +109,35 @@ def expected_noise(
         beamlets_per_shot=beamlets,
     )
     # published, or beside all that any beamlet crosses
-    within = voxel_noise.within_gate(density)[box.voxel]
-    return Expected(density[box.voxel], np.where(local > 0.0, local, within))
+    within, mean = voxel_noise.within_gate(density), []
+    for some in _batches(n):
+        voxel = box.places([axis[some] for axis in xyz]).voxel
+        local[some] = np.where(local[some] > 0.0, local[some], within[voxel])
+        mean.append(density[voxel][told[some]])
+    return Expected(np.concatenate(mean), local)
 
 
 def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int) -> _Box:
-    points = [axis.astype(np.int64) for axis in xyz]
-    index = [cell_index(p, edge) for p in points]
-    low = [int(i.min()) - MARGIN_VOXELS for i in index]
-    size = [int(i.max()) - c + 1 + MARGIN_VOXELS for i, c in zip(index, low, strict=True)]
-    voxel = tuple(i - c for i, c in zip(index, low, strict=True))
-    square = tuple((points[k] - low[k] * edge) * SQUARES // edge for k in (0, 1))
-    return _Box((low[0], low[1], low[2]), (size[0], size[1], size[2]), voxel, square)
+    ends = [np.array([axis.min(), axis.max()], dtype=np.int64) for axis in xyz]
+    low, high = zip(*(cell_index(pair, edge).tolist() for pair in ends), strict=True)
+    corner = tuple(i - MARGIN_VOXELS for i in low)
+    shape = tuple(i - c + 1 + MARGIN_VOXELS for i, c in zip(high, corner, strict=True))
+    return _Box((corner[0], corner[1], corner[2]), (shape[0], shape[1], shape[2]), edge)
+
+
+def _add(
+    local: NDArray[np.float64],
+    heard: Listened,
+    box: _Box,
+    xyz: Sequence[NDArray[np.integer[Any]]],
+) -> None:
+    """Add the noise of one flightline at points."""
+    for some in _batches(len(local)):
+        local[some] += heard.at(*box.places([axis[some] for axis in xyz]))
+
+
+def _batches(n: int) -> Iterator[slice]:
+    return (slice(first, first + AT_ONCE) for first in range(0, n, AT_ONCE))
 
 
 def _by_line(parts: Sequence[str]) -> list[list[str]]:

@@ -63,7 +63,7 @@ def read_strip(
         "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
         "classification": label_holders(tiles, tile_q, "classes", done.get("surface", {})),
     }
-    table, _, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels)
+    table, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels)
     if not len(table):
         return None
     return Profile(

@@ -63,7 +63,7 @@ class RunFacts:
     Parameters
     ----------
     wall_s : float
-        Duration of the run so far [s].
+        Duration of the run so far, that of finished runs whose work it found included [s].
     workers : int
         Worker processes [count].
     costs : mapping of str to StageCost
@@ -76,6 +76,8 @@ class RunFacts:
         Reference files.
     not_read : int
         Points that unreadable files promise [count].
+    earlier_s : float
+        The part of its duration that finished runs before it took [s].
     """
 
     wall_s: float
@@ -85,6 +87,7 @@ class RunFacts:
     notes: Iterable[str] = ()
     reference: Iterable[str] = ()
     not_read: int = 0
+    earlier_s: float = 0.0
 
 
 def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
@@ -101,6 +104,7 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "notes": list(facts.notes),
         "reference": list(facts.reference),
         "not_read": facts.not_read,
+        "earlier_s": facts.earlier_s,
         "done": {kind: list(names) for kind, names in done.items()},
     }
     write_bytes(context.store.local / "run.json", json.dumps(content).encode())
@@ -134,6 +138,7 @@ def performance(facts: RunFacts, points: int) -> Performance:
     """
     return Performance(
         wall_s=facts.wall_s,
+        earlier_wall_s=facts.earlier_s,
         points_per_s=points / facts.wall_s if facts.wall_s > 0 else None,
         peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
         workers=facts.workers,

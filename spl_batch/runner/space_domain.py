@@ -31,6 +31,9 @@ _SURFACE_COLUMNS = (*_GROUND_COLUMNS, "return_number", "intensity", "input_class
 _FIRED_COLUMNS = ("gps_time", "channel")
 """What the stages look at; a tile holds twice as much."""
 
+_RASTER_COLUMNS = (*_FIRED_COLUMNS, "noise_density")
+"""What is needed for the reflectance and the mean noise of raster cells alone."""
+
 
 def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     """Decide which points of a block are noise."""
@@ -38,19 +41,25 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     core = Bounds(*args["core"])
     region = grow(core, quanta(denoising.reach_m(workflow.filter)))
     cells = _cells(args["tiles"])
-    table, tiles, rows = read_region(context.store, cells, region, denoising.COLUMNS_NEEDED, {})
+    table, origin = read_region(context.store, cells, region, denoising.COLUMNS_NEEDED, {})
     owned = inside(table["x"], table["y"], core)
     xyz = [table[axis] for axis in "xyz"]
-    noise = expected_noise(xyz, args["voxels"], args["beamlets"], context.store, workflow.noise)
-    decided = denoising.denoise(table, noise.local, owned, workflow.filter, workflow.afterpulse)
+    noise = expected_noise(
+        xyz, owned, args["voxels"], args["beamlets"], context.store, workflow.noise
+    )
+    del xyz
+    found = denoising.resolve(table, noise.local, workflow.filter, workflow.afterpulse)
+    # What only the afterpulses are told by is not held while the rest is judged.
+    table = table.select(denoising.COLUMNS_JUDGED)
+    decided = denoising.judge(table, noise.local, owned, found, workflow.filter)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {
         "noise_class": decided["noise_class"],
         "p_value": decided["p_value"],
         "wire": decided["wire"],
-        "noise_density": noise.mean[owned],
+        "noise_density": noise.mean,
     }
-    write_labels(path, tiles[owned], rows[owned], labels)
+    write_labels(path, *origin.of(owned), labels)
     classes, counts = np.unique(decided["noise_class"], return_counts=True)
     facts = {
         "core": list(core),
@@ -63,7 +72,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     """Find the ground of a cell."""
     settings = context.workflow.ground
     core = _ground_cell(args, context)
-    table, tiles, rows = read_region(
+    table, origin = read_region(
         context.store,
         _cells(args["tiles"]),
         grow(core, quanta(settings.buffer_m)),
@@ -73,7 +82,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     mask = grounding.ground_mask(table, _usable(table), settings)
     owned = inside(table["x"], table["y"], core)
     path = context.store.labels("ground", args["cell"])
-    write_labels(path, tiles[owned], rows[owned], {"ground": mask[owned]})
+    write_labels(path, *origin.of(owned), {"ground": mask[owned]})
     facts = {"ground": int(np.count_nonzero(mask & owned))}
     return Produced([path], facts, int(np.count_nonzero(owned)))
 
@@ -88,29 +97,46 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     if workflow.filter.wires.classify:
         labels["wire"] = noise
     columns = (*_SURFACE_COLUMNS, *(_FIRED_COLUMNS if args["fired"] is not None else ()))
-    table, tiles, rows = read_region(
+    table, origin = read_region(
         context.store, _cells(args["tiles"]), grow(core, reach), columns, labels
     )
-    # A point that no unit has labelled, or that lies outside the area, makes no surface.
-    known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
-    stands = ~stray(table, spare_above=True)
-    shown = table.take(known & ~table.has(PointFlag.OUTSIDE_AOI) & stands)
-    arrays = surfacing.surfaces(shown, core, workflow.products)
+    noise_m3 = _mean_noise(table, core, quanta(workflow.products.cell_m))
+    reflected: dict[str, NDArray[np.float32]] = {}
     if args["fired"] is not None:
         paths = [context.store.path("fired", f"{name}.npz") for name in args["fired"]]
         parts = [FiredPart.from_arrays(read_arrays(path)) for path in paths]
-        arrays["intensity"] = reflectance.raster(table, parts, core, workflow.products)
+        reflected["intensity"] = reflectance.raster(table, parts, core, workflow.products)
+        del parts
+    # What only these two look at is not held any longer.
+    table = table.select([name for name in table.columns if name not in _RASTER_COLUMNS])
+    owned = inside(table["x"], table["y"], core)
+    mine, place = table.take(owned), origin.of(owned)
+    del origin, owned
+    shown = _makes_surfaces(table)
+    del table
+    arrays = surfacing.surfaces(shown, core, workflow.products)
+    arrays |= reflected
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
-    arrays["noise"] = _mean_noise(table, core, quanta(workflow.products.cell_m))
+    arrays["noise"] = noise_m3
     chunks = write_cell(context.rasters, CellId(*args["ij"]), arrays)
-    classes = surfacing.classify(table, core, arrays["dtm"])
-    owned = inside(table["x"], table["y"], core)
     path = context.store.labels("classes", args["cell"])
-    write_labels(path, tiles[owned], rows[owned], {"classification": classes[owned]})
+    classes = surfacing.classify(mine, core, arrays["dtm"])
+    write_labels(path, *place, {"classification": classes})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
     facts = {"core": list(core), "rasters": sums}
-    return Produced([path, *chunks], facts, int(np.count_nonzero(owned)))
+    return Produced([path, *chunks], facts, len(mine))
+
+
+def _makes_surfaces(table: PointTable) -> PointTable:
+    """Points that a surface may rest on, or that say how much noise there is.
+
+    A point that no unit has labelled, or that lies outside the area, is none.
+    """
+    known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
+    stands = ~stray(table, spare_above=True)
+    looked_at = [name for name in (*surfacing.COLUMNS_NEEDED, "afterpulse") if name in table]
+    return table.select(looked_at).take(known & ~table.has(PointFlag.OUTSIDE_AOI) & stands)
 
 
 def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float32]:

@@ -44,6 +44,9 @@ from spl_batch.tiling import quanta
 COLUMNS_NEEDED: Final = echoes.COLUMNS_NEEDED
 """Columns of a table to filter."""
 
+COLUMNS_JUDGED: Final = ("x", "y", "z", "gps_time", "channel", "flags")
+"""Those that :func:`judge` looks at."""
+
 
 class Method(NamedTuple):
     """How one filter judges, and how far it looks [m]."""
@@ -118,8 +121,37 @@ def denoise(
         float32, P(as much evidence | noise), NaN where not assessed; ``wire`` (m,) uint8,
         1 for what is surely a conductor.
     """
+    found = resolve(table, density, settings, afterpulse)
+    return judge(table, density, query, found, settings, exact=exact)
+
+
+def judge(
+    table: PointTable,
+    density: NDArray[np.float64],
+    query: NDArray[np.bool_],
+    found: echoes.Echoes,
+    settings: FilterSettings,
+    *,
+    exact: bool = False,
+) -> NoiseColumns:
+    """Decide which points are noise, where it is known which are afterpulses.
+
+    Parameters
+    ----------
+    table : PointTable
+        As for :func:`denoise`, :data:`COLUMNS_JUDGED` at least.
+    density, query, settings, exact
+        As for :func:`denoise`.
+    found : Echoes
+        From :func:`resolve`.
+
+    Returns
+    -------
+    NoiseColumns
+        As from :func:`denoise`.
+    """
+    echo, dependent = found
     excluded = table.has(EXCLUDED)
-    echo, dependent = _echoes(table, density, settings, afterpulse)
     noise_class = np.full(len(table), NOISE_NOT_ASSESSED, dtype=np.uint8)
     p_value = np.full(len(table), np.nan, dtype=np.float32)
     wire = np.zeros(len(table), dtype=np.uint8)
@@ -132,6 +164,7 @@ def denoise(
         wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
         cloud = _cloud(table, active, density, wanted & ~beamless)
         rows = active[cloud.asked]
+        del active, wanted
         verdict, wire[rows] = _judge(cloud, settings, exact=exact)
         noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = verdict.p_value
@@ -169,13 +202,24 @@ def _judge(
     return Verdict(verdict.signal | found.signal, p_value), found.wire
 
 
-def _echoes(
+def resolve(
     table: PointTable,
     density: NDArray[np.float64],
     settings: FilterSettings,
     afterpulse: AfterpulseSettings,
 ) -> echoes.Echoes:
-    """What is an afterpulse, and what is no evidence of its own: two (n,) bool."""
+    """What is an afterpulse, and what is no evidence of its own.
+
+    Parameters
+    ----------
+    table, density, settings, afterpulse
+        As for :func:`denoise`.
+
+    Returns
+    -------
+    Echoes
+        Two (n,) bool.
+    """
     if settings.method == "none":
         return echoes.believed(table)
     found = echoes.resolve(table, density, afterpulse)

@@ -180,10 +180,10 @@ def probability(
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
     rows = np.flatnonzero(known)
     sure = table["afterpulse"] >= AFTERPULSE_MIN
-    true = np.where(sure | ~usable, 0.0, 1.0)
+    true = np.where(sure | ~usable, 0, UNIT).astype(np.int16)
     hard = sure[rows]
     open_ = np.flatnonzero(~hard)
-    true[rows[open_]] = 1.0 - _from_shot(table["afterpulse"][rows[open_]])
+    true[rows[open_]] = _weights(1.0 - _from_shot(table["afterpulse"][rows[open_]]))
     per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     places = _Places(table)
@@ -198,8 +198,13 @@ def probability(
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
         returns = SIGHT * _density(places.around(rows[open_], true, CROWN_M), CROWN_M)
         chance[open_] = rate[open_] / (rate[open_] + returns * per_metre[open_])
-        true[rows[open_]] = 1.0 - chance[open_]
+        true[rows[open_]] = _weights(1.0 - chance[open_])
     return rows, chance, hard
+
+
+def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Probabilities as weights of returns, in :data:`UNIT`."""
+    return np.rint(true * UNIT).astype(np.int16)
 
 
 def _density(
@@ -225,20 +230,21 @@ class _Places:
     """Points of a table, listed so that weighted counts around them are quick."""
 
     def __init__(self, table: PointTable) -> None:
-        xyz = np.stack([table[name].astype(np.int64) for name in "xyz"], axis=1)
-        xyz -= xyz.min(axis=0)
+        xyz = np.empty((len(table), 3), dtype=np.int32)
+        for axis, name in enumerate("xyz"):
+            xyz[:, axis] = table[name] - table[name].min()
         self._listed = columns(xyz, quanta(WIDE_M[0]))
         order = self._listed.order
         self._xyz, self._time, self._channel = (
             xyz[order], table["gps_time"][order], table["channel"][order],
         )  # fmt: skip
-        self._place = np.empty(len(order), np.int64)
-        self._place[order] = np.arange(len(order))
+        self._place = np.empty(len(order), np.int32)
+        self._place[order] = np.arange(len(order), dtype=np.int32)
 
     def around(
         self,
         rows: NDArray[np.intp],
-        true: NDArray[np.float64],
+        true: NDArray[np.int16],
         radii_m: tuple[tuple[float, float], ...],
         tilt: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
@@ -247,8 +253,7 @@ class _Places:
         sums = np.empty((len(rows), len(radii_m)), dtype=np.int64)
         weigh_around(
             self._xyz, self._time, self._channel,
-            np.rint(true[listed.order] * UNIT).astype(np.int64), listed.starts, listed.shape,
-            listed.edge, self._place[rows],
+            true[listed.order], listed.starts, listed.shape, listed.edge, self._place[rows],
             np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64),
             np.zeros((len(rows), 2)) if tilt is None else tilt, sums,
         )  # fmt: skip

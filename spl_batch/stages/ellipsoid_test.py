@@ -98,21 +98,28 @@ def judge(
         found = evidence(cloud.xyz, cloud.density, asked, settings, _stop(PUBLISHED_ALPHA, exact))
         signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
-    alpha = settings.alpha - np.minimum(spent, LEAST * settings.alpha)
-    rule = _rule(cloud.density, settings, np.broadcast_to(alpha, cloud.density.shape))
     linked = settings.link_count > 0
     assessed = _around(cloud.xyz, asked, quanta(settings.link_m)) if linked else asked
-    stop = _stop(rule.strong, exact)
+    rows = np.flatnonzero(assessed)
+    taken = np.minimum(np.broadcast_to(spent, asked.shape)[rows], LEAST * settings.alpha)
+    rule = _rule(cloud.density[rows], settings, settings.alpha - taken)
+    del taken
+    stop = np.ones(len(asked))
+    stop[rows] = _stop(rule.strong, exact)
     found = evidence(cloud.xyz, cloud.density, assessed, settings, stop)
-    signal = assessed & (found.score <= rule.strong)
+    score = found.score[rows]
+    strong = score <= rule.strong
+    signal = np.zeros(len(asked), np.bool_)
+    signal[rows] = strong
     if linked:
-        weak = np.flatnonzero(asked & ~signal & (found.score <= rule.weak))
+        maybe = np.flatnonzero(asked[rows] & ~strong & (score <= rule.weak))
+        weak = rows[maybe]
         signal[weak] = enough_peers(
             build(cloud.xyz[signal]),
             found.spacing[signal],
             cloud.xyz[weak],
             found.spacing[weak],
-            rule.link[weak],
+            rule.link[maybe],
             settings.link_count,
             settings.peer_ratio,
         )

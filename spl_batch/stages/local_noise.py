@@ -23,7 +23,7 @@ what the test keeps of noise along edges.
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,44 +46,73 @@ SURE: Final = 3.0
 """Standard errors of such a count by which a ridge has to stand out."""
 
 
-def listened_density(
-    amount: NDArray[np.int64],
-    counts: NDArray[np.integer[Any]],
-    voxel: tuple[NDArray[np.int64], ...],
-    square: tuple[NDArray[np.int64], ...],
-    voxel_m: float,
-) -> NDArray[np.float64]:
-    """Noise of one flightline around points, in the part that it listens to.
+class Listened(NamedTuple):
+    """What one flightline listens to, ready to be asked at points.
+
+    Parameters
+    ----------
+    per_m3 : (nx, ny, nz) float64
+        Density of the covered part of each voxel [1/m3].
+    each : (nx, ny, nz) float64
+        What one beamlet stands for there [1/m3].
+    surely : (4 nx, 4 ny, nz) float32
+        Beamlets that surely cross the fullest square within one of each [count].
+    near : (4 nx, 4 ny, nz) bool
+        Squares near those that beamlets cross.
+    """
+
+    per_m3: NDArray[np.float64]
+    each: NDArray[np.float64]
+    surely: NDArray[np.float32]
+    near: NDArray[np.bool_]
+
+    def at(
+        self, voxel: tuple[NDArray[np.int64], ...], square: tuple[NDArray[np.int64], ...]
+    ) -> NDArray[np.float64]:
+        """Noise of the flightline around points, in the part that it listens to.
+
+        Parameters
+        ----------
+        voxel : three of (n,) int64
+            Index of each point's voxel.
+        square : two of (n,) int64
+            Index of its square: :data:`SQUARES` along each edge of a voxel.
+
+        Returns
+        -------
+        (n,) float64
+            [1/m3]; 0 where the flightline does not come near.
+        """
+        place = square[0], square[1], voxel[2]
+        ridge = self.each[voxel] * self.surely[place]
+        return np.where(self.near[place], np.maximum(self.per_m3[voxel], ridge), 0.0)
+
+
+def listened(
+    amount: NDArray[np.int64], counts: NDArray[np.integer[Any]], voxel_m: float
+) -> Listened | None:
+    """What one flightline listens to; None where it does not come near.
 
     Parameters
     ----------
     amount : (nx, ny, nz) int64
         Sum of ``VoxelPart.amount`` of its stretches, :data:`MARGIN_VOXELS` wider on each
-        side than the points' voxels.
+        side than the voxels that will be asked for.
     counts : (nx, ny, nz, 16) integer
         Sum of ``VoxelPart.squares``.
-    voxel : three of (n,) int64
-        Index of each point's voxel.
-    square : two of (n,) int64
-        Index of its square: :data:`SQUARES` along each edge of a voxel.
     voxel_m : float
         Edge of a voxel [m].
-
-    Returns
-    -------
-    (n,) float64
-        [1/m3]; 0 where the flightline does not come near.
     """
     if not counts.any():
-        return np.zeros(len(voxel[0]))
+        return None
     beamlets = unpack(counts)
     near = _across(np.logical_or, beamlets > 0)
     closed = _across(np.logical_and, near)
     weight = _weight(closed)
-    per_m3 = within_gate(_of_covered(amount, closed, weight, voxel_m))[voxel]
-    ridge = _of_beamlets(amount, beamlets, weight, voxel, square, voxel_m)
+    per_m3 = within_gate(_of_covered(amount, closed, weight, voxel_m))
+    each, surely = _of_beamlets(amount, beamlets, weight, voxel_m)
     _vertically(np.logical_or, near)
-    return np.where(near[square[0], square[1], voxel[2]], np.maximum(per_m3, ridge), 0.0)
+    return Listened(per_m3, each, surely, near)
 
 
 def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
@@ -150,11 +179,9 @@ def _of_beamlets(
     amount: NDArray[np.int64],
     beamlets: NDArray[np.float32],
     weight: NDArray[np.float32],
-    voxel: tuple[NDArray[np.int64], ...],
-    square: tuple[NDArray[np.int64], ...],
     voxel_m: float,
-) -> NDArray[np.float64]:
-    """Density that the beamlets of the fullest square near a point surely stand for: (n,) [1/m3].
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """What one beamlet stands for [1/m3], and how many surely cross the fullest square near.
 
     What one beamlet stands for is the mean of nine voxels: it changes slowly.
     """
@@ -166,7 +193,7 @@ def _of_beamlets(
     error = np.sqrt(_blurred(beamlets, tuple(w * w for w in BLUR)))
     surely = np.maximum(found - np.float32(SURE) * error, np.float32(0.0))
     surely /= np.where(area > 0.0, area, np.float32(1.0))
-    return each[voxel] * _largest(surely)[square[0], square[1], voxel[2]]
+    return each, _largest(surely)
 
 
 def _largest(values: NDArray[np.float32]) -> NDArray[np.float32]:
