@@ -12,7 +12,7 @@ import shapely
 import shapely.geometry
 
 from spl_batch import api
-from spl_batch.api.events import Event, PhaseStarted, TaskEnded
+from spl_batch.api.events import Event, PhaseStarted, RunStarted, TaskEnded
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.plan import blocks
 from spl_batch.runner import index
@@ -93,6 +93,24 @@ def test_a_file_that_changes_during_the_run_is_named_and_read_anew_by_the_next(
     again = surveys.run(survey, *SETTINGS, until="deliver")
     assert again.exit_status == 0
     assert surveys.results(again.output) == clean(survey)
+
+
+def test_what_goes_between_header_and_index_is_named(survey: Path) -> None:
+    track = surveys.write_trajectory(survey.parent / "track.csv", stop_s=surveys.START_S + 20)
+
+    def run_without(path: Path, *overrides: str) -> api.RunResult:
+        def listen(event: Event) -> None:
+            if isinstance(event, RunStarted):
+                path.unlink()
+
+        given = [*SETTINGS, *overrides]
+        return api.run(survey, workers=0, until="index", overrides=given, listener=listen)
+
+    assert run_without(survey.parent / "lines" / "2.laz").exit_status == 1
+    (failure,) = api.status(survey.parent / "out").failures
+    assert "2.laz: is gone since the run began" in failure.reason
+    with pytest.raises(WorkflowError, match=r"track\.csv: is gone since the run began"):
+        run_without(track, "survey.trajectory=track.csv")
 
 
 def test_a_file_is_looked_at_before_and_after(tmp_path: Path) -> None:

@@ -5,10 +5,11 @@ its points stay unlabelled, the rest goes on.
 """
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 from spl_batch.plan import places
 from spl_batch.plan.flightlines import Flightline
-from spl_batch.plan.inputs import Source, source_args
+from spl_batch.plan.inputs import source_args
 from spl_batch.plan.ledger import Phase
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.index import POSITIONS_S
@@ -23,7 +24,7 @@ POSITIONS_MARGIN_S = 10.0
 
 def _index(survey: Survey) -> Iterator[Task]:
     for source in survey.inputs.sources:
-        args = {**source_args(source), "name": source.name, "stamp": _stamp(source)}
+        args = {**source_args(source), "name": source.name, "stamp": _stamp(source.path)}
         yield Task("index_file", str(source.key), args, (), source.facts.n_points)
 
 
@@ -36,7 +37,7 @@ def _trajectory(survey: Survey) -> Iterator[Task]:
     high = [max(f["bounds"][a + 3] for f in facts) / 1000 for a in range(3)]
     args = {
         "paths": [str(p) for p in survey.inputs.trajectory],
-        "stamps": [[p.stat().st_size, p.stat().st_mtime_ns] for p in survey.inputs.trajectory],
+        "stamps": [_stamp(path) for path in survey.inputs.trajectory],
         "time_span_s": [min(x.first_s for x in lines), max(x.last_s for x in lines)],
         "bounds_m": [*low, *high],
     }
@@ -192,9 +193,15 @@ PHASES = (
 """Every phase of a run, in order."""
 
 
-def _stamp(source: Source) -> list[int]:
-    """What changes when a file does: its size and time of writing."""
-    stat = source.path.stat()
+def _stamp(path: Path) -> list[int]:
+    """What changes when a file does: its size and time of writing.
+
+    Zeros for one that is gone by now: the task that is to read it says so, and fails alone.
+    """
+    try:
+        stat = path.stat()
+    except OSError:
+        return [0, 0]
     return [stat.st_size, stat.st_mtime_ns]
 
 
