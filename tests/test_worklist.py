@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from spl_batch.io.store import Store, write_receipt
-from spl_batch.plan import memory
+from spl_batch.plan import budget, memory
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.inputs import Inputs
 from spl_batch.plan.memory import needs, refusal, stretch_points, task_bytes, usable_bytes
@@ -17,6 +17,7 @@ from spl_batch.plan.shelf import Shelf
 from spl_batch.plan.survey import Survey
 from spl_batch.plan.worklist import Worklist
 from spl_batch.runner.context import Context
+from spl_batch.runner.remember import RunFacts, StageCost, performance
 from spl_batch.task import Receipt, Task
 from spl_batch.tiling import CellId
 from spl_batch.workflow import parse_workflow
@@ -168,3 +169,27 @@ def test_stretches_shrink_with_memory() -> None:
     for limit in (1024, 2048, 4096):
         points = memory.UNEVEN * stretch_points(limit * 2**20)
         assert points <= memory.points_within("scatter", limit * 2**20)
+
+
+def test_rates_are_those_of_a_stage_whose_kinds_handle_the_same_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budget, "SAMPLE", 3)
+    store = Store(tmp_path)
+    for kind, tasks, points, wall_s in (("scatter", 2, 60, 9.0), ("build_tile", 12, 10, 1.0)):
+        for k in range(tasks):
+            done = Receipt(kind, f"{k}", "", "", "", {}, {}, points, wall_s, 9.0)
+            write_receipt(store, done)
+    rates, measured = budget.measured_rates({"shuffle": 1.0, "ground": 7.0}, context(tmp_path))
+    assert measured
+    # 120 points take 2 x 9 s to scatter and 12 x 1 s to gather in tiles.
+    assert rates == {"shuffle": pytest.approx(4.0), "ground": 7.0}
+
+
+def test_the_speed_of_a_stage_counts_each_point_once() -> None:
+    cost = StageCost()
+    for kind, wall_s in (("scatter", 18.0), ("build_tile", 12.0)):
+        cost.add(Receipt(kind, "a", "", "", "", {}, {}, 120, wall_s, 9.0))
+    told = performance(RunFacts(60.0, 2, {"shuffle": cost}), 120)
+    assert told.stages["shuffle"].points_per_s == 4.0
+    assert told.points_per_s == 2.0

@@ -148,7 +148,8 @@ def performance(facts: RunFacts, points: int) -> Performance:
                 tasks=cost.tasks,
                 skipped=cost.skipped,
                 failed=cost.failed,
-                points_per_s=cost.points / cost.wall_s if cost.wall_s > 0 else None,
+                # Of a stage's kinds of task each handles the points once more.
+                points_per_s=points / cost.wall_s if cost.wall_s > 0 else None,
                 peak_rss_mb=cost.peak_rss_mb,
             )
             for stage, cost in facts.costs.items()
