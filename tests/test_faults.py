@@ -95,7 +95,7 @@ def test_the_command_of_a_failure_reproduces_it_alone(
 
     surveys.run(small, "filter.alpha=0.001", until="shuffle")
     with monkeypatch.context() as patch:
-        patch.setattr(denoise, "denoise", broken)
+        patch.setattr(denoise, "judge", broken)
         result = surveys.run(small, "filter.alpha=0.001", memory="2GiB")
         assert result.report is not None
         failure = result.report.failures[0]

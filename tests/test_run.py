@@ -402,7 +402,7 @@ def raising(function: Callable[..., Any], on_call: int) -> Callable[..., Any]:
 
 
 BREAKS = [
-    (denoise_stage, "denoise", "denoise"),
+    (denoise_stage, "judge", "denoise"),
     (ground_stage, "ground_mask", "ground"),
     (line_noise_stage, "observe", "observe"),
     (line_noise_stage, "fit", "fit_line"),

@@ -33,9 +33,9 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "observe": 380,
         "scatter": 540,
         "build_tile": 280,
-        "denoise": 280,
-        "ground": 150,
-        "surface": 210,
+        "denoise": 200,
+        "ground": 125,
+        "surface": 175,
         "deliver_tile": 280,
     }
 )

@@ -29,6 +29,7 @@ vendor has removed the noise, and linear-mode ones, keep their lone returns. Coi
 points are neighbours like any other.
 """
 
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -50,6 +51,9 @@ HARDLY_EXPECTED: Final = 0.05
 
 LEAST: Final = 0.5
 """Part of alpha that this test gets, whatever another one takes."""
+
+BATCH: Final = 1 << 17
+"""Points that a table is looked up for at once [count]."""
 
 PUBLISHED_ALPHA: Final = 0.05
 """[W18 2.2.3]: noise where the cumulative probability is below 95 %."""
@@ -102,57 +106,81 @@ def judge(
     assessed = _around(cloud.xyz, asked, quanta(settings.link_m)) if linked else asked
     rows = np.flatnonzero(assessed)
     taken = np.minimum(np.broadcast_to(spent, asked.shape)[rows], LEAST * settings.alpha)
-    rule = _rule(cloud.density[rows], settings, settings.alpha - taken)
-    del taken
+    alpha = settings.alpha - taken
+    limit = _batched(
+        lambda density, level: _limit(density, settings, level), cloud.density[rows], alpha
+    )
     stop = np.ones(len(asked))
-    stop[rows] = _stop(rule.strong, exact)
+    stop[rows] = _stop(limit, exact)
     found = evidence(cloud.xyz, cloud.density, assessed, settings, stop)
-    score = found.score[rows]
-    strong = score <= rule.strong
+    strong = found.score[rows] <= limit
     signal = np.zeros(len(asked), np.bool_)
     signal[rows] = strong
     if linked:
-        maybe = np.flatnonzero(asked[rows] & ~strong & (score <= rule.weak))
+        maybe = np.flatnonzero(asked[rows] & ~strong)
         weak = rows[maybe]
+        rule = _links(cloud.density[weak], settings, alpha[maybe])
+        enough = found.score[weak] <= rule.weak
+        weak = weak[enough]
         signal[weak] = enough_peers(
             build(cloud.xyz[signal]),
             found.spacing[signal],
             cloud.xyz[weak],
             found.spacing[weak],
-            rule.link[maybe],
+            rule.link[enough],
             settings.link_count,
             settings.peer_ratio,
         )
     p_value = found.score[asked]
     if settings.test == "calibrated":
-        p_value = null_table(settings).p_value(cloud.density[asked], p_value)
+        p_value = _batched(null_table(settings).p_value, cloud.density[asked], p_value)
     kept = signal[asked] | _hardly_expected(cloud.density[asked], settings)
     return Verdict(kept, p_value.astype(np.float32))
 
 
-class _Rule(NamedTuple):
-    """Limits at each point: scores that pass alone and with links, longest link [quanta]."""
+def _limit(
+    density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Score that passes alone, where a share ``alpha`` of noise is to be kept: (m,) float64."""
+    if settings.test == "tail":
+        return alpha / settings.selection
+    table = null_table(settings)
+    return table.critical(
+        density, table.alone(density, alpha) if settings.link_count > 0 else alpha
+    )
 
-    strong: NDArray[np.float64]
+
+def _batched(
+    compute: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    density: NDArray[np.float64],
+    values: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The same, a batch of points at a time: a table's look-up takes many arrays."""
+    out = np.empty(len(density))
+    for first in range(0, len(out), BATCH):
+        some = slice(first, first + BATCH)
+        out[some] = compute(density[some], values[some])
+    return out
+
+
+class _Links(NamedTuple):
+    """Limits at each point: score that passes with links, longest link [quanta]."""
+
     weak: NDArray[np.float64]
     link: NDArray[np.float64]
 
 
-def _rule(
+def _links(
     density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
-) -> _Rule:
-    """Limits that keep a share ``alpha`` of noise at each point."""
+) -> _Links:
+    """Limits of the same rule for points that do not pass alone."""
     if settings.test == "tail":
         ones = np.ones(len(density))
-        link = float(quanta(settings.link_m))
-        return _Rule(alpha / settings.selection, ones * settings.weak_alpha, ones * link)
+        return _Links(ones * settings.weak_alpha, ones * float(quanta(settings.link_m)))
     table = null_table(settings)
-    return _Rule(
-        table.critical(density, table.alone(density, alpha) if settings.link_count > 0 else alpha),
-        table.critical(density, settings.weak_alpha),
-        # no longer than the halo was made for
-        np.minimum(table.link(density, alpha), settings.link_m) * quanta(1.0),
-    )
+    # no longer than the halo was made for
+    link = np.minimum(table.link(density, alpha), settings.link_m) * quanta(1.0)
+    return _Links(table.critical(density, settings.weak_alpha), link)
 
 
 def _stop(limit: float | NDArray[np.float64], exact: bool) -> float | NDArray[np.float64]:  # noqa: FBT001
