@@ -1,6 +1,7 @@
 """The command line: help, exit statuses, and what a person sees."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import click
 import pytest
 
 import spl_batch
-from spl_batch.cli import _STAGES, cli, main
+from spl_batch.cli import _STAGES, cli, live, main
 from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError
 from spl_batch.graph import cluster
 from spl_batch.runner import STAGES
@@ -145,6 +146,8 @@ def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> Non
     assert ended.status == 0
     for word in ("files", "points", "tiles", "tasks", "disk", "memory", "time"):
         assert word in ended.out
+    assert re.search(r"disk +[1-9][\d.]* [KM]iB", ended.out)
+    assert re.search(r"time +under 10 s \(typical rates\)", ended.out)
     assert not (tmp_path / "out").exists(), "a plan writes nothing"
     (tmp_path / "lines/bad_1.laz").write_text("no")
     (tmp_path / "lines/bad_2.laz").write_text("no")
@@ -152,6 +155,13 @@ def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> Non
     assert ended.status == 1
     assert "bad_1.laz" in ended.out
     assert "bad_2.laz" in ended.out
+
+
+def test_what_is_expected_is_told_in_units_that_show_it() -> None:
+    sizes = {0: "0 KiB", 1: "1 KiB", 3 * 2**20: "3.0 MiB", 2**30: "1.00 GiB", 5e12: "4,656.61 GiB"}
+    assert {n: live.storage(n) for n in sizes} == sizes
+    times = {0.0: "under 10 s", 9.9: "under 10 s", 10.0: "10 s", 3700.0: "1 h 01 min"}
+    assert {t: live.expected(t) for t in times} == times
 
 
 def test_run_status_and_report(small_lines: Path, tmp_path: Path) -> None:

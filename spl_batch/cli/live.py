@@ -1,5 +1,6 @@
 """The live view of a run: stages, a map of tiles by state, workers, failures, time left."""
 
+import math
 from collections.abc import Iterable
 from typing import Final
 
@@ -23,6 +24,9 @@ COLOURS: Final = {
     State.FAILED: "red3",
 }
 """Colours of the map."""
+
+TOLD_FROM_S: Final = 10.0
+"""Below this no rate tells how long a run takes: workers have to start, reports are drawn [s]."""
 
 SIGNS: Final = {
     State.NOTHING: " ",
@@ -195,3 +199,17 @@ def duration(seconds: float) -> str:
     if hours:
         return f"{hours} h {minutes:02d} min"
     return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
+
+
+def expected(seconds: float) -> str:
+    """A time that is estimated from rates alone."""
+    return f"under {TOLD_FROM_S:.0f} s" if seconds < TOLD_FROM_S else duration(seconds)
+
+
+def storage(count: float) -> str:
+    """Bytes in the largest binary unit that there is one of; nothing is shown as 0."""
+    if count >= 2**30:
+        return f"{count / 2**30:,.2f} GiB"
+    if count >= 2**20:
+        return f"{count / 2**20:,.1f} MiB"
+    return f"{math.ceil(count / 2**10):,} KiB"

@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.cli.live import details, duration, short
+from spl_batch.cli.live import details, duration, expected, short, storage
 from spl_batch.report.format import centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
@@ -72,9 +72,9 @@ def print_plan(summary: "PlanSummary") -> None:
             ("points", f"{summary.points:,}"),
             *summary.rows,
             ("tasks", f"{cost.tasks:,}"),
-            ("disk", f"{cost.disk_bytes / 2**30:,.2f} GiB"),
+            ("disk", storage(cost.disk_bytes)),
             ("memory", f"{cost.memory_bytes / 2**20:,.0f} MiB a worker, for {cost.heaviest}"),
-            ("time", f"{duration(cost.time_s)} ({basis})"),
+            ("time", f"{expected(cost.time_s)} ({basis})"),
         ]
     )
     for text in summary.warnings:
