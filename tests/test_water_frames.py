@@ -9,11 +9,12 @@ import pytest
 import zarr
 
 from spl_batch.errors import InputError
+from spl_batch.geiger.water import io
 from spl_batch.geiger.water.io import (
     FrameFacts,
     FrameTruth,
     inspect_frames,
-    read_frames,
+    iter_frames,
     read_truth,
     write_frames,
 )
@@ -25,6 +26,15 @@ def some_frames(n: int = 12) -> np.ndarray:
     return np.random.default_rng(1).integers(0, 400, (n, ROWS, COLS)).astype(np.uint16)
 
 
+def read_frames(path: Path, first: int, last: int, bins: int) -> np.ndarray:
+    """Frames in one array; their pieces lie beside each other."""
+    pieces = list(iter_frames(path, first, last, bins))
+    assert [at for at, _ in pieces] == np.cumsum([first, *(len(p) for _, p in pieces)])[
+        :-1
+    ].tolist()
+    return np.concatenate([piece for _, piece in pieces])
+
+
 def some_truth() -> FrameTruth:
     rng = np.random.default_rng(2)
     return FrameTruth(rng.normal(size=(3, ROWS, COLS)), rng.normal(size=(3, ROWS, COLS, 3)))
@@ -34,14 +44,17 @@ def some_truth() -> FrameTruth:
 def test_what_is_written_is_read(tmp_path: Path, suffix: str) -> None:
     path, frames, truth = tmp_path / f"a{suffix}", some_frames(), some_truth()
     write_frames(path, frames, {"bin_ns": 0.25}, truth, 4)
-    assert inspect_frames(path, ROWS, COLS) == FrameFacts(12, ROWS, COLS, 4)
+    facts = inspect_frames(path, ROWS, COLS)
+    assert (facts.frames, facts.rows, facts.cols, facts.truth_frames) == (12, ROWS, COLS, 4)
+    assert facts.chunk_frames == 12
     np.testing.assert_array_equal(read_frames(path, 0, 12, 8000), frames)
     np.testing.assert_array_equal(read_frames(path, 3, 7, 8000), frames[3:7])
     found = read_truth(path, 1, 3)
     np.testing.assert_allclose(found.down_m, truth.down_m[1:3], rtol=1e-6)
     np.testing.assert_allclose(found.normals, truth.normals[1:3], rtol=1e-6)
     write_frames(path, frames[:5], {})
-    assert inspect_frames(path, ROWS, COLS) == FrameFacts(5, ROWS, COLS, 0)
+    held = 5 * ROWS * COLS * (2 + 2 + 2)
+    assert inspect_frames(path, ROWS, COLS) == FrameFacts(5, ROWS, COLS, 0, 5, held)
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".zarr"])
@@ -78,11 +91,11 @@ def test_a_file_that_is_none_is_told(tmp_path: Path) -> None:
     other = tmp_path / "frames.npy"
     np.save(other, some_frames())
     for path, says in (
-        (text, "cannot be read"),
-        (cut, "cannot be read"),
+        (text, "is no HDF5 file"),
+        (cut, "damaged HDF5"),
         (other, "frames are HDF5"),
-        (tmp_path / "gone.h5", "is not there"),
-        (tmp_path / "gone.zarr", "is not there"),
+        (tmp_path / "gone.h5", "no such file"),
+        (tmp_path / "gone.zarr", "no such file"),
     ):
         with pytest.raises(InputError, match=says) as caught:
             inspect_frames(path, ROWS, COLS)
@@ -132,5 +145,27 @@ def test_a_damaged_chunk_is_told(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[at.byte_offset + at.size // 2] ^= 0xFF
     path.write_bytes(content)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="damaged HDF5"):
         read_frames(path, 0, 12, 8000)
+
+
+@pytest.mark.parametrize("chunk", [None, 1, 5, 9, 40])
+@pytest.mark.parametrize("suffix", [".h5", ".zarr"])
+def test_frames_come_in_pieces_of_whole_chunks(
+    tmp_path: Path, suffix: str, chunk: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(io, "PIECE_VALUES", 8 * ROWS * COLS + 3)
+    path, frames = tmp_path / f"a{suffix}", some_frames(40).astype(np.int32)
+    chunks = None if chunk is None else (chunk, ROWS, COLS)
+    if suffix == ".h5":
+        with h5py.File(path, "w") as group:
+            group.create_dataset("frames", data=frames, chunks=chunks)
+    else:
+        zarr.open_group(path, mode="w").create_array("frames", data=frames, chunks=chunks or "auto")
+        chunk = chunk or 40
+    most = max(8 // (chunk or 1), 1) * (chunk or 1)
+    np.testing.assert_array_equal(read_frames(path, 3, 31, 8000), frames[3:31])
+    pieces = list(iter_frames(path, 3, 31, 8000))
+    assert max(len(piece) for _, piece in pieces) <= most
+    assert all(at % most == 0 for at, _ in pieces[1:]), "no chunk is decoded twice"
+    assert inspect_frames(path, ROWS, COLS).piece_bytes == most * ROWS * COLS * (4 + 4 + 2)

@@ -17,10 +17,9 @@ from pydantic import BaseModel
 
 from spl_batch import api
 from spl_batch.api.events import Note, PhaseStarted
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import PlanError, WorkflowError
+from spl_batch.geiger.water import io
 from spl_batch.geiger.water import plan as planning
-from spl_batch.geiger.water.io import read_frames
-from spl_batch.geiger.water.runner import tasks
 from spl_batch.geiger.water.settings import WaterSurvey, WaterWorkflow
 from spl_batch.geiger.water.simulate import simulate_file
 from spl_batch.geiger.water.simulate.scene import load_scene
@@ -29,31 +28,15 @@ from spl_batch.io.tables import read_arrays
 from spl_batch.report.schema import schemas
 from spl_batch.runner.unchanged import stamp
 from spl_batch.settings import Section
+from tests.water_scene import TANK, write_tank
 
 ROOT = Path(__file__).parent.parent
-
-SCENE = {
-    "kind": "water_surface",
-    "name": "tank",
-    "files": 2,
-    "camera": {"rows": 20, "cols": 18},
-    "acquisitions": 3,
-    "frames_per_acquisition": 60,
-    "in_water_m": 6.0,
-    "mount": {"position_m": [0, 0, -3.0]},
-    "target": {"down_m": 0.1, "waves": [{"amplitude_m": 0.02, "length_m": 1.0}]},
-    "instrument": {"dead": 30, "peak_photoelectrons": 1.5, "beam_centre_px": [9, 9]},
-    "calibration": {"frames": 250, "distances_m": [2.5, 3.5], "lights": [0.3, 2]},
-}
 
 
 @pytest.fixture(scope="module")
 def tank(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Workflow of two files with three surfaces each, and frames of targets."""
-    folder = tmp_path_factory.mktemp("tank")
-    scene = folder / "scene.yaml"
-    scene.write_text(yaml.safe_dump(SCENE))
-    return simulate_file(scene, folder / "data").workflow
+    return write_tank(tmp_path_factory.mktemp("tank"))
 
 
 @pytest.fixture(scope="module")
@@ -147,8 +130,12 @@ def test_pieces_change_nothing(
     tank: Path, tmp_path: Path, done: api.RunResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(planning, "PIECE_ACQUISITIONS", 2)
-    monkeypatch.setattr(tasks, "PIECE_FRAMES", 37)
+    monkeypatch.setattr(io, "PIECE_VALUES", 37 * 20 * 18)
     path = own(tank, tmp_path)
+    with h5py.File(path.parent / "frames" / "tank_00.h5", "r+") as file:
+        frames = file["frames"][()]
+        del file["frames"]
+        file.create_dataset("frames", data=frames, chunks=(11, 5, 18))
     api.run(path, workers=0, until="deliver", overrides=["survey.crs=EPSG:32616"])
     for name in ("surfaces/tank_00.tif", "surfaces/tank_01.tif"):
         assert (path.parent / "out" / name).read_bytes() == (done.output / name).read_bytes()
@@ -174,11 +161,15 @@ def test_a_bad_file_is_named_and_the_rest_goes_on(tank: Path, tmp_path: Path) ->
 
 
 def test_zarr_without_targets_against_a_level_surface(tmp_path: Path) -> None:
-    scene = {**SCENE, "format": "zarr", "files": 1, "calibration": None, "in_water_m": 0.0}
-    scene["target"] = {"down_m": 0.1}
-    scene["instrument"] = {**SCENE["instrument"], "delay_ns": 0, "pattern_ns": 0}
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
-    path = simulate_file(tmp_path / "scene.yaml", tmp_path / "data").workflow
+    path = write_tank(
+        tmp_path,
+        format="zarr",
+        files=1,
+        calibration=None,
+        in_water_m=0.0,
+        target={"down_m": 0.1},
+        instrument={**TANK["instrument"], "delay_ns": 0, "pattern_ns": 0},
+    )
     shutil.rmtree(path.parent / "frames" / "tank_00.zarr" / "truth")
     bare = api.run(path, workers=0)
     assert bare.report.surfaces is None
@@ -196,7 +187,8 @@ def test_zarr_without_targets_against_a_level_surface(tmp_path: Path) -> None:
 
 def test_a_missing_chunk_is_told(tank: Path, tmp_path: Path) -> None:
     path = own(tank, tmp_path)
-    frames = read_frames(path.parent / "frames" / "tank_00.h5", 0, 180, 8000)
+    with h5py.File(path.parent / "frames" / "tank_00.h5") as file:
+        frames = file["frames"][()]
     other = path.parent / "frames" / "tank_02.zarr"
     group = zarr.open_group(other, mode="w")
     group.create_array("frames", data=frames, chunks=(60, 20, 18))
@@ -259,7 +251,7 @@ def test_a_missing_target_stops_before_work(tank: Path, tmp_path: Path) -> None:
     with pytest.raises(WorkflowError) as caught:
         api.run(path, workers=0)
     assert "calibration.frames[0]" in str(caught.value)
-    assert "3.5m_2.h5: cannot be read" in str(caught.value), "all faults at once"
+    assert "3.5m_2.h5: is no HDF5 file" in str(caught.value), "all faults at once"
 
 
 def test_targets_too_dim_to_fit_are_told(tank: Path, tmp_path: Path) -> None:
@@ -350,3 +342,15 @@ def test_the_complete_workflow_shows_every_key_and_runs(tmp_path: Path) -> None:
 def test_the_scene_file_is_accepted() -> None:
     scene = load_scene(ROOT / "workflows" / "water_scene.yaml")
     assert len(scene.target.waves) == 2
+
+
+def test_a_chunk_that_memory_has_no_room_for_is_refused(tank: Path, tmp_path: Path) -> None:
+    path = own(tank, tmp_path)
+    group = zarr.open_group(path.parent / "frames" / "tank_02.zarr", mode="w")
+    # Nothing but its declaration is there: that is what is looked at.
+    group.create_array("frames", shape=(500_000, 20, 18), dtype="u2", chunks=(500_000, 20, 18))
+    with pytest.raises(PlanError) as caught:
+        api.plan(path, memory="1GiB", overrides=["survey.frames=frames/*"])
+    text = str(caught.value)
+    assert text.startswith("a chunk of 500,000 frames in frames/tank_02.zarr needs ")
+    assert text.endswith("raise it or store it again in chunks of 5,688 frames or fewer")

@@ -1,5 +1,8 @@
 """Surfaces and normals: kernels against slow twins, chains against surfaces that are known."""
 
+import dataclasses
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -323,6 +326,28 @@ def test_rasters_interpolate_the_surface_on_an_absolute_grid() -> None:
     inner = wider[2 : 2 + grid.rows, 3 : 3 + grid.cols]
     both = np.isfinite(inner) & known
     np.testing.assert_allclose(inner[both], height[both], atol=1e-9)
+
+
+@given(
+    away=st.tuples(st.integers(-(2**24), 2**24), st.integers(-(2**24), 2**24)),
+    cell_m=st.sampled_from([0.005, 0.01, 0.1, 0.3]),
+)
+def test_cells_lie_where_they_do_wherever_the_local_frame_begins(
+    away: tuple[int, int], cell_m: float
+) -> None:
+    places = VIEW.places(a_plane(np.array([0.05, -0.1, -1.0]), 0.4))
+    moved = places + np.array([0.125, -0.25, 0.0])
+    east, north = (v / 8.0 for v in away)
+    origin = (east + 0.25, north - 0.125)
+    grid, other = grid_around(places, cell_m, (east, north)), grid_around(moved, cell_m, origin)
+    assert grid is not None
+    assert grid.east == math.floor((places[..., 1].min() + east) / cell_m)
+    assert grid.north == math.floor((places[..., 0].min() + north) / cell_m)
+    assert other == dataclasses.replace(grid, origin_m=origin)
+    height, again = height_raster(places, grid), height_raster(moved, other)
+    both = np.isfinite(height) & np.isfinite(again)
+    assert both.sum() >= 0.98 * np.isfinite(height).sum() > 0
+    assert np.median(np.abs(height - again)[both]) < 1e-6
 
 
 def test_ours_beats_the_source_s_way_on_the_same_frames() -> None:

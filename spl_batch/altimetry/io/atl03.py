@@ -13,11 +13,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.altimetry.io.hdf5 import dataset, equal_lengths, finite, open_hdf5
+from spl_batch.altimetry.io.hdf5 import dataset, equal_lengths, finite
 from spl_batch.altimetry.io.slices import Slice
 from spl_batch.altimetry.model import Background
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import InputError
+from spl_batch.io.hdf5 import open_hdf5
 
 BEAMS: Final = ("gt1l", "gt1r", "gt2l", "gt2r", "gt3l", "gt3r")
 

@@ -1,4 +1,4 @@
-"""HDF5 files of altimeters: opened with one clear line for whatever is wrong, and copied."""
+"""Datasets of altimeters' HDF5 files: checked, and labels written beside them in a copy."""
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,34 +12,8 @@ from numpy.typing import NDArray
 
 from spl_batch.errors import InputError
 from spl_batch.io.atomic import replacing
-from spl_batch.io.las_header import open_input
 
-SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _CHUNK: Final = 65_536
-_FAULTS: Final = (OSError, RuntimeError, ValueError, TypeError, KeyError)
-"""What h5py raises over files that make no sense."""
-
-
-@contextmanager
-def open_hdf5(path: Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file for reading; what the library finds wrong becomes one clear line.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, no HDF5, damaged, or a block of it cannot be read.
-    """
-    with open_input(path) as stream:
-        if stream.read(len(SIGNATURE)) != SIGNATURE:
-            raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except InputError:
-        raise
-    except _FAULTS as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"damaged HDF5 ({reason}); copy it again") from error
 
 
 def dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:

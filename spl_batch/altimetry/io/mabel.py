@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Geod
 
-from spl_batch.altimetry.io.hdf5 import equal_lengths, finite, open_hdf5
+from spl_batch.altimetry.io.hdf5 import equal_lengths, finite
 from spl_batch.altimetry.io.slices import Slice
 from spl_batch.altimetry.model import Background
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import InputError
 from spl_batch.io.atomic import replacing
+from spl_batch.io.hdf5 import open_hdf5
 
 _PHOTON: Final = ("delta_time", "elev", "latitude", "longitude")
 

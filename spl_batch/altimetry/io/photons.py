@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.io import atl03, mabel, track_csv
-from spl_batch.altimetry.io.hdf5 import SIGNATURE, finite, open_hdf5
+from spl_batch.altimetry.io.hdf5 import finite
 from spl_batch.altimetry.io.slices import Slice
 from spl_batch.altimetry.model import Background
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
+from spl_batch.io.hdf5 import SIGNATURE, open_hdf5
 from spl_batch.io.las_header import open_input
 
 Layout = Literal["atl03", "mabel", "csv"]

@@ -45,7 +45,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {"make_surfaces": "lower surface.frames_per_acquisition"}
+        {"make_surfaces": "store frames in smaller chunks"}
     )
 
     def prepare(

@@ -4,6 +4,9 @@
 frame, 0 for none. A group ``truth`` may lie beside it, for each acquisition of so many frames as
 its attribute ``frames_per_acquisition`` says: ``down_m`` (a, rows, cols) and ``normals``
 (a, rows, cols, 3). What is declared is checked before a value is read.
+
+Frames are read in pieces of a bounded number of values, whole chunks at a time: a chunk is
+decompressed at once, so what a file declares of them is part of what a task needs.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,15 +22,16 @@ from numpy.typing import NDArray
 
 from spl_batch.errors import InputError
 from spl_batch.io.atomic import replacing
+from spl_batch.io.hdf5 import open_hdf5, told_as_damage
 
 HDF5: Final = frozenset({".h5", ".hdf5", ".hdf"})
 ZARR: Final = ".zarr"
 
-_FAULTS: Final = (OSError, ValueError, TypeError, KeyError, IndexError, RuntimeError)
-"""What h5py, Zarr and their codecs raise over files that make no sense."""
-
-PIECE_FRAMES: Final = 1000
+CHUNK_FRAMES: Final = 1000
 """Frames of a chunk as written here [count]."""
+
+PIECE_VALUES: Final = 2_048_000
+"""Values that are read at once, where a chunk holds no more: 2000 frames of 32 x 32 [count]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +44,18 @@ class FrameFacts:
         Shape of the array [count].
     truth_frames : int
         Frames of an acquisition for which truth lies beside; 0 where there is none [count].
+    chunk_frames : int
+        Frames of a chunk; 0 where it is not cut into chunks [count].
+    piece_bytes : int
+        Memory of a piece while it is read [byte].
     """
 
     frames: int
     rows: int
     cols: int
     truth_frames: int
+    chunk_frames: int
+    piece_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,21 +77,16 @@ class FrameTruth:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Root group of a file; its libraries' complaints become one line."""
-    if path.suffix.lower() not in HDF5 | {ZARR}:
-        raise InputError(str(path), f"frames are HDF5 ({', '.join(sorted(HDF5))}) or Zarr ({ZARR})")
-    try:
-        if path.suffix.lower() == ZARR:
+    if path.suffix.lower() in HDF5:
+        with open_hdf5(path) as group:
+            yield group
+    elif path.suffix.lower() == ZARR:
+        if not path.exists():
+            raise InputError(str(path), "no such file; check the path")
+        with told_as_damage(path, "Zarr"):
             yield zarr.open_group(path, mode="r")
-        else:
-            with h5py.File(path, "r") as group:
-                yield group
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(str(path), "is not there; correct its name in the workflow") from None
-    except _FAULTS as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(str(path), f"cannot be read: {reason}; copy it again") from error
+    else:
+        raise InputError(str(path), f"frames are HDF5 ({', '.join(sorted(HDF5))}) or Zarr ({ZARR})")
 
 
 def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
@@ -112,7 +117,30 @@ def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
             faults += more
         if faults:
             raise InputError(str(path), faults)
-        return FrameFacts(int(array.shape[0]), rows, cols, truth)
+        held = _piece_bytes(array)
+        if truth:
+            held += sum(_chunk_bytes(group[f"truth/{name}"]) for name in ("down_m", "normals"))
+        chunk = int(array.chunks[0]) if array.chunks else 0
+        return FrameFacts(int(array.shape[0]), rows, cols, truth, chunk, held)
+
+
+def _piece_frames(array: Any) -> int:
+    """Frames that are read at once: whole chunks, as many as are in bounds, or one [count]."""
+    chunk = int(array.chunks[0]) if array.chunks else 1
+    most = PIECE_VALUES // int(array.shape[1] * array.shape[2])
+    return max(most // chunk, 1) * chunk
+
+
+def _piece_bytes(array: Any) -> int:
+    """Values as they are decoded, those of the frames wanted, and these as bins [byte]."""
+    size = array.dtype.itemsize
+    wanted = min(_piece_frames(array), array.shape[0]) * array.shape[1] * array.shape[2]
+    return int(max(wanted * size, _chunk_bytes(array)) + wanted * (size + 2))
+
+
+def _chunk_bytes(array: Any) -> int:
+    """A chunk as it is decoded, 0 where there is none [byte]."""
+    return int(np.prod(array.chunks, dtype=object) * array.dtype.itemsize) if array.chunks else 0
 
 
 def _array_faults(array: Any, rows: int, cols: int) -> list[str]:
@@ -146,8 +174,10 @@ def _truth(group: Any, shape: tuple[int, ...]) -> tuple[int, list[str]]:
     return per, faults
 
 
-def read_frames(path: Path, first: int, last: int, bins: int) -> NDArray[np.uint16]:
-    """Frames ``first <= n < last``.
+def iter_frames(
+    path: Path, first: int, last: int, bins: int
+) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+    """Frames ``first <= n < last``, a piece after the other: number of its first one, frames.
 
     Parameters
     ----------
@@ -158,17 +188,23 @@ def read_frames(path: Path, first: int, last: int, bins: int) -> NDArray[np.uint
     bins : int
         Largest bin of the camera.
 
-    Returns
-    -------
-    (last - first, rows, cols) uint16
-
     Raises
     ------
     InputError
         If they cannot be read, or a value is no bin of the camera.
     """
     with _opened(path) as group:
-        values = np.asarray(group["frames"][first:last])
+        array = group["frames"]
+        step = _piece_frames(array)
+        while first < last:
+            stop = min((first // step + 1) * step, last)
+            yield first, _checked(path, np.asarray(array[first:stop]), first, stop, bins)
+            first = stop
+
+
+def _checked(
+    path: Path, values: NDArray[Any], first: int, last: int, bins: int
+) -> NDArray[np.uint16]:
     if len(values) != last - first:
         raise InputError(str(path), f"ends before frame {last}; it changed since it was planned")
     low, high = int(values.min()), int(values.max())
@@ -179,7 +215,7 @@ def read_frames(path: Path, first: int, last: int, bins: int) -> NDArray[np.uint
             f"frames {first} to {last - 1} hold the time bin {worst}, the camera has 1 to {bins} "
             "and 0 for no hit; correct camera.bins or the file",
         )
-    return values.astype(np.uint16)
+    return values.astype(np.uint16, copy=False)
 
 
 def read_truth(path: Path, first: int, last: int) -> FrameTruth:
@@ -233,7 +269,7 @@ def _write_hdf5(
     attributes: Mapping[str, float],
     truth: FrameTruth | None,
 ) -> None:
-    chunk = (min(len(frames), PIECE_FRAMES), *frames.shape[1:])
+    chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
     group.create_dataset(
         "frames", data=frames, chunks=chunk, compression="gzip", compression_opts=1, fletcher32=True
     )
@@ -249,7 +285,7 @@ def _write_zarr(
     attributes: Mapping[str, float],
     truth: FrameTruth | None,
 ) -> None:
-    chunk = (min(len(frames), PIECE_FRAMES), *frames.shape[1:])
+    chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
     group.create_array("frames", data=frames, chunks=chunk)
     group.attrs.update(dict(attributes))
     if truth is not None:

@@ -9,8 +9,7 @@ from typing import Final
 from pyproj import CRS
 
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.geiger.water.io import FrameFacts, inspect_frames
-from spl_batch.geiger.water.runner.tasks import PIECE_FRAMES
+from spl_batch.geiger.water.io import PIECE_VALUES, FrameFacts, inspect_frames
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.io.crs import projected_crs
 from spl_batch.plan.budget import Cost, measured_rates
@@ -31,11 +30,14 @@ from spl_batch.task import Task
 PIECE_ACQUISITIONS: Final = 50
 """Acquisitions of a task, at most [count]."""
 
-BYTES_PER_PIXEL: Final = 160
-"""Of an acquisition's results while a task holds them [byte]."""
+PIECE_PIXELS: Final = 51_200
+"""Pixels of all its acquisitions, where more than one are done [count]."""
 
-BYTES_PER_VALUE: Final = 8
-"""Of a frame's pixel while it is read and counted [byte]."""
+BYTES_PER_PIXEL: Final = 160
+"""Of each acquisition's results while a task holds them [byte]."""
+
+WORK_BYTES_PER_PIXEL: Final = 2000
+"""Of the one acquisition that is being made [byte]."""
 
 RATES_FRAMES_PER_S: Final = MappingProxyType(
     {"index": 6.0e4, "calibrate": 1.0e6, "surfaces": 7.0e3, "deliver": 2.0e5}
@@ -101,12 +103,17 @@ class WaterLedger(Ledger[WaterInputs, WaterWorkflow]):
         """Frames of an acquisition [count]."""
         return self.workflow.surface.frames_per_acquisition
 
+    @property
+    def most(self) -> int:
+        """Acquisitions of a task, at most [count]."""
+        camera = self.workflow.camera
+        return max(min(PIECE_PIXELS // (camera.rows * camera.cols), PIECE_ACQUISITIONS), 1)
+
     def pieces(self, source: FrameSource) -> Iterator[tuple[str, int, int]]:
         """Name, first and last acquisition of each task on a file."""
         whole = source.facts.frames // self.per
-        for first in range(0, whole, PIECE_ACQUISITIONS):
-            last = min(first + PIECE_ACQUISITIONS, whole)
-            yield f"{source.key}/{first // PIECE_ACQUISITIONS}", first, last
+        for number, first in enumerate(range(0, whole, self.most)):
+            yield f"{source.key}/{number}", first, min(first + self.most, whole)
 
 
 def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInputs:
@@ -206,16 +213,22 @@ def estimate(ledger: WaterLedger, context: RunContext[WaterWorkflow] | None = No
     frames = sum(s.facts.frames for s in (*inputs.sources, *inputs.targets))
     pieces = sum(len(list(ledger.pieces(s))) for s in inputs.sources)
     acquisitions = sum(s.facts.frames // ledger.per for s in inputs.sources)
-    held = max(PIECE_FRAMES, ledger.per) * pixels * BYTES_PER_VALUE
-    results = min(PIECE_ACQUISITIONS, max(acquisitions, 1)) * pixels * BYTES_PER_PIXEL
+    results = min(ledger.most, max(acquisitions, 1)) * BYTES_PER_PIXEL
+    widest = max((*inputs.sources, *inputs.targets), key=lambda s: s.facts.piece_bytes)
+    heaviest, remedy = "make_surfaces", ""
+    if widest.facts.chunk_frames * pixels > PIECE_VALUES:
+        heaviest = f"a chunk of {widest.facts.chunk_frames:,} frames in {widest.name}"
+        remedy = f"store it again in chunks of {max(PIECE_VALUES // pixels, 1):,} frames or fewer"
     rates, measured = measured_rates(RATES_FRAMES_PER_S, context)
     return Cost(
         points=frames,
         tasks=len(inputs.sources) * 3 + len(inputs.targets) + pieces + 1,
         disk_bytes=2 * acquisitions * pixels * BYTES_PER_PIXEL,
-        memory_bytes=WORKER_BASE_BYTES + held + results,
-        heaviest="make_surfaces",
-        remedy="lower surface.frames_per_acquisition",
+        memory_bytes=WORKER_BASE_BYTES
+        + widest.facts.piece_bytes
+        + pixels * (WORK_BYTES_PER_PIXEL + results),
+        heaviest=heaviest,
+        remedy=remedy,
         stages_s={stage: frames / rate for stage, rate in rates.items()},
         workers=ledger.workers,
         measured=measured,

@@ -120,23 +120,22 @@ def _grid(context: WaterContext, pieces: list[str]) -> Grid | None:
         known = piece["places_m"][np.isfinite(piece["places_m"]).all(axis=-1)]
         if len(known):
             boxes += [known.min(axis=0), known.max(axis=0)]
-    cell_m = context.workflow.outputs.cell_m
-    return grid_around(np.array(boxes), cell_m) if boxes else None
+    workflow = context.workflow
+    if not boxes:
+        return None
+    return grid_around(np.array(boxes), workflow.outputs.cell_m, workflow.survey.origin_m[:2])
 
 
 def _write_raster(
     path: Path, height: NDArray[np.float64], grid: Grid, context: WaterContext
 ) -> None:
-    east, north, up = context.workflow.survey.origin_m
+    up = context.workflow.survey.origin_m[2]
     values = np.where(np.isfinite(height), height + up, NODATA).astype(np.float32)
     write_cog(
         path,
         np.ascontiguousarray(values[::-1]),
         shape=values.shape,
-        origin_xy_m=(
-            east + grid.east * grid.cell_m,
-            north + (grid.north + grid.rows) * grid.cell_m,
-        ),
+        origin_xy_m=(grid.east * grid.cell_m, (grid.north + grid.rows) * grid.cell_m),
         cell_m=grid.cell_m,
         crs=context.crs_wkt or None,
         description="height of the water surface [m]",

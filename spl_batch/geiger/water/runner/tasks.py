@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from spl_batch.geiger.water.accuracy import (
     middle,
     surface_error,
 )
-from spl_batch.geiger.water.io import FrameTruth, inspect_frames, read_frames, read_truth
+from spl_batch.geiger.water.io import FrameTruth, inspect_frames, iter_frames, read_truth
 from spl_batch.geiger.water.kernels.bins import add_histogram
 from spl_batch.geiger.water.model import View, view_of
 from spl_batch.geiger.water.settings import CalibrationSettings, WaterWorkflow
@@ -42,9 +42,6 @@ from spl_batch.runner.unchanged import unchanged
 
 WaterContext = RunContext[WaterWorkflow]
 
-PIECE_FRAMES: Final = 2000
-"""Frames that are in memory at once, where an acquisition is no longer [count]."""
-
 
 def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
     """Read a file once from end to end: its histogram, its gate, what its pixels add up to."""
@@ -59,18 +56,13 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
         digest = checksum(path)
         inspect_frames(path, camera.rows, camera.cols)
         silent = 0
-        for piece in _pieces(path, args["frames"], camera.bins):
+        for _, piece in iter_frames(path, 0, args["frames"], camera.bins):
             add_histogram(piece, used, counts)
             silent += int((~piece.any(axis=(1, 2))).sum())
         gate = find_gate(counts, settings)
         if gate is None:
             raise InputError(str(path), "no pixel has a hit in any frame; leave the file out")
-        whole: Hits | None = None
-        for piece in _pieces(path, args["frames"], camera.bins):
-            made = add_up(piece, gate)
-            whole = made if whole is None else _together(whole, made)
-    if whole is None:
-        raise InputError(str(path), "holds no frame; leave the file out")
+        (whole,) = _add_up(path, (0, args["frames"]), args["frames"], gate, camera.bins)
     out = context.store.path("counts", f"{args['source']}.npz")
     sums = {k: getattr(whole, k) for k in ("hits", "total", "square", "outside")}
     write_arrays(out, {"histogram": counts, **sums})
@@ -89,9 +81,19 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
     return Produced([out], facts, args["frames"], {str(path): args["stamp"]})
 
 
-def _pieces(path: Path, frames: int, bins: int) -> Iterator[NDArray[np.uint16]]:
-    for first in range(0, frames, PIECE_FRAMES):
-        yield read_frames(path, first, min(first + PIECE_FRAMES, frames), bins)
+def _add_up(path: Path, frames: tuple[int, int], per: int, gate: Gate, bins: int) -> Iterator[Hits]:
+    """What each acquisition of ``per`` frames adds up to; their number is a multiple of it."""
+    whole: Hits | None = None
+    for start, piece in iter_frames(path, *frames, bins):
+        first = start
+        while first < start + len(piece):
+            last = min((first // per + 1) * per, start + len(piece))
+            made = add_up(piece[first - start : last - start], gate)
+            whole = made if whole is None else _together(whole, made)
+            if last % per == 0:
+                yield whole
+                whole = None
+            first = last
 
 
 def _together(a: Hits, b: Hits) -> Hits:
@@ -163,15 +165,11 @@ def make_surfaces(args: Mapping[str, Any], context: WaterContext) -> Produced:
     calibration, dead = _calibration(args, context)
     gate, per = Gate(*args["gate"]), workflow.surface.frames_per_acquisition
     first, last = args["acquisitions"]
-    surfaces = []
     with unchanged(path, args["stamp"]):
-        for k in range(first, last):
-            hits = add_up(read_frames(path, k * per, (k + 1) * per, camera.bins), gate)
-            surfaces.append(
-                make_surface(
-                    hits, dead, calibration, view, camera, workflow.pixels, workflow.surface
-                )
-            )
+        surfaces = [
+            make_surface(hits, dead, calibration, view, camera, workflow.pixels, workflow.surface)
+            for hits in _add_up(path, (first * per, last * per), per, gate, camera.bins)
+        ]
         truth = _truth(args, context, view, path)
     out = context.store.path("surfaces", f"{args['name']}.npz")
     arrays: dict[str, NDArray[Any]] = {
