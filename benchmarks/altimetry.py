@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from spl_batch import api
-from spl_batch.altimetry.io.atl08 import read_labels
+from spl_batch.altimetry.io.atl08 import find_labels
 from spl_batch.altimetry.io.photons import iter_photons, read_background
 from spl_batch.altimetry.kernels.posterior import noise_posterior
 from spl_batch.altimetry.model import Background
@@ -278,7 +278,7 @@ def levels() -> None:
 def agreement(atl03: Path, atl08: Path) -> None:
     """Precision, recall and F1 against ATL08, of every beam."""
     for beam_name in ("gt1l", "gt1r", "gt2l", "gt2r", "gt3l", "gt3r"):
-        theirs = read_labels(atl03, [atl08], beam_name) if _has(atl03, beam_name) else None
+        theirs = find_labels(atl03, [atl08], beam_name) if _has(atl03, beam_name) else None
         if theirs is None:
             continue
         parts = list(iter_photons(atl03, "atl03", beam_name, 1 << 20))
@@ -287,7 +287,7 @@ def agreement(atl03: Path, atl08: Path) -> None:
         stated = read_background(atl03, "atl03", beam_name, None)
         inside = (row >= theirs.rows[0]) & (row < theirs.rows[1])
         signal = np.zeros(len(row), np.bool_)
-        signal[inside] = theirs.signal[row[inside] - theirs.rows[0]]
+        signal[inside] = theirs.signal(*theirs.rows)[row[inside] - theirs.rows[0]]
         print(f"{beam_name}: {len(row)} photons, {np.count_nonzero(signal)} signal in ATL08")
         print(f"  {'':34}{'kept':>8}{'precision':>11}{'recall':>9}{'F1':>8}")
         for source in ("auto", "window", "product"):

@@ -9,7 +9,8 @@ import pytest
 import rasterio
 from rasterio import Affine
 
-from spl_batch.altimetry.io.atl08 import read_labels
+from spl_batch.altimetry.io import atl08 as atl08_io
+from spl_batch.altimetry.io.atl08 import find_labels
 from spl_batch.altimetry.io.photons import Photons, inspect, iter_photons, read_background
 from spl_batch.altimetry.io.terrain import sample_terrain
 from spl_batch.altimetry.io.track_csv import read_profile
@@ -101,24 +102,34 @@ def test_csv_columns_are_found_by_name(tmp_path: Path) -> None:
     assert inspect(path, None).beams[0].photons == pytest.approx(len(along), rel=0.2)
 
 
-def test_atl08_says_what_is_signal(tmp_path: Path) -> None:
+@pytest.mark.parametrize("order", ["as it is", "mixed"])
+def test_atl08_says_what_is_signal(
+    tmp_path: Path, order: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(atl08_io, "SLICE_PHOTONS", 97)
     track = small_track()
     atl03 = write_atl03(tmp_path / "atl03.h5", {"gt1r": track})
     atl08 = write_atl08(tmp_path / "atl08.h5", atl03, {"gt1r": track})
-    found = read_labels(atl03, [atl08], "gt1r")
+    with h5py.File(atl08, "r+") as file:
+        for column in file["gt1r/signal_photons"].values() if order == "mixed" else ():
+            column[:] = np.random.default_rng(5).permutation(column[()])
+    found = find_labels(atl03, [atl08], "gt1r")
     assert found is not None
+    assert len(found.slices) > 3
     low, high = found.rows
     assert high - low > 0.9 * len(track.truth)
-    np.testing.assert_array_equal(found.signal, track.truth[low:high] > 0)
-    assert read_labels(atl03, [], "gt1r") is None
+    np.testing.assert_array_equal(found.signal(low, high), track.truth[low:high] > 0)
+    parts = [found.signal(k, min(k + 301, high)) for k in range(low, high, 301)]
+    np.testing.assert_array_equal(np.concatenate(parts), found.signal(low, high))
+    assert find_labels(atl03, [], "gt1r") is None
     other = write_atl08(tmp_path / "other_day.h5", atl03, {"gt1r": track})
     with h5py.File(other, "r+") as file:
         file["gt1r/signal_photons/delta_time"][:] += 86_400.0
         file["gt1r/signal_photons/classed_pc_flag"][:] = 0
-    assert read_labels(atl03, [other], "gt1r") is None
-    again = read_labels(atl03, [other, atl08], "gt1r")
+    assert find_labels(atl03, [other], "gt1r") is None
+    again = find_labels(atl03, [other, atl08], "gt1r")
     assert again is not None
-    np.testing.assert_array_equal(again.signal, found.signal)
+    np.testing.assert_array_equal(again.signal(low, high), found.signal(low, high))
 
 
 def test_terrain_is_read_between_cell_centres(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ import rasterio
 import yaml
 from pydantic import BaseModel
 
+from spl_batch.altimetry.runner import heights
+from spl_batch.altimetry.runner import photons as photons_runner
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import SceneFile, simulate_file
 from spl_batch.altimetry.stages.signal import score_bins
@@ -132,7 +134,11 @@ def test_a_second_run_does_nothing_again(granule: Path) -> None:
     assert sum(stage["skipped"] for stage in stages.values()) > 10
 
 
-def test_results_do_not_depend_on_segments(granule: Path, tmp_path: Path) -> None:
+def test_results_do_not_depend_on_segments_and_passes(
+    granule: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(heights, "PASS_PHOTONS", 700)
+    monkeypatch.setattr(photons_runner, "SELECT_WINDOWS", 1)
     photons = granule.parent / "atl03.h5"
     workflow = write_workflow(
         tmp_path,
@@ -148,6 +154,9 @@ def test_results_do_not_depend_on_segments(granule: Path, tmp_path: Path) -> Non
         for path in (p for p in (whole / folder).rglob("*") if p.is_file()):
             twin = cut / path.relative_to(whole)
             assert path.read_bytes() == twin.read_bytes(), path
+    mine, theirs = (report(w)["beams"] for w in (workflow, granule))
+    assert [b["labels"] for b in mine] == [b["labels"] for b in theirs]
+    assert [b["far_per_km2"] for b in mine] == [b["far_per_km2"] for b in theirs]
 
 
 def test_a_csv_is_labelled_whatever_its_order(tmp_path: Path) -> None:
@@ -181,13 +190,21 @@ def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:
     planned = surveys.command("plan", workflow)
     assert planned.status == 0
     assert "beams" in planned.out
-    assert run(workflow).status == 0
+    ended = run(workflow)
+    assert ended.status == 0
+    assert re.search(r"ground accuracy +median -?[\d.]+ m, NMAD [\d.]+ m, RMSE [\d.]+ m", ended.out)
+    assert "by mDBSCAN" in ended.out
+    assert "Ground NMAD" in (workflow.parent / "out/report.html").read_text()
     found = report(workflow)
     assert [beam["name"] for beam in found["beams"]] == ["channel006", "channel043"]
     for beam in found["beams"]:
         assert beam["ground"]["rmse"] < 1.5
         assert beam["ground"]["n"] >= 45
         assert beam["baseline_ground"]["n"] >= 40
+    sums = [b["ground"]["mean"] * b["ground"]["n"] for b in found["beams"]]
+    assert found["ground"]["n"] == sum(b["ground"]["n"] for b in found["beams"])
+    assert found["ground"]["mean"] * found["ground"]["n"] == pytest.approx(sum(sums))
+    assert found["ground"]["nmad"] < found["ground"]["rmse"]
     with h5py.File(tmp_path / "hills/out/hdf5/track.h5") as file:
         group = file["photon/channel043"]
         hit = group["truth"][()] > 0

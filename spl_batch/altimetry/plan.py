@@ -197,8 +197,8 @@ def _score(tracks: Tracks) -> Iterator[Task]:
 
 def _select(tracks: Tracks) -> Iterator[Task]:
     for name, receipt in tracks.of("rate").items():
-        segments = [s for s, _, _ in tracks.segments(name)]
-        needs = (("rate", name), *(("score", s) for s in segments))
+        segments = tracks.segments(name)
+        needs = (("rate", name), *(("score", s) for s, _, _ in segments))
         yield Task("select", name, {"key": name, "segments": segments}, needs, receipt.points)
 
 

@@ -69,6 +69,8 @@ class TrackReport(Part):
     name: str = Field(description="Title of the report.")
     method: Literal["bayes", "mdbscan"] = Field(description="What tells signal from noise.")
     counts: TrackCounts
+    ground: Statistics | None = Field(None, description="Ground minus reference, all beams.")
+    baseline_ground: Statistics | None = Field(None, description="The same, by mDBSCAN.")
     beams: tuple[Beam, ...] = ()
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")

@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from spl_batch.altimetry.report.model import Beam, TrackReport
+from spl_batch.altimetry.report.model import TrackReport
 from spl_batch.report import format as text
+from spl_batch.report.model import Statistics
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
 from spl_batch.report.summary import Verdict, ending_rows, failure_verdict
@@ -29,7 +30,7 @@ def render(report: TrackReport, pictures: Sequence[Mapping[str, Picture]]) -> st
         package="spl_batch.altimetry.report",
         pictures=flat,
         keys=[[f"{key}_{i}" for key in drawn] for i, drawn in enumerate(pictures)],
-        compared=[b for b in report.beams if b.ground is not None],
+        compared=_compared(report),
         labelled=[b for b in report.beams if b.labels],
     )
 
@@ -50,28 +51,36 @@ def _verdicts(report: TrackReport) -> Iterator[Verdict]:
             "bad",
             f"{text.number(counts.points_in)} photons in, {text.number(counts.points_out)} out.",
         )
-    rmse = mean_rmse([b for b in report.beams if b.ground is not None])
-    if rmse is None:
+    if report.ground is None:
         yield Verdict("neutral", "No reference was given, or none is near: accuracy is not known.")
     else:
-        yield Verdict("good", f"Ground RMSE {text.centimetres(rmse)} against the reference.")
+        spread, middle = (text.centimetres(v) for v in (report.ground.nmad, report.ground.median))
+        yield Verdict(
+            "good",
+            f"Ground minus reference: median {middle}, NMAD {spread}, "
+            f"RMSE {text.centimetres(report.ground.rmse)}.",
+        )
     yield failure_verdict(report.failures, report.warnings)
 
 
-def mean_rmse(beams: Sequence[Beam]) -> float | None:
-    """Root of the mean square difference of all cells of some beams [m]; None without any."""
-    known = [b.ground for b in beams if b.ground is not None and b.ground.rmse is not None]
-    cells = sum(s.n for s in known)
-    if not cells:
-        return None
-    return float((sum(s.n * (s.rmse or 0.0) ** 2 for s in known) / cells) ** 0.5)
+def _compared(report: TrackReport) -> list[tuple[str, Statistics | None, Statistics | None]]:
+    """What is compared, ours and mDBSCAN's: all beams, and each where there are several."""
+    each: list[tuple[str, Statistics | None, Statistics | None]] = [
+        (f"{b.file} {b.name}", b.ground, b.baseline_ground)
+        for b in report.beams
+        if b.ground is not None
+    ]
+    return [("all", report.ground, report.baseline_ground), *each] if len(each) > 1 else each
 
 
 def _cards(report: TrackReport) -> list[tuple[str, str, str]]:
     counts, work = report.counts, report.performance
     assessed = counts.signal + counts.background
-    rmse = mean_rmse(report.beams)
-    cards = [("Ground RMSE", text.centimetres(rmse), "against the reference")] if rmse else []
+    cards = []
+    if report.ground is not None:
+        rest = f"median {text.centimetres(report.ground.median)}, "
+        rest += f"RMSE {text.centimetres(report.ground.rmse)}"
+        cards.append(("Ground NMAD", text.centimetres(report.ground.nmad), rest))
     cells = sum(b.ground_cells for b in report.beams)
     return [
         *cards,
@@ -96,10 +105,19 @@ def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
     ]
     if counts.not_assessed:
         rows.append(("not assessed", f"{counts.not_assessed:,}"))
-    rmse = mean_rmse(report.beams)
-    rows.append(("ground accuracy", "no reference" if rmse is None else f"RMSE {rmse:.2f} m"))
+    rows.append(("ground accuracy", _accuracy(report.ground)))
+    if report.baseline_ground is not None:
+        rows.append(("by mDBSCAN", _accuracy(report.baseline_ground)))
     for beam in report.beams:
         for method, agreement in beam.labels.items():
             if agreement.f1 is not None:
                 rows.append((f"{beam.name} labels, {method}", f"F1 {agreement.f1:.3f}"))
     return rows + ending_rows(work, report.failures, report.warnings)
+
+
+def _accuracy(found: Statistics | None) -> str:
+    if found is None:
+        return "no reference"
+    named = (("median", found.median), ("NMAD", found.nmad), ("RMSE", found.rmse))
+    # A zero is added so that none is negative.
+    return ", ".join(f"{name} {round(value or 0.0, 2) + 0.0:.2f} m" for name, value in named)

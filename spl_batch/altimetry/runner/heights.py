@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.accuracy.summary import statistics
-from spl_batch.altimetry.io.atl08 import read_labels
+from spl_batch.altimetry.io.atl08 import find_labels
 from spl_batch.altimetry.io.terrain import sample_terrain
 from spl_batch.altimetry.io.track_csv import read_profile
 from spl_batch.altimetry.model import LABELS
@@ -27,6 +27,9 @@ COLUMNS: Final = {
     "baseline_ground": np.float64,
 }
 """Columns of a profile in the store; the last one is mDBSCAN's ground."""
+
+PASS_PHOTONS: Final = 2_000_000
+"""Photons whose classes are compared at once [count]."""
 
 REFERENCE_GAP_M: Final = 200.0
 """Points of a reference that are farther apart say nothing of what lies between them [m]."""
@@ -170,35 +173,33 @@ def between(at: NDArray[np.float64], known: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _agreement(args: Mapping[str, Any], context: Context) -> dict[str, dict[str, int]]:
-    """Photons that are signal here and there, by method: true and false, positive and negative."""
-    files = _label_files(context)
-    theirs = read_labels(Path(args["path"]), files, args["beam"])
+    """Photons that are signal here and there, by method: true and false, positive and negative.
+
+    Counts add up, so photons are looked at in passes of a bounded number.
+    """
+    theirs = find_labels(Path(args["path"]), _label_files(context), args["beam"])
     if theirs is None:
         return {}
     chosen = Selection(args["key"], context)
+    reference = context.workflow.reference
+    methods = ["ours", "mdbscan"] if reference is not None and reference.baseline else ["ours"]
+    # By method: neither, there only, here only, both.
+    counts = np.zeros((len(methods), 4), np.int64)
     low, high = theirs.rows
-    table = gather(
-        (
-            part
-            for name, _, _ in args["segments"]
-            for part in rows_between(
-                place(context, "scores", name, ".parquet"), tuple(LABELS), "row", low, high
-            )
-        ),
-        LABELS,
-    )
-    signal = theirs.signal[table["row"] - low]
-    found = {"ours": chosen(table, "label"), "mdbscan": table["baseline"] > 0}
-    if context.workflow.reference is None or not context.workflow.reference.baseline:
-        del found["mdbscan"]
+    for first in range(low, high, PASS_PHOTONS):
+        stop = min(first + PASS_PHOTONS, high)
+        signal = theirs.signal(first, stop)
+        for name, _, _ in args["segments"]:
+            path = place(context, "scores", name, ".parquet")
+            for rows in rows_between(path, tuple(LABELS), "row", first, stop):
+                there = signal[rows["row"] - first]
+                for k, method in enumerate(methods):
+                    here = chosen(rows, "label") if method == "ours" else rows["baseline"] > 0
+                    counts[k] += np.bincount(2 * here + there, minlength=4)
+    names = ("neither", "only_there", "only_here", "both")
     return {
-        name: {
-            "both": int(np.count_nonzero(mine & signal)),
-            "only_here": int(np.count_nonzero(mine & ~signal)),
-            "only_there": int(np.count_nonzero(~mine & signal)),
-            "neither": int(np.count_nonzero(~mine & ~signal)),
-        }
-        for name, mine in found.items()
+        method: dict(zip(names, row.tolist(), strict=True))
+        for method, row in zip(methods, counts, strict=True)
     }
 
 

@@ -32,6 +32,9 @@ OBSERVE_PHOTONS: Final = 500_000
 OBSERVE_CELLS: Final = 1024
 """Cells that are looked at together, at most: a table of them by height is held [count]."""
 
+SELECT_WINDOWS: Final = 256
+"""Windows whose photons are held by score at once: 6.6 MB [count]."""
+
 _SURE: Final = np.float32(-30.0)
 """Score of what mDBSCAN calls signal."""
 
@@ -198,38 +201,74 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
     """Least score that is signal in each window of a beam."""
     workflow, beam = context.workflow, args["key"]
     cells, scale, far_m = read_rate(beam, context)
-    parts = [read_arrays(place(context, "counts", s, ".npz")) for s in args["segments"]]
-    window = rates.window_of(scale.index, workflow.rate, workflow.signal.window_m)
-    window = np.unique(window)
-    counts = np.zeros((2, len(window), signals.SCORE_BINS), np.int64)
-    for part in parts:
-        at = np.searchsorted(window, part["window"])
-        for i, name in enumerate(("counts", "far")):
-            np.add.at(counts[i], at, part[name])
     values = np.stack([cells.count.astype(np.float64), scale.noise, cells.gate_m, far_m])
+    index = rates.window_of(scale.index, workflow.rate, workflow.signal.window_m)
+    window = np.unique(index)
     _, sums = rates.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
-    around = np.stack([rates.running(window, c.T.astype(np.float64)).T for c in counts])
     estimated = np.maximum(sums[0] - sums[1], 0.0)
     share = np.where(sums[3] > 0, sums[2] / np.where(sums[3] > 0, sums[3], 1.0), 0.0)
-    if workflow.signal.method == "mdbscan":
-        least = ground = np.ones(len(window), np.int64)
-    else:
-        least, ground = (
-            signals.thresholds(around[0], around[1], factor * estimated, share, false_share)
-            for factor, false_share in (
-                (1.0, workflow.signal.false_share),
-                (workflow.profile.photons_factor, workflow.profile.false_share),
-            )
-        )
+    least = np.empty((2, len(window)), np.int64)
+    taken = np.zeros(2, np.int64)
+    for first in range(0, len(window), SELECT_WINDOWS):
+        stop = min(first + SELECT_WINDOWS, len(window))
+        # Each window is decided with the two beside it.
+        low, high = max(first - 1, 0), min(stop + 1, len(window))
+        counts = _of_segments(window[low:high], args["segments"], context)
+        around = rates.running(window[low:high], np.moveaxis(counts, 1, 2).astype(np.float64))
+        mine = slice(first - low, stop - low)
+        part = np.moveaxis(around, 1, 2)[:, mine]
+        least[:, first:stop] = _least(part, estimated[first:stop], share[first:stop], context)
+        for i, b in enumerate(least[0, first:stop].tolist()):
+            taken += counts[:, first - low + i, b:].sum(axis=1)
     path = place(context, "selection", beam, ".npz")
-    write_arrays(path, {"window": window, "label": least, "ground": np.minimum(ground, least)})
-    taken = sum(int(counts[0, i, least[i] :].sum()) for i in range(len(window)))
+    arrays = {"window": window, "label": least[0], "ground": least[1]}
+    write_arrays(path, arrays)
     facts = {
-        "signal": taken,
+        "signal": int(taken[0]),
         "estimated": float(max(cells.count.sum() - scale.noise.sum(), 0.0)),
-        "far_signal": sum(int(counts[1, i, least[i] :].sum()) for i in range(len(window))),
+        "far_signal": int(taken[1]),
     }
     return Produced([path], facts, int(cells.count.sum()))
+
+
+def _of_segments(
+    window: NDArray[np.int64], segments: list[tuple[str, int, int]], context: Context
+) -> NDArray[np.int64]:
+    """Photons of windows by score, all and far ones: (2, w, bins) int64."""
+    workflow = context.workflow
+    counts = np.zeros((2, len(window), signals.SCORE_BINS), np.int64)
+    size = quanta(workflow.rate.cell_m)
+    for name, low, high in segments:
+        ends = np.array([low // size, high // size - 1])
+        covered = rates.window_of(ends, workflow.rate, workflow.signal.window_m)
+        if covered[0] > window[-1] or covered[1] < window[0]:
+            continue
+        part = read_arrays(place(context, "counts", name, ".npz"))
+        mine = np.isin(part["window"], window)
+        at = np.searchsorted(window, part["window"][mine])
+        for i, kind in enumerate(("counts", "far")):
+            counts[i, at] += part[kind][mine]
+    return counts
+
+
+def _least(
+    around: NDArray[np.float64],
+    estimated: NDArray[np.float64],
+    share: NDArray[np.float64],
+    context: Context,
+) -> NDArray[np.int64]:
+    """Least bins of windows, for labels and for the ground: (2, w) int64."""
+    workflow = context.workflow
+    if workflow.signal.method == "mdbscan":
+        return np.ones((2, len(estimated)), np.int64)
+    label, ground = (
+        signals.thresholds(around[0], around[1], factor * estimated, share, false_share)
+        for factor, false_share in (
+            (1.0, workflow.signal.false_share),
+            (workflow.profile.photons_factor, workflow.profile.false_share),
+        )
+    )
+    return np.stack([label, np.minimum(ground, label)])
 
 
 class Selection:

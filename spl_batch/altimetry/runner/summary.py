@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.accuracy.summary import statistics
 from spl_batch.altimetry.model import LABELS
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
@@ -52,6 +53,8 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
         name=context.workflow.track.name,
         method=context.workflow.signal.method,
         counts=counts,
+        ground=_overall(done, "ground", context),
+        baseline_ground=_overall(done, "baseline_ground", context),
         beams=tuple(_beam(done, key, receipt, context) for key, receipt in delivered),
         performance=performance(facts, counts.points_in),
         failures=tuple(facts.failures),
@@ -112,6 +115,16 @@ def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Bea
 
 def _statistics(found: Mapping[str, Any] | None) -> Statistics | None:
     return Statistics(**found) if found and found["n"] else None
+
+
+def _overall(done: Receipts, name: str, context: Context) -> Statistics | None:
+    """Differences of all beams from the reference."""
+    parts = [
+        read_arrays(place(context, "compared", key, ".npz"))[name]
+        for key, receipt in done.get("compare", {}).items()
+        if receipt.facts[name]["n"]
+    ]
+    return Statistics(**statistics(np.concatenate(parts))) if parts else None
 
 
 def agreement(both: int, only_here: int, only_there: int, neither: int) -> Agreement:
