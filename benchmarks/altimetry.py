@@ -6,7 +6,8 @@ filters  simulated mountain and flat ground, green and infrared, bare and 40 % w
          have one. Ours, ours without scaling, mDBSCAN with and without scaling, and mDBSCAN
          with whichever of six ellipses gives the least RMSE of photons on that scene.
 pdf      the same photons by the choices that the source leaves open: density of the signal
-         unknown, or fixed contrasts; neighbourhoods as long as high, or longer.
+         unknown, or fixed contrasts; neighbourhoods as long as high, or longer; as many photons
+         as the noise rate leaves over, or up to the best F1 to be expected.
 levels   a wooded mountain of 2 km from no noise to 0.3 photons per square metre.
 atl08    agreement with ATL08 on real photons, by where the noise rate comes from; A an ATL03, B an
          ATL08 file.
@@ -46,9 +47,10 @@ from spl_batch.altimetry.simulate import (
     simulate,
     simulate_track,
 )
+from spl_batch.altimetry.stages import chance
 from spl_batch.altimetry.stages import rate as rates
 from spl_batch.altimetry.stages import signal as signals
-from spl_batch.altimetry.stages.likelihood import Ratios
+from spl_batch.altimetry.stages.likelihood import Ratios, ratios
 from spl_batch.altimetry.stages.profile import profile
 from spl_batch.constants import QUANTA_PER_M
 
@@ -87,9 +89,11 @@ class Beam:
             density = rates.density_from_both(self.cells, background, RATE, signal.window_m)
         self.scale = rates.scale(self.cells, density, RATE, signal)
 
-    def keep(self, score: NDArray[np.float32], factor: float, false_share: float) -> Mask:
-        """Photons that are signal, by the windows of a run."""
-        window_m = self.signal.window_m
+    def keep(
+        self, score: NDArray[np.float32], table: Ratios | None = None, *, ground: bool = False
+    ) -> Mask:
+        """Photons that are signal, or those that the ground is sought among, as in a run."""
+        window_m, settings = self.signal.window_m, self.signal
         index = rates.window_of(self.scale.index, RATE, window_m)
         values = np.stack(
             [
@@ -101,19 +105,33 @@ class Beam:
         )
         _, sums = rates.of_window(self.scale.index, values, RATE, window_m)
         window = np.unique(index)
-        at = np.searchsorted(
-            window, rates.window_of(self.along // round(RATE.cell_m * 1000), RATE, window_m)
-        )
-        bins = signals.score_bins(score)
-        far = rates.far(self.along, self.height, self.cells, RATE) > 0
-        counts = []
-        for mine in (np.ones(len(bins), np.bool_), far):
+
+        def counted(along: Any, score: Any, value: Any) -> NDArray[np.float64]:
             one = np.zeros((len(window), signals.SCORE_BINS))
-            np.add.at(one, (at[mine], bins[mine]), 1)
-            counts.append(rates.running(window, one.T).T.astype(np.int64))
-        wanted = factor * np.maximum(sums[0] - sums[1], 0.0)
-        least = signals.thresholds(*counts, wanted, sums[2] / np.maximum(sums[3], 1), false_share)
-        kept: Mask = bins >= least[at]
+            of = rates.window_of(along // round(RATE.cell_m * 1000), RATE, window_m)
+            np.add.at(one, (np.searchsorted(window, of), signals.score_bins(score)), value)
+            return rates.running(window, one.T).T
+
+        far = rates.far(self.along, self.height, self.cells, RATE)
+        counts, away = (counted(self.along, score, value) for value in (1, far))
+        wanted, share = np.maximum(sums[0] - sums[1], 0.0), sums[2] / np.maximum(sums[3], 1)
+        least = signals.thresholds(counts, away, wanted, share, settings.false_share)
+        if settings.selection == "f1":
+            every = np.ones(len(self.cells.index), np.bool_)
+            along, height, noise = chance.places(self.cells, self.scale, every, RATE)
+            prior = signals.log_prior(self.cells, self.scale, RATE, window_m)
+            likelihoods = table or ratios(settings.neighbours, settings.contrast_max)
+            at, photons = (along, height), (self.along, self.height)
+            found = chance.score_places(at, photons, self.scale, prior, RATE, likelihoods)
+            expected = counted(along, found, noise / chance.SHARE_QUANTA)
+            limits = (wanted, share, settings.false_share)
+            least = chance.best_thresholds(counts, expected, away, *limits)
+        if ground:
+            wanted = PROFILE.photons_factor * wanted
+            more = signals.thresholds(counts, away, wanted, share, PROFILE.false_share)
+            least = np.minimum(least, more)
+        of = rates.window_of(self.along // round(RATE.cell_m * 1000), RATE, window_m)
+        kept: Mask = signals.score_bins(score) >= least[np.searchsorted(window, of)]
         return kept
 
     def score(self, table: Ratios | None = None) -> NDArray[np.float32]:
@@ -201,8 +219,8 @@ def ours(track: Track, signal: SignalSettings = SIGNAL, table: Ratios | None = N
     """Measures of our filter."""
     beam = Beam(lattice(track.along_m, track.height_m), track.background, signal)
     score = beam.score(table)
-    some = beam.keep(score, PROFILE.photons_factor, PROFILE.false_share)
-    return measures(track, beam.keep(score, 1.0, signal.false_share), some)
+    some = beam.keep(score, table, ground=True)
+    return measures(track, beam.keep(score, table), some)
 
 
 def filters() -> None:
@@ -237,6 +255,9 @@ def choices() -> None:
     """What the source leaves open, on all scenes together."""
     kinds: dict[str, Callable[[Track], list[float]]] = {
         "density unknown, aspect 3": ours,
+        "as many as the noise rate leaves": lambda t: ours(
+            t, SIGNAL.model_copy(update={"selection": "number"})
+        ),
         "density unknown, aspect 1": lambda t: ours(t, SIGNAL.model_copy(update={"aspect": 1.0})),
         "density unknown, aspect 6": lambda t: ours(t, SIGNAL.model_copy(update={"aspect": 6.0})),
         "12 neighbours": lambda t: ours(t, SIGNAL.model_copy(update={"neighbours": 12})),
@@ -292,8 +313,8 @@ def agreement(atl03: Path, atl08: Path) -> None:
         print(f"  {'':34}{'kept':>8}{'precision':>11}{'recall':>9}{'F1':>8}")
         for source in ("auto", "window", "product"):
             beam = Beam(photons, stated, source=source)  # type: ignore[arg-type]
-            _agree(f"ours, rate from {source}", beam.keep(beam.score(), 1.0, SIGNAL.false_share)
-                   & inside, signal)  # fmt: skip
+            kept = beam.keep(beam.score()) & inside
+            _agree(f"ours, rate from {source}", kept, signal)
         beam = Beam(photons, stated)  # type: ignore[arg-type]
         for along, height in ELLIPSES:
             for scaled, word in ((True, "scaled"), (False, "not scaled")):
@@ -323,15 +344,15 @@ def speed() -> None:
     photons = lattice(track.along_m, track.height_m)
     small = tuple(values[:5000] for values in photons)
     warm = Beam(small, None)  # type: ignore[arg-type]
-    warm.keep(warm.score(), 1.0, 0.01)
+    warm.keep(warm.score())
     short = simulate_track(wanted.model_copy(update={"length_m": 400.0}))
     measures(short, short.truth > 0)
     n = len(track.along_m)
     start = (time.perf_counter(), time.process_time())
     beam = Beam(photons, track.background)
     score = beam.score()
-    kept = beam.keep(score, 1.0, SIGNAL.false_share)
-    some = beam.keep(score, PROFILE.photons_factor, PROFILE.false_share)
+    kept = beam.keep(score)
+    some = beam.keep(score, ground=True)
     found = measures(track, kept, some)
     wall, busy = time.perf_counter() - start[0], time.process_time() - start[1]
     print(f"{n:,} photons, {np.count_nonzero(track.truth):,} of signal, F1 {found[2]:.3f}")

@@ -84,6 +84,11 @@ class SignalSettings(Section):
         description="The number of signal photons is estimated over three of these windows and "
         "applied to the middle one [m].",
     )
+    selection: Literal["f1", "number"] = Field(
+        "f1",
+        description="Take the photons least like noise up to where the F1 to be expected is "
+        "largest, or as many as the noise rate leaves over [W17].",
+    )
     false_share: Share = Field(
         0.0005,
         description="Most that noise far from any surface may contribute to the signal; fewer "

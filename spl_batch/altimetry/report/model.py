@@ -43,6 +43,9 @@ class Beam(Part):
     photons: Count = Field(description="Photons [count].")
     signal: Count = Field(0, description="Signal photons [count].")
     estimated: Number = Field(None, description="Signal photons by the noise rate [count].")
+    false_signal: Number = Field(
+        None, description="Noise photons to be expected among the signal [count]."
+    )
     length_km: Number = Field(None, description="Track that holds photons [km].")
     gate_m: Number = Field(None, description="Median length of the gate [m].")
     rate_basis: Literal["product", "window", "product and window"] = Field(

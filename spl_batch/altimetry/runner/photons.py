@@ -19,8 +19,10 @@ from spl_batch.altimetry.runner.context import (
     place,
     rows_between,
 )
+from spl_batch.altimetry.stages import chance
 from spl_batch.altimetry.stages import rate as rates
 from spl_batch.altimetry.stages import signal as signals
+from spl_batch.altimetry.stages.likelihood import ratios
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.io.tables import read_arrays, write_arrays, writing
 from spl_batch.runner.context import Produced
@@ -33,7 +35,19 @@ OBSERVE_CELLS: Final = 1024
 """Cells that are looked at together, at most: a table of them by height is held [count]."""
 
 SELECT_WINDOWS: Final = 256
-"""Windows whose photons are held by score at once: 6.6 MB [count]."""
+"""Windows whose photons are held by score at once: 10 MB [count]."""
+
+COUNTED: Final = ("counts", "far", "noise")
+"""What segments count by window and score: all photons, far ones, noise expected."""
+
+_Scored = tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]]
+"""Places along the track, scores there, and what each counts."""
+
+_NO_PLACES: Final[_Scored] = (
+    np.empty(0, np.int64),
+    np.empty(0, np.float32),
+    np.empty(0, np.int64),
+)
 
 _SURE: Final = np.float32(-30.0)
 """Score of what mDBSCAN calls signal."""
@@ -159,17 +173,24 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
     labels["baseline"] = np.zeros(len(labels["row"]), np.uint8)
     if baseline:
         mean = signals.mean_density(cells, scale, workflow.rate, workflow.signal)
-        found = signals.mdbscan(
+        dense = signals.mdbscan(
             table["along"], table["height"], scale, mean, workflow.rate, workflow.signal.mdbscan
         )
-        labels["baseline"] = found[mine].astype(np.uint8)
+        labels["baseline"] = dense[mine].astype(np.uint8)
+    noise = _NO_PLACES
     if workflow.signal.method == "mdbscan":
         labels["score"] = np.where(labels["baseline"] > 0, _SURE, np.float32(0.0))
     else:
         prior = signals.log_prior(cells, scale, workflow.rate, workflow.signal.window_m)
-        labels["score"] = signals.score(
-            table["along"], table["height"], mine, scale, prior, workflow.rate, workflow.signal
-        )
+        photons, rest = (table["along"], table["height"]), (workflow.rate, workflow.signal)
+        labels["score"] = signals.score(*photons, mine, scale, prior, *rest)
+        if workflow.signal.selection == "f1":
+            owned = (cells.index >= args["cells"][0]) & (cells.index < args["cells"][1])
+            along, height, each = chance.places(cells, scale, owned, workflow.rate)
+            likelihoods = ratios(workflow.signal.neighbours, workflow.signal.contrast_max)
+            at = along, height
+            found = chance.score_places(at, photons, scale, prior, workflow.rate, likelihoods)
+            noise = (along, found, each)
     outputs = [
         place(context, "scores", args["segment"], ".parquet"),
         place(context, "counts", args["segment"], ".npz"),
@@ -177,24 +198,38 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
     with writing(outputs[0], LABELS) as writer:
         for start in range(0, len(labels["row"]), GROUP_PHOTONS):
             writer.write({k: labels[k][start : start + GROUP_PHOTONS] for k in LABELS})
-    write_arrays(outputs[1], _counted(labels, context))
+    write_arrays(outputs[1], _counted(labels, noise, context))
     return Produced(outputs, {"photons": len(labels["row"])}, len(labels["row"]))
 
 
-def _counted(labels: Mapping[str, NDArray[Any]], context: Context) -> dict[str, NDArray[Any]]:
-    """Photons of a segment by window and score, all and those far from the surface."""
-    workflow = context.workflow
-    cell = labels["along"] // quanta(workflow.rate.cell_m)
-    each = rates.window_of(cell, workflow.rate, workflow.signal.window_m)
-    window, at = np.unique(each, return_inverse=True)
-    bins = at * signals.SCORE_BINS + signals.score_bins(labels["score"])
-    shape = (len(window), signals.SCORE_BINS)
-    far = bins[labels["far"] > 0]
+def _counted(
+    labels: Mapping[str, NDArray[Any]], noise: _Scored, context: Context
+) -> dict[str, NDArray[Any]]:
+    """Photons of a segment by window and score: all, far from the surface, noise expected."""
+    window = np.unique(_windows(labels["along"], context))
+
+    def table(
+        along: NDArray[np.int64], score: NDArray[np.float32], value: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        counts = np.zeros((len(window), signals.SCORE_BINS), np.int64)
+        at = np.searchsorted(window, _windows(along, context))
+        np.add.at(counts, (at, signals.score_bins(score)), value)
+        return counts
+
+    along, score, far = labels["along"], labels["score"], labels["far"].astype(np.int64)
     return {
         "window": window,
-        "counts": np.bincount(bins, minlength=shape[0] * shape[1]).reshape(shape),
-        "far": np.bincount(far, minlength=shape[0] * shape[1]).reshape(shape),
+        "counts": table(along, score, np.ones_like(far)),
+        "far": table(along, score, far),
+        "noise": table(*noise),
     }
+
+
+def _windows(along: NDArray[np.int64], context: Context) -> NDArray[np.int64]:
+    """Window of each place along the track."""
+    workflow = context.workflow
+    cell = along // quanta(workflow.rate.cell_m)
+    return rates.window_of(cell, workflow.rate, workflow.signal.window_m)
 
 
 def select(args: Mapping[str, Any], context: Context) -> Produced:
@@ -208,7 +243,7 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
     estimated = np.maximum(sums[0] - sums[1], 0.0)
     share = np.where(sums[3] > 0, sums[2] / np.where(sums[3] > 0, sums[3], 1.0), 0.0)
     least = np.empty((2, len(window)), np.int64)
-    taken = np.zeros(2, np.int64)
+    taken = np.zeros(len(COUNTED), np.int64)
     for first in range(0, len(window), SELECT_WINDOWS):
         stop = min(first + SELECT_WINDOWS, len(window))
         # Each window is decided with the two beside it.
@@ -227,6 +262,7 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
         "signal": int(taken[0]),
         "estimated": float(max(cells.count.sum() - scale.noise.sum(), 0.0)),
         "far_signal": int(taken[1]),
+        "false_signal": float(taken[2] / chance.SHARE_QUANTA) if taken[2] else None,
     }
     return Produced([path], facts, int(cells.count.sum()))
 
@@ -234,9 +270,9 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
 def _of_segments(
     window: NDArray[np.int64], segments: list[tuple[str, int, int]], context: Context
 ) -> NDArray[np.int64]:
-    """Photons of windows by score, all and far ones: (2, w, bins) int64."""
+    """What segments have counted of windows by score: (3, w, bins) int64."""
     workflow = context.workflow
-    counts = np.zeros((2, len(window), signals.SCORE_BINS), np.int64)
+    counts = np.zeros((len(COUNTED), len(window), signals.SCORE_BINS), np.int64)
     size = quanta(workflow.rate.cell_m)
     for name, low, high in segments:
         ends = np.array([low // size, high // size - 1])
@@ -246,7 +282,7 @@ def _of_segments(
         part = read_arrays(place(context, "counts", name, ".npz"))
         mine = np.isin(part["window"], window)
         at = np.searchsorted(window, part["window"][mine])
-        for i, kind in enumerate(("counts", "far")):
+        for i, kind in enumerate(COUNTED):
             counts[i, at] += part[kind][mine]
     return counts
 
@@ -261,13 +297,15 @@ def _least(
     workflow = context.workflow
     if workflow.signal.method == "mdbscan":
         return np.ones((2, len(estimated)), np.int64)
-    label, ground = (
-        signals.thresholds(around[0], around[1], factor * estimated, share, false_share)
-        for factor, false_share in (
-            (1.0, workflow.signal.false_share),
-            (workflow.profile.photons_factor, workflow.profile.false_share),
-        )
-    )
+    counts, far, noise = around
+    settings, profile = workflow.signal, workflow.profile
+    wanted = profile.photons_factor * estimated
+    ground = signals.thresholds(counts, far, wanted, share, profile.false_share)
+    if settings.selection == "f1":
+        noise = noise / chance.SHARE_QUANTA
+        label = chance.best_thresholds(counts, noise, far, estimated, share, settings.false_share)
+    else:
+        label = signals.thresholds(counts, far, estimated, share, settings.false_share)
     return np.stack([label, np.minimum(ground, label)])
 
 

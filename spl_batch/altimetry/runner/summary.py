@@ -99,6 +99,7 @@ def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Bea
         photons=delivered.facts["points"],
         signal=delivered.facts["labels"].get("1", 0),
         estimated=chosen["estimated"],
+        false_signal=chosen["false_signal"],
         length_km=rate["length_m"] / 1000,
         gate_m=rate["gate_m"],
         rate_basis=rate["basis"],
