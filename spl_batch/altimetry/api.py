@@ -21,7 +21,6 @@ from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError
 from spl_batch.plan.ledger import Phase
 from spl_batch.runner import code_version
-from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
 from spl_batch.task import Receipt
@@ -43,6 +42,8 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 class Altimetry(Receiver[Tracks, Context]):
     """Photon files to labels and profiles."""
 
+    workflow: ClassVar[type[BaseWorkflow]] = TrackWorkflow
+    noun: ClassVar[str] = "photon profiles"
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = REMEDIES
@@ -55,12 +56,6 @@ class Altimetry(Receiver[Tracks, Context]):
         context = self.context(workflow, place, "", code_version())
         tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, tracks, context)
-
-    def context(self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str) -> Context:
-        """What its tasks are given."""
-        if not isinstance(workflow, TrackWorkflow):
-            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no photon profiles")
-        return RunContext(workflow, place.base, place.output, crs_wkt, code)
 
     def cost(self, prepared: Prepared[Tracks, Context]) -> TrackCost:
         """What a run is expected to cost."""

@@ -46,6 +46,8 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 class Imaging(Receiver[Survey, Context]):
     """Flightlines to classified clouds, terrain and surface rasters."""
 
+    workflow: ClassVar[type[BaseWorkflow]] = Workflow
+    noun: ClassVar[str] = "airborne survey"
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = REMEDIES
@@ -61,12 +63,6 @@ class Imaging(Receiver[Survey, Context]):
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
         survey.block_tiles = remembered_block_tiles(context.store, workflow)
         return Prepared(self, survey, context)
-
-    def context(self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str) -> Context:
-        """What its tasks are given."""
-        if not isinstance(workflow, Workflow):
-            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no airborne survey")
-        return Context(workflow, place.base, place.output, crs_wkt, code)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
         """What a run is expected to cost."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
 
+from spl_batch.errors import WorkflowError
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.runner.context import RunContext
@@ -72,6 +73,10 @@ class Receiver(ABC, Generic[L, C]):
 
     Attributes
     ----------
+    workflow : type
+        Model of its workflows.
+    noun : str
+        What its workflows are about.
     phases : sequence of Phase
         Every phase of a run, in order.
     words : mapping of str to str
@@ -80,6 +85,8 @@ class Receiver(ABC, Generic[L, C]):
         What makes a kind of task lighter, where memory was too little.
     """
 
+    workflow: ClassVar[type[BaseWorkflow]]
+    noun: ClassVar[str]
     phases: ClassVar[Sequence[Phase]]
     words: ClassVar[Mapping[str, str]] = MappingProxyType({})
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType({})
@@ -94,11 +101,19 @@ class Receiver(ABC, Generic[L, C]):
             If nothing can be started; one line with every fault.
         """
 
-    @abstractmethod
     def context(
         self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
     ) -> RunContext[Any]:
-        """What its tasks are given."""
+        """What its tasks are given.
+
+        Raises
+        ------
+        WorkflowError
+            If the workflow is another receiver's.
+        """
+        if not isinstance(workflow, self.workflow):
+            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no {self.noun}")
+        return RunContext(workflow, place.base, place.output, crs_wkt, code)
 
     @abstractmethod
     def cost(self, prepared: Prepared[L, C]) -> Cost:

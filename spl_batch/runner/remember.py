@@ -126,6 +126,30 @@ def recall(output: Path) -> dict[str, Any]:
     return content
 
 
+def common_parts(
+    context: RunContext[Any], facts: RunFacts, points: int, inputs: Sequence[InputFile]
+) -> dict[str, Any]:
+    """What a receiver's report says of the run as such, by the name of its part.
+
+    Parameters
+    ----------
+    context : RunContext
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    points : int
+        Points, photons, detections or frames of all inputs [count].
+    inputs : sequence of InputFile
+        Everything that it read.
+    """
+    return {
+        "performance": performance(facts, points),
+        "failures": tuple(facts.failures),
+        "warnings": tuple(facts.notes),
+        "provenance": provenance(context, inputs),
+    }
+
+
 def performance(facts: RunFacts, points: int) -> Performance:
     """Cost of a run, for its report.
 

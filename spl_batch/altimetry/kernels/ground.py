@@ -1,5 +1,14 @@
 """Ground of each cell of a profile, from photons that may be signal.
 
+[W17] 4.3 compares an "extracted ground surface" with lidar and does not say how it was extracted;
+there is no equation of it to follow. :func:`lowest_layers` is a vote of photons for lines, slope by
+slope (R. Duda and P. Hart, *Use of the Hough transformation to detect lines and curves in
+pictures*, Commun. ACM 15, 1972), that keeps the lowest line with votes enough where the Hough
+transform keeps the one with most: canopy often outvotes the ground. :func:`fit_ground` is Tukey's
+bisquare (A. Beaton and J. Tukey, Technometrics 16, 1974) by iteratively re-weighted least squares,
+as [W17] ch. 7 fits planes; its limit of 4.685 deviations is 95 % efficient on normal errors
+(P. Holland and R. Welsch, Commun. Stat. A6, 1977), and a deviation is a normalised median.
+
 Along-track positions stay whole numbers until a cell's middle is taken off, so no result
 depends on where a piece of track begins.
 """

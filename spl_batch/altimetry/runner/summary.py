@@ -22,10 +22,9 @@ from spl_batch.report.write import write_both
 from spl_batch.runner.remember import (
     Receipts,
     RunFacts,
+    common_parts,
     indexed_file,
     input_file,
-    performance,
-    provenance,
     remember,
 )
 from spl_batch.task import Receipt
@@ -49,6 +48,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     delivered = list(done["deliver_beam"].items())
     counts = _counts(done)
     inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
+    inputs += [input_file(Path(p), "reference") for p in facts.reference]
     report = TrackReport(
         name=context.workflow.track.name,
         method=context.workflow.signal.method,
@@ -56,12 +56,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
         ground=_overall(done, "ground", context),
         baseline_ground=_overall(done, "baseline_ground", context),
         beams=tuple(_beam(done, key, receipt, context) for key, receipt in delivered),
-        performance=performance(facts, counts.points_in),
-        failures=tuple(facts.failures),
-        warnings=tuple(facts.notes),
-        provenance=provenance(
-            context, [*inputs, *(input_file(Path(p), "reference") for p in facts.reference)]
-        ),
+        **common_parts(context, facts, counts.points_in, inputs),
     )
     pictures = [_pictures(done, key, context) for key, _ in delivered[:MOST_BEAMS]]
     write_both(context.output, report, render(report, pictures))

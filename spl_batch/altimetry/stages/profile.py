@@ -1,10 +1,14 @@
 """Ground and canopy top along the track, from signal photons.
 
-The source extracts "the ground surface" and does not say how. Here the ground of a cell is
-the lowest dense layer of its signal photons and its neighbours', under the slope that packs
-them best; what neighbouring cells contradict is put right; and a line is fitted through the
-layer with bisquare weights. The top of the canopy is a high quantile of the photons above
-that line. A cell's result depends on photons within :func:`reach_cells` of it.
+[W17] 4.3 compares an "extracted ground surface" with lidar (Fig. 4-7 to 4-12) and does not say how
+it was extracted; nor has it a canopy. Here the ground of a cell is the lowest dense layer of its
+signal photons and its neighbours', under the slope that packs them best; what neighbouring cells
+contradict is put right; and a line is fitted through the layer with bisquare weights
+(:mod:`spl_batch.altimetry.kernels.ground` names the sources of both steps). ATL08 goes another way:
+it smooths the medians of photons iteratively from below, and takes for the canopy's top the 98 %
+quantile of heights above that ground, as here (A. Neuenschwander and K. Pitts, *The ATL08 land and
+vegetation product for the ICESat-2 Mission*, Remote Sens. Environ. 221, 2019). A cell's result
+depends on photons within :func:`reach_cells` of it.
 """
 
 from dataclasses import dataclass

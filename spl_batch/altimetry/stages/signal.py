@@ -8,6 +8,8 @@ Deviations from the source, with reasons:
 * The neighbourhood may be longer than high (``aspect``); 1 is the source's circle.
 * "The smallest n_s" is applied along the track, in running windows, since noise, surface
   and cloud change over the thousands of kilometres of a granule.
+* By default n_s says how many signal photons there are, not how many are taken:
+  :mod:`spl_batch.altimetry.stages.chance`. ``signal.selection: number`` is the source's.
 * n_s is a difference of two large numbers. Where it asks for so many photons that noise far
   from any surface would come along, fewer are taken. What noise does is not assumed but
   read off the same scores, in the part of the gate that is far from the surface.

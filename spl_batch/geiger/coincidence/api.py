@@ -25,6 +25,8 @@ from spl_batch.task import Receipt
 class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
     """Detections and looks to points."""
 
+    workflow: ClassVar[type[BaseWorkflow]] = CoincidenceWorkflow
+    noun: ClassVar[str] = "coincidence processing"
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = MappingProxyType(
         {"frames": "file", "index_file": "file", "coincide": "tile"}
@@ -42,14 +44,6 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         context = RunContext(workflow, place.base, place.output, crs_wkt, code_version())
         ledger = L1Ledger(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, ledger, context)
-
-    def context(
-        self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
-    ) -> CoincidenceContext:
-        """What its tasks are given."""
-        if not isinstance(workflow, CoincidenceWorkflow):
-            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no coincidence processing")
-        return RunContext(workflow, place.base, place.output, crs_wkt, code)
 
     def cost(self, prepared: Prepared[L1Ledger, CoincidenceContext]) -> Cost:
         """What a run is expected to cost."""

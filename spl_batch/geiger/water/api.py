@@ -14,7 +14,6 @@ from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase
 from spl_batch.runner import code_version
-from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
 from spl_batch.task import Receipt
@@ -42,6 +41,8 @@ def _silent(counted: Iterable[Receipt]) -> Iterable[str]:
 class Water(Receiver[WaterLedger, WaterContext]):
     """Frames of time bins to surfaces, normals and rays."""
 
+    workflow: ClassVar[type[BaseWorkflow]] = WaterWorkflow
+    noun: ClassVar[str] = "water surface"
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -57,14 +58,6 @@ class Water(Receiver[WaterLedger, WaterContext]):
         context = self.context(workflow, place, crs_wkt, code_version())
         ledger = WaterLedger(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, ledger, context)
-
-    def context(
-        self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
-    ) -> WaterContext:
-        """What its tasks are given."""
-        if not isinstance(workflow, WaterWorkflow):
-            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no water surface")
-        return RunContext(workflow, place.base, place.output, crs_wkt, code)
 
     def cost(self, prepared: Prepared[WaterLedger, WaterContext]) -> Cost:
         """What a run is expected to cost."""

@@ -33,11 +33,11 @@ PIECE_ACQUISITIONS: Final = 50
 PIECE_PIXELS: Final = 51_200
 """Pixels of all its acquisitions, where more than one are done [count]."""
 
-BYTES_PER_PIXEL: Final = 160
+BYTES_PER_PIXEL: Final = 180
 """Of each acquisition's results while a task holds them [byte]."""
 
-WORK_BYTES_PER_PIXEL: Final = 2000
-"""Of the one acquisition that is being made [byte]."""
+WORK_BYTES_PER_PIXEL: Final = 1200
+"""Of the one acquisition that is being made; ``benchmarks.receivers_memory arrays`` [byte]."""
 
 RATES_FRAMES_PER_S: Final = MappingProxyType(
     {"index": 6.0e4, "calibrate": 1.0e6, "surfaces": 7.0e3, "deliver": 2.0e5}

@@ -26,9 +26,8 @@ from spl_batch.report.write import write_both
 from spl_batch.runner.remember import (
     Receipts,
     RunFacts,
+    common_parts,
     indexed_file,
-    performance,
-    provenance,
     remember,
 )
 from spl_batch.tiling import parse_cell
@@ -61,10 +60,7 @@ def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> C
         ),
         counts=counts,
         intensity=_intensity(done),
-        performance=performance(facts, counts.detections),
-        failures=tuple(facts.failures),
-        warnings=tuple(facts.notes),
-        provenance=provenance(context, list(_inputs(done))),
+        **common_parts(context, facts, counts.detections, list(_inputs(done))),
     )
     height, intensity = (_map(done, context, name) for name in ("height", "intensity"))
     shown = pictures(height, intensity, _strip(done, context))

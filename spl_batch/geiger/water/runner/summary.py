@@ -26,9 +26,8 @@ from spl_batch.report.write import write_both
 from spl_batch.runner.remember import (
     Receipts,
     RunFacts,
+    common_parts,
     indexed_file,
-    performance,
-    provenance,
     remember,
 )
 
@@ -52,7 +51,8 @@ def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterRe
     """
     workflow = context.workflow
     errors, floor, pixels = _errors(done, context)
-    counted = done.get("count_frames", {})
+    counted = done.get("count_frames", {}).values()
+    inputs = [indexed_file(r.facts, "frames", r.facts["frames"]) for r in counted]
     report = WaterReport(
         name=workflow.survey.name,
         crs=context.crs.to_string() if context.crs else None,
@@ -65,13 +65,7 @@ def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterRe
         each_surface=tuple(_each_surface(done, context)),
         pixels=PixelErrors(**{k: _rows(v) for k, v in pixels.items()}) if pixels else None,
         floor=_floor_errors(floor, workflow.path.in_water_m),
-        performance=performance(facts, sum(r.facts["frames"] for r in counted.values())),
-        failures=tuple(facts.failures),
-        warnings=tuple(facts.notes),
-        provenance=provenance(
-            context,
-            [indexed_file(r.facts, "frames", r.facts["frames"]) for r in counted.values()],
-        ),
+        **common_parts(context, facts, sum(file.points or 0 for file in inputs), inputs),
     )
     pictures = make_pictures(_pictures(done, context, pixels, report))
     write_both(context.output, report, render(report, pictures))
