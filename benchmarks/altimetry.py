@@ -281,8 +281,9 @@ def choices() -> None:
 
 
 def levels() -> None:
-    """F1 of ours and of mDBSCAN on the scaled axis, by noise and signal."""
-    print(f"  {'noise [1/m2]':>14}{'signal [1/m]':>14}{'ours F1':>10}{'mDBSCAN F1':>12}")
+    """F1 and RMSE of photons, ours and mDBSCAN's on the scaled axis, by noise and signal."""
+    heads = ("ours F1", "mDBSCAN F1", "ours RMSE", "mDBSCAN RMSE")
+    print(f"  {'noise [1/m2]':>14}{'signal [1/m]':>14}" + "".join(f"{h:>14}" for h in heads))
     for noise in (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.3):
         for signal in (0.5, 5.0):
             track = simulate_track(
@@ -293,7 +294,9 @@ def levels() -> None:
             )  # fmt: skip
             beam = Beam(lattice(track.along_m, track.height_m), track.background)
             theirs = measures(track, beam.mdbscan(BaselineSettings()))
-            print(f"  {noise:14g}{signal:14g}{ours(track)[2]:10.3f}{theirs[2]:12.3f}")
+            mine = ours(track)
+            values = (mine[2], theirs[2], mine[3], theirs[3])
+            print(f"  {noise:14g}{signal:14g}" + "".join(f"{v:14.3f}" for v in values))
 
 
 def agreement(atl03: Path, atl08: Path) -> None:
