@@ -17,7 +17,8 @@ import yaml
 from spl_batch import api
 from spl_batch.cli import live
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.geiger.coincidence import io, stages
+from spl_batch.geiger.coincidence import stages
+from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
 from spl_batch.tiling import Bounds
@@ -167,7 +168,7 @@ def test_frames_whose_detections_cannot_be_read_are_no_looks(survey: Path, tmp_p
 
 
 def test_wrong_attitudes_and_empty_files_are_warned_of(survey: Path) -> None:
-    empty = pa.table({k: pa.array([], pa.int64()) for k in io.DETECTION_COLUMNS})
+    empty = pa.table({k: pa.array([], pa.int64()) for k in files.DETECTION_COLUMNS})
     pq.write_table(empty, survey / "l1" / "none_detections.parquet")
     changes = ("array.columns=64", "output=out_wrong", "coincidence.bridge_sign.threshold=0.5")
     try:
@@ -215,7 +216,7 @@ def test_faults_of_a_detections_file(tmp_path: Path, columns: dict[str, Any], sa
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table(columns), path)
     with pytest.raises(InputError, match=said) as caught:
-        io.read_detections(path, ArraySettings(rows=16, columns=32))
+        files.read_detections(path, ArraySettings(rows=16, columns=32))
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -223,7 +224,7 @@ def test_faults_of_a_detections_file(tmp_path: Path, columns: dict[str, Any], sa
 def test_detections_come_in_order(tmp_path: Path) -> None:
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table({k: v[::-1] for k, v in GOOD.items()}), path)
-    found = io.read_detections(path, ArraySettings())
+    found = files.read_detections(path, ArraySettings())
     assert found.frame.tolist() == [7, 7, 8]
     assert found.detector.tolist() == [1, 3, 2]
     assert found.xyz[:, 2].tolist() == [100_000, 100_100, 100_200]
@@ -231,10 +232,10 @@ def test_detections_come_in_order(tmp_path: Path) -> None:
 
 def test_a_frame_twice_is_a_fault(tmp_path: Path) -> None:
     path = tmp_path / "f.parquet"
-    columns = {name: [0.0, 0.0] for name in io.FRAME_COLUMNS[1:]}
+    columns = {name: [0.0, 0.0] for name in files.FRAME_COLUMNS[1:]}
     pq.write_table(pa.table({"frame": [4, 4], **columns}), path)
     with pytest.raises(InputError, match="1 frames are there twice, the first is 4"):
-        io.read_frames(path)
+        files.read_frames(path)
 
 
 @pytest.mark.parametrize(

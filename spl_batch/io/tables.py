@@ -201,6 +201,34 @@ def read_between(
         return read_groups(file, names, wanted), row
 
 
+def read_with(
+    path: Path, names: Sequence[str], key: str, values: NDArray[np.int64]
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Columns of each row group that may hold one of some values, one group after the other.
+
+    Parameters
+    ----------
+    path : Path
+        File written by :func:`writing`.
+    names : sequence of str
+        Columns to read.
+    key : str
+        Column of integers.
+    values : (v,) int64
+        Values of interest in it, increasing.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with reading(path) as file:
+        for group, (low, high) in enumerate(_ranges(file.metadata, key)):
+            first, last = np.searchsorted(values, [low, high + 1])
+            if last > first:
+                yield read_groups(file, names, [group])
+
+
 def read_table(path: Path, names: Sequence[str], groups: Sequence[int] | None = None) -> PointTable:
     """Read a table, or some row groups of it; see :func:`read_columns`."""
     return PointTable(read_columns(path, names, groups))

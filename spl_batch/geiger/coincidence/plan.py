@@ -11,18 +11,20 @@ from pyproj import CRS
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError, WorkflowError
-from spl_batch.geiger.coincidence import io
+from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
 from spl_batch.geiger.coincidence.stages import least_detections, reach_q
 from spl_batch.io.crs import projected_crs
+from spl_batch.plan import density
 from spl_batch.plan.budget import Cost, measured_rates
+from spl_batch.plan.density import Box
 from spl_batch.plan.inputs import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.plan.memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.unchanged import stamp
 from spl_batch.task import Receipt, Task
-from spl_batch.tiling import parse_cell
+from spl_batch.tiling import Bounds, parse_cell, quanta
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 1.0e6, "coincidence": 30_000.0, "deliver": 0.5e6}
@@ -30,8 +32,8 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
 """Detections per second and worker until a store has measured its own; points when delivering.
 ``benchmarks/coincidence.py`` prints them."""
 
-BYTES_PER_DETECTION: Final = 260
-"""Peak memory of indexing a file [byte]."""
+INDEX_BYTES: Final = 100 * 2**20
+"""Peak memory of indexing a file of any size [byte]; ``benchmarks/memory.py coincidence``."""
 
 BYTES_PER_VOXEL: Final = 60
 """Peak memory of a sub-volume: four rasters and what is found in it [byte]."""
@@ -60,15 +62,15 @@ class L1File:
         What tasks call it.
     rows : int
         Frames or detections in it [count].
-    extent_m : tuple of float, optional
-        West, south, east, north [m].
+    extents : tuple, optional
+        Of each row group west, south, east, north [m] and its rows, where the footer tells them.
     """
 
     path: Path
     name: str
     key: int
     rows: int
-    extent_m: tuple[float, float, float, float] | None = None
+    extents: tuple[files.Extent, ...] | None = None
 
     @property
     def args(self) -> dict[str, Any]:
@@ -95,8 +97,8 @@ class L1Inputs:
         What a user should know before the work starts.
     crs : CRS, optional
         CRS of all coordinates.
-    unread : int
-        Detections files that cannot be used [count].
+    unread_frames, unread_detections : tuple of str
+        Names of the files that cannot be used.
     """
 
     frames: tuple[L1File, ...]
@@ -104,7 +106,8 @@ class L1Inputs:
     bad: tuple[InputError, ...]
     warnings: tuple[str, ...]
     crs: CRS | None
-    unread: int
+    unread_frames: tuple[str, ...]
+    unread_detections: tuple[str, ...]
 
     @property
     def sources(self) -> tuple[L1File, ...]:
@@ -140,9 +143,10 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     if faults:
         raise WorkflowError("; ".join(faults))
     bad: list[InputError] = []
-    frames = _usable(named["frames"], io.FRAME_COLUMNS, base, bad)
+    frames = _usable(named["frames"], files.FRAME_COLUMNS, base, bad)
     without = len(bad)
-    detections = _usable(named["detections"], io.DETECTION_COLUMNS, base, bad)
+    detections = _usable(named["detections"], files.DETECTION_COLUMNS, base, bad)
+    unread = [name_below(Path(error.path), base) for error in bad]
     check_keys((*frames, *detections))
     if not frames or not detections:
         reasons = "; ".join(map(str, bad)) or "survey.frames and survey.detections hold no rows"
@@ -151,8 +155,15 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     usable = {file.path for file in (*frames, *detections)} | {Path(e.path) for e in bad}
     empty = [path for paths in named.values() for path in paths if path not in usable]
     warnings += [f"{name_below(path, base)}: holds no rows" for path in empty]
-    unread = len(bad) - without
-    return L1Inputs(frames, detections, tuple(bad), tuple(warnings), crs, unread)
+    return L1Inputs(
+        frames=frames,
+        detections=detections,
+        bad=tuple(bad),
+        warnings=tuple(warnings),
+        crs=crs,
+        unread_frames=tuple(unread[:without]),
+        unread_detections=tuple(unread[without:]),
+    )
 
 
 def _usable(
@@ -161,13 +172,13 @@ def _usable(
     found = []
     for path in paths:
         try:
-            rows = io.inspect(path, columns)
+            rows = files.inspect(path, columns)
         except InputError as error:
             bad.append(error)
             continue
         name = name_below(path, base)
         if rows:
-            found.append(L1File(path, name, source_key(name), rows, io.extent_m(path)))
+            found.append(L1File(path, name, source_key(name), rows, files.extents(path)))
     return tuple(sorted(found, key=lambda file: file.name))
 
 
@@ -191,7 +202,7 @@ class L1Ledger(Ledger[L1Inputs, CoincidenceWorkflow]):
         A look whose detection lies in a file that cannot be read would count as one without.
         """
         indexed = self.of("index_file")
-        if not self.inputs.unread and len(indexed) == len(self.inputs.detections):
+        if not self.inputs.unread_detections and len(indexed) == len(self.inputs.detections):
             return None
         return sorted(r.facts["numbers"] for r in indexed.values() if r.facts["numbers"])
 
@@ -212,10 +223,12 @@ def _frames(ledger: L1Ledger) -> Iterator[Task]:
 
 
 def _index(ledger: L1Ledger) -> Iterator[Task]:
-    keys = sorted(ledger.of("frames"))
-    needs = tuple(("frames", key) for key in keys)
-    for file in ledger.inputs.detections:
-        yield Task("index_file", str(file.key), {**file.args, "frames": keys}, needs, file.rows)
+    done, inputs = ledger.of("frames"), ledger.inputs
+    unread = [*inputs.unread_frames, *(f.name for f in inputs.frames if str(f.key) not in done)]
+    shared = {"frames": sorted(done), "unread_frames": sorted(unread)}
+    needs = tuple(("frames", key) for key in shared["frames"])
+    for file in inputs.detections:
+        yield Task("index_file", str(file.key), {**file.args, **shared}, needs, file.rows)
 
 
 def _coincide(ledger: L1Ledger) -> Iterator[Task]:
@@ -296,20 +309,20 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
     inputs, chosen = ledger.inputs, ledger.workflow.coincidence
     detections = sum(file.rows for file in inputs.detections)
     frames = sum(file.rows for file in inputs.frames)
-    largest = max(file.rows for file in inputs.detections)
+    tiles, held = _tiles(ledger)
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 4 * (chosen.window_voxels // 2)) ** 3
     needs = [
         (volume, "a sub-volume", "a smaller coincidence.volume_voxels"),
-        (largest * BYTES_PER_DETECTION, "the largest detections file", "smaller files"),
-        (_held(ledger) * HELD_BYTES_PER_DETECTION, "a tile", "a smaller tiling.tile_m"),
+        (INDEX_BYTES, "a file's index", ""),
+        (round(held * HELD_BYTES_PER_DETECTION), "a tile", "a smaller tiling.tile_m"),
     ]
-    held, heaviest, remedy = max(needs)
+    most, heaviest, remedy = max(needs)
     return CoincidenceCost(
         points=detections,
-        tasks=len(inputs.sources),
+        tasks=len(inputs.sources) + 2 * tiles,
         disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION),
-        memory_bytes=WORKER_BASE_BYTES + held,
+        memory_bytes=WORKER_BASE_BYTES + most,
         heaviest=heaviest,
         remedy=remedy,
         stages_s={stage: detections / rate for stage, rate in rates.items()},
@@ -319,16 +332,22 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
     )
 
 
-def _held(ledger: L1Ledger) -> int:
-    """Detections of the frames that look at a tile, if each file spreads them evenly [count]."""
-    array, held = ledger.workflow.array, 0.0
-    side = ledger.workflow.tiling.tile_m + SLANT * (array.gate_stop_m - array.gate_start_m)
-    side += max(array.rows, array.columns) * array.ifov_rad * array.gate_stop_m
-    for file in ledger.inputs.detections:
-        if file.extent_m is None:
-            held += file.rows
-            continue
-        west, south, east, north = file.extent_m
-        share = min(side / max(east - west, 1.0), 1.0) * min(side / max(north - south, 1.0), 1.0)
-        held += share * file.rows
-    return round(held)
+def _tiles(ledger: L1Ledger) -> tuple[int, float]:
+    """Tiles that there will be, and detections of the frames that look at the fullest of them.
+
+    As if each row group spread its rows evenly over its extent; of a file whose footer does not
+    tell extents all rows count to every tile.
+    """
+    array, tile_q = ledger.workflow.array, ledger.workflow.tile_q
+    around_m = 0.5 * SLANT * (array.gate_stop_m - array.gate_start_m)
+    around_m += 0.5 * max(array.rows, array.columns) * array.ifov_rad * array.gate_stop_m
+    inputs = ledger.inputs.detections
+    boxes = [
+        Box(Bounds(quanta(west), quanta(south), quanta(east) + 1, quanta(north) + 1), rows)
+        for file in inputs
+        for west, south, east, north, rows in file.extents or ()
+    ]
+    pieces = list(density.from_boxes(boxes, tile_q))
+    fullest = density.largest(piece.peak(tile_q, quanta(around_m)) for piece in pieces)
+    anywhere = sum(file.rows for file in inputs if file.extents is None)
+    return sum(piece.units(tile_q) for piece in pieces), fullest.points + anywhere

@@ -14,11 +14,8 @@ from spl_batch.geiger.coincidence.report.model import (
     Scene,
 )
 from spl_batch.geiger.coincidence.report.page import Strip, pictures, render
-from spl_batch.geiger.coincidence.runner.tasks import (
-    MAP_CELLS,
-    CoincidenceContext,
-    map_path,
-)
+from spl_batch.geiger.coincidence.runner.intake import CoincidenceContext
+from spl_batch.geiger.coincidence.runner.tasks import MAP_CELLS, map_path
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import InputFile

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import yaml
 
-from spl_batch.geiger.coincidence import io
+from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.simulate.flight import detect, flights
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
 from spl_batch.io.atomic import write_bytes
@@ -64,8 +64,8 @@ def simulate(
     frames = detections = 0
     for k, (seen, attitudes) in enumerate(flights(scene), start=1):
         found = detect(scene, seen, targets)
-        io.write_frames(out / "l1" / f"pass_{k}_frames.parquet", attitudes)
-        io.write_detections(out / "l1" / f"pass_{k}_detections.parquet", found)
+        files.write_frames(out / "l1" / f"pass_{k}_frames.parquet", attitudes)
+        files.write_detections(out / "l1" / f"pass_{k}_detections.parquet", found)
         frames, detections = frames + len(seen), detections + len(found)
         if progress is not None:
             progress(k / len(scene.flight.headings_deg))

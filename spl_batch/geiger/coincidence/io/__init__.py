@@ -1,0 +1,1 @@
+"""L1 files of users, and frames, detections and points in the working store."""
