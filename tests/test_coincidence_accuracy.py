@@ -66,7 +66,7 @@ def test_tri_bars_by_known_points() -> None:
             # One gap as full as the bars.
             gap = xyz[-3].copy()
             gap[:, 0 if k < len(BAR_WIDTHS_M) else 1] += (
-                plates[0, 2 if k < 18 else 3] - plates[0, 0 if k < 18 else 1]
+                plates[0, 2 if k < 36 else 3] - plates[0, 0 if k < 36 else 1]
             )
             xyz.append(gap)
     found = accuracy.tri_bars(np.concatenate(xyz))
@@ -76,6 +76,17 @@ def test_tri_bars_by_known_points() -> None:
         assert one.bars == pytest.approx(1000 / (5 * one.width_m**2), rel=0.01)
 
 
+def test_the_widths_that_the_source_tells_are_there() -> None:
+    assert len(BAR_WIDTHS_M) == 36
+    assert (np.diff(BAR_WIDTHS_M) < 0).all()
+    # The third of the four last rows of four, and what is "the next largest".
+    assert BAR_WIDTHS_M[-12:-8] == (0.15, 0.125, 0.10, 0.09)
+    assert BAR_WIDTHS_M[-13] == 0.175
+    smallest = np.concatenate([p for w, _, p in bars((0.0, 0.0)) if w <= 0.25])
+    assert len(set(smallest[:, 3].round(6))) > 1
+    assert np.ptp(smallest[:, 3]) < 1.25
+
+
 def test_targets_do_not_touch() -> None:
     plates = np.concatenate([p for _, _, p in bars(PLACES_M["bars"])])
     for k, a in enumerate(plates):
@@ -83,7 +94,7 @@ def test_targets_do_not_touch() -> None:
         apart = (others[:, 0] >= a[2]) | (others[:, 2] <= a[0])
         apart |= (others[:, 1] >= a[3]) | (others[:, 3] <= a[1])
         assert apart.all()
-    assert np.abs(plates[:, :4] - np.tile(PLACES_M["bars"], 2)).max() < 15
+    assert np.abs(plates[:, :4] - np.tile(PLACES_M["bars"], 2)).max() < 26
 
 
 def test_completeness() -> None:

@@ -1,8 +1,9 @@
 """The artificial scene and the flight of [M20 3.1, 3.3, Table 1]; what they leave open is ours.
 
-Ours are: the widths of the tri-bars (18 of 50 to 5 cm in each direction, where the source shows 36
-targets in a figure), their places, the extent of a canopy, the painted figure, and a square leaf
-of a detector's ground size for each of the source's foliage points.
+The source has two sets of 36 tri-bars and names the widths 17.5, 15, 12.5, 10 and 9 cm, the last
+four of them a row of four in the 16 smallest. Ours are: the other widths, 100 to 1 cm, with those
+among them; their places, the extent of a canopy, the painted figure, and a square leaf of a
+detector's ground size for each of the source's foliage points.
 """
 
 import math
@@ -17,10 +18,12 @@ from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.settings import Positive, Section, Share
 
 BAR_WIDTHS_M: Final = (
-    *(0.50, 0.45, 0.40, 0.35, 0.30, 0.275, 0.25, 0.225, 0.20),
-    *(0.175, 0.15, 0.125, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05),
+    *(1.00, 0.95, 0.90, 0.85, 0.80, 0.75, 0.70, 0.65, 0.60, 0.55),
+    *(0.50, 0.475, 0.45, 0.425, 0.40, 0.375, 0.35, 0.325, 0.30, 0.275),
+    *(0.25, 0.225, 0.20, 0.175, 0.15, 0.125),
+    *(0.10, 0.09, 0.08, 0.07, 0.06, 0.05, 0.04, 0.03, 0.02, 0.01),
 )
-"""Widths of bars and gaps of the tri-bar targets [m]."""
+"""Widths of bars and gaps of the tri-bar targets [m]; the 16 smallest make the last row."""
 
 TARGET_HEIGHT_M: Final = 2.0
 SPOKE_RADIUS_M: Final = 5.0
@@ -31,8 +34,11 @@ _LEAF_CELL_M: Final = 0.1
 _STEEPEST: Final = 0.1
 """Steepest ray that leaf cells are made for [run/rise]."""
 
-_BAR_ROW_M: Final = 12.0
+_BAR_ROW_M: Final = 24.0
 """Length of a row of tri-bars [m]."""
+
+_BAR_TOP_M: Final = 10.0
+"""North edge of the first row, from the middle of both sets [m]."""
 
 Target = Literal["spokes", "bars", "cube", "coil", "logo", "covered_spokes", "foliage"]
 ALL: Final[tuple[Target, ...]] = (
@@ -107,7 +113,7 @@ def bars(centre_m: tuple[float, float]) -> list[tuple[float, bool, NDArray[np.fl
     found = []
     for north, side in ((True, -1.0), (False, 1.0)):
         x0 = centre_m[0] + (side - 1.0) * 0.5 * _BAR_ROW_M + side * 1.0
-        x, y, tallest = x0, centre_m[1] + 4.0, 0.0
+        x, y, tallest = x0, centre_m[1] + _BAR_TOP_M, 0.0
         for width in BAR_WIDTHS_M:
             size = 5.0 * width
             if x + size > x0 + _BAR_ROW_M:
