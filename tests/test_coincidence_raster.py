@@ -1,5 +1,8 @@
 """Coincidence processing: detections and looks on the voxel raster."""
 
+import math
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,23 +13,29 @@ from scipy.ndimage import convolve
 from spl_batch.geiger.coincidence.kernels import raster as kernels
 from spl_batch.geiger.coincidence.kernels.raster import STEPS, UNIT
 
+EDGE_Q = 45
 EDGE_M = 0.045
 FAR_CORNER = np.array([11_111_000, 93_333_000, 2_200])
 
 
 def places(rng: np.random.Generator, n: int, corner: NDArray[np.int64], size: int) -> np.ndarray:
-    return (corner + rng.uniform(-1, size + 1, (n, 3))) * EDGE_M
+    """Places around a cube of voxels [quanta]."""
+    return np.rint((corner + rng.uniform(-1, size + 1, (n, 3))) * EDGE_Q).astype(np.int64)
 
 
 def raster_of(xyz: np.ndarray, corner: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     raster = np.zeros(shape, np.int64)
-    kernels.deposit_all(xyz, EDGE_M, corner, raster)
+    kernels.deposit_all(xyz, EDGE_Q, corner, raster)
     return raster
 
 
 def slow_raster(xyz: np.ndarray, corner: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Tent functions of all places at all voxel centres, on places rounded to parts of an edge."""
-    at = np.floor((xyz / EDGE_M - 0.5) * STEPS + 0.5) / STEPS - corner
+    steps = [
+        [math.floor(Fraction(v * STEPS, EDGE_Q) - Fraction(STEPS - 1, 2)) for v in p]
+        for p in xyz.tolist()
+    ]
+    at = np.array(steps) / STEPS - corner
     total = np.zeros(shape)
     for place in at:
         tents = [
@@ -56,6 +65,24 @@ def test_a_raster_is_the_same_cut_from_a_larger_one(seed: int, cut: tuple[int, i
     part = raster_of(rng.permutation(xyz), FAR_CORNER + cut, (3, 4, 5))
     i, j, k = np.array(cut) + 1
     assert np.array_equal(part, whole[i : i + 3, j : j + 4, k : k + 5])
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([5, 45, 64, 128]),
+    st.tuples(*[st.integers(-(10**8), 10**8)] * 3),
+)
+def test_places_count_the_same_at_any_distance_from_the_origin(
+    seed: int, edge: int, far: tuple[int, int, int]
+) -> None:
+    # Edges with many factors of two put places on the boundaries between steps.
+    xyz = np.random.default_rng(seed).integers(-edge, 7 * edge, (40, 3))
+    here, there = np.zeros((2, 6, 6, 6), np.int64)
+    kernels.deposit_all(xyz, edge, np.zeros(3, np.int64), here)
+    kernels.deposit_all(xyz + np.array(far) * edge, edge, np.array(far), there)
+    assert here.sum() > 0
+    assert np.array_equal(here, there)
 
 
 def test_one_detection_counts_one() -> None:
@@ -117,7 +144,10 @@ def test_looks_against_every_sample(seed: int) -> None:
     raster = np.zeros(shape, np.int64)
     gate = np.array([2.9, 3.15])
     kernels.interrogate(origin, turn, seen, 0.02, gate, EDGE_M, corner, raster)
-    slow = raster_of(slow_looks(origin, turn, seen, 0.02, (2.9, 3.15)), corner, shape)
+    samples = slow_looks(origin, turn, seen, 0.02, (2.9, 3.15))
+    slow = np.zeros(shape, np.int64)
+    for place in samples:
+        kernels.deposit(*place, STEPS / EDGE_M, corner, slow)
     assert raster.sum() > 10 * UNIT
     # Directions come from other sums: a sample may round to the next part of an edge.
     assert np.abs(raster - slow).sum() < 0.02 * raster.sum()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.constants import QUANTUM_M
 from spl_batch.geiger.coincidence.kernels.posterior import log_odds
 from spl_batch.geiger.coincidence.kernels.raster import UNIT, box_sum, deposit_all, interrogate
 from spl_batch.geiger.coincidence.kernels.surface import (
@@ -154,7 +154,7 @@ def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySet
     raster = np.zeros(tuple((box.high - box.low + 2 * halo).tolist()), np.int64)
     near = _within(scene.xyz, Box(corner - 1, box.high + halo + 1), scene.edge_q)
     xyz = scene.xyz[near]
-    deposit_all(xyz / QUANTA_PER_M, scene.edge_q * QUANTUM_M, corner, raster)
+    deposit_all(xyz, scene.edge_q, corner, raster)
     sums = np.empty_like(raster)
     box_sum(raster, half, sums)
     if chosen.method == "posterior":

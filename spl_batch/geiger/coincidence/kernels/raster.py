@@ -5,6 +5,11 @@ its value stands for its centre. A place is rounded to :data:`STEPS` parts of an
 in the eight voxels around it are then whole numbers that add up to :data:`UNIT`. So sums are
 exact, and a raster comes out the same whatever it is cut from and in whatever order.
 
+Detections are whole quanta, so their steps are quotients of whole numbers, exact at any distance
+from the origin of the coordinates and at every boundary between steps. Samples of looks have
+places in metres, always computed from the sensor's in the coordinates of the survey and never
+from a raster's corner: what their rounding does (1e-9 m at 4 000 km) is the same for each raster.
+
 A look is sampled once per voxel edge along its line of sight, at whole multiples plus a half of
 the edge from the sensor; each sample counts one interrogation. A Geiger-mode detector is blind
 after its detection (blocking loss): its samples end at the one whose piece of line holds the
@@ -32,25 +37,8 @@ _MASK: Final = STEPS - 1
 
 
 @njit(nogil=True, cache=True)
-def deposit(
-    x: float, y: float, z: float, scale: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
-) -> None:
-    """Add one place to a raster; what falls beside the raster is left out.
-
-    Parameters
-    ----------
-    x, y, z : float
-        Absolute place [m].
-    scale : float
-        :data:`STEPS` over the edge of a voxel [1/m].
-    corner : (3,) int64
-        Index of the raster's first voxel on the absolute lattice.
-    raster : (nx, ny, nz) int64
-        Receives weights, :data:`UNIT` in all.
-    """
-    u = math.floor(x * scale - _HALF)
-    v = math.floor(y * scale - _HALF)
-    w = math.floor(z * scale - _HALF)
+def _add(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.int64]) -> None:
+    """Add one place, in steps from the first voxel's centre of the absolute lattice."""
     i, j, k = (u >> _SHIFT) - corner[0], (v >> _SHIFT) - corner[1], (w >> _SHIFT) - corner[2]
     nx, ny, nz = raster.shape
     if i < -1 or j < -1 or k < -1 or i >= nx or j >= ny or k >= nz:
@@ -79,12 +67,42 @@ def deposit(
 
 
 @njit(nogil=True, cache=True)
-def deposit_all(
-    xyz: NDArray[np.float64], edge: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
+def deposit(
+    x: float, y: float, z: float, scale: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
 ) -> None:
-    """Add places, (n, 3) [m], to a raster of voxels of this edge [m]; see :func:`deposit`."""
+    """Add one place to a raster; what falls beside the raster is left out.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Absolute place [m].
+    scale : float
+        :data:`STEPS` over the edge of a voxel [1/m].
+    corner : (3,) int64
+        Index of the raster's first voxel on the absolute lattice.
+    raster : (nx, ny, nz) int64
+        Receives weights, :data:`UNIT` in all.
+    """
+    u = math.floor(x * scale - _HALF)
+    v = math.floor(y * scale - _HALF)
+    w = math.floor(z * scale - _HALF)
+    _add(u, v, w, corner, raster)
+
+
+@njit(nogil=True, cache=True)
+def deposit_all(
+    xyz: NDArray[np.int64], edge: int, corner: NDArray[np.int64], raster: NDArray[np.int64]
+) -> None:
+    """Add places, (n, 3) [quanta], to a raster of voxels of this edge [quanta], exactly.
+
+    A place counts in the step that it is rounded to, ``floor(STEPS x / edge - (STEPS - 1) / 2)``;
+    ``corner`` and ``raster`` are as :func:`deposit` takes them.
+    """
     for row in range(len(xyz)):
-        deposit(xyz[row, 0], xyz[row, 1], xyz[row, 2], STEPS / edge, corner, raster)
+        u = (2 * STEPS * xyz[row, 0] - (STEPS - 1) * edge) // (2 * edge)
+        v = (2 * STEPS * xyz[row, 1] - (STEPS - 1) * edge) // (2 * edge)
+        w = (2 * STEPS * xyz[row, 2] - (STEPS - 1) * edge) // (2 * edge)
+        _add(u, v, w, corner, raster)
 
 
 @njit(nogil=True, cache=True)
