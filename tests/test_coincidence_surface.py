@@ -94,14 +94,14 @@ def test_a_level_surface_is_found_at_its_height() -> None:
     looks = np.full(7, 7**3 * 2 * UNIT)
     place, normal, value, kind = np.zeros((7, 3)), np.zeros((7, 3)), np.zeros(7), np.zeros(7, "u1")
     fit = kernels.fit_matrix(half)
-    args = (raster, looks, voxel, half, fit, 0.05, 0.5, 0.5, 0.5, place, normal, value, kind)
+    args = (raster, looks, voxel, half, fit, 0.05, 0.5, 0.5, 0.5, 9.0, place, normal, value, kind)
     kernels.find_surfaces(*args)
     # A parabola bends towards its own centre, so the voxel above claims the surface as well.
     assert kind.tolist() == [0, 0, 0, kernels.SURFACE, kernels.SURFACE, 0, 0]
     row_of, keep = np.full((13, 13, 13), -1, np.int32), np.empty(2, np.bool_)
     row_of[6, 6, 6:8] = [0, 1]
     found = (voxel[3:5], place[3:5], normal[3:5], value[3:5])
-    kernels.drop_weaker(*found, row_of, half, keep)
+    kernels.drop_weaker(*found, row_of, half, half, 0.0, keep)
     assert keep.tolist() == [True, False]
     assert place[3] == pytest.approx([0, 0, height], abs=0.15)
     assert np.abs(normal[3]) == pytest.approx([0, 0, 1], abs=1e-6)
@@ -111,6 +111,37 @@ def test_a_level_surface_is_found_at_its_height() -> None:
     assert not kind.any()
     kernels.find_surfaces(*args[:6], 2.5, *args[7:])
     assert not kind.any()
+
+
+@pytest.mark.parametrize("half", [1, 2, 3, 4])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_points_end_at_a_straight_edge(half: int, axis: int) -> None:
+    """A level target with an edge that is smeared over a detector and by trilinear weights."""
+    size = 4 * half + 9
+    middle, fine = size // 2, 240
+    steps = (np.arange(size * fine) + 0.5) / fine - 0.5
+    inside = (steps < middle).astype(float)
+    for width in (2, 1, 1):
+        inside = np.convolve(np.pad(inside, fine * width, "edge"), np.ones(fine * width), "same")
+        inside = inside[fine * width : -fine * width] / (fine * width)
+    column = inside[fine // 2 :: fine]
+    z = np.exp(-0.5 * ((np.arange(size) - middle) / 1.2) ** 2)
+    raster = np.zeros((size, size, size))
+    raster += column[:, None, None] if axis == 0 else column[None, :, None]
+    raster = np.rint(raster * z * UNIT).astype(np.int64)
+    at = np.arange(middle - half - 1, middle + half + 2)
+    voxel = np.full((len(at), 3), middle)
+    voxel[:, axis] = at
+    n = len(at)
+    place, normal, value, kind = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, "u1")
+    looks = np.full(n, (2 * half + 1) ** 3 * UNIT)
+    offset = kernels.edge_offset(half)
+    for factor, last in ((1.01, middle), (0.99, middle - 1)):
+        kernels.find_surfaces(
+            *(raster, looks, voxel, half, kernels.fit_matrix(half), 1e-6, 0.5, 1.0, 0.5),
+            *(factor * offset, place, normal, value, kind),
+        )
+        assert at[kind > 0].tolist() == list(range(at[0], last + 1))
 
 
 @pytest.mark.parametrize("height", np.linspace(-0.5, 0.5, 11))
@@ -125,7 +156,8 @@ def test_heights_are_drawn_to_the_centre_by_little(height: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_weaker_points_against_all_pairs(seed: int) -> None:
+@pytest.mark.parametrize(("reach", "share"), [(2, 0.0), (3, 0.6)])
+def test_weaker_points_against_all_pairs(seed: int, reach: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     filled = rng.random((7, 6, 8)) < 0.3
     voxel = np.argwhere(filled)
@@ -133,20 +165,45 @@ def test_weaker_points_against_all_pairs(seed: int) -> None:
     place = rng.uniform(-0.5, 0.5, (n, 3))
     normal = rng.normal(size=(n, 3))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    value = rng.integers(0, 8, n) / 8
+    value = rng.integers(1, 9, n) / 8
     row_of = np.full(filled.shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(n)
     keep = np.empty(n, np.bool_)
-    kernels.drop_weaker(voxel, place, normal, value, row_of, 2, keep)
+    kernels.drop_weaker(voxel, place, normal, value, row_of, 2, reach, share, keep)
     slow = np.ones(n, np.bool_)
+    edges = np.zeros(n, np.bool_)
     for row in range(n):
         away = voxel + place - voxel[row] - place[row]
-        near = (np.abs(voxel - voxel[row]) <= 2).all(axis=1) & (np.arange(n) != row)
+        apart = np.abs(voxel - voxel[row]).max(axis=1)
         cosine = np.abs(away @ normal[row]) >= math.sqrt(0.5) * np.linalg.norm(away, axis=1)
+        others = np.arange(n) != row
         stronger = (value > value[row]) | ((value == value[row]) & (np.arange(n) < row))
-        slow[row] = not (near & cosine & stronger).any()
+        beside = value[(apart <= reach) & ((~cosine & others) | ~others)]
+        edges[row] = value[row] < share * (beside @ beside) / beside.sum()
+        slow[row] = not ((apart <= 2) & cosine & others & stronger).any() and not edges[row]
     assert np.array_equal(keep, slow)
     assert 0 < keep.sum() < n
+    assert edges.any() == (share > 0)
+
+
+@pytest.mark.parametrize(("beyond", "kept"), [(0.0, 11), (0.2, 14), (0.6, 15)])
+def test_a_blurred_edge_ends_where_it_is(beyond: float, kept: int) -> None:
+    """A level surface whose values fall over five voxels to what there is beyond its edge."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(20), np.arange(9), indexing="ij"))
+    inside = np.clip((12.0 - x) / 5.0, 0.0, 1.0)  # half at 9.5, where the edge is
+    value = inside + (1.0 - inside) * beyond
+    x, y, value = (a[value > 0] for a in (x, y, value))
+    voxel = np.stack([x, y, np.full_like(x, 2)], axis=-1)
+    row_of = np.full((20, 9, 5), -1, np.int32)
+    row_of[tuple(voxel.T)] = np.arange(len(voxel))
+    keep = np.empty(len(voxel), np.bool_)
+    up = np.tile([0.0, 0.0, 1.0], (len(voxel), 1))
+    kernels.drop_weaker(voxel, 0.0 * up, up, value, row_of, 2, 3, 0.5, keep)
+    middle = y == 4
+    assert keep[middle & (x < 10)].all()
+    # Of a surface that is five times darker one row is lost, of one of 0.6 nothing.
+    assert keep[middle & (x < 15)].sum() == kept
+    assert keep[middle & (x > 12)].all()
 
 
 def test_log_odds_against_two_poisson_laws() -> None:

@@ -51,9 +51,16 @@ class BridgeSignSettings(Section):
         5, description="Edge of the neighbourhood that a polynomial is fitted to [count]; ours."
     )
     threshold: Share = Field(
-        0.04,
+        0.01,
         description="Least value of the polynomial at a point: detections for each look that "
         "interrogates the voxel [1/1]; ours.",
+    )
+    edge_share: float = Field(
+        0.5,
+        ge=0,
+        lt=1,
+        description="Least part that a point has of what is strong beside it: of the mean of the "
+        "points within half a neighbourhood and one voxel, weighted with themselves [0..1]; ours.",
     )
     reach_voxels: float = Field(
         0.5,

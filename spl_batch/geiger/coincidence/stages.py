@@ -19,6 +19,7 @@ from spl_batch.geiger.coincidence.kernels.raster import UNIT, box_sum, deposit_a
 from spl_batch.geiger.coincidence.kernels.surface import (
     NOTHING,
     drop_weaker,
+    edge_offset,
     find_surfaces,
     fit_matrix,
 )
@@ -26,7 +27,11 @@ from spl_batch.geiger.coincidence.model import Detections, Frames, Points
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
 from spl_batch.tiling import Bounds
 
-_INT = np.int64
+BESIDE = 1
+"""Voxels beyond half a neighbourhood from which a point's strength is compared [count].
+
+What a target's edge blurs over ends half a neighbourhood away: what is compared reaches inside.
+"""
 
 
 class Box(NamedTuple):
@@ -59,7 +64,13 @@ class Scene(NamedTuple):
 
 def reach_q(chosen: CoincidenceSettings, array: ArraySettings) -> int:
     """How far around a region its detections are needed [quanta]."""
-    return (2 * (chosen.window_voxels // 2) + 2) * chosen.voxel_quanta(array)
+    return (_halo(chosen) + 2) * chosen.voxel_quanta(array)
+
+
+def _halo(chosen: CoincidenceSettings) -> int:
+    """Voxels around a region in which there may be something that decides on its points [count]."""
+    half = chosen.window_voxels // 2
+    return half + (half + BESIDE if chosen.method == "bridge_sign" else 0)
 
 
 def coincide(
@@ -90,7 +101,7 @@ def coincide(
     edge = chosen.voxel_quanta(array)
     low = np.array([_first_voxel(region.xmin, edge), _first_voxel(region.ymin, edge)])
     high = np.array([_first_voxel(region.xmax, edge), _first_voxel(region.ymax, edge)])
-    reach = 2 * (chosen.window_voxels // 2) + 1
+    reach = _halo(chosen) + 1
     voxel = detections.xyz[:, :2] // edge
     near = ((voxel >= low - reach) & (voxel < high + reach)).all(axis=1)
     by_frame = detections.take(np.argsort(detections.frame, kind="stable"))
@@ -149,7 +160,7 @@ def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySet
     """Points of one sub-volume."""
     half = chosen.window_voxels // 2
     # Points just outside may be stronger than those inside: they are found as well.
-    halo = 2 * half if chosen.method == "bridge_sign" else half
+    halo = _halo(chosen)
     corner = box.low - halo
     raster = np.zeros(tuple((box.high - box.low + 2 * halo).tolist()), np.int64)
     near = _within(scene.xyz, Box(corner - 1, box.high + halo + 1), scene.edge_q)
@@ -167,7 +178,7 @@ def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySet
     found = _maxima(raster, voxel, looks, chosen)
     keep = found.kind != NOTHING
     voxel, found = voxel[keep], _Maxima(*(column[keep] for column in found))
-    own = _strongest(raster.shape, voxel, found, half)
+    own = _strongest(raster.shape, voxel, found, chosen)
     own &= ((voxel >= halo) & (voxel < np.array(raster.shape) - halo)).all(axis=1)
     at = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
     return Points(
@@ -196,19 +207,27 @@ def _maxima(
     find_surfaces(
         *(raster, looks, voxel, half, fit_matrix(half)),
         *(sign.threshold, sign.looks_min, sign.curvature_ratio, sign.reach_voxels),
+        edge_offset(half),
         *found,
     )
     return found
 
 
 def _strongest(
-    shape: tuple[int, ...], voxel: NDArray[np.int64], found: _Maxima, half: int
+    shape: tuple[int, ...],
+    voxel: NDArray[np.int64],
+    found: _Maxima,
+    chosen: CoincidenceSettings,
 ) -> NDArray[np.bool_]:
-    """Which points have no stronger one before or behind them: (n,) bool."""
+    """Which points nothing stronger before, behind or beside takes the place of: (n,) bool."""
+    half = chosen.window_voxels // 2
     row_of = np.full(shape, -1, np.int32)
     row_of[tuple(voxel.T)] = np.arange(len(voxel))
     keep = np.empty(len(voxel), np.bool_)
-    drop_weaker(voxel, found.place, found.normal, found.value, row_of, half, keep)
+    drop_weaker(
+        *(voxel, found.place, found.normal, found.value, row_of),
+        *(half, half + BESIDE, chosen.bridge_sign.edge_share, keep),
+    )
     return keep
 
 

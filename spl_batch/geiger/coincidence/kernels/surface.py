@@ -22,6 +22,10 @@ Deviations, with reasons:
 - "Locations of relative maximum values are saved" (4.3): a point also has to be the strongest
   along its normal, within the reach of its neighbourhood. A polynomial of few detections has
   maxima of its own on the flanks of a surface, and beyond the edges of a target.
+- Nor does "a threshold" tell the blur beyond a target's edge from a faint target. A point whose
+  neighbourhood has its detections farther to the side than one on a straight edge has
+  (:func:`edge_offset`) is taken for beyond it; one between two targets has less than a share of
+  what is strong beside it (:func:`drop_weaker`). Neither asks for absolute strength.
 - One point per voxel at most: of a peak, else a ridge, else a surface, by how many of the
   curvatures are comparable with the strongest.
 """
@@ -59,6 +63,33 @@ def fit_matrix(half: int) -> NDArray[np.float64]:
     x, y, z = (a.ravel() for a in np.meshgrid(axis, axis, axis, indexing="ij"))
     terms = np.stack([np.ones_like(x), x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
     return np.linalg.inv((terms @ terms.T).astype(np.float64))
+
+
+def edge_offset(half: int) -> float:
+    """Distance of the detections' mean from the centre of a neighbourhood on a straight edge.
+
+    Of a level target that ends at the centre, as a detector sees it that is two voxels wide, with
+    trilinear weights: the voxel beside the edge has 11/12 of the inside, the one beyond it 1/12.
+
+    Parameters
+    ----------
+    half : int
+        Voxels on either side of the centre, > 0.
+
+    Returns
+    -------
+    float
+        [voxel edges]
+    """
+    return (0.5 * half * (half + 1) - 1.0 / 6.0) / (half + 0.5)
+
+
+@njit(nogil=True, cache=True)
+def _to_the_side(moment: NDArray[np.int64], normal: NDArray[np.float64]) -> float:
+    """Distance of a neighbourhood's mean from the line through its centre along a normal."""
+    x, y, z = moment[1] / moment[0], moment[2] / moment[0], moment[3] / moment[0]
+    along = x * normal[0] + y * normal[1] + z * normal[2]
+    return np.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
 
 
 @njit(nogil=True, cache=True)
@@ -154,7 +185,7 @@ def closest_maximum(
 def find_surfaces(
     detections: NDArray[np.int64], looks: NDArray[np.int64], voxel: NDArray[np.int64],
     half: int, fit: NDArray[np.float64],
-    threshold: float, looks_min: float, ratio: float, reach: float,
+    threshold: float, looks_min: float, ratio: float, reach: float, aside: float,
     place: NDArray[np.float64], normal: NDArray[np.float64],
     value: NDArray[np.float64], kind: NDArray[np.uint8],
 ) -> None:  # fmt: skip
@@ -178,6 +209,8 @@ def find_surfaces(
         Least interrogations per voxel.
     ratio, reach
         As :func:`closest_maximum` takes them.
+    aside : float
+        Largest distance of the detections' mean from the centre, across the normal [voxel edges].
     place : (n, 3) float64
         Receives places from the voxels' centres [voxel edges].
     normal : (n, 3) float64
@@ -202,7 +235,9 @@ def find_surfaces(
             c[i] = total
         found, height = closest_maximum(c, ratio, reach, values, vectors, scratch, place[row])
         share = height * cube / looks[row]
-        if found != NOTHING and share >= threshold:
+        if found == NOTHING or share < threshold:
+            continue
+        if _to_the_side(moment, vectors[2]) <= aside:
             kind[row] = found
             value[row] = share
             normal[row] = vectors[2]
@@ -211,12 +246,16 @@ def find_surfaces(
 @njit(nogil=True, cache=True)
 def drop_weaker(
     voxel: NDArray[np.int64], place: NDArray[np.float64], normal: NDArray[np.float64],
-    value: NDArray[np.float64], row_of: NDArray[np.int32], half: int, keep: NDArray[np.bool_],
+    value: NDArray[np.float64], row_of: NDArray[np.int32], half: int, reach: int, share: float,
+    keep: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Find points that have no stronger one before or behind them.
+    """Find points that have no stronger one before or behind them, nor much stronger ones beside.
 
-    Before and behind is within 45 degrees of the point's own normal. Of equal ones the first
-    in the order of voxels stays.
+    Before and behind is within 45 degrees of the point's own normal; of equal ones the first in
+    the order of voxels stays. Beside is everything else. What is strong there is the mean of the
+    values weighted with themselves, the point's own among them: where a target ends it is the
+    target's inside, whose values a few of nothing do not lower, and on a surface of scattered
+    values it stays near their mean, as the highest would not.
 
     Parameters
     ----------
@@ -225,11 +264,13 @@ def drop_weaker(
     place, normal : (n, 3) float64
         Places from the voxels' centres [voxel edges]; unit vectors.
     value : (n,) float64
-        Strengths.
+        Strengths, > 0.
     row_of : (nx, ny, nz) int32
         Row of the point of each voxel, -1 for none.
-    half : int
-        Voxels on either side that are looked at.
+    half, reach : int
+        Voxels on either side that are looked at before and behind, and in all; reach >= half.
+    share : float
+        Least part of what is strong beside a point that it needs itself.
     keep : (n,) bool
         Receives whether a point stays.
     """
@@ -237,17 +278,23 @@ def drop_weaker(
     for row in range(len(voxel)):
         i, j, k = voxel[row, 0], voxel[row, 1], voxel[row, 2]
         keep[row] = True
-        for p in range(max(i - half, 0), min(i + half + 1, nx)):
-            for q in range(max(j - half, 0), min(j + half + 1, ny)):
-                for r in range(max(k - half, 0), min(k + half + 1, nz)):
+        total = value[row]
+        squares = total * total
+        for p in range(max(i - reach, 0), min(i + reach + 1, nx)):
+            for q in range(max(j - reach, 0), min(j + reach + 1, ny)):
+                for r in range(max(k - reach, 0), min(k + reach + 1, nz)):
                     other = row_of[p, q, r]
                     if other < 0 or other == row or not keep[row]:
-                        continue
-                    if value[other] < value[row] or (value[other] == value[row] and other > row):
                         continue
                     dx = p - i + place[other, 0] - place[row, 0]
                     dy = q - j + place[other, 1] - place[row, 1]
                     dz = r - k + place[other, 2] - place[row, 2]
                     along = dx * normal[row, 0] + dy * normal[row, 1] + dz * normal[row, 2]
-                    if 2.0 * along * along >= dx * dx + dy * dy + dz * dz:
-                        keep[row] = False
+                    if 2.0 * along * along < dx * dx + dy * dy + dz * dz:
+                        total += value[other]
+                        squares += value[other] * value[other]
+                    elif max(abs(p - i), abs(q - j), abs(r - k)) <= half:
+                        stronger = value[other] > value[row]
+                        if stronger or (value[other] == value[row] and other < row):
+                            keep[row] = False
+        keep[row] &= value[row] * total >= share * squares
