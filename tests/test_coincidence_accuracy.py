@@ -59,7 +59,7 @@ def test_tri_bars_by_known_points() -> None:
     xyz = []
     for k, (_, _, plates) in enumerate(bars(PLACES_M["bars"])):
         for plate in plates:
-            n = 1000
+            n = 300
             x, y = (rng.uniform(plate[a], plate[a + 2], n) for a in (0, 1))
             xyz.append(np.stack([x, y, np.full(n, 2.0)], axis=-1))
         if k % 2:
@@ -73,7 +73,7 @@ def test_tri_bars_by_known_points() -> None:
     assert [f.width_m for f in found] == [*BAR_WIDTHS_M, *BAR_WIDTHS_M]
     for k, one in enumerate(found):
         assert one.contrast == pytest.approx(0.0 if k % 2 else 1.0, abs=0.05)
-        assert one.bars == pytest.approx(1000 / (5 * one.width_m**2), rel=0.01)
+        assert one.bars == pytest.approx(300 / (5 * one.width_m**2), rel=0.01)
 
 
 def test_the_widths_that_the_source_tells_are_there() -> None:

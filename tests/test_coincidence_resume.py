@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -70,6 +71,27 @@ def test_a_frames_file_that_fails_is_named_to_its_detections(
     frames.write_bytes(sound)
     assert api.run(workflow, workers=0).exit_status == 0
     assert points(workflow) == whole
+
+
+def test_a_file_that_goes_after_it_was_looked_at_fails_alone(
+    l1: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workflow = copy_of(l1, tmp_path)
+    looked = files.extents
+
+    def and_gone(path: Path) -> Any:
+        found = looked(path)
+        if path.name == "pass_2_detections.parquet":
+            path.unlink()
+        return found
+
+    monkeypatch.setattr(files, "extents", and_gone)
+    result = api.run(workflow, workers=0)
+    assert result.exit_status == 1
+    (failure,) = result.report.failures
+    assert Path(failure.place).name == "pass_2_detections.parquet"
+    assert "is gone since the run began" in failure.reason
+    assert points(workflow)
 
 
 def test_the_plan_counts_tasks(l1: Path, whole: dict[str, bytes], tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ class Sorter:
         offset = end.offset + end.rows * self._dtype.itemsize
         try:
             self._file.seek(offset)
-            self._file.write(rows.view(np.uint8))
+            self._file.write(rows.view(np.uint8).data)
         except OSError as error:
             stop_if_full(error, self._folder or "the folder for temporary files")
             raise

@@ -27,10 +27,10 @@ from spl_batch.task import Receipt, Task
 from spl_batch.tiling import Bounds, parse_cell, quanta
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
-    {"index": 1.0e6, "coincidence": 30_000.0, "deliver": 0.5e6}
+    {"index": 0.4e6, "coincidence": 30_000.0, "deliver": 0.5e6}
 )
 """Detections per second and worker until a store has measured its own; points when delivering.
-``benchmarks/coincidence.py`` prints them."""
+``benchmarks/coincidence.py`` prints them, ``benchmarks/memory.py coincidence`` the first."""
 
 INDEX_BYTES: Final = 100 * 2**20
 """Peak memory of indexing a file of any size [byte]; ``benchmarks/memory.py coincidence``."""
@@ -44,8 +44,11 @@ HELD_BYTES_PER_DETECTION: Final = 150
 SLANT: Final = 0.05
 """Looks from the side reach a tile from so far for each metre of gate [m/m]."""
 
-STORE_BYTES_PER_DETECTION: Final = 40
+STORE_BYTES_PER_DETECTION: Final = 16
 DELIVERED_BYTES_PER_DETECTION: Final = 12
+
+WAITING_BYTES_PER_DETECTION: Final = 36
+"""Detections of a file that is indexed wait on disk for their place in order [byte]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,8 @@ class L1File:
         What tasks call it.
     rows : int
         Frames or detections in it [count].
+    written : (int, int)
+        Its size [byte] and time of writing [ns since 1970] when it was looked at.
     extents : tuple, optional
         Of each row group west, south, east, north [m] and its rows, where the footer tells them.
     """
@@ -70,6 +75,7 @@ class L1File:
     name: str
     key: int
     rows: int
+    written: tuple[int, int]
     extents: tuple[files.Extent, ...] | None = None
 
     @property
@@ -79,7 +85,7 @@ class L1File:
             "source": str(self.key),
             "path": str(self.path),
             "name": self.name,
-            "stamp": list(stamp(self.path)),
+            "stamp": list(self.written),
         }
 
 
@@ -172,13 +178,18 @@ def _usable(
     found = []
     for path in paths:
         try:
+            written = stamp(path)
             rows = files.inspect(path, columns)
+            extents = files.extents(path) if rows else None
         except InputError as error:
             bad.append(error)
             continue
+        except OSError as error:
+            bad.append(InputError(str(path), f"cannot be read: {error.strerror}"))
+            continue
         name = name_below(path, base)
         if rows:
-            found.append(L1File(path, name, source_key(name), rows, files.extents(path)))
+            found.append(L1File(path, name, source_key(name), rows, written, extents))
     return tuple(sorted(found, key=lambda file: file.name))
 
 
@@ -310,6 +321,8 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
     detections = sum(file.rows for file in inputs.detections)
     frames = sum(file.rows for file in inputs.frames)
     tiles, held = _tiles(ledger)
+    # The largest files may be indexed at the same time, one by each worker.
+    waiting = sum(sorted((f.rows for f in inputs.detections), reverse=True)[: ledger.workers])
     rates, measured = measured_rates(RATES_POINTS_PER_S, context)
     volume = BYTES_PER_VOXEL * (chosen.volume_voxels + 4 * (chosen.window_voxels // 2)) ** 3
     needs = [
@@ -321,7 +334,8 @@ def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) 
     return CoincidenceCost(
         points=detections,
         tasks=len(inputs.sources) + 2 * tiles,
-        disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION),
+        disk_bytes=detections * (STORE_BYTES_PER_DETECTION + DELIVERED_BYTES_PER_DETECTION)
+        + waiting * WAITING_BYTES_PER_DETECTION,
         memory_bytes=WORKER_BASE_BYTES + most,
         heaviest=heaviest,
         remedy=remedy,

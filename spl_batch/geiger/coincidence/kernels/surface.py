@@ -30,6 +30,7 @@ Deviations, with reasons:
   curvatures are comparable with the strongest.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -89,7 +90,7 @@ def _to_the_side(moment: NDArray[np.int64], normal: NDArray[np.float64]) -> floa
     """Distance of a neighbourhood's mean from the line through its centre along a normal."""
     x, y, z = moment[1] / moment[0], moment[2] / moment[0], moment[3] / moment[0]
     along = x * normal[0] + y * normal[1] + z * normal[2]
-    return np.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
+    return math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
 
 
 @njit(nogil=True, cache=True)
