@@ -1,9 +1,9 @@
 """Coincidence processing against the known scene, beside what its source says [M20 ch. 5].
 
-``python -m benchmarks.coincidence [--folder FOLDER] [--extent 100] [--seed 1] [--workers 2]
-[--methods bridge_sign posterior]`` simulates the artificial scene of [M20] (into FOLDER, where
-what is there is used again), runs each method on it and prints, for detections and for each
-method's points:
+``python -m benchmarks.coincidence [--folder FOLDER] [--extent 100] [--seeds 1 2 3] [--workers 2]
+[--methods bridge_sign posterior]`` simulates the artificial scene of [M20] with each seed (into
+folders of FOLDER, where what is there is used again), runs each method on it and prints, for
+detections and for each method's points:
 
 - the standard deviation and mean of heights on the open spoke target;
 - the contrast of each tri-bar target, bars against the fuller gap, by points and by their
@@ -14,6 +14,8 @@ method's points:
   canopy of the covered spoke target;
 - the ratio of intensities of paint and bare ground; distances from the tube of the coil;
 - speed and memory of the stage.
+
+At the end a table has the mean over the seeds, with the least and the most.
 
 With ``--picture PATH`` it draws detections and points of the first method on the spoke targets and
 the tri-bars, from above.
@@ -28,10 +30,12 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from spl_batch import api
-from spl_batch.geiger.coincidence import accuracy, io
+from spl_batch.geiger.coincidence import accuracy
+from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.kernels.scene import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.simulate import simulate
 from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
@@ -40,6 +44,9 @@ from spl_batch.report import style
 
 RESOLVED = 0.5
 """Contrast from which a tri-bar counts as resolved."""
+
+SHOWN_M = (0.10, 0.30)
+"""Widths of tri-bars whose contrast is printed [m]."""
 
 SPURIOUS_M = 0.5
 MARGIN_M = 1.0
@@ -63,14 +70,12 @@ class Cloud:
     weight: NDArray[np.float64]
 
 
-def main(
-    folder: Path,
-    scene: SceneSettings,
-    methods: Sequence[str],
-    workers: int,
-    drawn: Path | None = None,
-) -> None:
-    """Print everything."""
+Numbers = dict[str, float]
+"""What a cloud is worth, by name and unit."""
+
+
+def main(folder: Path, scene: SceneSettings, given: argparse.Namespace) -> dict[str, Numbers]:
+    """Print everything of one seed; gives the numbers of detections and of each method."""
     if not (folder / "workflow.yaml").exists():
         start = time.perf_counter()
         made = simulate(scene, folder)
@@ -80,22 +85,42 @@ def main(
     print(f"extent {scene.extent_m[0]:g} x {scene.extent_m[1]:g} m, seed {scene.seed}, "
           f"targets {', '.join(scene.targets)}")  # fmt: skip
     detections = _detections(folder, scene)
-    judge("detections", detections, scene, targets)
-    for method in methods:
+    found = {"detections": judge("detections", detections, scene, targets)}
+    for method in given.methods:
         output = folder / f"out_{method}"
         result = api.run(
             folder / "workflow.yaml",
-            workers=workers,
+            workers=given.workers,
             overrides=(f"output={output.name}", f"coincidence.method={method}"),
         )
         points = _points(output, scene)
-        judge(method, points, scene, targets)
-        if drawn is not None and method == methods[0]:
-            picture(drawn, detections, points)
+        found[method] = judge(method, points, scene, targets)
+        if given.picture is not None and method == given.methods[0]:
+            picture(given.picture, detections, points)
         for name, stage in result.report.performance.stages.items():
             print(f"  stage {name:12s} {stage.wall_s:8.1f} s in {stage.tasks} tasks, "
                   f"{stage.points_per_s or 0:10,.0f} detections/s and worker, "
-                  f"peak {stage.peak_rss_mb:,.0f} MB")  # fmt: skip
+                  f"peak {stage.peak_rss_mb:,.0f} MB", flush=True)  # fmt: skip
+        counted = result.report.counts.detections
+        for name in ("store", "points"):
+            size = sum(f.stat().st_size for f in (output / name).rglob("*") if f.is_file())
+            print(f"  {name:6s} {size / counted:.1f} bytes a detection", flush=True)
+    return found
+
+
+def table(found: Sequence[dict[str, Numbers]]) -> None:
+    """Print means over seeds with the least and the most."""
+    columns = list(found[0])
+    print(
+        "\n| mean, least to most | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1)
+    )
+    for name in dict.fromkeys(k for one in found[0].values() for k in one):
+        cells = []
+        for column in columns:
+            values = [one[column][name] for one in found if name in one[column]]
+            spread = f" ({min(values):,.2f} to {max(values):,.2f})" if len(values) > 1 else ""
+            cells.append(f"{np.mean(values):,.2f}{spread}" if values else "")
+        print(f"| {name} | " + " | ".join(cells) + " |")
 
 
 def picture(path: Path, before: Cloud, after: Cloud) -> None:
@@ -104,29 +129,32 @@ def picture(path: Path, before: Cloud, after: Cloud) -> None:
     parts = (
         ("open spokes", (-5.5, 5.5, -5.5, 5.5)),
         ("beneath leaves", (-5.5, 5.5, -30.5, -19.5)),
-        ("tri-bars of 50 to 5 cm, running north", (x - 13.5, x - 0.5, y - 1.7, y + 4.5)),
+        ("tri-bars of 25 to 10 cm, running north", (x - 25.3, x - 15.4, y - 4.5, y - 2.8)),
     )
     with style.type_context():
-        drawn = style.figure(9.0, 5.0)
-        panels = drawn.subplots(2, 3, gridspec_kw={"width_ratios": (1, 1, 1.35)})
-        for column, (title, (west, east, south, north)) in enumerate(parts):
-            for row, cloud in enumerate((before, after)):
-                axes, (px, py, pz) = panels[row, column], cloud.xyz.T
-                level = np.abs(pz - accuracy.TARGET_HEIGHT_M) < accuracy.BAND_M
-                shown = level & (px > west) & (px < east) & (py > south) & (py < north)
-                axes.scatter(px[shown], py[shown], s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
-                axes.set(
-                    aspect="equal", xlim=(west, east), ylim=(south, north), xticks=(), yticks=()
-                )
-            panels[0, column].set_title(title)
-        for row, name in enumerate(("detections", "points")):
-            panels[row, 0].set_ylabel(name)
+        drawn = style.figure(7.0, 9.5)
+        rows = drawn.add_gridspec(4, 2, height_ratios=(1, 1, 0.33, 0.33))
+        for k, (name, cloud) in enumerate((("detections", before), ("points", after))):
+            places = (rows[k, 0], rows[k, 1], rows[2 + k, :])
+            for (title, view), place in zip(parts, places, strict=True):
+                panel = drawn.add_subplot(place)
+                _from_above(panel, cloud, view)
+                panel.set_title(f"{title}: {name}")
         write_bytes(path, style.to_png(drawn, LARGEST)[0])
+
+
+def _from_above(panel: Axes, cloud: Cloud, view: tuple[float, float, float, float]) -> None:
+    """Draw what lies at the targets' height."""
+    (west, east, south, north), (x, y, z) = view, cloud.xyz.T
+    shown = np.abs(z - accuracy.TARGET_HEIGHT_M) < accuracy.BAND_M
+    shown &= (x > west) & (x < east) & (y > south) & (y < north)
+    panel.scatter(x[shown], y[shown], s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
+    panel.set(aspect="equal", xlim=(west, east), ylim=(south, north), xticks=(), yticks=())
 
 
 def _detections(folder: Path, scene: SceneSettings) -> Cloud:
     parts = [
-        io.read_detections(path, scene.array).xyz / 1000
+        files.read_detections(path, scene.array).xyz / 1000
         for path in sorted((folder / "l1").glob("*_detections.parquet"))
     ]
     return _inside(np.concatenate(parts) - np.array(scene.origin_m), None, scene)
@@ -155,7 +183,7 @@ def _limits(scene: SceneSettings) -> tuple[NDArray[np.float64], NDArray[np.float
     return np.array(scene.centre_m) - half, np.array(scene.centre_m) + half
 
 
-def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> None:
+def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> Numbers:
     """Print what a cloud is worth."""
     low, high = _limits(scene)
     area = float(np.prod(high - low))
@@ -165,37 +193,45 @@ def judge(label: str, cloud: Cloud, scene: SceneSettings, targets: Targets) -> N
     near_canopy = _under(xyz, ("covered_spokes", "foliage"), scene)
     print(f"\n{label}: {len(xyz):,} in {area:,.0f} m2")
     spurious = int(((away > SPURIOUS_M) & (xyz[:, 2] > SPURIOUS_M)).sum())
-    print(f"  spurious above ground      {spurious} = {spurious / area:.6f} /m2")
-    print(f"  precision within {100 * pixel:.0f} cm    {100 * (away < pixel).mean():.2f} %, "
-          f"outside canopies {100 * (away[~near_canopy] < pixel).mean():.2f} %")  # fmt: skip
     truth = accuracy.seen_from_above(targets, low, high, STEP_M)
-    found = 100 * accuracy.completeness(truth, xyz, pixel)
-    print(f"  completeness within {100 * pixel:.0f} cm {found:.2f} % of open surfaces")
+    within = f"within {100 * pixel:.0f} cm"
+    found: Numbers = {
+        "points": len(xyz),
+        "spurious above ground, 1/m2": spurious / area,
+        f"precision {within}, %": 100 * (away < pixel).mean(),
+        f"precision {within} outside canopies, %": 100 * (away[~near_canopy] < pixel).mean(),
+        f"completeness {within} of open surfaces, %": 100
+        * accuracy.completeness(truth, xyz, pixel),
+    }
     if "spokes" in scene.targets:
-        heights = 100 * accuracy.spoke_heights(xyz)
-        print(f"  spoke heights              SD {heights.std():.2f} cm, "
-              f"mean {heights.mean():+.2f} cm, n {len(heights):,}")  # fmt: skip
+        found |= _heights("open spokes", 100 * accuracy.spoke_heights(xyz))
     if "covered_spokes" in scene.targets:
-        _covered(xyz, scene, pixel)
-    if "bars" in scene.targets:
-        _bars("by number", accuracy.tri_bars(xyz))
-        if np.ptp(cloud.weight) > 0:
-            _bars("by intensity", accuracy.tri_bars(xyz, cloud.weight))
+        found |= _covered(xyz, scene, pixel)
     if "logo" in scene.targets and np.ptp(cloud.weight) > 0:
-        _paint(cloud, targets)
+        found["paint over ground, intensity"] = _paint(cloud, targets)
     if "coil" in scene.targets:
-        _coil(xyz, targets)
+        found |= _coil(xyz, targets)
+    if "bars" in scene.targets:
+        found |= _bars("by number", accuracy.tri_bars(xyz))
+        if np.ptp(cloud.weight) > 0:
+            found |= _bars("by intensity", accuracy.tri_bars(xyz, cloud.weight))
+    for name, value in found.items():
+        print(f"  {name:48s} {value:,.4g}")
+    return found
 
 
-def _coil(xyz: NDArray[np.float64], targets: Targets) -> None:
+def _heights(name: str, heights: NDArray[np.float64]) -> Numbers:
+    return {f"{name}, height SD, cm": heights.std(), f"{name}, height mean, cm": heights.mean()}
+
+
+def _coil(xyz: NDArray[np.float64], targets: Targets) -> Numbers:
     """How well the upper loop's top is round: distances of points from the tube's surface."""
     near = np.hypot(*(xyz[:, :2] - np.array(PLACES_M["coil"])).T) < 1.5
     rows = np.flatnonzero(near & (xyz[:, 2] > 2.75))
     axis, radius = targets.coil, targets.coil_radius
     away = np.array([tube_distance(x, y, z, axis, radius) for x, y, z in xyz[rows]])
     away = 100 * away[np.abs(away) < radius]
-    print(f"  upper loop of the coil     {len(away):,} points, from its surface mean "
-          f"{away.mean():+.1f} cm, SD {away.std():.1f} cm")  # fmt: skip
+    return {"coil, upper loop, SD, cm": away.std(), "coil, upper loop, mean, cm": away.mean()}
 
 
 def _under(
@@ -210,41 +246,42 @@ def _under(
     return found
 
 
-def _covered(xyz: NDArray[np.float64], scene: SceneSettings, pixel: float) -> None:
+def _covered(xyz: NDArray[np.float64], scene: SceneSettings, pixel: float) -> Numbers:
     """The spoke target beneath the canopy: heights, completeness of what is opaque."""
-    heights = 100 * accuracy.spoke_heights(xyz, "covered_spokes")
     bare = build(scene.model_copy(update={"targets": ("covered_spokes",)}))
     bare = bare._replace(leaves=np.empty((0, 5)))
     centre = np.array(PLACES_M["covered_spokes"])
     truth = accuracy.seen_from_above(bare, centre - 5, centre + 5, STEP_M)
     spokes = truth[truth[:, 2] > 1]
-    found = 100 * accuracy.completeness(spokes, xyz, pixel)
-    print(f"  spokes beneath leaves      SD {heights.std():.2f} cm, {found:.1f} % complete")
+    found = _heights("spokes beneath leaves", 100 * accuracy.spoke_heights(xyz, "covered_spokes"))
+    complete = 100 * accuracy.completeness(spokes, xyz, pixel)
+    return found | {"spokes beneath leaves, completeness, %": complete}
 
 
-def _bars(how: str, found: Sequence[accuracy.Resolution]) -> None:
-    by_width: dict[float, list[float]] = {}
+def _bars(how: str, found: Sequence[accuracy.Resolution]) -> Numbers:
+    least: dict[float, float] = {}
     for one in found:
-        by_width.setdefault(one.width_m, []).append(one.contrast)
+        least[one.width_m] = min(one.contrast, least.get(one.width_m, 1.0))
     finest = 0.0
-    for width, contrasts in sorted(by_width.items(), reverse=True):
-        if min(contrasts) < RESOLVED:
+    for width, contrast in sorted(least.items(), reverse=True):
+        if contrast < RESOLVED:
             break
         finest = width
-    shown = "  ".join(
-        f"{100 * width:g}: {min(c):.2f}" for width, c in sorted(by_width.items(), reverse=True)
-    )
-    print(f"  tri-bars {how:13s}     resolved to {100 * finest:g} cm; contrast {shown}")
+    shown = {
+        f"contrast {how}, bars of {100 * width:g} cm": contrast
+        for width, contrast in least.items()
+        if SHOWN_M[0] <= width <= SHOWN_M[1]
+    }
+    return {f"tri-bars resolved {how}, cm": 100 * finest} | shown
 
 
-def _paint(cloud: Cloud, targets: Targets) -> None:
+def _paint(cloud: Cloud, targets: Targets) -> float:
+    """Intensity of paint over that of bare ground; true is 1.78."""
     ground = np.abs(cloud.xyz[:, 2]) < accuracy.BAND_M
     near = np.hypot(*(cloud.xyz[:, :2] - targets.logo[:2]).T) < targets.logo[2] + 4
     rows = np.flatnonzero(ground & near)
     paint = np.array([painted(x, y, targets.logo) for x, y in cloud.xyz[rows, :2]], np.bool_)
-    ratio = cloud.weight[rows][paint].mean() / cloud.weight[rows][~paint].mean()
-    expected = np.expm1(-0.5) / np.expm1(-0.25)
-    print(f"  paint over ground          intensity x {ratio:.2f} (true {expected:.2f})")
+    return float(cloud.weight[rows][paint].mean() / cloud.weight[rows][~paint].mean())
 
 
 def parse() -> argparse.Namespace:
@@ -252,7 +289,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--extent", type=float, default=100.0)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--methods", nargs="+", default=["bridge_sign", "posterior"])
     parser.add_argument("--picture", type=Path)
@@ -261,6 +298,10 @@ def parse() -> argparse.Namespace:
 
 if __name__ == "__main__":
     given = parse()
-    flown = SceneSettings(seed=given.seed, extent_m=(given.extent, given.extent))
     with tempfile.TemporaryDirectory() as temporary:
-        main(given.folder or Path(temporary), flown, given.methods, given.workers, given.picture)
+        top, all_found = given.folder or Path(temporary), []
+        for seed in given.seeds:
+            flown = SceneSettings(seed=seed, extent_m=(given.extent, given.extent))
+            all_found.append(main(top / f"seed_{seed}", flown, given))
+            given.picture = None
+        table(all_found)
