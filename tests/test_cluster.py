@@ -221,6 +221,12 @@ def test_a_second_try_does_not_wait_for_workers_that_are_gone(
     assert any("is gone" in note for note in watcher.notes)
 
 
+def test_workers_are_found_whatever_the_client_holds(threads: LocalCluster) -> None:
+    with Client(threads) as client:
+        client._scheduler_identity = {"workers": {}}  # as every two seconds
+        assert list(flow.workers_of(client)) == [w.address for w in threads.workers.values()]
+
+
 def test_what_concerns_everything_stops_everything(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from spl_batch.errors import WorkflowError
-from spl_batch.graph.flow import PATIENCE_S, lost
+from spl_batch.graph.flow import PATIENCE_S, lost, workers_of
 from spl_batch.graph.work import Footing, misfit
 
 SETTINGS: Final[Mapping[str, Any]] = {
@@ -71,7 +71,7 @@ def check_workers(client: Any, footing: Footing, memory_bytes: int) -> None:
     Those that join later are checked by their first task.
     """
     try:
-        found = client.scheduler_info()["workers"]
+        found = workers_of(client)
         faults = client.run(misfit, footing, on_error="return")
     except (OSError, TimeoutError) as error:
         raise lost(error) from error

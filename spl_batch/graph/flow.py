@@ -226,7 +226,7 @@ class _Flow:
         if now - self.looked_s < max(TICK_S, len(self.threads) / 50):
             return
         try:
-            found = dict(self.to.client.scheduler_info()["workers"])
+            found = workers_of(self.to.client)
         except Exception as error:
             raise lost(error) from error
         if self.to.client.status != "running":
@@ -257,6 +257,15 @@ class _Flow:
                 del self.running[future]
                 future.cancel()
                 self._submit(_Try(trial.job, trial.number))
+
+
+def workers_of(client: Any) -> dict[str, Mapping[str, Any]]:
+    """Facts of each worker by address, as the scheduler knows them now.
+
+    ``Client.scheduler_info`` gives what the client holds, and that is overwritten every two
+    seconds with one that lists no workers.
+    """
+    return dict(client.sync(client.scheduler.identity)["workers"])
 
 
 def _workers(found: Mapping[str, Mapping[str, Any]]) -> WorkersSeen:
