@@ -1,5 +1,6 @@
 """Facts about an instrument, and the presets that ship with the project."""
 
+from functools import cache
 from importlib import resources
 from typing import Annotated
 
@@ -67,6 +68,7 @@ def preset_names() -> list[str]:
     )
 
 
+@cache
 def load_preset(name: str) -> Sensor:
     """Sensor by preset name.
 
