@@ -306,7 +306,7 @@ def test_blocks_grow_with_memory_and_shrink_with_workers() -> None:
 
 
 def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
-    counts = {**everywhere(100_000), CellId(3, 3): 5_000_000}
+    counts = {**everywhere(100_000), CellId(3, 3): 9_000_000}
     pieces = list(from_counts(counts, 100_000))
     assert choose_block_tiles(pieces, workflow(), 2**36, 1) == 8
     assert count_blocks(pieces, workflow(), 2**36, 8) == (4, 8)
