@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ import pyarrow.csv
 import pytest
 import rasterio
 import yaml
-from pydantic import BaseModel
 
 from spl_batch.altimetry.runner import heights
 from spl_batch.altimetry.runner import photons as photons_runner
@@ -29,6 +29,7 @@ from tests.tracks import (
     write_csv,
     write_workflow,
 )
+from tests.workflow_files import unshown
 
 ROOT = Path(__file__).parent.parent
 
@@ -345,25 +346,9 @@ def test_scores_keep_their_order_in_bins() -> None:
     assert len(np.unique(score_bins(score))) == 500
 
 
-def keys(model: type[BaseModel], above: str = "") -> list[str]:
-    """Path of every key of the workflow."""
-    found = []
-    for name, field in model.model_fields.items():
-        found.append(above + name)
-        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if isinstance(kind, type) and issubclass(kind, BaseModel):
-                found += keys(kind, f"{above}{name}.")
-    return found
-
-
 def test_the_workflow_file_names_every_key_with_its_default() -> None:
     text = (ROOT / "workflows/altimetry.yaml").read_text(encoding="utf-8")
-    missing = [
-        key
-        for key in keys(TrackWorkflow)
-        if not re.search(rf"^[ #]*{key.rpartition('.')[2]}:", text, re.MULTILINE)
-    ]
-    assert not missing
+    assert unshown(text, TrackWorkflow) == []
     given = parse_any(yaml.safe_load(text), "altimetry.yaml").model_dump()
     bare = parse_any(
         {
@@ -375,6 +360,21 @@ def test_the_workflow_file_names_every_key_with_its_default() -> None:
         "bare",
     )
     assert given == bare.model_dump()
+
+
+def test_the_workflow_file_runs(tmp_path: Path) -> None:
+    for name in ("photons", "labels"):
+        (tmp_path / name).mkdir()
+    tracks = {"gt1r": small_track(1, canopy=0.3)}
+    atl03 = write_atl03(tmp_path / "photons/granule.h5", tracks)
+    write_atl08(tmp_path / "labels/granule.h5", atl03, tracks)
+    workflow = tmp_path / "altimetry.yaml"
+    shutil.copyfile(ROOT / "workflows/altimetry.yaml", workflow)
+    ended = run(workflow)
+    assert ended.status == 0, ended.text
+    (beam,) = report(workflow)["beams"]
+    assert beam["labels"]["ours"]["f1"] > 0.7
+    assert (tmp_path / "out/hdf5/granule.h5").exists()
 
 
 def test_the_scene_file_is_accepted(tmp_path: Path) -> None:

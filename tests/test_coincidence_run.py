@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +18,16 @@ from spl_batch.cli import live
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.geiger.coincidence import stages
 from spl_batch.geiger.coincidence.io import files
-from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
+from spl_batch.geiger.coincidence.settings import (
+    ArraySettings,
+    CoincidenceSettings,
+    CoincidenceWorkflow,
+)
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
 from spl_batch.tiling import Bounds
-from spl_batch.workflow import load_any, parse_any
+from spl_batch.workflow import parse_any
 from tests.coincidence_scene import SMALL, flown
+from tests.workflow_files import differing, unshown
 
 ROOT = Path(__file__).parents[1]
 
@@ -268,31 +272,20 @@ def test_frames_numbered_twice_stop_the_run(survey: Path, tmp_path: Path) -> Non
         api.run(survey / "workflow.yaml", workers=0, overrides=overrides)
 
 
-def _keys(content: dict[str, Any], place: str = "") -> dict[str, Any]:
-    found = {}
-    for name, value in content.items():
-        found |= (
-            _keys(value, f"{place}{name}.") if isinstance(value, dict) else {place + name: value}
-        )
-    return found
+def test_the_workflow_file_shows_every_key_and_runs(survey: Path) -> None:
+    text = (ROOT / "workflows" / "coincidence.yaml").read_text(encoding="utf-8")
+    assert unshown(text, CoincidenceWorkflow) == []
+    inputs = {"frames": "f", "detections": "d"}
+    bare = parse_any({"kind": "coincidence", "output": "out", "survey": inputs}, "bare")
+    different = differing(yaml.safe_load(text), bare.model_dump(mode="json"))
+    assert {path.partition(".")[0] for path in different} == {"survey"}
+    (survey / "complete.yaml").write_text(text, encoding="utf-8")
+    smaller = ("output=out_complete", "array.rows=16", "array.columns=32")
+    assert api.run(survey / "complete.yaml", workers=0, overrides=smaller).exit_status == 0
+    np.testing.assert_array_equal(delivered(survey / "out_complete"), delivered(survey / "out"))
 
 
-@pytest.mark.parametrize(
-    ("name", "defaults"),
-    [
-        ("coincidence", lambda path: load_any(path).model_dump(mode="json")),
-        ("coincidence_scene", lambda _: SceneSettings().model_dump(mode="json")),
-    ],
-)
-def test_example_files_show_every_key_with_its_default(
-    name: str, defaults: Callable[[Path], dict[str, Any]]
-) -> None:
-    path = ROOT / "workflows" / f"{name}.yaml"
-    shown = _keys(yaml.safe_load(path.read_text()))
-    known = _keys(defaults(path))
-    assert set(shown) == set(known)
-    bare = {"kind": "coincidence", "output": "out", "survey": {"frames": "f", "detections": "d"}}
-    if name == "coincidence":
-        known = _keys(parse_any(bare, "bare").model_dump(mode="json"))
-    different = {k for k in shown if shown[k] != known[k] and not k.startswith("survey.")}
-    assert different == set()
+def test_the_scene_file_shows_every_key_with_its_default() -> None:
+    text = (ROOT / "workflows" / "coincidence_scene.yaml").read_text(encoding="utf-8")
+    assert unshown(text, SceneSettings) == []
+    assert differing(yaml.safe_load(text), SceneSettings().model_dump(mode="json")) == []

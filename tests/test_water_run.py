@@ -1,10 +1,9 @@
 """Water surfaces on the engine: run, resume, isolate, report, and users' mistakes."""
 
 import json
-import re
 import shutil
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import h5py
 import jsonschema
@@ -13,7 +12,6 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 import zarr
-from pydantic import BaseModel
 
 from spl_batch import api
 from spl_batch.api.events import Note, PhaseStarted
@@ -27,8 +25,8 @@ from spl_batch.io.rasters import read_raster
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.schema import schemas
 from spl_batch.runner.unchanged import stamp
-from spl_batch.settings import Section
 from tests.water_scene import TANK, write_tank
+from tests.workflow_files import differing, unshown
 
 ROOT = Path(__file__).parent.parent
 
@@ -297,30 +295,9 @@ def test_what_a_scene_gets_wrong_is_told(tmp_path: Path) -> None:
             simulate_file(scene, tmp_path / "out")
 
 
-def keys_of(model: type[BaseModel]) -> set[str]:
-    """Names of all keys of a workflow, those of its sections as well."""
-    found = set(model.model_fields)
-    for field in model.model_fields.values():
-        for part in (field.annotation, *get_args(field.annotation)):
-            if isinstance(part, type) and issubclass(part, Section):
-                found |= keys_of(part)
-    return found
-
-
-def differing(given: Any, default: Any, place: str = "") -> list[str]:
-    """Values of a file that are not the default."""
-    if not isinstance(given, dict):
-        return [] if given == default else [place]
-    pairs = [(k, v, (default or {}).get(k)) for k, v in given.items()]
-    return [x for k, v, d in pairs for x in differing(v, d, f"{place}.{k}".lstrip("."))]
-
-
 def test_the_complete_workflow_shows_every_key_and_runs(tmp_path: Path) -> None:
     text = (ROOT / "workflows" / "water_surface.yaml").read_text()
-    missing = {
-        k for k in keys_of(WaterWorkflow) if not re.search(rf"^[ #]*{k}:", text, re.MULTILINE)
-    }
-    assert missing == set()
+    assert unshown(text, WaterWorkflow) == []
     content = yaml.safe_load(text)
     bare = WaterWorkflow(survey=WaterSurvey(frames="x"), output="out").model_dump(mode="json")
     examples = {"survey.name", "survey.frames", "calibration.frames"}

@@ -2,16 +2,14 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
-from pydantic import BaseModel
 
 from spl_batch.runner import STAGES
-from spl_batch.settings import Section
 from spl_batch.simulate import load_scene
 from spl_batch.workflow import Workflow, parse_any, parse_workflow
+from tests.workflow_files import differing, unshown
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted((ROOT / "workflows").glob("*.yaml"))
@@ -25,29 +23,6 @@ TESTS = "pip install '.[test]' && python -m pytest"
 
 def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def sections(model: type[BaseModel] = Workflow, place: str = "") -> list[str]:
-    """Every key of the workflow by its path, sections and values."""
-    found = []
-    for name, field in model.model_fields.items():
-        found.append(place + name)
-        kinds = [field.annotation, *getattr(field.annotation, "__args__", ())]
-        for kind in kinds:
-            if isinstance(kind, type) and issubclass(kind, Section):
-                found += sections(kind, f"{place}{name}.")
-    return found
-
-
-def differing(given: Any, default: Any, place: str) -> list[str]:
-    """Values of a file that are not the default, where there is one."""
-    if isinstance(given, dict):
-        return [
-            line
-            for key, value in given.items()
-            for line in differing(value, default.get(key), f"{place}.{key}" if place else key)
-        ]
-    return [] if given == default else [place]
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
@@ -65,12 +40,7 @@ def test_the_scene_file_is_accepted() -> None:
 
 def test_the_complete_workflow_names_every_key_with_its_default() -> None:
     text = (ROOT / "workflows" / "spl100.yaml").read_text(encoding="utf-8")
-    missing = [
-        path
-        for path in sections()
-        if not re.search(rf"^[ #]*{path.rpartition('.')[2]}:", text, re.MULTILINE)
-    ]
-    assert not missing, "keys that workflows/spl100.yaml does not show"
+    assert unshown(text, Workflow) == []
 
     content = yaml.safe_load(text)
     bare = parse_workflow({"survey": {"flightlines": "x"}, "output": "out"}, "bare")
@@ -83,7 +53,7 @@ def test_the_complete_workflow_names_every_key_with_its_default() -> None:
     }
     defaults = bare.model_dump(mode="json")
     defaults["reference"] = {"remove_bias": False}
-    assert set(differing(content, defaults, "")) == examples
+    assert set(differing(content, defaults)) == examples
 
 
 def test_the_linear_mode_workflow_needs_no_time() -> None:

@@ -1,0 +1,39 @@
+"""What the complete files in ``workflows/`` show, beside the keys and defaults that there are."""
+
+import re
+from typing import Any
+
+from pydantic import BaseModel
+
+from spl_batch.settings import Section
+
+
+def keys(model: type[BaseModel], place: str = "") -> list[str]:
+    """Path of every key of a workflow or scene, sections and values."""
+    found = []
+    for name, field in model.model_fields.items():
+        found.append(place + name)
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(kind, type) and issubclass(kind, Section):
+                found += keys(kind, f"{place}{name}.")
+    return found
+
+
+def unshown(text: str, model: type[BaseModel]) -> list[str]:
+    """Keys that the text of a file does not name, not even in a comment."""
+    return [
+        path
+        for path in keys(model)
+        if not re.search(rf"^[ #]*{path.rpartition('.')[2]}:", text, re.MULTILINE)
+    ]
+
+
+def differing(given: Any, default: Any, place: str = "") -> list[str]:
+    """Values of a file that are not the default, where there is one."""
+    if not isinstance(given, dict):
+        return [] if given == default else [place]
+    return [
+        line
+        for key, value in given.items()
+        for line in differing(value, (default or {}).get(key), f"{place}.{key}".lstrip("."))
+    ]
