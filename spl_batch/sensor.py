@@ -18,7 +18,7 @@ class Sensor(BaseModel):
     Every length is in metres, every time in the unit of its name.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     name: str = Field(description="Name shown in the report.")
     beamlets: int = Field(100, ge=1, le=255, description="Beamlets per shot [count].")

@@ -100,6 +100,32 @@ def test_an_unknown_key_names_the_nearest(section: str, key: str, near: str) -> 
     assert repr(near) in message
 
 
+@pytest.mark.parametrize("value", [".inf", ".nan"])
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        (MINIMAL, "noise.buffer_m"),
+        ({"kind": "altimetry", "track": {"photons": "*.h5"}, "output": "out"}, "rate.cell_m"),
+        (
+            {
+                "kind": "coincidence",
+                "survey": {"frames": "f.parquet", "detections": "d.parquet"},
+                "output": "out",
+            },
+            "array.gate_stop_m",
+        ),
+        (
+            {"kind": "water_surface", "survey": {"frames": "*.h5"}, "output": "out"},
+            "calibration.offset_ns",
+        ),
+    ],
+)
+def test_numbers_are_finite(tmp_path: Path, content: dict[str, Any], key: str, value: str) -> None:
+    path = write(tmp_path / "w.yaml", content)
+    with pytest.raises(WorkflowError, match=rf"{key}: .*finite number .found {value[1:]}"):
+        load_any(path, [f"{key}={value}"])
+
+
 def test_an_unknown_section_names_the_nearest() -> None:
     assert "'water'" in complaint(merged(watr="x"))
     assert "'filter'" in complaint(merged(filters={}))

@@ -26,7 +26,7 @@ Place = tuple[float, float]
 class Section(BaseModel):
     """Base of every part of a scene: frozen, and strict about its keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Terrain(Section):
