@@ -87,19 +87,26 @@ def test_every_error_has_its_status(
     assert len(ended.err.strip().splitlines()) == 1
 
 
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("lost", [False, True])
 def test_the_end_of_a_queue_systems_time_is_taken_like_ctrl_c(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, sign: signal.Signals, *, lost: bool
 ) -> None:
     def wait(*_: Any, **__: Any) -> None:
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(10)
+        try:
+            os.kill(os.getpid(), sign)
+            time.sleep(10)
+        except KeyboardInterrupt as interrupt:
+            if lost:
+                raise RuntimeError("no compiled object yet") from interrupt
+            raise
 
     monkeypatch.setattr("spl_batch.api.run", wait)
-    before = signal.getsignal(signal.SIGTERM)
+    before = signal.getsignal(sign)
     ended = surveys.command("run", "w.yaml")
     assert ended.status == 3
     assert ended.err.strip() == "interrupted; the same command continues"
-    assert signal.getsignal(signal.SIGTERM) == before
+    assert signal.getsignal(sign) == before
 
 
 def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -207,8 +207,9 @@ def report(output: Path) -> int:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
+    told = threading.Event()
     try:
-        with _ended_in_order():
+        with _ended_in_order(told):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
         error.show()
@@ -228,17 +229,36 @@ def main(arguments: list[str] | None = None) -> None:
         remedy = "free some space and run again" if full else "check the path and its rights"
         click.echo(f"spl-batch: {error.filename}: {error.strerror}; {remedy}", err=True)
         sys.exit(3 if full else 2)
+    except Exception:
+        # The interrupt may come up as something else: in a callback of a compiler it is lost.
+        if not told.is_set():
+            raise
+        click.echo("interrupted; the same command continues", err=True)
+        sys.exit(3)
     sys.exit(status if isinstance(status, int) else 0)
 
 
 @contextmanager
-def _ended_in_order() -> Iterator[None]:
-    """Take the end of a queue system's time like Ctrl-C: in order, to be continued."""
+def _ended_in_order(told: threading.Event) -> Iterator[None]:
+    """Take the end of a queue system's time like Ctrl-C: in order, to be continued.
+
+    Sets ``told`` when either comes.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+    def interrupt(*_: object) -> None:
+        told.set()
+        raise KeyboardInterrupt
+
+    before = {
+        sign: signal.signal(sign, interrupt)
+        for sign in (signal.SIGTERM, signal.SIGINT)
+        if signal.getsignal(sign) != signal.SIG_IGN  # of a command in the background
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for sign, handler in before.items():
+            signal.signal(sign, handler)
