@@ -260,7 +260,7 @@ def _start(command: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
 
 
 def _command(workflow: Path, *options: str) -> list[str]:
-    given = () if "--scheduler" in options or "--memory" in options else ("--memory", MEMORY)
+    given = () if "--memory" in options else ("--memory", MEMORY)
     return [sys.executable, "-m", "spl_batch", "run", str(workflow), *given, *options]
 
 

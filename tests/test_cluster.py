@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import logging
 import re
 import threading
 import time
@@ -13,7 +14,7 @@ import pytest
 from distributed import Client, LocalCluster, get_worker
 
 from spl_batch.errors import StoppedError
-from spl_batch.graph import Footing, OnDask, flow, work
+from spl_batch.graph import Footing, OnDask, cluster, flow, work
 from spl_batch.task import Receipt, Task, WorkersSeen
 from tests import clusters, surveys
 from tests.clusters import Cluster
@@ -257,3 +258,22 @@ def test_a_task_that_cannot_be_sent_fails_alone(
     assert {r.name: r.reason for r in found if r.failed} == {
         "1_0": "LookupError: nothing of the kind here"
     }
+
+
+def test_dask_says_nothing_while_a_run_works() -> None:
+    told: list[logging.LogRecord] = []
+    handler = logging.Handler()
+    handler.emit = told.append  # type: ignore[method-assign]
+    logger = logging.getLogger("distributed.client")
+    before = logger.level
+    logger.setLevel(logging.WARNING)
+    logger.addHandler(handler)
+    try:
+        with cluster.silent():
+            logger.error("a traceback")
+        assert told == []
+        logger.error("of somebody else's")
+        assert len(told) == 1
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)

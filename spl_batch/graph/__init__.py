@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from spl_batch.errors import StoppedError
-from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster
+from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster, silent
 from spl_batch.graph.flow import OUT_OF_MEMORY, OnDask
 from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer
 
@@ -72,6 +72,7 @@ def executor(
 
     with _closing_calmly(observer) as stack:
         stack.enter_context(dask.config.set(SETTINGS))
+        stack.enter_context(silent())
         address: Any = scheduler
         if scheduler is None:
             address = stack.enter_context(local_cluster(workers, memory_bytes))

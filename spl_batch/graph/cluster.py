@@ -53,6 +53,23 @@ def local_cluster(workers: int, memory_bytes: int) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Keep dask's own complaints off the screen: what matters of them is told in a line.
+
+    It reads its settings for logging when it is imported, and has a logger for each part.
+    """
+    names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
+
+
+@contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
     """Start processes that leave Ctrl-C to this one, which then ends them in order."""
     if threading.current_thread() is not threading.main_thread():
