@@ -197,7 +197,9 @@ def test_first_tasks_that_compile_do_not_foretell_the_rest() -> None:
     assert stage.left_s == 50.0
     stage.done, stage.points, stage.left_points, stage.latest_s = 1, 100, 9_900, 1060.0
     own_s = 9_900 / (100 / 60)
-    assert stage.left_s == pytest.approx(0.05 * own_s + 0.95 * 49.5), "one task took a minute"
+    assert stage.left_s == pytest.approx(0.05**2 * own_s + (1 - 0.05**2) * 49.5), (
+        "one task took a minute"
+    )
     stage.done, stage.points, stage.left_points, stage.latest_s = 20, 2_000, 8_000, 1070.0
     assert stage.left_s == 8_000 / (2_000 / 70)
 

@@ -97,8 +97,9 @@ class StageStatus:
         expected_s = self.expected_s * self.left / self.total
         if self.points_per_s == 0:
             return expected_s
-        # The first tasks compile kernels and warm caches: their rate is no rate to go by.
-        weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0)
+        # The first tasks compile kernels and warm caches: their rate is no rate to go by. Squared,
+        # as it multiplies a time that falls with the points that are done.
+        weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0) ** 2
         if not expected_s:
             weight = 1.0
         return weight * self.left_points / self.points_per_s + (1 - weight) * expected_s
