@@ -396,8 +396,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         levels()
     elif options.what == "speed":
         speed()
-    else:
+    elif len(options.files) == 2:
         agreement(*options.files)
+    else:
+        parser.error("atl08 takes two files: one of ATL03, and one of ATL08")
 
 
 if __name__ == "__main__":
