@@ -57,6 +57,7 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         kept["notes"],
         kept["reference"],
         kept["not_read"],
+        kept.get("earlier_s", 0.0),  # of a run before there was such a thing
     )
     return _receipts(context.store, kept["done"]), context, facts
 

@@ -1,6 +1,5 @@
 """What any run is expected to cost, what cannot fit, and rates that a store has measured."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -9,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from spl_batch.errors import PlanError
 from spl_batch.io.atomic import names_in
 from spl_batch.io.store import Store, read_receipts
-from spl_batch.plan.memory import USABLE_SHARE, usable_bytes
+from spl_batch.plan.memory import enough_mib, usable_bytes
 from spl_batch.runner import kinds
 from spl_batch.runner.context import RunContext
 
@@ -73,8 +72,8 @@ def refuse_too_large(cost: Cost, limit: int) -> None:
         It names that task and what makes it lighter.
     """
     if cost.memory_bytes > usable_bytes(limit):
-        enough = math.ceil(cost.memory_bytes / USABLE_SHARE / 2**20)
-        remedies = " or ".join(filter(None, (f"raise it to {enough}MiB", cost.remedy)))
+        enough = f"raise it to {enough_mib(cost.memory_bytes)}MiB"
+        remedies = " or ".join(filter(None, (enough, cost.remedy)))
         raise PlanError(
             f"{cost.heaviest} needs {cost.memory_bytes / 2**20:,.0f} MiB, more than a task may "
             f"use of --memory {limit / 2**20:,.0f} MiB ({usable_bytes(limit) / 2**20:,.0f} MiB); "

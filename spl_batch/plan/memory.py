@@ -88,6 +88,11 @@ def usable_bytes(limit: int) -> int:
     return int(USABLE_SHARE * limit)
 
 
+def enough_mib(needed: int) -> int:
+    """Smallest memory limit of a worker under which a task may hold so many bytes [MiB]."""
+    return math.ceil(needed / USABLE_SHARE / 2**20)
+
+
 def task_bytes(kind: str, points: float) -> int:
     """Memory of a task that holds so many points, its worker included [byte]."""
     return WORKER_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
@@ -199,11 +204,10 @@ def refusal(kind: str, points: float, limit: int) -> str:
     needed = task_bytes(kind, points)
     if needed <= usable_bytes(limit):
         return ""
-    enough = math.ceil(needed / USABLE_SHARE / 2**20)
     return (
         f"{NAMES[kind]} with {points:,.0f} points in reach needs about {needed / 2**20:,.0f} MiB, "
         f"more than {USABLE_SHARE:.0%} of --memory {limit / 2**20:,.0f} MiB; "
-        f"raise it to {enough}MiB or {REMEDIES[kind]}"
+        f"raise it to {enough_mib(needed)}MiB or {REMEDIES[kind]}"
     )
 
 

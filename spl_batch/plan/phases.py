@@ -5,7 +5,6 @@ its points stay unlabelled, the rest goes on.
 """
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 from spl_batch.plan import places
 from spl_batch.plan.flightlines import Flightline
@@ -13,6 +12,7 @@ from spl_batch.plan.inputs import source_args
 from spl_batch.plan.ledger import Phase
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.index import POSITIONS_S
+from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Task
 
 RANGE_POINTS = 2_000_000
@@ -24,7 +24,7 @@ POSITIONS_MARGIN_S = 10.0
 
 def _index(survey: Survey) -> Iterator[Task]:
     for source in survey.inputs.sources:
-        args = {**source_args(source), "name": source.name, "stamp": _stamp(source.path)}
+        args = {**source_args(source), "name": source.name, "stamp": stamp_if_there(source.path)}
         yield Task("index_file", str(source.key), args, (), source.facts.n_points)
 
 
@@ -37,7 +37,7 @@ def _trajectory(survey: Survey) -> Iterator[Task]:
     high = [max(f["bounds"][a + 3] for f in facts) / 1000 for a in range(3)]
     args = {
         "paths": [str(p) for p in survey.inputs.trajectory],
-        "stamps": [_stamp(path) for path in survey.inputs.trajectory],
+        "stamps": [stamp_if_there(path) for path in survey.inputs.trajectory],
         "time_span_s": [min(x.first_s for x in lines), max(x.last_s for x in lines)],
         "bounds_m": [*low, *high],
     }
@@ -191,18 +191,6 @@ PHASES = (
     Phase("mosaic", places.mosaic),
 )
 """Every phase of a run, in order."""
-
-
-def _stamp(path: Path) -> list[int]:
-    """What changes when a file does: its size and time of writing.
-
-    Zeros for one that is gone by now: the task that is to read it says so, and fails alone.
-    """
-    try:
-        stat = path.stat()
-    except OSError:
-        return [0, 0]
-    return [stat.st_size, stat.st_mtime_ns]
 
 
 def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:

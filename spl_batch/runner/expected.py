@@ -39,21 +39,19 @@ class _Box(NamedTuple):
     shape: tuple[int, int, int]
     edge: int
 
-    def places(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> "_Places":
-        """Voxels and squares of some points."""
-        at = [axis.astype(np.int64, copy=False) for axis in xyz]
-        x, y, z = (cell_index(p, self.edge) - c for p, c in zip(at, self.corner, strict=True))
-        across, along = (
-            (at[k] - self.corner[k] * self.edge) * SQUARES // self.edge for k in (0, 1)
+    def voxels(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.int64], ...]:
+        """Indices of some points' voxels."""
+        return tuple(
+            cell_index(axis.astype(np.int64, copy=False), self.edge) - first
+            for axis, first in zip(xyz, self.corner, strict=True)
         )
-        return _Places((x, y, z), (across, along))
 
-
-class _Places(NamedTuple):
-    """Indices of voxels, and of squares in a layer of them."""
-
-    voxel: tuple[NDArray[np.int64], ...]
-    square: tuple[NDArray[np.int64], ...]
+    def squares(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.int64], ...]:
+        """Indices of their squares in a layer of voxels."""
+        return tuple(
+            (axis.astype(np.int64, copy=False) - first * self.edge) * SQUARES // self.edge
+            for axis, first in zip(xyz[:2], self.corner[:2], strict=True)
+        )
 
 
 def expected_noise(
@@ -111,7 +109,7 @@ def expected_noise(
     # published, or beside all that any beamlet crosses
     within, mean = voxel_noise.within_gate(density), []
     for some in _batches(n):
-        voxel = box.places([axis[some] for axis in xyz]).voxel
+        voxel = box.voxels([axis[some] for axis in xyz])
         local[some] = np.where(local[some] > 0.0, local[some], within[voxel])
         mean.append(density[voxel][told[some]])
     return Expected(np.concatenate(mean), local)
@@ -133,7 +131,8 @@ def _add(
 ) -> None:
     """Add the noise of one flightline at points."""
     for some in _batches(len(local)):
-        local[some] += heard.at(*box.places([axis[some] for axis in xyz]))
+        part = [axis[some] for axis in xyz]
+        local[some] += heard.at(box.voxels(part), box.squares(part))
 
 
 def _batches(n: int) -> Iterator[slice]:

@@ -49,6 +49,17 @@ def stamp(path: Path) -> tuple[int, int]:
     return sum(s.st_size for s in found), max((s.st_mtime_ns for s in found), default=0)
 
 
+def stamp_if_there(path: Path) -> list[int]:
+    """The stamp of an input for the task that is to read it; zeros for one that is gone by now.
+
+    That task says so, and fails alone.
+    """
+    try:
+        return list(stamp(path))
+    except OSError:
+        return [0, 0]
+
+
 def _compare(path: Path, then: Sequence[int]) -> None:
     try:
         now = stamp(path)

@@ -24,7 +24,7 @@ from spl_batch.plan.inputs import (
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.plan.memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
-from spl_batch.runner.unchanged import stamp
+from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Task
 
 PIECE_ACQUISITIONS: Final = 50
@@ -240,7 +240,7 @@ def _args(source: FrameSource) -> dict[str, object]:
         "source": str(source.key),
         "name": source.name,
         "path": str(source.path),
-        "stamp": list(stamp(source.path)),
+        "stamp": stamp_if_there(source.path),
         "frames": source.facts.frames,
     }
 
