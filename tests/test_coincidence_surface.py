@@ -20,7 +20,7 @@ def coefficients(raster: np.ndarray, half: int) -> np.ndarray:
 
 def maximum(c: np.ndarray, ratio: float, reach: float) -> tuple[int, float, np.ndarray]:
     place = np.empty(3)
-    scratch = np.empty(3), np.empty((3, 3)), np.empty((2, 3))
+    scratch = np.empty(3), np.empty((3, 3))
     kind, value = kernels.closest_maximum(c, ratio, reach, *scratch, place)
     return kind, value, place
 

@@ -18,7 +18,10 @@ def test_tail_equals_scipy() -> None:
 @pytest.mark.parametrize("alpha", [1e-12, 5e-5, 0.001, 0.05, 0.6, 0.999])
 def test_critical_count_is_the_smallest_that_passes(alpha: float) -> None:
     for mean in MEANS:
-        count = poisson_critical(mean, alpha)
+        count, tail = poisson_critical(mean, alpha, 1)
         assert count >= 1
+        assert tail == noise_tail_probability(np.array([count], np.int32), np.array([mean]))[0]
+        for start in (2, 7, 60, 6000):
+            assert poisson_critical(mean, alpha, start) == (count, tail)
         assert stats.poisson.sf(count - 1, mean) <= alpha
         assert count == 1 or stats.poisson.sf(count - 2, mean) > alpha

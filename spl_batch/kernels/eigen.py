@@ -12,21 +12,19 @@ from numba import njit
 
 
 @njit(nogil=True, cache=True)
-def _complement(w, u, v):  # type: ignore[no-untyped-def]
-    """Two unit vectors that complete the unit vector ``w`` to a basis."""
-    if abs(w[0]) > abs(w[1]):
-        scale = 1.0 / math.sqrt(w[0] * w[0] + w[2] * w[2])
-        u[0], u[1], u[2] = -w[2] * scale, 0.0, w[0] * scale
+def _complement(wx, wy, wz):  # type: ignore[no-untyped-def]
+    """Two unit vectors that complete the unit vector w to a basis."""
+    if abs(wx) > abs(wy):
+        scale = 1.0 / math.sqrt(wx * wx + wz * wz)
+        ux, uy, uz = -wz * scale, 0.0, wx * scale
     else:
-        scale = 1.0 / math.sqrt(w[1] * w[1] + w[2] * w[2])
-        u[0], u[1], u[2] = 0.0, w[2] * scale, -w[1] * scale
-    v[0] = w[1] * u[2] - w[2] * u[1]
-    v[1] = w[2] * u[0] - w[0] * u[2]
-    v[2] = w[0] * u[1] - w[1] * u[0]
+        scale = 1.0 / math.sqrt(wy * wy + wz * wz)
+        ux, uy, uz = 0.0, wz * scale, -wy * scale
+    return ux, uy, uz, wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
 
 
 @njit(nogil=True, cache=True)
-def _isolated(axx, axy, axz, ayy, ayz, azz, value, out):  # type: ignore[no-untyped-def]
+def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-def]
     """Eigenvector of an isolated eigenvalue: the longest cross product of two rows of A - value."""
     r0x, r0y, r0z = axx - value, axy, axz
     r1x, r1y, r1z = axy, ayy - value, ayz
@@ -42,25 +40,24 @@ def _isolated(axx, axy, axz, ayy, ayz, azz, value, out):  # type: ignore[no-unty
     if c > a:
         ax, ay, az, a = cx, cy, cz, c
     if a <= 0.0:
-        out[0], out[1], out[2] = 1.0, 0.0, 0.0
-        return
+        return 1.0, 0.0, 0.0
     scale = 1.0 / math.sqrt(a)
-    out[0], out[1], out[2] = ax * scale, ay * scale, az * scale
+    return ax * scale, ay * scale, az * scale
 
 
 @njit(nogil=True, cache=True)
-def _within_plane(axx, axy, axz, ayy, ayz, azz, w, value, u, v, out):  # type: ignore[no-untyped-def]
-    """Eigenvector of ``value`` within the plane at right angles to ``w``; fills u and v."""
-    _complement(w, u, v)
-    aux = axx * u[0] + axy * u[1] + axz * u[2]
-    auy = axy * u[0] + ayy * u[1] + ayz * u[2]
-    auz = axz * u[0] + ayz * u[1] + azz * u[2]
-    avx = axx * v[0] + axy * v[1] + axz * v[2]
-    avy = axy * v[0] + ayy * v[1] + ayz * v[2]
-    avz = axz * v[0] + ayz * v[1] + azz * v[2]
-    m00 = u[0] * aux + u[1] * auy + u[2] * auz - value
-    m01 = u[0] * avx + u[1] * avy + u[2] * avz
-    m11 = v[0] * avx + v[1] * avy + v[2] * avz - value
+def _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, value):  # type: ignore[no-untyped-def]
+    """Eigenvector of ``value`` within the plane at right angles to w."""
+    ux, uy, uz, vx, vy, vz = _complement(wx, wy, wz)
+    aux = axx * ux + axy * uy + axz * uz
+    auy = axy * ux + ayy * uy + ayz * uz
+    auz = axz * ux + ayz * uy + azz * uz
+    avx = axx * vx + axy * vy + axz * vz
+    avy = axy * vx + ayy * vy + ayz * vz
+    avz = axz * vx + ayz * vy + azz * vz
+    m00 = ux * aux + uy * auy + uz * auz - value
+    m01 = ux * avx + uy * avy + uz * avz
+    m11 = vx * avx + vy * avy + vz * avz - value
     if abs(m00) >= abs(m11):
         p, q = m01, -m00
     else:
@@ -69,12 +66,11 @@ def _within_plane(axx, axy, axz, ayy, ayz, azz, w, value, u, v, out):  # type: i
     if norm <= 0.0:
         p, q, norm = 1.0, 0.0, 1.0
     p, q = p / norm, q / norm
-    for i in range(3):
-        out[i] = p * u[i] + q * v[i]
+    return p * ux + q * vx, p * uy + q * vy, p * uz + q * vz
 
 
 @njit(nogil=True, cache=True)
-def eigen_symmetric(matrix, values, vectors, scratch):  # type: ignore[no-untyped-def]
+def eigen_symmetric(matrix, values, vectors):  # type: ignore[no-untyped-def]
     """Eigenvalues, descending, and eigenvectors of a symmetric matrix.
 
     Parameters
@@ -85,8 +81,6 @@ def eigen_symmetric(matrix, values, vectors, scratch):  # type: ignore[no-untype
         Receives the eigenvalues, largest first.
     vectors : (3, 3) float64
         Receives the unit eigenvectors as rows, in the same order.
-    scratch : (2, 3) float64
-        Scratch.
     """
     size = 0.0
     for i in range(6):
@@ -117,12 +111,13 @@ def eigen_symmetric(matrix, values, vectors, scratch):  # type: ignore[no-untype
     middle = 3.0 * mean - largest - smallest
     apart, other = (0, 2) if half >= 0.0 else (2, 0)
     values[0], values[1], values[2] = largest, middle, smallest
-    w, m, u, v = vectors[apart], vectors[1], scratch[0], scratch[1]
-    _isolated(axx, axy, axz, ayy, ayz, azz, values[apart], w)
-    _within_plane(axx, axy, axz, ayy, ayz, azz, w, middle, u, v, m)
-    last = vectors[other]
-    last[0] = w[1] * m[2] - w[2] * m[1]
-    last[1] = w[2] * m[0] - w[0] * m[2]
-    last[2] = w[0] * m[1] - w[1] * m[0]
+    wx, wy, wz = _isolated(axx, axy, axz, ayy, ayz, azz, values[apart])
+    mx, my, mz = _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, middle)
+    # Numbers, not rows: numba counts the references to each view of an array.
+    vectors[apart, 0], vectors[apart, 1], vectors[apart, 2] = wx, wy, wz
+    vectors[1, 0], vectors[1, 1], vectors[1, 2] = mx, my, mz
+    vectors[other, 0] = wy * mz - wz * my
+    vectors[other, 1] = wz * mx - wx * mz
+    vectors[other, 2] = wx * my - wy * mx
     for i in range(3):
         values[i] *= size

@@ -209,16 +209,18 @@ def _measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[
 
 @njit(nogil=True, cache=True)
 def _among(  # type: ignore[no-untyped-def]
-    points, boxes, depth, near, others, found, quadric, least, space, rule, ratio2, scratch, outer
+    points, boxes, depth, near, others, at, found, quadric, least, space, rule, ratio2, scratch, outer
 ):
     """Peers inside among the neighbours that shaped the ellipsoid."""
     count = 0
     outer[0] = 0.0
     for i in range(found):
-        outside = flag(quadric, near[0, i], near[1, i], near[2, i])
+        near[3, i] = flag(quadric, near[0, i], near[1, i], near[2, i])
+    for i in range(found):
+        outside = near[3, i]
         if outside >= 1.0:
             continue
-        other = np.uint64(others[i])
+        other = np.uint64(others[at, i])
         if space[other] < 0.0:
             _measure(points, boxes, depth, other, space, rule, scratch)
         if space[other] * ratio2 >= least:
@@ -279,14 +281,14 @@ def _count_all(  # type: ignore[no-untyped-def]
     room = min(chunk, leaves) * np.uint64(LEAF)
     others = np.empty((room, shape.neighbours), dtype=np.int32)
     found, last = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.float64)
-    near = np.empty((3, shape.neighbours), dtype=np.float64)
+    near = np.empty((4, shape.neighbours), dtype=np.float64)
     stack = np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
-    vectors, scratch = np.empty((3, 3)), np.empty((2, 3))
+    vectors = np.empty((3, 3))
     spare = spacing_scratch(rule)
     cap = shape.neighbour_cap
-    known, asked, stop, least = -1.0, -1.0, 0, 1.0
+    known, asked, stop, least = -1.0, -1.0, 1, 1.0
     for begin in range(leaves, leaves + leaves, chunk):
         end = min(begin + chunk, leaves + leaves)
         _neighbours(
@@ -302,18 +304,16 @@ def _count_all(  # type: ignore[no-untyped-def]
                 _measure(points, boxes, depth, slot, space, rule, spare)
             at = slot - low
             volume = fit(
-                points, slot, others[at], found[at], near, shape, moments, values, vectors,
-                scratch, axes,
+                points, slot, others, at, found[at], near, shape, moments, values, vectors, axes,
             )  # fmt: skip
             mean = density[row] * volume
             expected[row] = mean
             if mean != known or alpha[row] != asked:
                 known, asked = mean, alpha[row]
-                stop = poisson_critical(mean, asked)
-                least = poisson_tail(stop, mean)
+                stop, least = poisson_critical(mean, asked, stop)
             quadric_of(vectors, axes, quadric)
             inside = _among(
-                points, boxes, depth, near, others[at], found[at], quadric, space[slot], space,
+                points, boxes, depth, near, others, at, found[at], quadric, space[slot], space,
                 rule, ratio2, spare, outer,
             )  # fmt: skip
             reach = float(cap)

@@ -61,7 +61,7 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
     levels = np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
-    vectors, scratch = np.empty((3, 3)), np.empty((2, 3))
+    vectors, others = np.empty((3, 3)), kept.reshape((1, -1))
     space, spare = np.zeros(points.shape[1]), spacing_scratch(rule)
     limit = shape.radius * shape.radius
     for leaf in range(U1 << depth, U1 << (depth + U1)):
@@ -81,7 +81,7 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
                 points, boxes, depth, leaf, slot, shape.neighbours, shape.neighbour_cap, distance,
                 squared, kept, stack,
             )  # fmt: skip
-            fit(points, slot, kept, found, near, shape, moments, values, vectors, scratch, axes)
+            fit(points, slot, others, 0, found, near, shape, moments, values, vectors, axes)
             quadric_of(vectors, axes, quadric)
             inside = 0
             for i in range(found):

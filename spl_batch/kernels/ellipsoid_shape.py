@@ -48,9 +48,9 @@ class Shape(NamedTuple):
     power: float
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, fastmath={"reassoc"})
 def _covariance(near, found, moments):  # type: ignore[no-untyped-def]
-    """Covariance of the neighbours; the sums are exact integers, so their order is free."""
+    """Covariance of the neighbours; the sums are whole numbers, so their order is free."""
     sx = sy = sz = 0.0
     sxx = sxy = sxz = syy = syz = szz = 0.0
     for i in range(found):
@@ -135,20 +135,20 @@ def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def fit(points, slot, others, found, near, shape, moments, values, vectors, scratch, axes):  # type: ignore[no-untyped-def]
+def fit(points, slot, others, at, found, near, shape, moments, values, vectors, axes):  # type: ignore[no-untyped-def]
     """Ellipsoid of a slot's neighbours; returns its volume and fills in their offsets.
 
     Parameters
     ----------
     points : (4, n) int32
         Of the tree.
-    slot, others, found
-        The slot, those of its neighbours, and their number.
+    slot, others, at, found
+        The slot; those of its neighbours, which are row ``at`` of ``others``; their number.
     near : (3, k) float64
         Receives the offsets of the neighbours [quanta].
     shape : Shape
         How neighbours become an ellipsoid.
-    moments, values, vectors, scratch : (6,), (3,), (3, 3), (2, 3) float64
+    moments, values, vectors : (6,), (3,), (3, 3) float64
         Scratch; ``vectors`` receives the unit axes as rows.
     axes : (3,) float64
         Receives the semi-axes, longest first [quanta].
@@ -156,10 +156,10 @@ def fit(points, slot, others, found, near, shape, moments, values, vectors, scra
     for axis in range(3):
         own = np.float64(points[axis, slot])
         for i in range(found):
-            near[axis, i] = points[axis, others[i]] - own
+            near[axis, i] = points[axis, others[at, i]] - own
     if found >= SHAPE_MIN:
         _covariance(near, found, moments)
-        eigen_symmetric(moments, values, vectors, scratch)
+        eigen_symmetric(moments, values, vectors)
     else:
         values[:] = 1.0
         for i in range(3):

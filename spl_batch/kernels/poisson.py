@@ -58,7 +58,7 @@ def poisson_tail(count, expected):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def poisson_critical(expected, alpha):  # type: ignore[no-untyped-def]
+def poisson_critical(expected, alpha, start):  # type: ignore[no-untyped-def]
     """Smallest count whose upper tail is at most ``alpha``.
 
     Parameters
@@ -67,20 +67,30 @@ def poisson_critical(expected, alpha):  # type: ignore[no-untyped-def]
         Mean of the distribution [count]; finite, >= 0.
     alpha : float
         Significance, in (0, 1).
+    start : int
+        Where to look first, >= 1: the answer for a mean nearby costs two tails. What is
+        found does not depend on it.
 
     Returns
     -------
-    int
+    count : int
         Smallest k with P(K >= k) <= alpha; at least 1.
+    tail : float
+        P(K >= count).
     """
-    count = np.int64(expected) + 1
-    if poisson_tail(count, expected) <= alpha:
-        while count > 1 and poisson_tail(count - 1, expected) <= alpha:
-            count -= 1
-        return count
-    while poisson_tail(count, expected) > alpha:
-        count += 1
-    return count
+    count = start
+    tail = poisson_tail(count, expected)
+    if tail > alpha:
+        while tail > alpha:
+            count += 1
+            tail = poisson_tail(count, expected)
+        return count, tail
+    while count > 1:
+        longer = poisson_tail(count - 1, expected)
+        if longer > alpha:
+            break
+        count, tail = count - 1, longer
+    return count, tail
 
 
 @njit(nogil=True, cache=True)

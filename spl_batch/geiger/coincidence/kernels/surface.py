@@ -135,7 +135,7 @@ def moments(
 @njit(nogil=True, cache=True)
 def closest_maximum(
     c: NDArray[np.float64], ratio: float, reach: float,
-    values: NDArray[np.float64], vectors: NDArray[np.float64], scratch: NDArray[np.float64],
+    values: NDArray[np.float64], vectors: NDArray[np.float64],
     place: NDArray[np.float64],
 ) -> tuple[int, float]:  # fmt: skip
     """Place near a voxel's centre where its polynomial is at a maximum.
@@ -148,7 +148,7 @@ def closest_maximum(
         A further direction counts from this part of the strongest curvature.
     reach : float
         Largest distance along each axis [voxel edges].
-    values, vectors, scratch
+    values, vectors
         Scratch of :func:`eigen_symmetric`.
     place : (3,) float64
         Receives the place from the centre [voxel edges].
@@ -161,7 +161,7 @@ def closest_maximum(
         The polynomial's value there.
     """
     matrix = np.array([2.0 * c[4], c[7], c[8], 2.0 * c[5], c[9], 2.0 * c[6]])
-    eigen_symmetric(matrix, values, vectors, scratch)
+    eigen_symmetric(matrix, values, vectors)
     place[:] = 0.0
     if values[2] >= 0.0:
         return NOTHING, 0.0
@@ -222,7 +222,7 @@ def find_surfaces(
         Receives :data:`NOTHING` or what was found.
     """
     moment, c = np.empty(10, np.int64), np.empty(10)
-    values, vectors, scratch = np.empty(3), np.empty((3, 3)), np.empty((2, 3))
+    values, vectors = np.empty(3), np.empty((3, 3))
     cube = (2 * half + 1) ** 3
     for row in range(len(voxel)):
         kind[row] = NOTHING
@@ -234,7 +234,7 @@ def find_surfaces(
             for j in range(10):
                 total += fit[i, j] * moment[j]
             c[i] = total
-        found, height = closest_maximum(c, ratio, reach, values, vectors, scratch, place[row])
+        found, height = closest_maximum(c, ratio, reach, values, vectors, place[row])
         share = height * cube / looks[row]
         if found == NOTHING or share < threshold:
             continue
