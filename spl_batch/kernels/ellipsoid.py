@@ -209,8 +209,9 @@ def _measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[
 
 @njit(nogil=True, cache=True)
 def _among(  # type: ignore[no-untyped-def]
-    points, boxes, depth, near, others, at, found, quadric, least, space, rule, ratio2, scratch, outer
-):
+    points, boxes, depth, near, others, at, found, quadric, least, space, rule, ratio2, scratch,
+    outer,
+):  # fmt: skip
     """Peers inside among the neighbours that shaped the ellipsoid."""
     count = 0
     outer[0] = 0.0
