@@ -3,12 +3,16 @@
 OUTPUT is a folder that ``spl-batch run`` has finished. Prints seconds per million input
 returns and worker, points per second and peak memory of each stage, and the shares of the
 whole. Run it on a machine that does nothing else; a first run compiles its kernels, so
-run once with ``--fresh`` before measuring.
+run once with ``--fresh`` before measuring. Then, on points of the same survey and in this run,
+what others take for a part of it (:mod:`benchmarks.peers`), with the ratio of the denoise stage
+and of all stages to each.
 """
 
 import json
 import sys
 from pathlib import Path
+
+from benchmarks.peers import print_ratios
 
 
 def main(output: Path) -> None:
@@ -26,6 +30,8 @@ def main(output: Path) -> None:
             f"{100 * stage['wall_s'] / total:9.1f}{stage['peak_rss_mb']:8.0f}"
         )
     print(f"{'all':10s}{total / millions:9.2f}{report['counts']['points_in'] / total:12.0f}")
+    ours = {"denoise": stages["denoise"]["wall_s"] / millions, "all": total / millions}
+    print_ratios(max((output / "laz").rglob("*.laz"), key=lambda file: file.stat().st_size), ours)
 
 
 if __name__ == "__main__":

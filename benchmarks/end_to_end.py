@@ -1,0 +1,134 @@
+"""The whole chain on one worker and on two, and its cost by area and by share of noise.
+
+    python -m benchmarks.end_to_end FOLDER [workers] [area] [noise]
+
+Simulates surveys of the kind of :mod:`benchmarks.whole_survey` into FOLDER, once, and runs each
+from LAZ to LAZ and COG. Prints seconds of work per million returns and core of each stage, the
+highest memory of a worker, and
+
+- ``workers``: how much faster two workers are than one, and the ratios of
+  :mod:`benchmarks.peers`;
+- ``area``: squares whose sides double, at a quarter of the density, one worker;
+- ``noise``: squares of 200 m from little background to more than half of all returns, one worker.
+
+All three by default. A first run compiles kernels and is not counted.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from benchmarks.peers import print_ratios
+from benchmarks.whole_survey import scene
+
+SIDES_M = (100, 200, 400, 800)
+BACKGROUNDS = (0.01, 0.03, 0.08, 0.2, 0.5)
+"""Background of the scenes [1/m3]."""
+
+
+def survey(folder: Path, name: str, content: dict[str, Any]) -> Path:
+    """Workflow of a scene, simulated unless it is there."""
+    workflow = folder / name / "workflow.yaml"
+    if not workflow.exists():  # the last thing that a simulation writes
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+        command("simulate", folder / f"{name}.yaml", folder / name)
+    return workflow
+
+
+def command(*arguments: object) -> float:
+    """Run the command line; wall time [s]."""
+    start = time.perf_counter()
+    line = [sys.executable, "-m", "spl_batch", *map(str, arguments)]
+    done = subprocess.run(line, check=False, capture_output=True, text=True)  # noqa: S603
+    if done.returncode:
+        sys.exit(f"{' '.join(line)}: ended with {done.returncode}\n{done.stderr}")
+    return time.perf_counter() - start
+
+
+def run(workflow: Path, workers: int) -> tuple[dict[str, float], dict[str, Any], float]:
+    """Seconds per million of each stage, the report, and wall time [s]."""
+    wall_s = command("run", workflow, "--fresh", "--workers", workers)
+    report = json.loads((workflow.parent / "out" / "report.json").read_text(encoding="utf-8"))
+    millions = report["counts"]["points_in"] / 1e6
+    stages = report["performance"]["stages"]
+    return {name: stage["wall_s"] / millions for name, stage in stages.items()}, report, wall_s
+
+
+def print_run(label: str, costs: dict[str, float], report: dict[str, Any], wall_s: float) -> None:
+    """One line of a table."""
+    counts = report["counts"]
+    noise = 100 * (counts["background"] + counts["afterpulse"]) / counts["points_in"]
+    stages = "".join(f"{seconds:10.2f}" for seconds in costs.values())
+    print(
+        f"{label:10s}{counts['points_in'] / 1e6:8.2f}{noise:9.1f}{stages}{sum(costs.values()):8.2f}"
+        f"{report['performance']['peak_rss_mb']:8.0f}{wall_s:8.1f}",
+        flush=True,
+    )
+
+
+def head(first: str, stages: dict[str, float]) -> None:
+    """The line above a table."""
+    names = "".join(f"{name:>10s}" for name in stages)
+    print(f"{first:10s}{'M':>8s}{'noise %':>9s}{names}{'all':>8s}{'MB':>8s}{'wall s':>8s}")
+
+
+def by_workers(folder: Path) -> None:
+    """One worker, and two; ratios to others."""
+    workflow = survey(folder, "square", scene(300.0))
+    run(workflow, 2)
+    walls = {}
+    for workers in (1, 2):
+        costs, report, walls[workers] = run(workflow, workers)
+        if workers == 1:
+            head("workers", costs)
+            ours = {"denoise": costs["denoise"], "all": sum(costs.values())}
+        print_run(str(workers), costs, report, walls[workers])
+    print(f"two workers are {walls[1] / walls[2]:.2f} times as fast as one")
+    clouds = (workflow.parent / "out" / "laz").rglob("*.laz")
+    print_ratios(max(clouds, key=lambda file: file.stat().st_size), ours)
+
+
+def by_area(folder: Path) -> None:
+    """Squares whose sides double."""
+    for side_m in SIDES_M:
+        content = scene(float(side_m))
+        content["acquisition"]["prf_hz"] /= 4
+        costs, report, wall_s = run(survey(folder, f"side{side_m}", content), 1)
+        if side_m == SIDES_M[0]:
+            head("side [m]", costs)
+        print_run(str(side_m), costs, report, wall_s)
+
+
+def by_noise(folder: Path) -> None:
+    """From little background to much."""
+    for background in BACKGROUNDS:
+        content = scene(200.0)
+        content["sky"]["background_per_m3"] = background
+        costs, report, wall_s = run(survey(folder, f"sky{background:g}", content), 1)
+        if background == BACKGROUNDS[0]:
+            head("1/m3", costs)
+        print_run(f"{background:g}", costs, report, wall_s)
+
+
+PARTS = {"workers": by_workers, "area": by_area, "noise": by_noise}
+
+
+def main() -> None:
+    """Read the arguments."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
+    given = parser.parse_args()
+    for part in given.parts or PARTS:
+        PARTS[part](given.folder)
+
+
+if __name__ == "__main__":
+    main()
