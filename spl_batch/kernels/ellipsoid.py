@@ -38,22 +38,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.ellipsoid_shape import Shape, fit, flag, half_extents, quadric_of
-from spl_batch.kernels.kdtree import (
-    LEAF,
-    U0,
-    U1,
-    U2,
-    U3,
-    U4,
-    U5,
-    KdTree,
-    check_cap,
-    leaf_of,
-    leaf_slots,
-)
-from spl_batch.kernels.neighbours import distance_to, nearest_slots, workspace
+from spl_batch.kernels.ellipsoid_walk import measure, walk
+from spl_batch.kernels.kdtree import LEAF, U1, U3, KdTree, check_cap, leaf_of, leaf_slots
+from spl_batch.kernels.neighbours import neighbours_of_leaves
 from spl_batch.kernels.poisson import poisson_critical, poisson_tail
-from spl_batch.kernels.spacing import Spacing, spacing_at, spacing_scratch
+from spl_batch.kernels.spacing import Spacing, spacing_scratch
 
 CHUNK: Final = 2048
 """Leaves whose neighbours are kept at a time, so that their spacings come with them [count]."""
@@ -130,103 +119,32 @@ def count_inside(
 
 
 @njit(nogil=True, cache=True)
-def _misses(boxes, node, x, y, z, vectors, axes, half):  # type: ignore[no-untyped-def]
-    """Whether a node's box lies beyond the ellipsoid's box, or its slab along an own axis."""
-    cx = 0.5 * (np.float64(boxes[node, U0]) + np.float64(boxes[node, U3])) - x
-    cy = 0.5 * (np.float64(boxes[node, U1]) + np.float64(boxes[node, U4])) - y
-    cz = 0.5 * (np.float64(boxes[node, U2]) + np.float64(boxes[node, U5])) - z
-    hx = 0.5 * (np.float64(boxes[node, U3]) - np.float64(boxes[node, U0]))
-    hy = 0.5 * (np.float64(boxes[node, U4]) - np.float64(boxes[node, U1]))
-    hz = 0.5 * (np.float64(boxes[node, U5]) - np.float64(boxes[node, U2]))
-    if abs(cx) > half[0] + hx or abs(cy) > half[1] + hy or abs(cz) > half[2] + hz:
-        return True
-    for i in range(3):
-        vx, vy, vz = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-        reach = axes[i] + abs(vx) * hx + abs(vy) * hy + abs(vz) * hz + 1.0
-        if abs(vx * cx + vy * cy + vz * cz) > reach:
-            return True
-    return False
-
-
-@njit(nogil=True, cache=True)
-def walk(  # type: ignore[no-untyped-def]  # noqa: C901
-    points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
-    space, rule, ratio2, scratch, outer,
-):  # fmt: skip
-    """Peers inside the ellipsoid around a slot, up to ``stop``, from its leaf upwards."""
-    n = np.uint64(points.shape[1])
-    first = U1 << depth
-    x = np.float64(points[U0, slot])
-    y = np.float64(points[U1, slot])
-    z = np.float64(points[U2, slot])
-    least = space[slot]
-    count = -1
-    outer[0] = 0.0
-    climb = leaf
-    stack[0] = leaf
-    while True:
-        top = U1
-        while top > U0:
-            top -= U1
-            node = stack[top]
-            if _misses(boxes, node, x, y, z, vectors, axes, half):
-                continue
-            if node < first:
-                stack[top] = node + node
-                stack[top + U1] = node + node + U1
-                top += U1 + U1
-                continue
-            low, high = leaf_slots(node, depth, n)
-            for i in range(low, high):
-                dx = np.float64(points[U0, i]) - x
-                dy = np.float64(points[U1, i]) - y
-                dz = np.float64(points[U2, i]) - z
-                outside = flag(quadric, dx, dy, dz)
-                if outside >= 1.0:
-                    continue
-                if space[i] < 0.0:
-                    _measure(points, boxes, depth, i, space, rule, scratch)
-                if space[i] * ratio2 >= least:
-                    count += 1
-                    outer[0] = max(outer[0], outside)
-            if count >= stop:
-                return stop
-        if climb <= U1:
-            return count
-        stack[0] = climb ^ U1
-        climb >>= U1
-
-
-@njit(nogil=True, cache=True)
-def _measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[no-untyped-def]
-    """Find out a slot's spacing."""
-    keys, distance, fresh, stack, bound = scratch
-    leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
-    space[slot] = spacing_at(
-        points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
-    )
-
-
-@njit(nogil=True, cache=True)
-def _among(  # type: ignore[no-untyped-def]
-    points, boxes, depth, near, others, at, found, quadric, least, space, rule, ratio2, scratch,
-    outer,
-):  # fmt: skip
-    """Peers inside among the neighbours that shaped the ellipsoid."""
-    count = 0
-    outer[0] = 0.0
+def _flags(near, found, quadric, others, at, space):  # type: ignore[no-untyped-def]
+    """Flags of the neighbours as the last row of ``near``; whether spacings inside are unknown."""
+    unknown = False
     for i in range(found):
         near[3, i] = flag(quadric, near[0, i], near[1, i], near[2, i])
+        unknown |= (near[3, i] < 1.0) & (space[others[at, i]] < 0.0)
+    return unknown
+
+
+@njit(nogil=True, cache=True)
+def _learn(points, boxes, depth, near, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
+    """Find out the spacings of the neighbours inside."""
     for i in range(found):
-        outside = near[3, i]
-        if outside >= 1.0:
-            continue
-        other = np.uint64(others[at, i])
-        if space[other] < 0.0:
-            _measure(points, boxes, depth, other, space, rule, scratch)
-        if space[other] * ratio2 >= least:
+        if near[3, i] < 1.0 and space[others[at, i]] < 0.0:
+            measure(points, boxes, depth, np.uint64(others[at, i]), space, rule, scratch)
+
+
+@njit(nogil=True, cache=True)
+def _among(near, found, others, at, space, least, ratio2, outer):  # type: ignore[no-untyped-def]
+    """Peers inside among the neighbours that shaped the ellipsoid."""
+    count, outermost = 0, 0.0
+    for i in range(found):
+        if near[3, i] < 1.0 and space[others[at, i]] * ratio2 >= least:
             count += 1
-            outer[0] = max(outer[0], outside)
+            outermost = max(outermost, near[3, i])
+    outer[0] = outermost
     return count
 
 
@@ -241,34 +159,26 @@ def _score(inside, mean, outermost, tie):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _neighbours(points, boxes, depth, leaves, query, shape, space, rule, others, found, last):  # type: ignore[no-untyped-def]
-    """Neighbours of the query points of some leaves, with the spacings that come with them.
+def _neighbours(points, boxes, depth, leaves, asked, shape, space, rule, others, found, last):  # type: ignore[no-untyped-def]
+    """Neighbours of the points asked for of some leaves, with the spacings that come with them.
 
-    ``others`` (m, k), ``found`` (m,) and ``last`` (m,) receive the slots of the neighbours,
-    their number and the squared distance of the farthest, from the first leaf's first slot on.
+    ``asked`` (m,), ``others`` (m, k), ``found`` (m,) and ``last`` (m,), the slots of the
+    neighbours, their number and the squared distance of the farthest, count from the first leaf's
+    first slot on.
     """
-    n, k = np.uint64(points.shape[1]), shape.neighbours
-    distance, near, kept, stack = workspace(k)
+    n = np.uint64(points.shape[1])
     wide = np.float64(rule.cap) * np.float64(rule.cap)
-    shared = rule.neighbours <= k and rule.cap <= shape.neighbour_cap
-    start, _ = leaf_slots(leaves[0], depth, n)
-    for leaf in range(leaves[0], leaves[1]):
-        low, high = leaf_slots(leaf, depth, n)
-        for slot in range(low, high):
-            if not query[points[U3, slot]]:
-                continue
-            at = slot - start
-            found[at], last[at] = nearest_slots(
-                points, boxes, depth, leaf, slot, k, shape.neighbour_cap, distance, near, kept,
-                stack,
-            )  # fmt: skip
-            for i in range(found[at]):
-                others[at, i] = kept[i]
-            if shared and space[slot] < 0.0:
-                space[slot] = wide
-                if found[at] >= rule.neighbours:
-                    few = distance_to(near, np.uint64(found[at]), rule.neighbours)
-                    space[slot] = min(few, wide)
+    shared = rule.neighbours <= shape.neighbours and rule.cap <= shape.neighbour_cap
+    few = np.empty(len(asked))
+    neighbours_of_leaves(
+        points, boxes, depth, leaves, asked, shape.neighbours, shape.neighbour_cap,
+        rule.neighbours if shared else 0, others, found, last, few,
+    )  # fmt: skip
+    low, _ = leaf_slots(leaves[0], depth, n)
+    _, high = leaf_slots(leaves[1] - U1, depth, n)
+    for slot in range(low, high):
+        if shared and asked[slot - low] and space[slot] < 0.0:
+            space[slot] = min(few[slot - low], wide) if few[slot - low] >= 0.0 else wide
 
 
 @njit(nogil=True, cache=True)
@@ -282,51 +192,68 @@ def _count_all(  # type: ignore[no-untyped-def]
     room = min(chunk, leaves) * np.uint64(LEAF)
     others = np.empty((room, shape.neighbours), dtype=np.int32)
     found, last = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.float64)
+    asked, noise, level = np.empty(room, np.bool_), np.empty(room), np.empty(room)
+    counted, mean, score = np.empty(room, np.int32), np.empty(room), np.empty(room)
+    for begin in range(leaves, leaves + leaves, chunk):
+        end = min(begin + chunk, leaves + leaves)
+        low, _ = leaf_slots(begin, depth, n)
+        _, high = leaf_slots(end - U1, depth, n)
+        # Rows lie far apart in memory: they are fetched, and put back, many at a time.
+        for at in range(high - low):
+            row = points[U3, low + at]
+            asked[at], noise[at], level[at] = query[row], density[row], alpha[row]
+        _neighbours(
+            points, boxes, depth, (begin, end), asked, shape, space, rule, others, found, last
+        )
+        _count_some(
+            points, boxes, depth, (low, high), asked, noise, shape, level, space, rule, ratio2,
+            tie, others, found, last, counted, mean, score,
+        )  # fmt: skip
+        for at in range(high - low):
+            if asked[at]:
+                row = points[U3, low + at]
+                count[row], expected[row], tail[row] = counted[at], mean[at], score[at]
+
+
+@njit(nogil=True, cache=True)
+def _count_some(  # type: ignore[no-untyped-def]
+    points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, others,
+    found, last, count, expected, tail,
+):  # fmt: skip
+    """Points asked for of a range of slots; arrays but those of the tree start with the first."""
+    n = np.uint64(points.shape[1])
     near = np.empty((4, shape.neighbours), dtype=np.float64)
     stack = np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
-    vectors = np.empty((3, 3))
-    spare = spacing_scratch(rule)
-    cap = shape.neighbour_cap
-    known, asked, stop, least = -1.0, -1.0, 1, 1.0
-    for begin in range(leaves, leaves + leaves, chunk):
-        end = min(begin + chunk, leaves + leaves)
-        _neighbours(
-            points, boxes, depth, (begin, end), query, shape, space, rule, others, found, last
+    vectors, spare = np.empty((3, 3)), spacing_scratch(rule)
+    known, level, stop, least = -1.0, -1.0, 1, 1.0
+    for slot in range(slots[0], slots[1]):
+        at = slot - slots[0]
+        if not asked[at]:
+            continue
+        if space[slot] < 0.0:
+            measure(points, boxes, depth, slot, space, rule, spare)
+        volume = fit(
+            points, slot, others, at, found[at], near, shape, moments, values, vectors, axes
         )
-        low, _ = leaf_slots(begin, depth, n)
-        _, high = leaf_slots(end - U1, depth, n)
-        for slot in range(low, high):
-            row = points[U3, slot]
-            if not query[row]:
-                continue
-            if space[slot] < 0.0:
-                _measure(points, boxes, depth, slot, space, rule, spare)
-            at = slot - low
-            volume = fit(
-                points, slot, others, at, found[at], near, shape, moments, values, vectors, axes,
+        mean = density[at] * volume
+        if mean != known or alpha[at] != level:
+            known, level = mean, alpha[at]
+            stop, least = poisson_critical(mean, level, stop)
+        quadric_of(vectors, axes, quadric)
+        if _flags(near, found[at], quadric, others, at, space):
+            _learn(points, boxes, depth, near, found[at], others, at, space, rule, spare)
+        inside = _among(near, found[at], others, at, space, space[slot], ratio2, outer)
+        reach = float(shape.neighbour_cap)
+        if found[at] == shape.neighbours:
+            reach = math.sqrt(last[at])
+        if inside < stop and axes[0] > reach:
+            half_extents(vectors, axes, half)
+            inside = walk(
+                points, boxes, depth, leaf_of(slot, depth, n), slot, quadric, vectors, axes,
+                half, stop, stack, space, rule, ratio2, spare, outer,
             )  # fmt: skip
-            mean = density[row] * volume
-            expected[row] = mean
-            if mean != known or alpha[row] != asked:
-                known, asked = mean, alpha[row]
-                stop, least = poisson_critical(mean, asked, stop)
-            quadric_of(vectors, axes, quadric)
-            inside = _among(
-                points, boxes, depth, near, others, at, found[at], quadric, space[slot], space,
-                rule, ratio2, spare, outer,
-            )  # fmt: skip
-            reach = float(cap)
-            if found[at] == shape.neighbours:
-                reach = math.sqrt(last[at])
-            if inside < stop and axes[0] > reach:
-                half_extents(vectors, axes, half)
-                inside = walk(
-                    points, boxes, depth, leaf_of(slot, depth, n), slot, quadric, vectors, axes,
-                    half, stop, stack, space, rule, ratio2, spare, outer,
-                )  # fmt: skip
-            count[row] = min(inside, stop)
-            tail[row] = least
-            if inside < stop:
-                tail[row] = _score(inside, mean, outer[0], tie)
+        count[at], expected[at], tail[at] = min(inside, stop), mean, least
+        if inside < stop:
+            tail[at] = _score(inside, mean, outer[0], tie)

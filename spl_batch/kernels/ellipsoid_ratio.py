@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.ellipsoid import walk
 from spl_batch.kernels.ellipsoid_shape import Shape, fit, flag, half_extents, quadric_of
-from spl_batch.kernels.kdtree import U0, U1, U2, U3, KdTree, check_cap, leaf_slots
-from spl_batch.kernels.neighbours import nearest_slots, workspace
+from spl_batch.kernels.ellipsoid_walk import walk
+from spl_batch.kernels.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, leaf_slots
+from spl_batch.kernels.neighbours import neighbours_of_leaves
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
 from spl_batch.kernels.volumes import within
 
@@ -57,34 +57,38 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
     near = np.empty((3, shape.neighbours), dtype=np.float64)
-    distance, squared, kept, stack = workspace(shape.neighbours)
-    levels = np.empty(64, dtype=np.uint64)
+    stack, levels = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
-    vectors, others = np.empty((3, 3)), kept.reshape((1, -1))
+    vectors = np.empty((3, 3))
+    asked, others = np.empty(LEAF, np.bool_), np.empty((LEAF, shape.neighbours), np.int32)
+    found, last, few = np.empty(LEAF, np.int64), np.empty(LEAF), np.empty(LEAF)
+    sphere = np.empty(LEAF, np.int64)
     space, spare = np.zeros(points.shape[1]), spacing_scratch(rule)
     limit = shape.radius * shape.radius
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
+        for at in range(high - low):
+            asked[at] = query[points[U3, low + at]]
+            if asked[at]:
+                x = np.float64(points[U0, low + at])
+                y = np.float64(points[U1, low + at])
+                z = np.float64(points[U2, low + at])
+                sphere[at] = within(points, boxes, depth, x, y, z, limit, stack, levels) - 1
+                asked[at] = sphere[at] > 0
+        neighbours_of_leaves(
+            points, boxes, depth, (leaf, leaf + U1), asked, shape.neighbours,
+            shape.neighbour_cap, 0, others, found, last, few,
+        )  # fmt: skip
         for slot in range(low, high):
-            row = points[U3, slot]
-            if not query[row]:
+            at = slot - low
+            if not asked[at]:
                 continue
-            x = np.float64(points[U0, slot])
-            y = np.float64(points[U1, slot])
-            z = np.float64(points[U2, slot])
-            sphere = within(points, boxes, depth, x, y, z, limit, stack, levels) - 1
-            if sphere == 0:
-                continue
-            stop = np.int64(math.ceil(ratio * sphere))
-            found, _ = nearest_slots(
-                points, boxes, depth, leaf, slot, shape.neighbours, shape.neighbour_cap, distance,
-                squared, kept, stack,
-            )  # fmt: skip
-            fit(points, slot, others, 0, found, near, shape, moments, values, vectors, axes)
+            stop = np.int64(math.ceil(ratio * sphere[at]))
+            fit(points, slot, others, at, found[at], near, shape, moments, values, vectors, axes)
             quadric_of(vectors, axes, quadric)
             inside = 0
-            for i in range(found):
+            for i in range(found[at]):
                 inside += flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0
             if inside < stop:
                 half_extents(vectors, axes, half)
@@ -92,4 +96,4 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
                     points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
                     space, rule, 1.0, spare, outer,
                 )  # fmt: skip
-            keep[row] = inside >= stop
+            keep[points[U3, slot]] = inside >= stop

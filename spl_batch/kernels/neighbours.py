@@ -1,20 +1,24 @@
 """Nearest neighbours on the integer lattice, exact and in no particular order.
 
-1. Among the points of an ancestor of the query's leaf, which lie side by side, a distance is
-   found within which there are enough.
-2. The tree is walked from the leaf upwards for all points within it; when they become many,
-   the nearest are kept and the distance shrinks.
+1. The points of a leaf of the tree are taken one after the other. Within which distance one has
+   enough follows from one beside it: its neighbours, and how far it is. The first of a table look
+   among the points of an ancestor of their leaf, which lie side by side.
+2. The leaves within that distance of the whole leaf are listed once, and each point looks at
+   those of the list that it reaches. One that is far from the others, such as noise above a
+   surface, whose list would be long, walks the tree from its leaf upwards instead.
+3. When many are found, the nearest are kept and the distance shrinks
+   (:mod:`~spl_batch.kernels.selection`).
 
 :func:`~spl_batch.kernels.kdtree.nearest_keys` sorts each neighbour in as it is met, which is
-quicker for a few (``benchmarks/denoise.py``). Here nothing is sorted: the distance of the last
-neighbour is found by counting how many are nearer than a guess, and guessing better. Distances
-and counts are loops without a branch, which the compiler turns into vector instructions.
+quicker for a few (``benchmarks/denoise.py``). Here nothing is sorted: distances and counts are
+loops without a branch, which the compiler turns into vector instructions.
 
 Squared distances are sums of squared integer differences in float64: exact below
 2**53 quanta2, that is up to 50 km. Ties are broken by row, so a query's neighbours depend
 on the points alone and neither on the tree nor on what else the table holds.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -27,19 +31,31 @@ from spl_batch.kernels.kdtree import (
     U1,
     U2,
     U3,
+    U4,
+    U5,
     box_distance,
     leaf_slots,
     search,
 )
-
-GUESSES: Final = 6
-"""Guesses by interpolation, before bisection, at the distance of the last neighbour [count]."""
-
-SPARE: Final = 6
-"""Neighbours more than needed with which a first bound is good enough [count]."""
+from spl_batch.kernels.search_bounds import BESIDE, bound_above, bound_beside
+from spl_batch.kernels.selection import distance_to, keep_nearest, largest
 
 CROWD: Final = 96
 """Points within the distance, beside k, beyond which it is made to shrink [count]."""
+
+LISTED: Final = 128
+"""Most leaves in a list; where there are more, points walk the tree [count]."""
+
+MARGIN: Final = 1.5
+"""Squared distance of a list over that of the point for which it is made: for those after it."""
+
+CHUNK: Final = 64
+"""Leaves that are searched before their neighbours are put away [count]."""
+
+U7: Final = np.uint64(7)
+
+FAR: Final = 1e18
+"""Farther than anything [quanta]."""
 
 
 def nearest_sets(
@@ -69,117 +85,102 @@ def nearest_sets(
     return search(_nearest_all, xyz, query, neighbours, cap)
 
 
-@njit(nogil=True, cache=True, inline="always")
-def _count_to(distance, size, limit):  # type: ignore[no-untyped-def]
-    """How many of the first distances are at most ``limit``."""
-    count = np.int64(0)
-    for i in range(size):
-        count += np.int64(distance[i] <= limit)
-    return count
-
-
-@njit(nogil=True, cache=True, inline="always")
-def _largest(distance, size):  # type: ignore[no-untyped-def]
-    """Largest of the first distances."""
-    most = 0.0
-    for i in range(size):
-        most = max(most, distance[i])
-    return most
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _enough(distance, size, wanted, spare):  # type: ignore[no-untyped-def]
-    """Whole number not above the largest distance, to which ``wanted`` to that + ``spare`` are.
-
-    With more ties than that it is the distance of number ``wanted``. There must be as many;
-    counts are taken for linear between the limits, as in a plane.
-    """
-    low, high = -1.0, _largest(distance, size)
-    below, enough = 0, np.int64(size)
-    step = 0
-    while enough > wanted + spare and high - low > 1.0:
-        step += 1
-        if step <= GUESSES:
-            share = (wanted + 0.5 * spare - below) / (enough - below)
-            guess = np.floor(low + share * (high - low))
-            guess = min(max(guess, low + 1.0), high - 1.0)
-        else:
-            guess = np.floor(0.5 * (low + high))
-        count = _count_to(distance, size, guess)
-        if count >= wanted:
-            high, enough = guess, count
-        else:
-            low, below = guess, count
-    return high
-
-
 @njit(nogil=True, cache=True)
-def first_bound(points, depth, leaf, slot, k, cap, distance):  # type: ignore[no-untyped-def]
-    """Squared distance, at most the cap's, within which a slot has k others if it has them.
+def _list_leaves(points, boxes, depth, leaf, reach2, stack, slots, sides):  # type: ignore[no-untyped-def]
+    """List the leaves within a squared distance of a leaf's box, its own first.
 
-    It is found among the points of an ancestor of its leaf.
+    ``slots`` (2, m) receives their first slots and those of the next ones, ``sides`` (6, m) their
+    boxes. Returns how many there are, 0 where they are too many.
     """
-    n = np.uint64(points.shape[1])
-    level, above = depth, leaf
-    first, stop = leaf_slots(leaf, depth, n)
-    while level > U0 and stop - first < np.uint64(3 * k + 8):
-        level -= U1
-        above >>= U1
-        first, stop = leaf_slots(above, level, n)
-    size = stop - first
-    limit = np.float64(cap) * np.float64(cap)
-    if size <= np.uint64(k):
-        return limit
-    x, y, z = (
-        np.float64(points[U0, slot]),
-        np.float64(points[U1, slot]),
-        np.float64(points[U2, slot]),
+    n, first = np.uint64(points.shape[1]), U1 << depth
+    x0, y0, z0 = (
+        np.float64(boxes[leaf, U0]),
+        np.float64(boxes[leaf, U1]),
+        np.float64(boxes[leaf, U2]),
     )
-    for i in range(size):
-        dx = np.float64(points[U0, first + i]) - x
-        dy = np.float64(points[U1, first + i]) - y
-        dz = np.float64(points[U2, first + i]) - z
-        distance[i] = dx * dx + dy * dy + dz * dz
-    return min(limit, _enough(distance, size, k + 1, SPARE))
+    x1, y1, z1 = (
+        np.float64(boxes[leaf, U3]),
+        np.float64(boxes[leaf, U4]),
+        np.float64(boxes[leaf, U5]),
+    )
+    listed, climb = U0, leaf
+    stack[0] = leaf
+    while True:
+        top = U1
+        while top > U0:
+            top -= U1
+            node = stack[top]
+            dx = max(boxes[node, U0] - x1, x0 - boxes[node, U3], 0.0)
+            dy = max(boxes[node, U1] - y1, y0 - boxes[node, U4], 0.0)
+            dz = max(boxes[node, U2] - z1, z0 - boxes[node, U5], 0.0)
+            if dx * dx + dy * dy + dz * dz > reach2:
+                continue
+            if node < first:
+                stack[top] = node + node
+                stack[top + U1] = node + node + U1
+                top += U1 + U1
+                continue
+            if listed == LISTED:
+                return U0
+            slots[U0, listed], slots[U1, listed] = leaf_slots(node, depth, n)
+            for i in range(6):
+                sides[i, listed] = boxes[node, i]
+            listed += U1
+        if climb <= U1:
+            return listed
+        stack[0] = climb ^ U1
+        climb >>= U1
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _add(points, low, high, slot, x, y, z, limit, distance, near, kept, size):  # type: ignore[no-untyped-def]
+    """Add a leaf's points within a squared distance of a slot, itself left out: their number."""
+    length = high - low
+    # Whole vectors: what lies behind the leaf is looked at, and then not taken.
+    for j in range((length + U7) >> U3 << U3):
+        dx = np.float64(points[U0, low + j]) - x
+        dy = np.float64(points[U1, low + j]) - y
+        dz = np.float64(points[U2, low + j]) - z
+        distance[j] = dx * dx + dy * dy + dz * dz
+    if low <= slot < high:
+        distance[slot - low] = np.inf
+    for j in range(length):
+        near[size], kept[size] = distance[j], low + j
+        size += np.uint64(distance[j] <= limit)
+    return size
 
 
 @njit(nogil=True, cache=True)
-def nearest_slots(  # type: ignore[no-untyped-def]  # noqa: C901
-    points, boxes, depth, leaf, slot, k, cap, distance, near, kept, stack
+def _from_list(  # type: ignore[no-untyped-def]
+    points, slot, k, limit, x, y, z, slots, sides, listed, apart, distance, near, kept
 ):
-    """Nearest neighbours of one slot.
+    """Neighbours of a slot among the leaves of a list: number, squared distance of the last."""
+    for i in range(listed):
+        dx = max(sides[U0, i] - x, x - sides[U3, i], 0.0)
+        dy = max(sides[U1, i] - y, y - sides[U4, i], 0.0)
+        dz = max(sides[U2, i] - z, z - sides[U5, i], 0.0)
+        apart[i] = dx * dx + dy * dy + dz * dz
+    size, full = U0, np.uint64(k + CROWD)
+    for i in range(listed):
+        if apart[i] > limit:
+            continue
+        size = _add(
+            points, slots[U0, i], slots[U1, i], slot, x, y, z, limit, distance, near, kept, size
+        )
+        if size > full:
+            size = keep_nearest(points, near, kept, size, k, limit)
+            limit = largest(near, size)
+    if size > np.uint64(k):
+        size = keep_nearest(points, near, kept, size, k, limit)
+    return np.int64(size), largest(near, size)
 
-    Indices are unsigned throughout: a signed one costs numba a test for wrapping, and
-    the compiler its vector instructions.
 
-    Parameters
-    ----------
-    points, boxes, depth
-        The tree; the depth as uint64.
-    leaf, slot : uint64
-        Node number of the slot's leaf, and the slot.
-    k : int
-        Neighbours [count].
-    cap : int
-        Farthest neighbour, inclusive [quanta].
-    distance, near, kept, stack
-        From :func:`workspace`; ``kept`` receives the slots of the neighbours.
-
-    Returns
-    -------
-    found : int
-        Neighbours found, at most k.
-    last : float
-        Squared distance of the farthest of them [quanta2]; 0 without any.
-    """
-    n = np.uint64(points.shape[1])
-    first = U1 << depth
-    limit = first_bound(points, depth, leaf, slot, k, cap, distance)
-    x, y, z = (
-        np.float64(points[U0, slot]),
-        np.float64(points[U1, slot]),
-        np.float64(points[U2, slot]),
-    )
+@njit(nogil=True, cache=True)
+def _from_tree(  # type: ignore[no-untyped-def]
+    points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, distance, near, kept
+):
+    """Neighbours of a slot, from its leaf upwards: number, squared distance of the last."""
+    n, first = np.uint64(points.shape[1]), U1 << depth
     size, full = U0, np.uint64(k + CROWD)
     climb = leaf
     stack[0] = leaf
@@ -196,84 +197,123 @@ def nearest_slots(  # type: ignore[no-untyped-def]  # noqa: C901
                 top += U1 + U1
                 continue
             low, high = leaf_slots(node, depth, n)
-            length = high - low
-            for j in range(length):
-                dx = np.float64(points[U0, low + j]) - x
-                dy = np.float64(points[U1, low + j]) - y
-                dz = np.float64(points[U2, low + j]) - z
-                distance[j] = dx * dx + dy * dy + dz * dz
-            if node == leaf:
-                distance[slot - low] = np.inf
-            for j in range(length):
-                near[size], kept[size] = distance[j], low + j
-                size += np.uint64(distance[j] <= limit)
+            size = _add(points, low, high, slot, x, y, z, limit, distance, near, kept, size)
             if size > full:
-                size = _keep(points, near, kept, size, k)
-                limit = _largest(near, size)
+                size = keep_nearest(points, near, kept, size, k, limit)
+                limit = largest(near, size)
         if climb <= U1:
             break
         stack[0] = climb ^ U1
         climb >>= U1
     if size > np.uint64(k):
-        size = _keep(points, near, kept, size, k)
-    return np.int64(size), _largest(near, size)
+        size = keep_nearest(points, near, kept, size, k, limit)
+    return np.int64(size), largest(near, size)
 
 
 @njit(nogil=True, cache=True)
-def _keep(points, near, kept, size, k):  # type: ignore[no-untyped-def]
-    """Keep the k nearest, of those as far as the last the ones with the smallest rows."""
-    limit = _enough(near, size, k, 0)
-    surplus = _count_to(near, size, limit) - k
-    while surplus > 0:
-        worst, highest = U0, np.int64(-1)
-        for i in range(size):
-            row = np.int64(points[U3, kept[i]])
-            if near[i] == limit and row > highest:
-                worst, highest = np.uint64(i), row
-        near[worst] = np.inf
-        surplus -= 1
-    found = U0
-    for i in range(size):
-        distance, slot = near[i], kept[i]
-        near[found], kept[found] = distance, slot
-        found += np.uint64(distance <= limit)
-    return found
+def neighbours_of_leaves(  # type: ignore[no-untyped-def]
+    points, boxes, depth, leaves, asked, k, cap, wanted, others, found, last, few
+):
+    """Nearest neighbours of the points asked for of some leaves.
 
+    Indices are unsigned throughout: a signed one costs numba a test for wrapping, and
+    the compiler its vector instructions.
 
-@njit(nogil=True, cache=True)
-def distance_to(near, size, wanted):  # type: ignore[no-untyped-def]
-    """Squared distance to neighbour number ``wanted`` of those that :func:`nearest_slots` left."""
-    limit, last = _enough(near, size, wanted, 0), 0.0
-    for i in range(size):
-        if near[i] <= limit:
-            last = max(last, near[i])
-    return last
-
-
-@njit(nogil=True, cache=True)
-def workspace(k):  # type: ignore[no-untyped-def]
-    """Arrays for :func:`nearest_slots`: ``distance, near, kept, stack``."""
-    room = k + CROWD + LEAF + 1
-    return (
+    Parameters
+    ----------
+    points, boxes, depth
+        The tree; the depth as uint64.
+    leaves : (2,) uint64
+        Node numbers of the first leaf, and of the one after the last.
+    asked : (m,) bool
+        By slot, from the first leaf's first on, as are all that follow.
+    k : int
+        Neighbours [count].
+    cap : int
+        Farthest neighbour, inclusive [quanta].
+    wanted : int
+        A neighbour whose distance is of interest, at most k; 0 for none.
+    others : (m, k) int32
+        Receives the slots of the neighbours.
+    found : (m,) int64
+        Receives the neighbours found, at most k.
+    last, few : (m,) float64
+        Receive the squared distances of the farthest of them, 0 without any, and of neighbour
+        ``wanted``, negative where there are fewer [quanta2].
+    """
+    n = np.uint64(points.shape[1])
+    room = np.uint64(k + CROWD + LEAF + 8)
+    distance, near, kept = (
         np.empty(8 * k + 16 + 2 * LEAF),
         np.empty(room),
         np.empty(room, np.uint64),
-        np.empty(64, np.uint64),
     )
+    slots, sides, apart = np.empty((2, LISTED), np.uint64), np.empty((6, LISTED)), np.empty(LISTED)
+    stack, beside = np.empty(64, np.uint64), np.zeros((4, BESIDE))
+    beside[3] = FAR
+    start, _ = leaf_slots(leaves[0], depth, n)
+    turn = U0
+    for leaf in range(leaves[0], leaves[1]):
+        low, high = leaf_slots(leaf, depth, n)
+        listed, reach2, too_far = U0, -1.0, np.inf
+        for slot in range(low, high):
+            at = slot - start
+            if not asked[at]:
+                continue
+            x, y, z = (
+                np.float64(points[U0, slot]),
+                np.float64(points[U1, slot]),
+                np.float64(points[U2, slot]),
+            )
+            bound = bound_beside(beside, apart, x, y, z)
+            if bound < cap:
+                limit = math.floor(bound * bound) + 1.0
+            else:
+                limit = bound_above(points, depth, leaf, slot, k, cap, distance)
+            if reach2 < limit < too_far:
+                reach2 = MARGIN * limit
+                listed = _list_leaves(points, boxes, depth, leaf, reach2, stack, slots, sides)
+                if listed == U0:
+                    reach2, too_far = -1.0, limit
+            if limit <= reach2:
+                found[at], last[at] = _from_list(
+                    points, slot, k, limit, x, y, z, slots, sides, listed, apart, distance, near,
+                    kept,
+                )  # fmt: skip
+            else:
+                found[at], last[at] = _from_tree(
+                    points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, distance, near, kept
+                )
+            for i in range(found[at]):
+                others[at, i] = kept[i]
+            few[at] = -1.0
+            if 0 < wanted <= found[at]:
+                few[at] = distance_to(near, np.uint64(found[at]), wanted)
+            beside[U0, turn], beside[U1, turn], beside[U2, turn] = x, y, z
+            beside[U3, turn] = math.sqrt(last[at]) if found[at] == k else FAR
+            turn = (turn + U1) % np.uint64(BESIDE)
 
 
 @njit(nogil=True, cache=True)
 def _nearest_all(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
     """Neighbours of every query point, in tree order, so that the cache stays warm."""
     n, depth, k = np.uint64(points.shape[1]), np.uint64(depth), rows.shape[1]
-    distance, near, kept, stack = workspace(k)
-    for leaf in range(U1 << depth, U1 << (depth + U1)):
-        low, high = leaf_slots(leaf, depth, n)
-        for slot in range(low, high):
-            row = points[U3, slot]
-            if query[row]:
-                found[row], _ = nearest_slots(
-                    points, boxes, depth, leaf, slot, k, cap, distance, near, kept, stack
-                )
-                for i in range(found[row]):
-                    rows[row, i] = points[U3, kept[i]]
+    leaves, chunk = U1 << depth, np.uint64(CHUNK)
+    room = CHUNK * LEAF
+    asked, others = np.empty(room, np.bool_), np.empty((room, k), np.int32)
+    count, last, few = np.empty(room, np.int64), np.empty(room), np.empty(room)
+    for begin in range(leaves, leaves + leaves, chunk):
+        end = min(begin + chunk, leaves + leaves)
+        low, _ = leaf_slots(begin, depth, n)
+        _, high = leaf_slots(end - U1, depth, n)
+        for at in range(high - low):
+            asked[at] = query[points[U3, low + at]]
+        neighbours_of_leaves(
+            points, boxes, depth, (begin, end), asked, k, cap, 0, others, count, last, few
+        )
+        for at in range(high - low):
+            if asked[at]:
+                row = points[U3, low + at]
+                found[row] = count[at]
+                for i in range(count[at]):
+                    rows[row, i] = points[U3, others[at, i]]

@@ -1,0 +1,96 @@
+"""The nearest of some squared distances, by counting: nothing is sorted.
+
+The distance of the last neighbour is found by counting how many are nearer than a guess, and
+guessing better. Counts are loops without a branch, which the compiler turns into vector
+instructions. Distances are whole numbers in float64 [quanta2].
+"""
+
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from spl_batch.kernels.kdtree import U0, U3
+
+GUESSES: Final = 6
+"""Guesses by interpolation, before bisection, at the distance of the last neighbour [count]."""
+
+
+@njit(nogil=True, cache=True, inline="always")
+def count_to(distance, size, limit):  # type: ignore[no-untyped-def]
+    """How many of the first distances are at most ``limit``."""
+    count = np.int64(0)
+    for i in range(size):
+        count += np.int64(distance[i] <= limit)
+    return count
+
+
+@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+def largest(distance, size):  # type: ignore[no-untyped-def]
+    """Largest of the first distances; 0 of none."""
+    most = 0.0
+    for i in range(size):
+        most = max(most, distance[i])
+    return most
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def within_which(distance, size, wanted, spare, most):  # type: ignore[no-untyped-def]
+    """Whole number not above ``most``, to which ``wanted`` to that + ``spare`` are; how many.
+
+    With more ties than that it is the distance of number ``wanted``. There must be as many, none
+    above ``most``; counts are taken for linear between the limits, as in a plane.
+    """
+    low, high = -1.0, most
+    below, enough = 0, np.int64(size)
+    step = 0
+    while enough > wanted + spare and high - low > 1.0:
+        step += 1
+        if step <= GUESSES:
+            share = (wanted + 0.5 * spare - below) / (enough - below)
+            guess = np.floor(low + share * (high - low))
+            guess = min(max(guess, low + 1.0), high - 1.0)
+        else:
+            guess = np.floor(0.5 * (low + high))
+        count = count_to(distance, size, guess)
+        if count >= wanted:
+            high, enough = guess, count
+        else:
+            low, below = guess, count
+    return high, enough
+
+
+@njit(nogil=True, cache=True)
+def keep_nearest(points, near, kept, size, k, most):  # type: ignore[no-untyped-def]
+    """Keep the k nearest, of those as far as the last the ones with the smallest rows.
+
+    ``near`` and ``kept`` hold ``size`` > k squared distances, none above ``most``, and slots;
+    returns k.
+    """
+    limit, enough = within_which(near, size, k, 0, most)
+    surplus = enough - k
+    while surplus > 0:
+        worst, highest = U0, np.int64(-1)
+        for i in range(size):
+            row = np.int64(points[U3, kept[i]])
+            if near[i] == limit and row > highest:
+                worst, highest = np.uint64(i), row
+        near[worst] = np.inf
+        surplus -= 1
+    found = U0
+    for i in range(size):
+        distance, slot = near[i], kept[i]
+        near[found], kept[found] = distance, slot
+        found += np.uint64(distance <= limit)
+    return found
+
+
+@njit(nogil=True, cache=True)
+def distance_to(near, size, wanted):  # type: ignore[no-untyped-def]
+    """Squared distance to neighbour number ``wanted`` of ``size`` >= wanted."""
+    limit, _ = within_which(near, size, wanted, 0, largest(near, size))
+    last = 0.0
+    for i in range(size):
+        if near[i] <= limit:
+            last = max(last, near[i])
+    return last
