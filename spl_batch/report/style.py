@@ -34,6 +34,9 @@ DPI: Final = 180
 LARGEST_PNG: Final = 420_000
 """A picture above this is reduced to fewer colours, then to fewer pixels [bytes]."""
 
+DEFLATE: Final = 6
+"""zlib's level: 9, Pillow's ``optimize``, takes several times as long for hardly fewer bytes."""
+
 _SETTINGS: Final = threading.RLock()
 
 TYPE: Final[Any] = {
@@ -134,5 +137,5 @@ def to_png(drawn: Figure, largest: int = LARGEST_PNG) -> tuple[bytes, int, int]:
 
 def _encode(image: Image.Image) -> bytes:
     stream = io.BytesIO()
-    image.save(stream, format="PNG", optimize=True)
+    image.save(stream, format="PNG", compress_level=DEFLATE)
     return stream.getvalue()
