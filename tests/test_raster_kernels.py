@@ -8,7 +8,8 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
 from scipy.stats import median_abs_deviation
 
-from spl_batch.kernels.interpolate import tin_raster, triangulate
+from spl_batch.kernels.delaunay import triangles
+from spl_batch.kernels.interpolate import tin_raster
 from spl_batch.kernels.raster import (
     _spread2,
     fill_voids,
@@ -198,7 +199,7 @@ def test_tin_raster_leaves_what_is_too_far_from_every_vertex():
 )
 def test_vertices_without_area_lend_their_height_to_their_surroundings(vertices):
     vertices = np.array(vertices)
-    assert len(triangulate(vertices[:, :2])) == 0
+    assert len(triangles(vertices[:, :2])[0]) == 0
     out = tin_raster(vertices, 1.0, (10, 10), 3.0)
     for x, y, z in vertices:
         assert out[int(y), int(x)] == z

@@ -1,13 +1,15 @@
 """Linear interpolation on a Delaunay triangulation, at the centres of raster cells.
 
-The triangulation is scipy's (Qhull); the evaluation walks triangles, not queries, because
-a raster asks for every centre inside every triangle once. Rows count from the south.
+The evaluation walks triangles, not queries, because a raster asks for every centre inside
+every triangle once. Rows count from the south.
 """
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import cKDTree
+
+from spl_batch.kernels.delaunay import triangles
 
 
 @njit(nogil=True, cache=True)
@@ -55,28 +57,6 @@ def paint_triangles(
                     out[row, col] = a[2] + wb * (b[2] - a[2]) + wc * (c[2] - a[2])
 
 
-def triangulate(xy: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Delaunay triangles; none where the points span no area.
-
-    Parameters
-    ----------
-    xy : (m, 2) float64
-        Vertices, all different.
-
-    Returns
-    -------
-    (t, 3) int32
-        Vertices of each triangle; t is 0 for fewer than three or collinear vertices.
-    """
-    if len(xy) < 3:
-        return np.empty((0, 3), dtype=np.int32)
-    try:
-        return np.asarray(Delaunay(xy).simplices, dtype=np.int32)
-    except QhullError:
-        # Qhull refuses only input without area; the caller falls back on nearest vertices.
-        return np.empty((0, 3), dtype=np.int32)
-
-
 def tin_raster(
     vertices: NDArray[np.float64], size: float, shape: tuple[int, int], reach: float
 ) -> NDArray[np.float64]:
@@ -103,7 +83,7 @@ def tin_raster(
     out = np.full(shape, np.nan)
     if len(vertices) == 0:
         return out
-    paint_triangles(vertices, triangulate(vertices[:, :2]), size, out)
+    paint_triangles(vertices, triangles(vertices[:, :2])[0], size, out)
     occupied = np.zeros(shape, dtype=np.bool_)
     place = np.floor(vertices[:, :2] / size).astype(np.int64)
     col, row = place[:, 0], place[:, 1]

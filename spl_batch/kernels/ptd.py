@@ -22,7 +22,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.kernels.tin import Tin, locate_one, triangulate
+from spl_batch.kernels.delaunay import along_curve, empty_mesh, finite, insert
+from spl_batch.kernels.tin import Tin, locate_one, tin_of
 
 _ROUNDS = 60
 """Rounds after which densification stops anyway; ten to twenty are usual [count]."""
@@ -94,12 +95,15 @@ def densify(
     if len(seeds) == 0:
         return None, taken
     frame = _frame(np.concatenate([seeds, candidates]), margin_m)
+    xyz = np.concatenate([seeds, frame, candidates])
+    mesh = empty_mesh(xyz[:, :2])
+    first = len(seeds) + len(frame)
+    added = np.arange(first)
     for _ in range(_ROUNDS):
         vertices = np.concatenate([seeds, candidates[taken]])
-        frame[:, 2] = _continued(vertices, frame[:, :2])
-        tin = triangulate(np.concatenate([vertices, frame]))
-        if tin is None:
-            break
+        xyz[len(seeds) : first, 2] = _continued(vertices, frame[:, :2])
+        insert(mesh, along_curve(mesh, added))
+        tin = tin_of(xyz, *finite(mesh))
         best = np.full(len(tin.facets), -1, dtype=np.int64)
         open_places = np.flatnonzero(~taken)
         _best_of_facets(
@@ -116,6 +120,7 @@ def densify(
         if len(chosen) == 0:
             break
         taken[chosen] = True
+        added = first + chosen
     return tin, taken
 
 

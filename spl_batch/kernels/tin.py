@@ -1,8 +1,8 @@
 """Triangulated surfaces: Delaunay triangulation, point location, linear interpolation.
 
-The triangulation is Qhull's, by way of scipy. Locating points is a visibility walk of
-our own: `scipy.spatial.Delaunay.find_simplex` answers the same question, but starts
-each walk without the neighbourhood that sorted queries offer and holds the GIL.
+Locating points is a visibility walk of our own: `scipy.spatial.Delaunay.find_simplex`
+answers the same question, but starts each walk without the neighbourhood that sorted queries
+offer and holds the GIL.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError
+
+from spl_batch.kernels.delaunay import triangles
 
 OUTSIDE = -1
 """Facet number of a place outside the triangulation."""
@@ -53,14 +54,14 @@ def triangulate(xyz: NDArray[np.float64]) -> Tin | None:
     Tin or None
         None where no triangle exists: fewer than three vertices, or all on one line.
     """
-    if len(xyz) < 3:
-        return None
-    try:
-        delaunay = Delaunay(xyz[:, :2] - xyz[0, :2])  # squares of coordinates have to stay small
-    except QhullError:
-        return None
-    facets = np.ascontiguousarray(delaunay.simplices, dtype=np.int32)
-    neighbours = np.ascontiguousarray(delaunay.neighbors, dtype=np.int32)
+    facets, neighbours = triangles(xyz[:, :2])
+    return tin_of(xyz, facets, neighbours) if len(facets) else None
+
+
+def tin_of(
+    xyz: NDArray[np.float64], facets: NDArray[np.int32], neighbours: NDArray[np.int32]
+) -> Tin:
+    """Surface of some triangles; ``xyz`` may hold places that none of them needs."""
     planes = np.empty((len(facets), 3))
     facet_planes(xyz, facets, planes)
     return Tin(xyz, facets, neighbours, planes)
