@@ -74,6 +74,33 @@ def test_labels_of_other_units_come_back_to_each_point(
     assert np.array_equal(got["ground"], mine["index"] % 7)
 
 
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(n=st.integers(1, 150), seed=st.integers(0, 99), other=st.sampled_from([None, 0, 1]))
+def test_points_as_they_lie_are_the_same_and_labelled_alike(
+    tmp_path_factory: object, n: int, seed: int, other: int | None
+) -> None:
+    folder: Path = tmp_path_factory.mktemp("store")  # type: ignore[attr-defined]
+    store = Store(folder)
+    tiles = write_tiles(store, scene(n, seed))
+    region = Bounds(-120, -33, 155, 101)
+    paths, seen = [], []
+    for number, ordered in enumerate((True, False)):
+        table, origin = read_region(store, tiles, region, CANONICAL_ORDER, {}, ordered=ordered)
+        names, rows = origin.of(np.ones(len(table), np.bool_))
+        value = table["index"] % 7
+        if other is not None and len(table) > 1:  # neither order: two neighbours changed places
+            swap = np.arange(len(table))
+            swap[[other, -1]] = swap[[-1, other]]
+            names, rows, value = names[swap], rows[swap], value[swap]
+        paths.append(folder / f"{number}.parquet")
+        write_labels(paths[-1], names, rows, {"ground": value})
+        seen.append(table["index"][canonical_order(table)].tolist())
+    assert seen[0] == seen[1]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
 def test_points_without_labels_say_so(tmp_path: Path) -> None:
     store = Store(tmp_path)
     table = scene(50, 1)

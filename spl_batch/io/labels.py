@@ -4,6 +4,7 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -69,14 +70,33 @@ def write_labels(
     labels : mapping of str to (n,) ndarray
         Values by column name.
     """
-    order = lexicographic_order((tiles[:, 1], tiles[:, 0], rows))
-    tiles, rows = tiles[order], rows[order]
     columns = {"tile_i": tiles[:, 0], "tile_j": tiles[:, 1], "row": rows}
-    columns |= {k: np.asarray(v, COLUMNS[k].dtype)[order] for k, v in labels.items()}
-    cuts = np.flatnonzero(np.any(np.diff(tiles, axis=0) != 0, axis=1)) + 1
+    columns |= {k: np.asarray(v, COLUMNS[k].dtype) for k, v in labels.items()}
+    if not _in_order(columns):
+        order = lexicographic_order((tiles[:, 1], tiles[:, 0], rows))
+        columns = {name: values[order] for name, values in columns.items()}
+    cuts = _tile_starts(columns)
     with writing(path, {k: v.dtype for k, v in columns.items()}) as writer:
         for start, end in zip([0, *cuts], [*cuts, len(rows)], strict=True):
             writer.write({k: v[start:end] for k, v in columns.items()})
+
+
+def _in_order(columns: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether points come by tile, row after row of tiles, and by row in each."""
+    i, j, row = (columns[name] for name in ("tile_i", "tile_j", "row"))
+    cuts = _tile_starts(columns)
+    falls = np.flatnonzero(row[1:] < row[:-1]) + 1
+    tiles = list(zip(j[cuts].tolist(), i[cuts].tolist(), strict=True))
+    first = [(int(j[0]), int(i[0]))] if len(row) else []
+    return bool(np.isin(falls, cuts).all()) and all(
+        a < b for a, b in itertools.pairwise([*first, *tiles])
+    )
+
+
+def _tile_starts(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
+    """Rows at which another tile's points begin."""
+    i, j = columns["tile_i"], columns["tile_j"]
+    return np.flatnonzero((i[1:] != i[:-1]) | (j[1:] != j[:-1])) + 1
 
 
 def read_labels(path: Path, tile: CellId, names: Sequence[str]) -> dict[str, NDArray[Any]]:
@@ -149,8 +169,10 @@ def read_region(
     bounds: Bounds,
     columns: Sequence[str],
     labels: Mapping[str, Mapping[CellId, Sequence[tuple[str, str]]]],
+    *,
+    ordered: bool = True,
 ) -> tuple[PointTable, Origin]:
-    """Points of a region in canonical order, with labels.
+    """Points of a region with labels, in canonical order or as they lie.
 
     Parameters
     ----------
@@ -164,6 +186,9 @@ def read_region(
         Point columns to read; ``x`` and ``y`` at least.
     labels : mapping
         Label -> tile -> units that may hold it.
+    ordered : bool
+        Whether to put points in canonical order; else they come tile by tile, in the order in
+        which :func:`write_labels` wants them, and each tile's are in canonical order.
 
     Returns
     -------
@@ -173,7 +198,7 @@ def read_region(
         Where they lie.
     """
     names = [*columns, *labels]
-    held = sorted(tiles)
+    held = sorted(tiles) if ordered else sorted(tiles, key=lambda tile: (tile.j, tile.i))
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in (*names, "row")}
     for tile in held:
         span = {"x": (bounds.xmin, bounds.xmax - 1)}
@@ -192,6 +217,10 @@ def read_region(
         return empty_table(names), Origin(cells, nothing, nothing)
     index = np.min_scalar_type(len(held))
     owner = np.repeat(np.arange(len(held), dtype=index), [len(part) for part in parts["row"]])
+    if not ordered:
+        joined = {name: np.concatenate(parts.pop(name)) for name in (*names, "row")}
+        in_file = joined.pop("row")
+        return PointTable(joined), Origin(cells, owner, in_file)
     # Tiles are in canonical order, and points of different ones differ in x or, where their
     # tiles stand in one column, in y: a stable sort by x puts all in canonical order.
     order = lexicographic_order([np.concatenate(parts["x"])])
