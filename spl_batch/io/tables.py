@@ -196,8 +196,9 @@ def read_between(
             ranges = np.array(_ranges(footer, name), dtype=np.int64).reshape(-1, 2)
             meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
         wanted = np.flatnonzero(meets).tolist()
-        size = np.array([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
-        row = np.arange(int(size.sum()))[np.repeat(meets, size)] if len(size) else np.arange(0)
+        ends = np.cumsum([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
+        rows = [np.arange(ends[g - 1] if g else 0, ends[g]) for g in wanted]
+        row = np.concatenate(rows) if rows else np.arange(0)
         return read_groups(file, names, wanted), row
 
 
