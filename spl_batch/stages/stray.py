@@ -21,6 +21,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
+from spl_batch.kernels.box_counts import (
+    cells_held,
+    count_in_cells,
+    in_marked_cells,
+    lowest_and_highest,
+)
 from spl_batch.model import PointTable
 from spl_batch.tiling import quanta
 
@@ -79,36 +85,34 @@ def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
         True for signals in a column or a box with fewer of them than noise explains.
     """
     out = np.zeros(len(table), np.bool_)
-    signal = table["noise_class"] == NOISE_SIGNAL
-    refused = table["noise_class"] == NOISE_BACKGROUND
-    if not (signal.any() and refused.any()):
+    xyz, kind = (table["x"], table["y"], table["z"]), table["noise_class"]
+    kinds, edge = (NOISE_SIGNAL, NOISE_BACKGROUND), quanta(CELL_M)
+    extent = np.zeros((3, 2), np.int64)
+    if lowest_and_highest(xyz, kind, kinds, extent) != 3:
         return out
-    counted = np.flatnonzero(signal | refused)
-    cell = tuple(_close_gaps(table[axis][counted]) for axis in "xyz")
-    shape = tuple(int(index.max()) + 1 for index in cell)
-    number = np.ravel_multi_index(cell, shape)
-    kept, gone = (
-        np.bincount(number[which[counted]], minlength=int(np.prod(shape))).reshape(shape)
-        for which in (signal, refused)
-    )
+    lattice = extent // edge
+    corner = lattice[:, 0] * edge
+    x, y, z = (np.zeros(count, np.bool_) for count in lattice[:, 1] - lattice[:, 0] + 1)
+    cells_held(xyz, kind, kinds, corner, float(edge), (x, y, z))
+    place = _close_gaps(x), _close_gaps(y), _close_gaps(z)
+    kept, gone = (np.zeros([int(along[-1]) + 1 for along in place], np.int64) for _ in kinds)
+    number = np.empty(len(table), np.int32)
+    count_in_cells(xyz, kind, kinds, corner, float(edge), place, kept, gone, number)
     bare = _bare_boxes(kept, gone)
     if spare_above:
         bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
     bare |= _bare_columns(kept, gone)[:, :, None]
-    out[counted] = bare.ravel()[number] & signal[counted]
+    in_marked_cells(number, bare.ravel(), out)
     return out
 
 
-def _close_gaps(along: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Cell of each point on one axis; gaps wider than any box are shortened to just that."""
-    index = along.astype(np.int64) // quanta(CELL_M)
-    index -= index.min()
-    held = np.flatnonzero(np.bincount(index))
+def _close_gaps(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Number of each cell along one axis; gaps wider than any box are shortened to just that."""
+    held = np.flatnonzero(occupied)
     step = np.minimum(np.diff(held, prepend=held[0]), max(box.reach for box in BOXES) + 1)
-    place = np.zeros(int(held[-1]) + 1, np.int64)
+    place = np.zeros(len(occupied), np.int64)
     place[held] = np.cumsum(step)
-    closed: NDArray[np.int64] = place[index]
-    return closed
+    return place
 
 
 def _bare_boxes(kept: Count, gone: Count) -> NDArray[np.bool_]:
