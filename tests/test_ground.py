@@ -141,3 +141,17 @@ def test_sparse_data_get_wider_cells() -> None:
     x, y = square(32 * 32 * 3, 32)
     assert node_cell(x, y, 1.0) == 1.0
     assert node_cell(x[::3], y[::3], 1.0) == 2.0
+
+
+@pytest.mark.parametrize("method", ["ptd", "smrf"])
+def test_points_that_are_asked_for_are_told_what_they_are(method: str) -> None:
+    rng = np.random.default_rng(8)
+    xy = rng.uniform(0, 40, (6000, 2))
+    z = 0.1 * xy[:, 0] + np.where(rng.random(6000) < 0.3, rng.uniform(1, 9, 6000), 0.0)
+    quanta = np.round(np.column_stack([xy, z]) * 1000).astype(np.int64)
+    points = PointTable(dict(zip("xyz", quanta.T, strict=True)))
+    usable, asked = rng.random((2, 6000)) < 0.7
+    settings = GroundSettings(method=method)
+    whole = ground_mask(points, usable, settings)
+    assert 0 < np.count_nonzero(whole & asked) < np.count_nonzero(usable & asked)
+    assert np.array_equal(ground_mask(points, usable, settings, asked), whole & asked)

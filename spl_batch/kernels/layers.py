@@ -108,6 +108,32 @@ def _counting_sort(
         cursor[cell[i]] += 1
 
 
+@njit(nogil=True, cache=True)
+def count_squares(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    edge: float,
+    left: int,
+    bottom: int,
+    out: NDArray[np.int64],
+) -> None:
+    """Add up the points of each square of the absolute lattice.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m].
+    edge : float
+        Edge of a square [m].
+    left, bottom : int
+        Column and row of the first square.
+    out : (columns, rows) int64, added to
+        Points [count].
+    """
+    for i in range(len(x)):
+        out[int(np.floor(x[i] / edge)) - left, int(np.floor(y[i] / edge)) - bottom] += 1
+
+
 def lowest_layers(
     x: NDArray[np.float64],
     y: NDArray[np.float64],

@@ -80,8 +80,8 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         {"noise_class": _units(args["noise"])},
         ordered=False,
     )
-    mask = grounding.ground_mask(table, _usable(table), settings)
     owned = inside(table["x"], table["y"], core)
+    mask = grounding.ground_mask(table, _usable(table), settings, owned)
     path = context.store.labels("ground", args["cell"])
     write_labels(path, *origin.of(owned), {"ground": mask[owned]})
     facts = {"ground": int(np.count_nonzero(mask & owned))}

@@ -6,7 +6,7 @@ points around them, always the same ones, and its caller keeps what the square o
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from spl_batch.kernels.layers import (
     SUPPORTED,
     Cells,
     Nodes,
+    count_squares,
     count_support,
     group_by_cell,
     lowest_layers,
@@ -57,8 +58,19 @@ that continue it; on a slope of any steepness those along the contour do."""
 Float = NDArray[np.float64]
 
 
+class Points(NamedTuple):
+    """Some points: three (n,) float64 [m], on the absolute lattice."""
+
+    x: Float
+    y: Float
+    z: Float
+
+
 def ground_mask(
-    table: PointTable, usable: NDArray[np.bool_], settings: GroundSettings
+    table: PointTable,
+    usable: NDArray[np.bool_],
+    settings: GroundSettings,
+    asked: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
     """Which points are ground.
 
@@ -69,35 +81,40 @@ def ground_mask(
     Parameters
     ----------
     table : PointTable
-        Points of one ground cell and its buffer, in canonical order.
+        Points of one ground cell and its buffer, in any order.
     usable : (n,) bool
         Points to look at: signal, not withheld.
     settings : GroundSettings
         Method and parameters.
+    asked : (n,) bool, optional
+        Points to be told; all by default.
 
     Returns
     -------
     (n,) bool
-        True for ground; False wherever a point is not usable.
+        True for ground; False wherever a point is not usable or not asked for.
     """
     mask = np.zeros(len(table), dtype=np.bool_)
-    chosen = np.flatnonzero(usable)
-    if len(chosen) == 0:
-        return mask
-    x, y, z = (table[name][chosen] * QUANTUM_M for name in ("x", "y", "z"))
-    own = ~dependents(table)[chosen]
+    own = usable & ~dependents(table)
     if not own.any():
-        own[:] = True
-    if settings.method == "smrf":
-        mask[chosen] = smrf_mask(x, y, z, own, settings.smrf)
-    else:
-        mask[chosen] = ptd_mask(x, y, z, own, settings.ptd)
+        own = usable
+    told = usable if asked is None else usable & asked
+    if told.any():
+        evidence, places = _metres(table, own), _metres(table, told)
+        if settings.method == "smrf":
+            mask[told] = smrf_mask(evidence, places, settings.smrf)
+        else:
+            mask[told] = ptd_mask(evidence, places, settings.ptd)
     return mask
 
 
-def ptd_mask(
-    x: Float, y: Float, z: Float, own: NDArray[np.bool_], settings: PtdSettings
-) -> NDArray[np.bool_]:
+def _metres(table: PointTable, chosen: NDArray[np.bool_]) -> Points:
+    """Some points [m], on the absolute lattice."""
+    rows = np.flatnonzero(chosen)
+    return Points(*(table[name][rows] * QUANTUM_M for name in "xyz"))
+
+
+def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bool_]:
     """Ground points by progressive TIN densification.
 
     Seeds are the lowest nodes that survive a progressive opening, so that neither a wide
@@ -109,18 +126,19 @@ def ptd_mask(
 
     Parameters
     ----------
-    x, y, z : (n,) float64
-        Points [m], on the absolute lattice; n > 0.
-    own : (n,) bool
-        Points that are evidence; at least one.
+    own : Points
+        Evidence; at least one.
+    asked : Points
+        Points to be told; at least one.
     settings : PtdSettings
         Parameters.
 
     Returns
     -------
-    (n,) bool
+    (m,) bool
+        Which of those asked are ground.
     """
-    nodes, cells, cell_m = _candidates(x[own], y[own], z[own], settings)
+    nodes, cells, cell_m = _candidates(own, settings)
     sunk = _sunk(nodes, cells, cell_m)
     trusted = _supported(nodes, cells, cell_m) & ~nodes.doubtful & ~sunk
     eligible = trusted & ~_on_objects(nodes, trusted, cells, cell_m, settings)
@@ -133,23 +151,23 @@ def ptd_mask(
         _limits(settings),
         settings.seed_cell_m,
     )
-    mask = np.zeros(len(x), dtype=np.bool_)
+    mask = np.zeros(len(asked.x), dtype=np.bool_)
     if tin is None:
         return mask
-    order = group_by_cell(x, y, cell_m).order
-    height, edge = heights_above(tin, x[order], y[order], z[order])
-    gap = _GAP_SPACINGS * spacing_around_m(x[own], y[own], x, y)[order]
-    edge = np.minimum(edge, gap)
+    order = group_by_cell(asked.x, asked.y, cell_m).order
+    x, y, z = (values[order] for values in asked)
+    height, edge = heights_above(tin, x, y, z)
+    edge = np.minimum(edge, _GAP_SPACINGS * spacing_around_m(own.x, own.y, x, y))
     allowed = settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge
     mask[order] = np.abs(height) <= np.minimum(allowed, settings.iteration_distance_m)
     return mask
 
 
-def _candidates(x: Float, y: Float, z: Float, settings: PtdSettings) -> tuple[Nodes, Cells, float]:
+def _candidates(own: Points, settings: PtdSettings) -> tuple[Nodes, Cells, float]:
     """Nodes, the cells that they are taken from, and the edge of these [m]."""
-    cell_m = node_cell(x, y, settings.node_m)
-    cells = group_by_cell(x, y, cell_m)
-    return lowest_layers(x, y, z, cells, settings.layer_m), cells, cell_m
+    cell_m = node_cell(own.x, own.y, settings.node_m)
+    cells = group_by_cell(own.x, own.y, cell_m)
+    return lowest_layers(*own, cells, settings.layer_m), cells, cell_m
 
 
 def _limits(settings: PtdSettings) -> Limits:
@@ -191,12 +209,16 @@ def spacing_m(x: Float, y: Float) -> float:
     x, y : (n,) float64
         Places [m]; n > 0.
     """
-    column, row = (np.floor(v / _WIDE_M).astype(np.int64) for v in (x, y))
-    column -= column.min()
-    row -= row.min()
-    held = np.zeros((int(row.max()) + 1, int(column.max()) + 1), dtype=np.bool_)
-    held[row, column] = True
-    return _WIDE_M * math.sqrt(np.count_nonzero(held) / len(x))
+    count, _ = _in_squares(x, y)
+    return _WIDE_M * math.sqrt(np.count_nonzero(count) / len(x))
+
+
+def _in_squares(x: Float, y: Float) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """Points in squares of :data:`_WIDE_M` [count], and column and row of the first square."""
+    ends = [int(np.floor(end / _WIDE_M)) for v in (x, y) for end in (v.min(), v.max())]
+    count = np.zeros((ends[1] - ends[0] + 1, ends[3] - ends[2] + 1), dtype=np.int64)
+    count_squares(x, y, _WIDE_M, ends[0], ends[2], count)
+    return count, (ends[0], ends[2])
 
 
 def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
@@ -216,21 +238,18 @@ def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
     (m,) float64
         Of the squares with points; :data:`_WIDE_M` where none of the nine has any.
     """
-    own, asked = (
-        np.stack([np.floor(v / _WIDE_M).astype(np.int64) for v in places])
-        for places in ((x, y), (at_x, at_y))
-    )
-    corner = np.minimum(own.min(axis=1), asked.min(axis=1))[:, None] - 1
-    own, asked = own - corner, asked - corner
-    count = np.zeros(np.maximum(own.max(axis=1), asked.max(axis=1)) + 2, dtype=np.int64)
-    np.add.at(count, tuple(own), 1)
+    count, (left, bottom) = _in_squares(x, y)
+    around = np.pad(count, 2)
     points, squares = (
         sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
-        for values in (count, (count > 0).astype(np.int64))
+        for values in (around, (around > 0).astype(np.int64))
     )
-    share = np.maximum(squares, 1) / np.maximum(points, 1)
-    spacing: Float = _WIDE_M * np.sqrt(share)[tuple(asked)]
-    return spacing
+    spacing = _WIDE_M * np.sqrt(np.maximum(squares, 1) / np.maximum(points, 1))
+    # Places farther out have no points around, as the outermost squares have none.
+    column = np.clip(np.floor(at_x / _WIDE_M).astype(np.int64) - left + 2, 0, len(spacing) - 1)
+    row = np.clip(np.floor(at_y / _WIDE_M).astype(np.int64) - bottom + 2, 0, len(spacing[0]) - 1)
+    found: Float = spacing[column, row]
+    return found
 
 
 def _sunk(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
@@ -304,36 +323,35 @@ def _cell_of(cells: Cells) -> NDArray[np.int64]:
     return cell
 
 
-def smrf_mask(
-    x: Float, y: Float, z: Float, own: NDArray[np.bool_], settings: SmrfSettings
-) -> NDArray[np.bool_]:
+def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.bool_]:
     """Ground points by the simple morphological filter.
 
     Parameters
     ----------
-    x, y, z : (n,) float64
-        Points [m], on the absolute lattice; n > 0.
-    own : (n,) bool
-        Points that are evidence; at least one.
+    own : Points
+        Evidence; at least one.
+    asked : Points
+        Points to be told; at least one.
     settings : SmrfSettings
         Parameters.
 
     Returns
     -------
-    (n,) bool
+    (m,) bool
+        Which of those asked are ground.
     """
-    x0, y0 = x[own], y[own]
-    cells = group_by_cell(x0, y0, settings.cell_m)
-    nodes = lowest_layers(x0, y0, z[own], cells, settings.layer_m)
+    cells = group_by_cell(own.x, own.y, settings.cell_m)
+    nodes = lowest_layers(*own, cells, settings.layer_m)
     trusted = _first_true((~nodes.doubtful & ~_sunk(nodes, cells, settings.cell_m),))
     lowest = _lowest_grid(nodes, trusted, cells)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
-    column = x / settings.cell_m - np.floor(x0.min() / settings.cell_m) - 0.5
-    row = y / settings.cell_m - np.floor(y0.min() / settings.cell_m) - 0.5
+    column = asked.x / settings.cell_m - np.floor(own.x.min() / settings.cell_m) - 0.5
+    row = asked.y / settings.cell_m - np.floor(own.y.min() / settings.cell_m) - 0.5
     steepness = _steepness(terrain, settings.cell_m)
     surface = ndimage.map_coordinates(terrain, [row, column], order=1, mode="nearest")
     slope = ndimage.map_coordinates(steepness, [row, column], order=1, mode="nearest")
-    mask: NDArray[np.bool_] = np.abs(z - surface) <= settings.threshold_m + settings.scalar * slope
+    allowed = settings.threshold_m + settings.scalar * slope
+    mask: NDArray[np.bool_] = np.abs(asked.z - surface) <= allowed
     return mask
 
 
