@@ -131,10 +131,22 @@ def test_layer_ignores_a_stray_low_point() -> None:
     rng = np.random.default_rng(5)
     x, y = rng.uniform(0, 1, (2, 60))
     z = np.concatenate([[-4.0], rng.normal(2, 0.05, 39), rng.uniform(5, 15, 20)])
+    x, y, z = np.round([x, y, z], 3)
     nodes = lowest_layers(x, y, z, group_by_cell(x, y, 1.0), 0.3)
     assert nodes.points.tolist() == [1, 39]
     assert nodes.doubtful.tolist() == [True, False]
     np.testing.assert_allclose(nodes.xyz[1], [x[1:40].mean(), y[1:40].mean(), z[1:40].mean()])
+
+
+def test_layers_do_not_depend_on_the_order_of_points() -> None:
+    xyz = np.round(cloud(4000, 6) * [0.1, 0.1, 0.02] + [5e5, 6e6, 0.0], 3)
+    again = xyz[np.random.default_rng(7).permutation(len(xyz))]
+    one, other = (
+        lowest_layers(*points.T, group_by_cell(points[:, 0], points[:, 1], 1.0), 0.3)
+        for points in (xyz, again)
+    )
+    for values, same in zip(one, other, strict=True):
+        assert np.array_equal(values, same)
 
 
 def test_support_agrees_with_all_pairs() -> None:

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.constants import QUANTA_PER_M
+
 SUPPORTED = 3
 """Points that make a layer trustworthy by itself [count]."""
 
@@ -146,7 +148,7 @@ def lowest_layers(
     Parameters
     ----------
     x, y, z : (n,) float64
-        Points [m].
+        Points [m], on the lattice of quanta.
     cells : Cells
         The same points, grouped.
     thickness_m : float
@@ -232,18 +234,22 @@ def _layer_mean(
     thickness: float,
     out: NDArray[np.float64],
 ) -> int:
-    """Mean of the layer above ``low``, then of the layer around that mean; its count."""
+    """Mean of the layer above ``low``, then of the layer around that mean; its count.
+
+    Whole quanta are added up: exactly, in whatever order they come.
+    """
     bottom = low
     n = 0
     for _ in range(2):
         sx, sy, sz, n = 0.0, 0.0, 0.0, 0
         for i in members:
             if bottom <= z[i] <= bottom + thickness:
-                sx += x[i]
-                sy += y[i]
-                sz += z[i]
+                sx += np.rint(x[i] * QUANTA_PER_M)
+                sy += np.rint(y[i] * QUANTA_PER_M)
+                sz += np.rint(z[i] * QUANTA_PER_M)
                 n += 1
-        out[0], out[1], out[2] = sx / n, sy / n, sz / n
+        per_m = n * QUANTA_PER_M
+        out[0], out[1], out[2] = sx / per_m, sy / per_m, sz / per_m
         bottom = out[2] - thickness / 2
     return n
 
