@@ -142,6 +142,9 @@ class PointTable:
 
     def take(self, selection: NDArray[Any] | slice) -> "PointTable":
         """Rows by mask, index array or slice."""
+        if not isinstance(selection, slice) and selection.dtype == np.bool_:
+            # Looking a mask through once for each column takes longer.
+            selection = np.flatnonzero(selection)
         return PointTable({k: v[selection] for k, v in self.columns.items()})
 
     def select(self, names: Sequence[str]) -> "PointTable":

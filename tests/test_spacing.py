@@ -21,6 +21,9 @@ def test_spacings_are_those_of_all_pairs(seed: int, n: int, neighbours: int) -> 
     if n > neighbours:
         expected = np.minimum(np.sort(d2, axis=1)[:, neighbours], 12**2)
     np.testing.assert_array_equal(spacings(build(xyz), neighbours, 12), expected)
+    asked = xyz[:, 2] % 2 == 0
+    some = spacings(build(xyz), neighbours, 12, asked)
+    np.testing.assert_array_equal(some, np.where(asked, expected, np.nan))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 9))

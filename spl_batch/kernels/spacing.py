@@ -54,8 +54,10 @@ class Spacing(NamedTuple):
     cap: int
 
 
-def spacings(tree: KdTree, neighbours: int, cap: int) -> NDArray[np.float64]:
-    """Squared distance of every point to its n-th neighbour.
+def spacings(
+    tree: KdTree, neighbours: int, cap: int, asked: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """Squared distance of points to their n-th neighbour.
 
     Parameters
     ----------
@@ -65,16 +67,19 @@ def spacings(tree: KdTree, neighbours: int, cap: int) -> NDArray[np.float64]:
         Which neighbour [count], >= 1.
     cap : int
         Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
+    asked : (n,) bool, optional
+        Points that are asked for, by row; all by default. All are neighbours.
 
     Returns
     -------
     (n,) float64
-        By row, at most ``cap`` squared [quanta2]; whole numbers.
+        By row, at most ``cap`` squared [quanta2]; whole numbers. NaN for points not asked for.
     """
     check_cap(cap)
-    out = np.empty(tree.points.shape[1], dtype=np.float64)
+    out = np.full(tree.points.shape[1], np.nan)
+    wanted = np.ones(len(out), np.bool_) if asked is None else asked
     if len(out):
-        _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), out)
+        _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), wanted, out)
     return out
 
 
@@ -99,16 +104,17 @@ def spacing_scratch(rule):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _spacings(points, boxes, depth, rule, out):  # type: ignore[no-untyped-def]
-    """Every point in tree order, so that the cache stays warm."""
+def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
+    """Points in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
     keys, distance, fresh, stack, bound = spacing_scratch(rule)
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
         for slot in range(low, high):
-            out[points[U3, slot]] = spacing_at(
-                points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
-            )
+            if asked[points[U3, slot]]:
+                out[points[U3, slot]] = spacing_at(
+                    points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
+                )
 
 
 def enough_peers(

@@ -76,7 +76,7 @@ def confirmed_tops(
     if not len(xyz):
         return
     tree = build(xyz)
-    spacing = spacings(tree, by.neighbours, int(by.radius.max()))
+    spacing = spacings(tree, by.neighbours, int(by.radius.max()), ~ground)
     wide = np.where(ground, -1.0, spacing * by.peer_ratio**2)[tree.points[3]]
     _tops(
         tree.points, tree.boxes, tree.depth, wide, xyz, spacing, ground, start,
