@@ -12,7 +12,9 @@ from spl_batch.kernels.delaunay import triangles
 from spl_batch.kernels.interpolate import tin_raster
 from spl_batch.kernels.raster import (
     _spread2,
+    add_up_finite,
     fill_voids,
+    number_cells,
     ring_offsets,
     robust_cell_means,
     sort_into_cells,
@@ -216,3 +218,22 @@ def test_centres_on_shared_edges_of_a_regular_net_are_all_filled():
     out = tin_raster(vertices, 1.0, (10, 10), 5.0)
     inner = np.arange(10) + 0.5
     np.testing.assert_allclose(out, 2 * inner[None, :] - inner[:, None], atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 7, 1000]))
+def test_cells_are_numbered_by_floor_division(seed: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(0, 5, (2, 200)) * size + rng.choice([0, 1, size - 1], (2, 200))
+    west, south = rng.integers(-(10**12), 10**12, 2).tolist()
+    number = np.empty(200, np.int64)
+    number_cells(x + west, y + south, (west, south), float(size), 12, number)
+    assert np.array_equal(number, y // size * 12 + x // size)
+
+
+def test_sums_pass_over_what_is_no_number() -> None:
+    cell = np.array([2, 0, 2, 2, 0])
+    value = np.array([1.5, np.nan, 2.25, np.inf, 4.0], np.float32)
+    total, count = np.zeros(3), np.zeros(3, np.int64)
+    add_up_finite(cell, value, total, count)
+    assert total.tolist() == [4.0, 0.0, 3.75]
+    assert count.tolist() == [1, 0, 2]

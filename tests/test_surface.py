@@ -11,7 +11,8 @@ from spl_batch.constants import NODATA
 from spl_batch.kernels.tops import lift_pits
 from spl_batch.model import PointFlag, PointTable
 from spl_batch.settings import ProductSettings
-from spl_batch.stages.surface import PRODUCTS, classify, reach_m, surfaces
+from spl_batch.stages.classes import classify
+from spl_batch.stages.surface import PRODUCTS, reach_m, surfaces
 from spl_batch.tiling import Bounds, inside
 
 SETTINGS = ProductSettings(void_max_m=5.0)

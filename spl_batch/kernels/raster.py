@@ -39,6 +39,59 @@ def sort_into_cells(
 
 
 @njit(nogil=True, cache=True)
+def number_cells(
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    corner: tuple[int, int],
+    size: float,
+    cols: int,
+    out: NDArray[np.int64],
+) -> None:
+    """Number of the raster cell of each point.
+
+    Parameters
+    ----------
+    x, y : (n,) int64
+        Points, none west or south of the corner [quanta].
+    corner : (int, int)
+        South-west corner of the raster [quanta].
+    size : float
+        Edge of a cell, a whole number [quanta].
+    cols : int
+        Cells of a row.
+    out : (n,) int64, written
+    """
+    for i in range(len(x)):
+        # A quotient of whole numbers below 2**53 never rounds up to the next whole one.
+        row, col = np.int64((y[i] - corner[1]) / size), np.int64((x[i] - corner[0]) / size)
+        out[i] = row * cols + col
+
+
+@njit(nogil=True, cache=True)
+def add_up_finite(
+    cell: NDArray[np.int64],
+    value: NDArray[np.float32],
+    total: NDArray[np.float64],
+    count: NDArray[np.int64],
+) -> None:
+    """Sum and number of the finite values of each cell.
+
+    Parameters
+    ----------
+    cell : (n,) int64
+        Cell of each value.
+    value : (n,) float32
+        Values; others than numbers are passed over.
+    total : (cells,) float64, added to
+    count : (cells,) int64, added to
+    """
+    for i in range(len(cell)):
+        if np.isfinite(value[i]):
+            total[cell[i]] += value[i]
+            count[cell[i]] += 1
+
+
+@njit(nogil=True, cache=True)
 def _spread2(z: NDArray[np.int32], begin: int, end: int, middle2: np.int64) -> np.int64:
     """Lower median of ``|2 z - middle2|`` over a run sorted by falling height."""
     n = end - begin

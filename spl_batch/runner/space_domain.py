@@ -12,12 +12,13 @@ from spl_batch.io.cells import write_cell
 from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
 from spl_batch.io.tables import read_arrays
+from spl_batch.kernels.raster import add_up_finite
 from spl_batch.model import PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.expected import expected_noise
+from spl_batch.stages import classes, reflectance
 from spl_batch.stages import denoise as denoising
 from spl_batch.stages import ground as grounding
-from spl_batch.stages import reflectance
 from spl_batch.stages import surface as surfacing
 from spl_batch.stages.fired import FiredPart
 from spl_batch.stages.stray import stray
@@ -60,10 +61,10 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
         "noise_density": noise.mean,
     }
     write_labels(path, *origin.of(owned), labels)
-    classes, counts = np.unique(decided["noise_class"], return_counts=True)
+    kinds, counts = np.unique(decided["noise_class"], return_counts=True)
     facts = {
         "core": list(core),
-        "noise_class": dict(zip(map(str, classes.tolist()), counts.tolist(), strict=True)),
+        "noise_class": dict(zip(map(str, kinds.tolist()), counts.tolist(), strict=True)),
     }
     return Produced([path], facts, int(np.count_nonzero(owned)))
 
@@ -111,7 +112,8 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     # What only these two look at is not held any longer.
     table = table.select([name for name in table.columns if name not in _RASTER_COLUMNS])
     owned = inside(table["x"], table["y"], core)
-    mine, place = table.take(owned), origin.of(owned)
+    classified = (*classes.COLUMNS_NEEDED, *(("wire",) if "wire" in table else ()))
+    mine, place = table.select(classified).take(owned), origin.of(owned)
     del origin, owned
     shown = _makes_surfaces(table)
     del table
@@ -122,8 +124,8 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     arrays["noise"] = noise_m3
     chunks = write_cell(context.rasters, CellId(*args["ij"]), arrays)
     path = context.store.labels("classes", args["cell"])
-    classes = surfacing.classify(mine, core, arrays["dtm"])
-    write_labels(path, *place, {"classification": classes})
+    found = classes.classify(mine, core, arrays["dtm"])
+    write_labels(path, *place, {"classification": found})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
     facts = {"core": list(core), "rasters": sums}
     return Produced([path, *chunks], facts, len(mine))
@@ -146,14 +148,11 @@ def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float3
     Sums in 64 bits of so few values of 24 bits each are exact: the points' order does not count.
     """
     rows, columns = (core.ymax - core.ymin) // cell, (core.xmax - core.xmin) // cell
-    mine = inside(table["x"], table["y"], core) & np.isfinite(table["noise_density"])
-    column = (table["x"][mine] - core.xmin) // cell
-    row = (core.ymax - 1 - table["y"][mine]) // cell
-    at = row * columns + column
-    count = np.bincount(at, minlength=rows * columns)
-    total = np.bincount(at, weights=table["noise_density"][mine], minlength=rows * columns)
+    total, count = np.zeros(rows * columns), np.zeros(rows * columns, np.int64)
+    mine = table.select(("x", "y", "noise_density")).take(inside(table["x"], table["y"], core))
+    add_up_finite(surfacing.cell_number(mine, core, cell), mine["noise_density"], total, count)
     mean = np.where(count > 0, total / np.maximum(count, 1), NODATA)
-    return mean.reshape(rows, columns).astype(np.float32)
+    return np.ascontiguousarray(mean.reshape(rows, columns)[::-1], dtype=np.float32)
 
 
 def _mask_outside(arrays: dict[str, NDArray[np.float32]], core: Bounds, context: Context) -> None:

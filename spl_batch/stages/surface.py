@@ -33,15 +33,7 @@ from numpy.typing import NDArray
 from scipy.special import pdtrc
 
 from spl_batch.constants import (
-    CLASS_BUILDING,
-    CLASS_GROUND,
-    CLASS_HIGH_NOISE,
-    CLASS_LOW_NOISE,
-    CLASS_UNCLASSIFIED,
-    CLASS_WATER,
-    CLASS_WIRE,
     NODATA,
-    NOISE_AFTERPULSE,
     NOISE_BACKGROUND,
     NOISE_NOT_ASSESSED,
     NOISE_SIGNAL,
@@ -50,6 +42,7 @@ from spl_batch.constants import (
 from spl_batch.kernels.interpolate import tin_raster
 from spl_batch.kernels.raster import (
     fill_voids,
+    number_cells,
     ring_offsets,
     robust_cell_means,
     sort_into_cells,
@@ -76,12 +69,6 @@ GROUND_FLOOR_M: Final = 0.15
 
 PIT_M: Final = 2.0
 """Cells so far below most of those around are pits [m]."""
-
-WIRE_ABOVE_M: Final = 3.0
-"""Conductors hang at least so high [m]."""
-
-WATER_ABOVE_M: Final = 1.0
-"""Returns in a water polygon up to this high above the DTM are water: waves and spread [m]."""
 
 
 def margin_cells(settings: ProductSettings) -> int:
@@ -148,11 +135,11 @@ def _shape(bounds: Bounds, size: int) -> tuple[int, int]:
     return (bounds.ymax - bounds.ymin) // size, (bounds.xmax - bounds.xmin) // size
 
 
-def _cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int64]:
-    """Number of the raster cell of each point, from the south-west corner, row by row."""
-    row = (table["y"] - bounds.ymin) // size
-    col = (table["x"] - bounds.xmin) // size
-    number: NDArray[np.int64] = row * _shape(bounds, size)[1] + col
+def cell_number(table: PointTable, bounds: Bounds, size: int) -> NDArray[np.int64]:
+    """Number of the raster cell of each point within bounds, row by row from the south-west."""
+    number = np.empty(len(table), np.int64)
+    corner, cols = (bounds.xmin, bounds.ymin), _shape(bounds, size)[1]
+    number_cells(table["x"], table["y"], corner, float(size), cols, number)
     return number
 
 
@@ -175,7 +162,7 @@ def _terrain(table: PointTable, cell: Bounds, settings: ProductSettings) -> NDAr
         (table["ground"] == 1) & inside(table["x"], table["y"], wide)
     )
     rows, cols = _shape(wide, size)
-    order, start = sort_into_cells(_cell_number(ground, wide, size), ground["z"], rows * cols)
+    order, start = sort_into_cells(cell_number(ground, wide, size), ground["z"], rows * cols)
     means = np.empty((rows * cols, 3))
     robust_cell_means(_local(ground, order, wide), start, GROUND_FLOOR_M / QUANTUM_M, means)
     vertices = means[~np.isnan(means[:, 2])]
@@ -196,8 +183,10 @@ def _signal(
     known = (*COLUMNS_NEEDED, *(("afterpulse",) if "afterpulse" in table else ()))
     signal = table.select(known).take(usable)
     level = (signal["noise_class"] == NOISE_NOT_ASSESSED).astype(np.uint8)
+    if not level.any():
+        return signal, level
     rows, cols = _shape(near, size)
-    number = _cell_number(signal, near, size)
+    number = cell_number(signal, near, size)
     assessed = np.bincount(number[level == 0], minlength=rows * cols) > 0
     kept = (level == 0) | ~assessed[number]
     return signal.take(kept), level[kept]
@@ -238,13 +227,14 @@ def _noise_density(table: PointTable, cell: Bounds, settings: ProductSettings) -
     """
     size = quanta(settings.cell_m)
     wide = grow(cell, margin_cells(settings) * size)
-    around = table.select(("x", "y", "z", "noise_class")).take(inside(table["x"], table["y"], wide))
-    z = around["z"][around["noise_class"] == NOISE_BACKGROUND]
+    around = np.flatnonzero(inside(table["x"], table["y"], wide))
+    z = table["z"][around[table["noise_class"][around] == NOISE_BACKGROUND]]
     if len(z) < 2:
         return 0.0
     low, high = np.percentile(z, (2, 98))
     depth_m = max(float(high - low) * QUANTUM_M, 1.0)
-    flown = np.count_nonzero(np.bincount(_cell_number(around, wide, size)))
+    places = table.select(("x", "y")).take(around)
+    flown = np.count_nonzero(np.bincount(cell_number(places, wide, size)))
     return 0.96 * len(z) / (flown * (size * QUANTUM_M) ** 2 * depth_m)
 
 
@@ -282,12 +272,13 @@ def _top_surface(
     rows, cols = _shape(near, size)
     # An afterpulse of noise must neither stand out nor confirm the noise in front of it.
     own = ~dependents(signal) | (signal["ground"] == 1)
-    tops = _tops(signal.take(own & (level == 0)), near, size, support)
+    needed = signal.select(("x", "y", "z", "ground"))
+    tops = _tops(needed.take(own & (level == 0)), near, size, support)
     if (level > 0).any():
         # A cell holds one level only; the better returns may confirm the others.
-        number = _cell_number(signal, near, size)[level > 0]
+        number = cell_number(signal, near, size)[level > 0]
         lesser = np.bincount(number, minlength=rows * cols) > 0
-        tops[lesser] = _tops(signal.take(own), near, size, support)[lesser]
+        tops[lesser] = _tops(needed.take(own), near, size, support)[lesser]
     tops = tops.reshape(rows, cols)
     # The outermost cells lack neighbours that could confirm them: they must lend nothing.
     edge = _support_cells(settings)
@@ -301,7 +292,7 @@ def _top_surface(
 def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDArray[np.float64]:
     """Highest confirmed return of each raster cell, row by row [quanta]; NaN without any."""
     rows, cols = _shape(near, size)
-    order, start = sort_into_cells(_cell_number(signal, near, size), signal["z"], rows * cols)
+    order, start = sort_into_cells(cell_number(signal, near, size), signal["z"], rows * cols)
     xyz = np.stack(_local(signal, order, near), axis=1)
     tops = np.empty(rows * cols)
     confirmed_tops(xyz, signal["ground"][order] == 1, start, support, tops)
@@ -314,10 +305,11 @@ def _counts(
     signal: PointTable, cell: Bounds, size: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signal returns per m2, and mean intensity of the first returns (NaN without any)."""
-    core = signal.take(inside(signal["x"], signal["y"], cell))
+    needed = signal.select(("x", "y", "return_number", "intensity"))
+    core = needed.take(inside(signal["x"], signal["y"], cell))
     shape = _shape(cell, size)
     cells = shape[0] * shape[1]
-    number = _cell_number(core, cell, size)
+    number = cell_number(core, cell, size)
     density = np.bincount(number, minlength=cells) / (size * QUANTUM_M) ** 2
     first = core["return_number"] <= 1
     number = number[first]
@@ -326,68 +318,3 @@ def _counts(
     count = np.bincount(number, minlength=cells)
     mean = np.divide(total, count, out=np.full(cells, np.nan), where=count > 0)
     return density.reshape(shape), mean.reshape(shape)
-
-
-def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """ASPRS class of each point as delivered.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points of the cell with ``x, y, z, noise_class, ground, input_class, flags``. Points
-        outside the cell are compared with the DTM at its nearest rim.
-    cell : Bounds
-        The ground cell [quanta].
-    dtm : (rows, cols) float32
-        Its DTM from :func:`surfaces`, north up [m]; nodata where there is none.
-
-    Returns
-    -------
-    (n,) uint8
-        2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
-        water polygon and not more than :data:`WATER_ABOVE_M` above the DTM, or above none; 6
-        where the input says building; 14 where ``wire`` is given and 1, at least
-        :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that nothing assessed keep
-        the input's class, except that class 2 is this project's ground only.
-
-    Notes
-    -----
-    Where the DTM is void, the median height of the cell's signal stands for the surface;
-    without any signal, all noise is above it.
-    """
-    noise_class, given = table["noise_class"], table["input_class"]
-    ground, assessed = table["ground"] == 1, noise_class != NOISE_NOT_ASSESSED
-    surface, void = _surface_below(table, cell, dtm)
-    height = table["z"] * QUANTUM_M - surface
-    water = table.has(PointFlag.WATER) & (void | (height <= WATER_ABOVE_M))
-    result = np.where(
-        np.isin(given, (CLASS_BUILDING, CLASS_WATER)) | ~assessed, given, CLASS_UNCLASSIFIED
-    )
-    # The input's own ground is not what the ground filter found.
-    result[result == CLASS_GROUND] = CLASS_UNCLASSIFIED
-    result[ground] = CLASS_GROUND
-    result[water] = CLASS_WATER
-    if "wire" in table:
-        clear = (table["wire"] == 1) & (height >= WIRE_ABOVE_M)
-        result[clear & (result == CLASS_UNCLASSIFIED)] = CLASS_WIRE
-    noise = (noise_class == NOISE_BACKGROUND) | (noise_class == NOISE_AFTERPULSE)
-    result[noise] = np.where(height[noise] < 0, CLASS_LOW_NOISE, CLASS_HIGH_NOISE)
-    untouched = ~assessed & table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
-    result[untouched] = given[untouched]
-    return result.astype(np.uint8)
-
-
-def _surface_below(
-    table: PointTable, cell: Bounds, dtm: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Height of the surface at each point [m], -inf if nothing is known; where the DTM is void."""
-    rows, cols = dtm.shape
-    size = (cell.xmax - cell.xmin) // cols
-    row = rows - 1 - np.clip((table["y"] - cell.ymin) // size, 0, rows - 1)
-    col = np.clip((table["x"] - cell.xmin) // size, 0, cols - 1)
-    surface = dtm[row, col].astype(np.float64)
-    void = surface == np.float32(NODATA)
-    if void.any():
-        signal = (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], cell)
-        surface[void] = np.median(table["z"][signal]) * QUANTUM_M if signal.any() else -np.inf
-    return surface, void
