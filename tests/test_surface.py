@@ -90,6 +90,9 @@ def test_density_and_intensity_are_those_of_a_plain_loop():
             first = here & (table["return_number"] == 1)
             mean = table["intensity"][first].mean() if first.any() else NODATA
             assert rasters["intensity"][row, col] == pytest.approx(mean, rel=1e-6)
+    without = surfaces(table.select([n for n in table.columns if n != "intensity"]), CELL, SETTINGS)
+    assert without.keys() == rasters.keys() - {"intensity"}
+    assert np.array_equal(without["density"], rasters["density"])
 
 
 def test_the_dsm_is_the_highest_confirmed_return_and_never_below_the_dtm():

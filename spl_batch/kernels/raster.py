@@ -9,6 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+_FEW = 64
+"""Points of a cell that are sorted by inserting one after the other [count]."""
+
 
 def sort_into_cells(
     cell: NDArray[np.int64], z: NDArray[np.int32], cells: int
@@ -27,15 +30,53 @@ def sort_into_cells(
     Returns
     -------
     order : (n,) intp
-        Points sorted by cell, then by falling height.
+        Points sorted by cell, then by falling height; fewer than 2**32.
     start : (cells + 1,) int64
         Where each cell begins in ``order``.
     """
-    depth = np.int64(2**31 - 1) - z.astype(np.int64)
-    order = np.argsort((cell << np.int64(32)) | depth)
+    order = np.empty(len(cell), dtype=np.intp)
     start = np.zeros(cells + 1, dtype=np.int64)
-    np.cumsum(np.bincount(cell, minlength=cells), out=start[1:])
+    _sort_into_cells(cell, z, start, order)
     return order, start
+
+
+@njit(nogil=True, cache=True)
+def _sort_into_cells(
+    cell: NDArray[np.int64],
+    z: NDArray[np.int32],
+    start: NDArray[np.int64],
+    order: NDArray[np.intp],
+) -> None:
+    """Counting sort by cell, then each cell's points by height and, where these are equal, row."""
+    for c in cell:
+        start[c + 1] += 1
+    for c in range(len(start) - 1):
+        start[c + 1] += start[c]
+    after = start[:-1].copy()
+    key = np.empty(len(cell), dtype=np.int64)
+    for i in range(len(cell)):
+        # ~z falls as z rises, and fits into the upper half for any z.
+        key[after[cell[i]]] = (np.int64(~z[i]) << np.int64(32)) | np.int64(i)
+        after[cell[i]] += 1
+    for c in range(len(start) - 1):
+        _sort_few(key[start[c] : start[c + 1]])
+    for i in range(len(key)):
+        order[i] = key[i] & np.int64(0xFFFF_FFFF)
+
+
+@njit(nogil=True, cache=True)
+def _sort_few(key: NDArray[np.int64]) -> None:
+    """Sort in place."""
+    if len(key) > _FEW:
+        key.sort()
+        return
+    for i in range(1, len(key)):
+        taken = key[i]
+        k = i - 1
+        while k >= 0 and key[k] > taken:
+            key[k + 1] = key[k]
+            k -= 1
+        key[k + 1] = taken
 
 
 @njit(nogil=True, cache=True)

@@ -28,7 +28,7 @@ from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, parse_ce
 Units = dict[CellId, list[tuple[str, str]]]
 
 _GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse")
-_SURFACE_COLUMNS = (*_GROUND_COLUMNS, "return_number", "intensity", "input_class")
+_SURFACE_COLUMNS = (*_GROUND_COLUMNS, "input_class")
 _FIRED_COLUMNS = ("gps_time", "channel")
 """What the stages look at; a tile holds twice as much."""
 
@@ -98,7 +98,9 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     labels = {"noise_class": noise, "noise_density": noise, "ground": _units(args["ground"])}
     if workflow.filter.wires.classify:
         labels["wire"] = noise
-    columns = (*_SURFACE_COLUMNS, *(_FIRED_COLUMNS if args["fired"] is not None else ()))
+    # The intensity raster is of detections or of what was delivered.
+    seen = surfacing.COLUMNS_OF_INTENSITY if args["fired"] is None else _FIRED_COLUMNS
+    columns = (*_SURFACE_COLUMNS, *seen)
     table, origin = read_region(
         context.store, _cells(args["tiles"]), grow(core, reach), columns, labels, ordered=False
     )
@@ -138,8 +140,11 @@ def _makes_surfaces(table: PointTable) -> PointTable:
     """
     known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
     stands = ~stray(table, spare_above=True)
-    looked_at = [name for name in (*surfacing.COLUMNS_NEEDED, "afterpulse") if name in table]
-    return table.select(looked_at).take(known & ~table.has(PointFlag.OUTSIDE_AOI) & stands)
+    optional = (*surfacing.COLUMNS_OF_INTENSITY, "afterpulse")
+    also = [name for name in optional if name in table]
+    return table.select((*surfacing.COLUMNS_NEEDED, *also)).take(
+        known & ~table.has(PointFlag.OUTSIDE_AOI) & stands
+    )
 
 
 def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float32]:

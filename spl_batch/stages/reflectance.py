@@ -249,7 +249,8 @@ def _local(
     """Places relative to the corner [m], and row and column of their cells."""
     x, y = signal["x"] - wide.xmin, signal["y"] - wide.ymin
     xyz = np.stack([x, y, signal["z"].astype(np.int64)], axis=1) * QUANTUM_M
-    return xyz, (y // size).astype(np.int32), (x // size).astype(np.int32)
+    # None is negative, and no quotient rounds up to the next whole number.
+    return xyz, (y / size).astype(np.int32), (x / size).astype(np.int32)
 
 
 def _centre(blocks: Blocks) -> _Centres:

@@ -56,10 +56,11 @@ from spl_batch.tiling import Bounds, grow, inside, quanta
 DOMAIN: Final = "space"
 """Needs every flightline of a place."""
 
-COLUMNS_NEEDED: Final = (
-    "x", "y", "z", "noise_class", "ground", "intensity", "return_number", "flags",
-)  # fmt: skip
+COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "ground", "flags")
 """Columns that :func:`surfaces` reads, and ``afterpulse`` where the time domain ran."""
+
+COLUMNS_OF_INTENSITY: Final = ("intensity", "return_number")
+"""Columns that it reads where they are there, for a raster of what was delivered."""
 
 PRODUCTS: Final = ("dtm", "dsm", "chm", "density", "intensity")
 """Names of the rasters."""
@@ -102,8 +103,8 @@ def surfaces(
     Returns
     -------
     dict of str to (rows, cols) float32
-        ``dtm, dsm, chm`` [m], ``intensity`` (mean of first returns, as delivered),
-        ``density`` (signal returns per m2); row 0 is the northernmost; nodata
+        ``dtm, dsm, chm`` [m], ``intensity`` (mean of first returns, as delivered; where the
+        points have it), ``density`` (signal returns per m2); row 0 is the northernmost; nodata
         :data:`~spl_batch.constants.NODATA`, which ``density`` never holds.
     """
     size = quanta(settings.cell_m)
@@ -114,14 +115,8 @@ def surfaces(
     support = _support(_noise_density(table, cell, settings), settings)
     dsm = _top_surface(signal, level, support, cell, settings)
     dsm = np.where(dsm < dtm, dtm, dsm)
-    density, intensity = _counts(signal, cell, size)
-    rasters = {
-        "dtm": dtm * QUANTUM_M,
-        "dsm": dsm * QUANTUM_M,
-        "chm": (dsm - dtm) * QUANTUM_M,
-        "intensity": intensity,
-        "density": density,
-    }
+    rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
+    rasters |= _counts(signal, cell, size)
     return {name: _delivered(values) for name, values in rasters.items()}
 
 
@@ -180,8 +175,8 @@ def _signal(
     usable = (noise_class == NOISE_SIGNAL) | (noise_class == NOISE_NOT_ASSESSED)
     usable &= ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
     usable &= inside(table["x"], table["y"], near)
-    known = (*COLUMNS_NEEDED, *(("afterpulse",) if "afterpulse" in table else ()))
-    signal = table.select(known).take(usable)
+    also = (name for name in (*COLUMNS_OF_INTENSITY, "afterpulse") if name in table)
+    signal = table.select((*COLUMNS_NEEDED, *also)).take(usable)
     level = (signal["noise_class"] == NOISE_NOT_ASSESSED).astype(np.uint8)
     if not level.any():
         return signal, level
@@ -301,20 +296,20 @@ def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDAr
     return lifted.ravel()
 
 
-def _counts(
-    signal: PointTable, cell: Bounds, size: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _counts(signal: PointTable, cell: Bounds, size: int) -> dict[str, NDArray[np.float64]]:
     """Signal returns per m2, and mean intensity of the first returns (NaN without any)."""
-    needed = signal.select(("x", "y", "return_number", "intensity"))
+    needed = signal.select([n for n in ("x", "y", *COLUMNS_OF_INTENSITY) if n in signal])
     core = needed.take(inside(signal["x"], signal["y"], cell))
     shape = _shape(cell, size)
     cells = shape[0] * shape[1]
     number = cell_number(core, cell, size)
     density = np.bincount(number, minlength=cells) / (size * QUANTUM_M) ** 2
+    if "intensity" not in core:
+        return {"density": density.reshape(shape)}
     first = core["return_number"] <= 1
     number = number[first]
     # Sums of whole numbers below 2**53 are exact in float64, in any order.
     total = np.bincount(number, weights=core["intensity"][first], minlength=cells)
     count = np.bincount(number, minlength=cells)
     mean = np.divide(total, count, out=np.full(cells, np.nan), where=count > 0)
-    return density.reshape(shape), mean.reshape(shape)
+    return {"intensity": mean.reshape(shape), "density": density.reshape(shape)}
