@@ -84,7 +84,7 @@ class Grid(NamedTuple):
     high: NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def _aim(blocks: Blocks, b: np.int64, tau: float, out: NDArray[np.float64]) -> None:
     """Sensor [m], dx/dz and dy/dz of the array's middle, and their change with g: (9,)."""
     for k in range(3):
@@ -167,7 +167,7 @@ def match_points(
             top[best, c] = p
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def trace(
     grid: Grid, sensor: NDArray[np.float64], lean: NDArray[np.float64], level: float
 ) -> tuple[int, int]:
@@ -210,7 +210,7 @@ def trace(
     return -1, -1
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def exposure(
     grid: Grid,
     row: int,
