@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.kernels.chords import chord_length
+from spl_batch.kernels.chords import STEEP, chord_length, deposit_beamlet, deposit_beamlets
 from spl_batch.model import VOXEL_FIXED_POINT, PointTable, VoxelPart
 from spl_batch.sensor import load_preset
 from spl_batch.settings import NoiseSettings
@@ -36,6 +36,28 @@ def test_chord_against_dense_sampling(seed: int) -> None:
     inside = np.linalg.norm(point + s[:, None] * line, axis=1) <= 6.2
     sampled = inside.mean() * (far - near)
     assert chord_length(*point, *line, near, far, 6.2) == pytest.approx(sampled, abs=5e-3)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10_000))
+def test_steep_beamlets_deposit_what_they_do_one_by_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = 12
+    lean = rng.normal(size=(n, 3)) * rng.choice([0.0, 0.1, 0.5, 2.0], (n, 1)) + (0.0, 0.0, -1.0)
+    line = lean / np.linalg.norm(lean, axis=1)[:, None]
+    assert (np.abs(line[:, 2]) >= STEEP).any()
+    voxel, point = rng.integers(10, 14, (n, 3)), rng.uniform(-5.0, 5.0, (n, 3))
+    near, far = np.sort(rng.uniform(-60.0, 60.0, (2, n)), axis=0)
+    rows = (voxel, point, line, near, far, rng.uniform(0.0, 1e6, n))
+    none, ordinal = np.zeros((0, 0, 0), np.int64), np.arange(n)
+    amount, one_by_one = np.zeros((2, 25, 25, 25), np.int64)
+    squares, counted = np.zeros((2, 25, 25, 25, 16), np.uint16)
+    deposit_beamlets(*rows, 10.0, RADIUS_M, ordinal, amount, none, none, squares)
+    for i in range(n):
+        row = [values[i] for values in rows]
+        deposit_beamlet(*row, 10.0, RADIUS_M, i, one_by_one, none, none, none, counted)
+    np.testing.assert_array_equal(amount, one_by_one)
+    np.testing.assert_array_equal(squares, counted)
 
 
 def test_radius_of_equal_volume() -> None:
