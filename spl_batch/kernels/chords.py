@@ -293,8 +293,8 @@ def deposit_beamlets(
             amount, squares,
         )  # fmt: skip
     last_shot = np.full(beamlets.shape, -1, dtype=np.int64)
-    for i in np.flatnonzero(~steep):
+    for row in np.flatnonzero(~steep):
         deposit_beamlet(
-            voxel[i], point[i], direction[i], near[i], far[i], weight[i], edge, radius,
-            ordinal[i], amount, shots, beamlets, last_shot, squares,
+            voxel[row], point[row], direction[row], near[row], far[row], weight[row], edge, radius,
+            ordinal[row], amount, shots, beamlets, last_shot, squares,
         )  # fmt: skip
