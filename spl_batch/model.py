@@ -141,11 +141,11 @@ class PointTable:
         return PointTable({**self.columns, **cast})
 
     def take(self, selection: NDArray[Any] | slice) -> "PointTable":
-        """Rows by mask, index array or slice."""
-        if not isinstance(selection, slice) and selection.dtype == np.bool_:
-            # Looking a mask through once for each column takes longer.
-            selection = np.flatnonzero(selection)
-        return PointTable({k: v[selection] for k, v in self.columns.items()})
+        """Rows by mask, index array or slice; a slice copies nothing."""
+        if isinstance(selection, slice):
+            return PointTable({k: v[selection] for k, v in self.columns.items()})
+        rows = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
+        return PointTable({k: v.take(rows) for k, v in self.columns.items()})
 
     def select(self, names: Sequence[str]) -> "PointTable":
         """Columns by name."""
@@ -166,6 +166,8 @@ def concat(tables: Sequence[PointTable], names: Sequence[str]) -> PointTable:
     """Tables one below the other, with these columns; none gives an empty table."""
     if not tables:
         return empty_table(names)
+    if len(tables) == 1:
+        return tables[0].select(names)
     return PointTable({k: np.concatenate([t[k] for t in tables]) for k in names})
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _WORD = 64
+_BLOCK = 1 << 14
 
 
 def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
@@ -45,6 +46,32 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
         rows = order[at]
         order[at] = rows[np.lexsort([key[rows] for key in reversed(keys)])]
     return order
+
+
+def in_order(keys: Sequence[NDArray[Any]]) -> bool:
+    """Whether rows are in the order of their keys already; what cannot be compared is not.
+
+    Parameters
+    ----------
+    keys : sequence of (n,) arrays
+        At least one, the first one decides first.
+    """
+    n = len(keys[0])
+    # Rows in no order show it early.
+    return all(_block_in_order([k[a : a + _BLOCK + 1] for k in keys]) for a in range(0, n, _BLOCK))
+
+
+def _block_in_order(keys: Sequence[NDArray[Any]]) -> bool:
+    tied = np.ones(max(len(keys[0]) - 1, 0), np.bool_)
+    for key in keys:
+        before, after = key[:-1], key[1:]
+        same = before == after
+        if np.any(tied & ~same & ~(before < after)):
+            return False
+        tied &= same
+        if not tied.any():
+            return True
+    return True
 
 
 def _pack(keys: Sequence[NDArray[Any]], room: int) -> tuple[NDArray[np.uint64] | None, bool]:

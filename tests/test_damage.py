@@ -147,7 +147,7 @@ def files_of(receipt: Receipt, output: Path) -> list[Path]:
 
 
 SORTS = {
-    *("index", "trajectory.parquet", "stretches", "observed", "lines", "scatter", "voxels"),
+    *("index", "trajectory.parquet", "points", "observed", "lines", "scatter", "voxels"),
     *("fired", "tiles", "noise", "ground", "classes", "rasters_50000_1000.zarr"),
 }
 """Names in the store that tasks read from."""

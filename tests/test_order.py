@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spl_batch.order import lexicographic_order
+from spl_batch.order import in_order, lexicographic_order
 
 INTEGERS = (np.uint8, np.int32, np.int64, np.uint64)
 
@@ -31,6 +31,26 @@ def _keys(draw):
 @given(_keys())
 def test_order_is_that_of_lexsort(keys):
     assert np.array_equal(lexicographic_order(keys), np.lexsort(keys[::-1]))
+
+
+@given(_keys(), st.booleans())
+def test_in_order_where_sorting_changes_nothing(keys, sort):
+    if sort:
+        keys = [key[np.lexsort(keys[::-1])] for key in keys]
+    ordered = np.array_equal(np.lexsort(keys[::-1]), np.arange(len(keys[0])))
+    if any(np.isnan(key).any() for key in keys):
+        assert ordered or not in_order(keys)
+    else:
+        assert in_order(keys) == ordered
+
+
+def test_disorder_is_found_in_any_block():
+    rows = np.arange(100_000)
+    assert in_order([rows])
+    for late in (0, 16_383, 16_384, 99_998):
+        mixed = rows.copy()
+        mixed[[late, late + 1]] = mixed[[late + 1, late]]
+        assert not in_order([mixed // 100_000, mixed])
 
 
 @pytest.mark.parametrize("largest", [1 << 5, 1 << 30])

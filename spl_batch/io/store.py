@@ -4,9 +4,9 @@
 
     store/receipts/KIND/NAME.json      what is done, what failed and why
     store/trajectory.parquet           positions in the survey's CRS and the points' time
-    store/index/SOURCE.npz             time range of each run of points of an input file
-    store/sorted/SOURCE.parquet        points in time order, of input files that are not
-    store/stretches/LINE/K.parquet     whole shots in time order
+    store/index/SOURCE.npz             how the points of an input file drift, second by second
+    store/points/SOURCE.parquet        points of an input file in time order
+    store/stretches/FILE/K.parquet     points of a file without times, where nothing filters
     store/sights/LINE/K.npz            lines of sight of a stretch, without a trajectory
     store/paths/LINE.parquet           where they meet: the path of the sensor
     store/observed/LINE/K.npz          noise and afterpulse statistics of a stretch

@@ -14,7 +14,7 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.io.trajectory_merge import WAITING_RECORDS
 from spl_batch.plan.density import Peak, Piece, largest
 from spl_batch.runner.delivery import PASS_POINTS
-from spl_batch.runner.time_domain import CHUNK_POINTS
+from spl_batch.runner.index import CHUNK_POINTS
 from spl_batch.stages import denoise, reflectance, surface
 from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow

@@ -56,36 +56,16 @@ def _heading(survey: Survey) -> Iterator[Task]:
         yield Task("heading", line.name, args, tuple(("index_file", k) for k in line.sources))
 
 
-def _sort(survey: Survey) -> Iterator[Task]:
-    timed = {key for line in survey.flightlines for key in line.sources}
-    for source in survey.inputs.sources:
-        receipt = survey.of("index_file").get(str(source.key))
-        if receipt and str(source.key) in timed and not receipt.facts["in_order"]:
-            needs = (("index_file", str(source.key)),)
-            yield Task("sort_file", str(source.key), source_args(source), needs, receipt.points)
-
-
 def _gather(survey: Survey) -> Iterator[Task]:
-    by_key = {str(s.key): s for s in survey.inputs.sources}
     positions = _positions(survey)
     for line in survey.flightlines:
-        sources = [
-            {**source_args(by_key[k]), "sorted": k in survey.of("sort_file")} for k in line.sources
-        ]
-        needs = tuple(("index_file", k) for k in line.sources)
-        needs += tuple(("sort_file", k) for k in line.sources if k in survey.of("sort_file"))
         stretches = list(line.stretches())
         for name, k in stretches:
             args = {
-                **_line_args(survey, line),
-                "stretch": name,
-                "sources": sources,
-                "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
-                "window_s": line.window_s(k),
-                "span_s": [line.first_s, line.last_s],
+                **_stretch_args(survey, line, name, k),
                 "positions": _near(positions, line, k),
             }
-            yield Task("gather", name, args, needs, line.points // len(stretches))
+            yield Task("gather", name, args, _files(line), line.points // len(stretches))
 
 
 def _gather_range(survey: Survey) -> Iterator[Task]:
@@ -102,17 +82,17 @@ def _gather_range(survey: Survey) -> Iterator[Task]:
             yield Task("gather_range", name, args, (("index_file", key),), stop - start)
 
 
-def _gathered(survey: Survey, line: Flightline) -> list[str]:
-    """Stretches of a flightline that hold points."""
+def _gathered(survey: Survey, line: Flightline) -> list[tuple[str, int]]:
+    """Names and numbers of the stretches of a flightline that hold points."""
     gathered = survey.of("gather")
-    return [n for n, _ in line.stretches() if n in gathered and gathered[n].facts["points"]]
+    return [(n, k) for n, k in line.stretches() if n in gathered and gathered[n].facts["points"]]
 
 
 def _sensor_path(survey: Survey) -> Iterator[Task]:
     if survey.inputs.trajectory:
         return
     for line in survey.flightlines:
-        names = _gathered(survey, line)
+        names = [name for name, _ in _gathered(survey, line)]
         if names:
             args = {
                 "line": line.name,
@@ -128,16 +108,16 @@ def _observe(survey: Survey) -> Iterator[Task]:
     if survey.inputs.trajectory:
         return
     for line in survey.flightlines:
-        for name in _gathered(survey, line):
-            args = {**_line_args(survey, line), "stretch": name}
-            needs = (("gather", name), *_path_needs(survey, line))
+        for name, k in _gathered(survey, line):
+            args = _stretch_args(survey, line, name, k)
+            needs = (*_files(line), ("gather", name), *_path_needs(survey, line))
             yield Task("observe", name, args, needs, survey.of("gather")[name].points)
 
 
 def _fit(survey: Survey) -> Iterator[Task]:
     observing = "gather" if survey.inputs.trajectory else "observe"
     for line in survey.flightlines:
-        names = [n for n in _gathered(survey, line) if n in survey.of(observing)]
+        names = [n for n, _ in _gathered(survey, line) if n in survey.of(observing)]
         if names:
             args = {
                 **_line_args(survey, line),
@@ -157,15 +137,14 @@ def _scatter(survey: Survey) -> Iterator[Task]:
     for line in survey.flightlines:
         if line.name not in survey.of("fit_line"):
             continue
-        for name, k in line.stretches():
-            receipt = survey.of("gather").get(name)
-            if receipt and receipt.facts["points"]:
-                args = {**_line_args(survey, line), "stretch": name, "timeless": False}
-                args["dcc"] = dcc
-                args["positions"] = _near(positions, line, k)
-                args["polygons"] = list(survey.inputs.polygons)
-                needs = (("gather", name), ("fit_line", line.name), *_path_needs(survey, line))
-                yield Task("scatter", name, args, needs, receipt.points)
+        for name, k in _gathered(survey, line):
+            args = {**_stretch_args(survey, line, name, k), "timeless": False}
+            args["dcc"] = dcc
+            args["positions"] = _near(positions, line, k)
+            args["polygons"] = list(survey.inputs.polygons)
+            needs = (*_files(line), ("gather", name), ("fit_line", line.name))
+            needs += _path_needs(survey, line)
+            yield Task("scatter", name, args, needs, survey.of("gather")[name].points)
     for name, receipt in sorted(survey.of("gather_range").items()):
         args = {"stretch": name, "timeless": True, "polygons": list(survey.inputs.polygons)}
         yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
@@ -175,7 +154,6 @@ PHASES = (
     Phase("index_file", _index),
     Phase("trajectory", _trajectory),
     Phase("heading", _heading),
-    Phase("sort_file", _sort),
     Phase("gather", _gather),
     Phase("gather_range", _gather_range),
     Phase("sensor_path", _sensor_path),
@@ -206,6 +184,23 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
         "sensor_path": bool(path and path.facts["found"]),
         "heading_rad": heading.facts["heading_rad"] if heading else None,
     }
+
+
+def _stretch_args(survey: Survey, line: Flightline, name: str, k: int) -> dict[str, object]:
+    """Where the points of a stretch are, and what is known of its flightline."""
+    return {
+        **_line_args(survey, line),
+        "stretch": name,
+        "sources": list(line.sources),
+        "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
+        "window_s": line.window_s(k),
+        "span_s": [line.first_s, line.last_s],
+    }
+
+
+def _files(line: Flightline) -> tuple[tuple[str, str], ...]:
+    """Tasks that have read the files of a flightline."""
+    return tuple(("index_file", key) for key in line.sources)
 
 
 def _positions(survey: Survey) -> Mapping[str, str]:

@@ -1,4 +1,4 @@
-"""Stage ``index``: what is in each input file, and where in it; the trajectory in one piece."""
+"""Stage ``index``: what is in each input file, its points by time; the trajectory in one piece."""
 
 import hashlib
 from collections.abc import Mapping
@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from spl_batch.io.atomic import checksum
 from spl_batch.io.gpstime import bit_warning, time_standard
 from spl_batch.io.las import inspect, iter_points
-from spl_batch.io.tables import read_arrays, write_arrays
+from spl_batch.io.tables import read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
-from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.model import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.rate import Rate
+from spl_batch.runner.stretches import add_points
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import (
     estimate_prf,
@@ -33,8 +34,8 @@ Track = dict[str, NDArray[np.int64]]
 POSITIONS_S = 64
 """Span of the trajectory that has one hash [s]: what reads of it is done again if that changes."""
 
-RUN_POINTS = 65_536
-"""Points of one entry of the time index [count]."""
+CHUNK_POINTS = 1 << 20
+"""Points read at once from an input file [count]."""
 
 
 class _Tally:
@@ -49,7 +50,6 @@ class _Tally:
         self.steps: dict[int, NDArray[np.int64]] = {}
         self.tracks: dict[int, Track] = {}
         self.rates: dict[int, Rate] = {}
-        self.runs: list[tuple[float, float]] = []
         self.low = np.full(3, np.iinfo(np.int64).max)
         self.high = np.full(3, np.iinfo(np.int64).min)
         self.channels: set[int] = set()
@@ -71,10 +71,6 @@ class _Tally:
             self.low[axis] = min(self.low[axis], int(table[name].min()))
             self.high[axis] = max(self.high[axis], int(table[name].max()))
         self.channels.update(np.unique(table["channel"]).tolist())
-        for start in range(0, len(table), RUN_POINTS):
-            part = time[start : start + RUN_POINTS]
-            part = part[np.isfinite(part)]
-            self.runs.append((part.min(), part.max()) if len(part) else (np.inf, -np.inf))
         self._add_times(table.take(valid & ~excluded))
 
     def _add_times(self, table: PointTable) -> None:
@@ -102,24 +98,26 @@ class _Tally:
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
-    """Read a file once from end to end: prove that it is readable, find what is in it."""
+    """Read a file once from end to end: prove that it is readable, find what is in it, keep it."""
     path = Path(args["path"])
     settings = context.workflow.survey
     tally = _Tally(settings.gap_s)
-    with unchanged(path, args["stamp"]):
+    points = context.store.path("points", f"{args['source']}.parquet")
+    dtypes = {name: COLUMNS[name].dtype for name in SOURCE_COLUMNS}
+    with unchanged(path, args["stamp"]), writing(points, dtypes) as writer:
         digest = checksum(path)
         header = inspect(path)
         for table in iter_points(
             path,
             channel_dimension=settings.channel_dimension,
             source=int(args["source"]),
-            chunk=RUN_POINTS * 16,
+            chunk=CHUNK_POINTS,
         ):
             tally.add(table)
-    runs = np.array(tally.runs, dtype=np.float64).reshape(-1, 2)
+            add_points(writer, table)
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
-    write_arrays(index, {"first": runs[:, 0], "last": runs[:, 1], **tracks})
+    write_arrays(index, tracks)
     standard = time_standard(np.array(tally.sample))
     contradiction = bit_warning(standard, adjusted_bit=header.adjusted_standard_bit)
     facts = {
@@ -138,7 +136,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "warnings": [*header.warnings, *([contradiction] if contradiction else [])],
     }
     inputs = {str(path): args["stamp"]}
-    return Produced([index], facts, tally.counts["points"], inputs)
+    return Produced([index, points], facts, tally.counts["points"], inputs)
 
 
 def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:

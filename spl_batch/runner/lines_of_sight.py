@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 
 from spl_batch.io.store import Store
-from spl_batch.io.tables import read_arrays, read_table, write_arrays
+from spl_batch.io.tables import read_arrays, write_arrays
 from spl_batch.io.trajectory import read_slice, write_trajectory
-from spl_batch.model import SOURCE_COLUMNS, BeamTable, PointTable, Trajectory
+from spl_batch.model import BeamTable, PointTable, Trajectory
 from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.stretches import read_stretch
 from spl_batch.stages import afterpulse, geometry, line_noise, sight
 
-STRETCH_COLUMNS = (*SOURCE_COLUMNS, "shot")
-"""Columns of a stretch."""
+
+def columns(args: Mapping[str, Any]) -> tuple[str, ...]:
+    """Columns that beams are found from, beyond those that points of a stretch always have."""
+    return () if args["heading_rad"] is None else ("scan_angle",)
 
 
 def beams(table: PointTable, store: Store, args: Mapping[str, Any]) -> BeamTable:
@@ -78,8 +81,7 @@ def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Pro
 
 def observe(args: Mapping[str, Any], context: Context) -> Produced:
     """Noise statistics of a stretch that was gathered before its beams were known."""
-    path = context.store.path("stretches", f"{args['stretch']}.parquet")
-    return observe_table(read_table(path, STRETCH_COLUMNS), args, context)
+    return observe_table(read_stretch(args, context, columns(args)), args, context)
 
 
 def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:

@@ -13,17 +13,9 @@ from numpy.typing import NDArray
 
 from spl_batch.io.las import iter_points
 from spl_batch.io.polygons import contains, read_polygons
-from spl_batch.io.tables import (
-    group_ranges,
-    read_arrays,
-    read_table,
-    write_arrays,
-    write_table,
-    writing,
-)
+from spl_batch.io.tables import read_arrays, read_table, write_arrays, write_table
 from spl_batch.io.voxels import write_voxels
 from spl_batch.model import (
-    COLUMNS,
     EXCLUDED,
     SOURCE_COLUMNS,
     TILE_COLUMNS,
@@ -37,8 +29,8 @@ from spl_batch.model import (
 from spl_batch.order import lexicographic_order
 from spl_batch.runner import lines_of_sight
 from spl_batch.runner.context import Context, Produced
-from spl_batch.runner.index import RUN_POINTS
-from spl_batch.runner.lines_of_sight import STRETCH_COLUMNS
+from spl_batch.runner.index import CHUNK_POINTS
+from spl_batch.runner.stretches import read_stretch
 from spl_batch.runner.unchanged import as_indexed, unchanged
 from spl_batch.sensor import Sensor
 from spl_batch.settings import DccSettings
@@ -46,52 +38,20 @@ from spl_batch.stages import afterpulse, afterpulse_law, fired, line_noise, shot
 from spl_batch.tiling import cell_index, quanta
 
 GROUP_POINTS = 16_384
-"""Points of a row group of a re-ordered file and of a tile [count]: a halo is read from few."""
+"""Points of a row group of a tile [count]: a halo is read from few."""
 
-CHUNK_POINTS = RUN_POINTS * 16
-"""Points read at once from an input file [count]."""
-
-_TIME_ORDER = ("gps_time", "channel", "return_number", "x", "y", "z", "source", "index")
-
-
-def sort_file(args: Mapping[str, Any], context: Context) -> Produced:
-    """Re-order a file that is not in time order, so that a stretch reads little of it.
-
-    Each chunk is sorted and cut into short row groups, whose footers tell their times;
-    a stretch then reads at most one group too many from each chunk.
-    """
-    path = context.store.path("sorted", f"{args['source']}.parquet")
-    points = 0
-    with writing(path, {name: COLUMNS[name].dtype for name in SOURCE_COLUMNS}) as writer:
-        for table in _input_chunks(args, context, 0, None):
-            usable = table.take(np.isfinite(table["gps_time"]) & ~table.has(EXCLUDED))
-            usable = usable.take(_time_order(usable))
-            for start in range(0, len(usable), GROUP_POINTS):
-                writer.write(usable.take(slice(start, start + GROUP_POINTS)).columns)
-            points += len(usable)
-    return Produced([path], {}, points)
+_POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
 
 
 def gather(args: Mapping[str, Any], context: Context) -> Produced:
-    """Collect a stretch's points from every file that has some, and observe its noise."""
-    clock = ShotClock(args["t0_s"], args["prf_hz"])
-    pieces = [
-        _of_stretch(piece, args, clock)
-        for source in args["sources"]
-        for piece in _source_pieces(source, args, context)
-    ]
-    table = concat(pieces, STRETCH_COLUMNS)
-    table = table.take(_time_order(table))
-    path = context.store.path("stretches", f"{args['stretch']}.parquet")
-    write_table(path, table)
-    outputs = [path]
+    """Look at a stretch's points from every file that has some, and observe their noise."""
+    table = read_stretch(args, context, lines_of_sight.columns(args))
     facts: dict[str, Any] = {"points": len(table), "uncovered": 0}
-    if len(table):
-        look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
-        looked = look(table, args, context)
-        facts |= looked.facts
-        outputs.extend(looked.outputs)
-    return Produced(outputs, facts, len(table))
+    if not len(table):
+        return Produced((), facts)
+    look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
+    looked = look(table, args, context)
+    return Produced(looked.outputs, {**facts, **looked.facts}, len(table))
 
 
 def gather_range(args: Mapping[str, Any], context: Context) -> Produced:
@@ -101,7 +61,6 @@ def gather_range(args: Mapping[str, Any], context: Context) -> Produced:
         for table in _input_chunks(args, context, int(args["start"]), int(args["stop"]))
     ]
     table = concat(pieces, SOURCE_COLUMNS)
-    table = table.with_columns(shot=np.zeros(len(table), np.int64))
     path = context.store.path("stretches", f"{args['stretch']}.parquet")
     write_table(path, table)
     return Produced([path], {"points": len(table), "uncovered": 0}, len(table))
@@ -129,9 +88,11 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
 
 def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
-    table = read_table(
-        context.store.path("stretches", f"{args['stretch']}.parquet"), STRETCH_COLUMNS
-    )
+    if args["timeless"]:
+        path = context.store.path("stretches", f"{args['stretch']}.parquet")
+        table = read_table(path, SOURCE_COLUMNS)
+    else:
+        table = read_stretch(args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args)))
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
@@ -253,10 +214,6 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
     return table.with_columns(flags=flags)
 
 
-def _time_order(table: PointTable) -> NDArray[np.intp]:
-    return lexicographic_order([table[k] for k in _TIME_ORDER])
-
-
 def _take_beams(beams: BeamTable, rows: NDArray[np.intp]) -> BeamTable:
     return BeamTable(
         beams.origin_m[rows],
@@ -269,37 +226,6 @@ def _take_beams(beams: BeamTable, rows: NDArray[np.intp]) -> BeamTable:
 def _sensor(args: Mapping[str, Any], context: Context) -> Sensor:
     """The instrument; without a channel dimension a shot is one beamlet."""
     return context.workflow.sensor.model_copy(update={"beamlets": args["beamlets"]})
-
-
-def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:
-    """Rows of the stretch, with their shot numbers."""
-    first, last = args["span_s"]
-    time = table["gps_time"]
-    mine = np.isfinite(time) & (time >= first) & (time <= last) & ~table.has(EXCLUDED)
-    table = table.take(mine & (table["point_source_id"] == args["psid"]))
-    table = table.with_columns(shot=clock.shot(table["gps_time"]))
-    low, high = args["shots"]
-    return table.take((table["shot"] >= low) & (table["shot"] < high))
-
-
-def _source_pieces(
-    source: Mapping[str, Any], args: Mapping[str, Any], context: Context
-) -> Iterator[PointTable]:
-    """Chunks of a file that can hold points of a time span."""
-    low_s, high_s = args["window_s"]
-    if source["sorted"]:
-        path = context.store.path("sorted", f"{source['source']}.parquet")
-        for group, (first, last) in enumerate(group_ranges(path, "gps_time")):
-            if first <= high_s and last >= low_s:
-                yield read_table(path, SOURCE_COLUMNS, [group])
-        return
-    index = read_arrays(context.store.path("index", f"{source['source']}.npz"))
-    hits = np.flatnonzero((index["first"] <= high_s) & (index["last"] >= low_s))
-    if not len(hits):
-        return
-    for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
-        start, stop = int(run[0]) * RUN_POINTS, (int(run[-1]) + 1) * RUN_POINTS
-        yield from _input_chunks(source, context, start, stop)
 
 
 def _input_chunks(

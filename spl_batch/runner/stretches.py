@@ -1,0 +1,115 @@
+"""Points as the time domain reads them: each input file in time order, then stretch by stretch.
+
+Decoding LAZ costs several times what reading Parquet does. So the index, which decodes a file
+to prove that it can be, keeps what it finds, and a stretch is read from there as often as it is
+needed, with the columns that are.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.io.tables import GroupWriter, group_ranges, read_table
+from spl_batch.model import EXCLUDED, PointTable, ShotClock, concat
+from spl_batch.order import in_order, lexicographic_order
+from spl_batch.runner.context import Context
+
+TIME_ORDER: Final = (
+    "gps_time",
+    "channel",
+    "return_number",
+    "x",
+    "y",
+    "z",
+    "source",
+    "index",
+)
+"""Sort keys of a stretch, first one first."""
+
+RUN_POINTS: Final = 65_536
+"""Points of a row group of a file in time order [count]: a stretch reads two in vain at most."""
+
+MIXED_RUN_POINTS: Final = 16_384
+"""The same where a file is not in time order: a stretch reads two in vain of each chunk."""
+
+
+def add_points(writer: GroupWriter, table: PointTable) -> None:
+    """Keep a chunk of an input file in time order, but for what no computation looks at.
+
+    Parameters
+    ----------
+    writer : GroupWriter
+        Of the file's points; row groups are short, and their footers tell their times.
+    table : PointTable
+        The chunk, with all source columns.
+    """
+    time = table["gps_time"]
+    mixed = bool(np.any(time[1:] < time[:-1]))
+    table = _in_time_order(table.take(np.isfinite(time) & ~table.has(EXCLUDED)))
+    step = MIXED_RUN_POINTS if mixed else RUN_POINTS
+    for start in range(0, len(table), step):
+        writer.write(table.take(slice(start, start + step)).columns)
+
+
+def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]) -> PointTable:
+    """Points of a stretch from every file that has some, in time order.
+
+    Parameters
+    ----------
+    args : mapping
+        ``sources``, ``psid``, ``t0_s``, ``prf_hz``, ``shots``, ``window_s`` and ``span_s``.
+    context : Context
+        The run.
+    names : sequence of str
+        Columns that are wanted; those of the order and ``shot`` come too.
+
+    Returns
+    -------
+    PointTable
+    """
+    clock = ShotClock(args["t0_s"], args["prf_hz"])
+    columns = list(dict.fromkeys((*TIME_ORDER, *names)))
+    pieces = [
+        _of_stretch(piece, args, clock)
+        for source in args["sources"]
+        for piece in _pieces(source, args["window_s"], context, (*columns, "point_source_id"))
+    ]
+    return _in_time_order(concat(pieces, [*columns, "shot"]))
+
+
+def _pieces(
+    source: str, window_s: tuple[float, float], context: Context, names: Sequence[str]
+) -> Iterator[PointTable]:
+    """Parts of a file that can hold points of a time span."""
+    path = context.store.path("points", f"{source}.parquet")
+    ranges = np.array(group_ranges(path, "gps_time"), dtype=np.float64).reshape(-1, 2)
+    hits = np.flatnonzero((ranges[:, 0] <= window_s[1]) & (ranges[:, 1] >= window_s[0]))
+    for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
+        if len(run):
+            yield read_table(path, names, run.tolist())
+
+
+def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:
+    """Rows of the stretch, with their shot numbers."""
+    first, last = args["span_s"]
+    time = table["gps_time"]
+    mine = (time >= first) & (time <= last) & (table["point_source_id"] == args["psid"])
+    table = table.take(_rows(mine))
+    table = table.with_columns(shot=clock.shot(table["gps_time"]))
+    low, high = args["shots"]
+    return table.take(_rows((table["shot"] >= low) & (table["shot"] < high)))
+
+
+def _rows(chosen: NDArray[np.bool_]) -> NDArray[np.intp] | slice:
+    """Rows that are chosen; rows side by side as a slice, which copies nothing."""
+    rows = np.flatnonzero(chosen)
+    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
+
+
+def _in_time_order(table: PointTable) -> PointTable:
+    keys = [table[k] for k in TIME_ORDER]
+    return table if in_order(keys) else table.take(lexicographic_order(keys))
