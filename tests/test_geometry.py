@@ -30,6 +30,28 @@ def test_beam_joins_the_trajectory_with_the_point() -> None:
     assert beams.direction[0] * beams.range_m[0] == pytest.approx([3, 4, -1000])
 
 
+@given(st.integers(0, 10_000))
+def test_beams_of_shots_are_those_of_their_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    track = Trajectory(np.arange(8.0), rng.uniform(900.0, 1000.0, (8, 3)), max_gap_s=2.0)
+    time = np.sort(rng.choice(rng.uniform(-1.0, 9.0, 6), 40))
+    x, y, z = rng.integers(-10_000, 10_000, (3, 40))
+    beams = geometry.beams(points(x=x, y=y, z=z, gps_time=time), track)
+    origin, known = track.position(time)
+    line = np.stack([x, y, z], axis=1) * 0.001 - origin
+    range_m = np.linalg.norm(line, axis=1)
+    assert beams.known.tolist() == known.tolist()
+    np.testing.assert_array_equal(beams.origin_m, origin)
+    np.testing.assert_allclose(beams.range_m, range_m, rtol=1e-14)
+    np.testing.assert_allclose(beams.direction, line / range_m[:, None], rtol=1e-13)
+
+
+def test_a_sensor_at_the_point_has_no_beam() -> None:
+    track = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)))
+    beams = geometry.beams(points(x=[0, 1000], y=0, z=0, gps_time=0.5), track)
+    assert beams.known.tolist() == [False, True]
+
+
 def test_without_trajectory_beams_are_vertical_and_ranges_order_heights() -> None:
     table = points(x=[5, 5], y=[7, 7], z=[1000, 3000], gps_time=[0.0, 0.0], scan_angle=12.0)
     beams = geometry.beams(table, None)

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.kernels.beams import look
+from spl_batch.kernels.shots import run_starts
 from spl_batch.model import BeamTable, PointTable, Trajectory
 
 DOMAIN: Final = "time"
@@ -54,11 +56,11 @@ def beams(
     -------
     BeamTable
     """
+    if trajectory is not None:
+        return _from_trajectory(table, trajectory)
     points = np.empty((len(table), 3), dtype=np.float64)
     for axis, name in enumerate(("x", "y", "z")):
         points[:, axis] = table[name] * QUANTUM_M
-    if trajectory is not None:
-        return _from_trajectory(points, table["gps_time"], trajectory)
     lean = np.zeros(len(table))
     if heading_rad is not None:
         lean = np.deg2rad(table["scan_angle"].astype(np.float64))
@@ -66,15 +68,14 @@ def beams(
     return _stand_in(points, lean, starboard)
 
 
-def _from_trajectory(
-    points: NDArray[np.float64], time_s: NDArray[np.float64], trajectory: Trajectory
-) -> BeamTable:
-    origin, known = trajectory.position(time_s)
-    direction = points - origin
-    range_m = np.sqrt(np.einsum("ij,ij->i", direction, direction))
-    known = known & (range_m > 0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        direction /= range_m[:, None]
+def _from_trajectory(table: PointTable, trajectory: Trajectory) -> BeamTable:
+    n = len(table)
+    shots = run_starts(table["gps_time"])
+    sensor, covered = trajectory.position(table["gps_time"][shots[:-1]])
+    origin, direction, range_m = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    place = (table["x"], table["y"], table["z"])
+    look(shots, sensor, place, QUANTUM_M, origin, direction, range_m)
+    known: NDArray[np.bool_] = np.repeat(covered, np.diff(shots)) & (range_m > 0)
     return BeamTable(origin, direction, range_m, known)
 
 
