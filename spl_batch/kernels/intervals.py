@@ -85,8 +85,18 @@ def signal_heights(
     out = np.full(n_groups, height)
     if n_groups == 1:
         return out
+    # Returns put together by group, in one pass.
+    stop = np.zeros(n_groups + 1, dtype=np.int64)
+    for g in group:
+        stop[g + 1] += 1
+    stop = np.cumsum(stop)
+    at, grouped = stop.copy(), np.empty(len(z))
+    for i in range(len(z)):
+        grouped[at[group[i]]] = z[i]
+        at[group[i]] += 1
     for g in range(n_groups):
-        own = np.sort(z[group == g])
+        own = grouped[stop[g] : stop[g + 1]]
+        own.sort()
         if len(own) >= 10:
             peak, count = densest_window(own, width)
             if _significant(count, len(own), width, extent):
