@@ -157,6 +157,14 @@ class PointTable:
         return mask
 
 
+def rows_of(chosen: NDArray[np.bool_]) -> NDArray[np.intp] | slice:
+    """Rows that are chosen by (n,) bool; a slice, which copies nothing, where they adjoin."""
+    rows = np.flatnonzero(chosen)
+    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
+
+
 def empty_table(names: Sequence[str]) -> PointTable:
     """Table of no points with these columns."""
     return PointTable({k: np.empty(0, dtype=COLUMNS[k].dtype) for k in names})
@@ -276,6 +284,15 @@ class BeamTable:
     direction: NDArray[np.float64]
     range_m: NDArray[np.float64]
     known: NDArray[np.bool_]
+
+    def take(self, selection: NDArray[Any] | slice) -> "BeamTable":
+        """Rows by mask, index array or slice; a slice copies nothing."""
+        return BeamTable(
+            self.origin_m[selection],
+            self.direction[selection],
+            self.range_m[selection],
+            self.known[selection],
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.io.tables import GroupWriter, group_ranges, read_table
-from spl_batch.model import EXCLUDED, PointTable, ShotClock, concat
+from spl_batch.model import EXCLUDED, PointTable, ShotClock, concat, rows_of
 from spl_batch.order import in_order, lexicographic_order
 from spl_batch.runner.context import Context
 
@@ -76,7 +75,9 @@ def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]
         for source in args["sources"]
         for piece in _pieces(source, args["window_s"], context, (*columns, "point_source_id"))
     ]
-    return _in_time_order(concat(pieces, [*columns, "shot"]))
+    table = _in_time_order(concat(pieces, [*columns, "shot"]))
+    # Kernels are compiled for arrays that can be written to, and what was read cannot.
+    return PointTable({k: np.require(v, None, ["C", "W"]) for k, v in table.columns.items()})
 
 
 def _pieces(
@@ -96,18 +97,10 @@ def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) ->
     first, last = args["span_s"]
     time = table["gps_time"]
     mine = (time >= first) & (time <= last) & (table["point_source_id"] == args["psid"])
-    table = table.take(_rows(mine))
+    table = table.take(rows_of(mine))
     table = table.with_columns(shot=clock.shot(table["gps_time"]))
     low, high = args["shots"]
-    return table.take(_rows((table["shot"] >= low) & (table["shot"] < high)))
-
-
-def _rows(chosen: NDArray[np.bool_]) -> NDArray[np.intp] | slice:
-    """Rows that are chosen; rows side by side as a slice, which copies nothing."""
-    rows = np.flatnonzero(chosen)
-    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
-        return slice(int(rows[0]), int(rows[-1]) + 1)
-    return rows
+    return table.take(rows_of((table["shot"] >= low) & (table["shot"] < high)))
 
 
 def _in_time_order(table: PointTable) -> PointTable:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.io.las import iter_points
 from spl_batch.io.polygons import contains, read_polygons
@@ -25,6 +24,7 @@ from spl_batch.model import (
     ShotClock,
     canonical_order,
     concat,
+    rows_of,
 )
 from spl_batch.order import lexicographic_order
 from spl_batch.runner import lines_of_sight
@@ -148,8 +148,8 @@ def _assess(
     beams = lines_of_sight.beams(table, context.store, args)
     flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
     table = table.with_columns(flags=flags)
-    known = np.flatnonzero(beams.known)
-    subset, beams = table.take(known), _take_beams(beams, known)
+    known = rows_of(beams.known)
+    subset, beams = table.take(known), beams.take(known)
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     model = line_noise.LineModel.from_arrays(line)
     density = np.zeros(len(table), np.float32)
@@ -165,7 +165,7 @@ def _assess(
         share[known] = law.probability
     if args["dcc"] is not None:
         noise = shot_filter.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
-        flags[known[noise]] |= np.uint8(PointFlag.SHOT_NOISE)
+        flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
     part = voxel_noise.deposit(subset, beams, model, workflow.noise)
     path = context.store.path("voxels", f"{args['stretch']}.zarr")
@@ -212,15 +212,6 @@ def _mark_places(table: PointTable, context: Context) -> PointTable:
             polygons = read_polygons(context.resolve(name), context.crs)
             flags[contains(polygons, table["x"], table["y"]) == within] |= np.uint8(flag)
     return table.with_columns(flags=flags)
-
-
-def _take_beams(beams: BeamTable, rows: NDArray[np.intp]) -> BeamTable:
-    return BeamTable(
-        beams.origin_m[rows],
-        beams.direction[rows],
-        beams.range_m[rows],
-        beams.known[rows],
-    )
 
 
 def _sensor(args: Mapping[str, Any], context: Context) -> Sensor:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from spl_batch.kernels.afterpulses import shot_probabilities
 from spl_batch.kernels.hard_surfaces import Rules
 from spl_batch.kernels.shots import lag_behind, run_starts
-from spl_batch.model import BeamTable, PointTable
+from spl_batch.model import BeamTable, PointTable, rows_of
 from spl_batch.sensor import Sensor
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.stages import afterpulse_law
@@ -65,18 +65,18 @@ def probability(
         Probabilities; at 0.5 and above the return is called an afterpulse.
     """
     out = np.zeros(len(table), dtype=np.float32)
-    rows = np.flatnonzero(beams.known)
-    if len(rows) == 0 or not settings.enabled:
+    if not settings.enabled or not beams.known.any():
         return out
-    time, channel = table["gps_time"][rows], table["channel"][rows]
-    range_m = beams.range_m[rows]
+    rows = rows_of(beams.known)
+    table = table.take(rows)
+    time, channel, range_m = table["gps_time"], table["channel"], beams.range_m[rows]
     shots = run_starts(time)
     law = law or sensor_law(sensor)
-    lag = np.empty(len(rows), dtype=np.float32)
+    lag = np.empty(len(table), dtype=np.float32)
     lag_behind(run_starts(time, channel), range_m, law.least_m, settings.lag_max_m, lag)
-    found = np.empty(len(rows), dtype=np.float32)
+    found = np.empty(len(table), dtype=np.float32)
     shot_probabilities(
-        shots, shot_offsets(table.take(rows), shots), np.ascontiguousarray(beams.direction[rows]),
+        shots, shot_offsets(table, shots), np.ascontiguousarray(beams.direction[rows]),
         range_m, channel, lag, hard_rules(settings, sensor, law, gate_m), found,
     )  # fmt: skip
     out[rows] = found

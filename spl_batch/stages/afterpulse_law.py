@@ -23,7 +23,7 @@ from spl_batch.constants import QUANTUM_M, SPEED_OF_LIGHT_M_S
 from spl_batch.kernels.afterpulse_law import observe_lags, rate_behind
 from spl_batch.kernels.hard_surfaces import Rules
 from spl_batch.kernels.shots import lag_behind, run_starts
-from spl_batch.model import BeamTable, PointTable
+from spl_batch.model import BeamTable, PointTable, rows_of
 from spl_batch.sensor import Sensor
 
 DOMAIN: Final = "time"
@@ -193,11 +193,11 @@ def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.
         [1/m]; 0 where no return of the beamlet is in front, or channels are not known.
     """
     out = np.zeros(len(table), dtype=np.float32)
-    rows = np.flatnonzero(beams.known)
-    if not len(rows):
+    if not beams.known.any():
         return out
+    rows = rows_of(beams.known)
     time, channel = table["gps_time"][rows], table["channel"][rows]
-    found = np.empty(len(rows), dtype=np.float32)
+    found = np.empty(len(time), dtype=np.float32)
     rate_behind(
         run_starts(time, channel), beams.range_m[rows], law.least_m, LAG_MAX_M, law.dead_m,
         law.probability, law.scale_m, found,

@@ -62,8 +62,14 @@ class LineModel:
     def row(self, shot: NDArray[np.int64]) -> NDArray[np.intp]:
         """Row of each shot's interval, or of the nearest one before it: (n,) intp."""
         interval = np.floor_divide(shot, self.interval_shots)
-        row = np.searchsorted(self.interval, interval, side="right") - 1
-        return np.maximum(row, 0)
+        if not len(interval):
+            return interval.astype(np.intp)
+        # Shots are many and their intervals few: each of these is looked for once.
+        first = interval.min()
+        spanned = np.arange(first, interval.max() + 1)
+        rows = np.searchsorted(self.interval, spanned, side="right") - 1
+        row: NDArray[np.intp] = np.maximum(rows, 0).take(interval - first)
+        return row
 
     def at(
         self, shot: NDArray[np.int64], values: NDArray[np.float64], missing: float

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTUM_M
 from spl_batch.kernels.intervals import observe_intervals
 from spl_batch.kernels.shots import blind_behind, lag_behind, run_starts
-from spl_batch.model import BeamTable, PointTable
+from spl_batch.model import BeamTable, PointTable, rows_of
 from spl_batch.settings import NoiseSettings
 
 BUFFER_LADDER: Final = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
@@ -66,7 +66,7 @@ def observe(
         within the interval; ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
         ``profile`` (:data:`PROFILE_BINS`,) int64.
     """
-    rows = np.flatnonzero(beams.known)
+    rows = rows_of(beams.known)
     table = table.take(rows)
     range_m, cosine = beams.range_m[rows], -beams.direction[rows, 2]
     shot, time, channel = table["shot"], table["gps_time"], table["channel"]

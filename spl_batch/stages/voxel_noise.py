@@ -70,12 +70,14 @@ def deposit(
     rows = np.flatnonzero(beams.known)
     if model.beamlets > 1:
         rows = rows[run_starts(table["gps_time"][rows], table["channel"][rows])[:-1]]
+    table = table.select(COLUMNS_NEEDED).take(rows)
+    beams = beams.take(rows)
     near, far = gate_of(table, beams, model)
-    usable = far[rows] > near[rows]
-    rows = rows[usable]
-    table = table.take(rows)
-    near, far = near[rows] - beams.range_m[rows], far[rows] - beams.range_m[rows]
-    if len(rows) == 0:
+    usable = far > near
+    if not usable.all():
+        table, beams, near, far = table.take(usable), beams.take(usable), near[usable], far[usable]
+    near, far = near - beams.range_m, far - beams.range_m
+    if len(table) == 0:
         empty = np.zeros((0, 0, 0), dtype=np.int64)
         if published:
             return VoxelPart((0, 0, 0), empty, empty, empty)
@@ -86,7 +88,7 @@ def deposit(
     voxel = np.stack([cell_index(point[:, k], edge) for k in range(3)], axis=1)
     metres = point * np.float64(QUANTUM_M)
     relative = (2 * (point - voxel * edge) - edge) * np.float64(0.5 * QUANTUM_M)
-    direction = beams.direction[rows]
+    direction = beams.direction
     radius = sphere_radius_m(settings.voxel_m)
     corner, shape = _box(metres, direction, near, far, settings.voxel_m)
     amount = np.zeros(shape, dtype=np.int64)
