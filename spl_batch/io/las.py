@@ -237,9 +237,8 @@ def _coordinate(
         quanta = np.rint((raw * scale + offset) * QUANTA_PER_M).astype(np.int64)
     low = (header.mins_m[axis] - _BBOX_SLACK_M) * QUANTA_PER_M
     high = (header.maxs_m[axis] + _BBOX_SLACK_M) * QUANTA_PER_M
-    outside = (quanta < low) | (quanta > high)
-    if outside.any():
-        where = int(np.argmax(outside))
+    if len(quanta) and (quanta.min() < low or quanta.max() > high):
+        where = int(np.argmax((quanta < low) | (quanta > high)))
         raise InputError(
             str(header.path),
             f"point {first + where} has {'xyz'[axis]} {quanta[where] / QUANTA_PER_M}, outside the"
@@ -255,6 +254,8 @@ def _channel(
     if name is None:
         return np.zeros(len(records), dtype=np.uint8)
     values = dimension(records, layout, name)
+    if values.ndim == 1 and values.dtype == np.uint8:
+        return values
     whole = values.ndim == 1 and bool(np.all((values >= 0) & (values <= 255)))
     if whole and np.array_equal(values, np.rint(values)):
         return values

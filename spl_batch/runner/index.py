@@ -16,7 +16,7 @@ from spl_batch.io.las import inspect, iter_points
 from spl_batch.io.tables import read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
-from spl_batch.model import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable
+from spl_batch.model import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable, rows_of
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.rate import Rate
 from spl_batch.runner.stretches import add_points
@@ -24,6 +24,7 @@ from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import (
     estimate_prf,
     heading_from_track,
+    in_order,
     merge_track,
     observe_track,
     shot_steps,
@@ -36,6 +37,10 @@ POSITIONS_S = 64
 
 CHUNK_POINTS = 1 << 20
 """Points read at once from an input file [count]."""
+
+
+_TIMED = ("gps_time", "point_source_id", "x", "y", "scan_angle")
+"""Columns that say when and whereto a flightline was flown."""
 
 
 class _Tally:
@@ -70,8 +75,8 @@ class _Tally:
         for axis, name in enumerate("xyz"):
             self.low[axis] = min(self.low[axis], int(table[name].min()))
             self.high[axis] = max(self.high[axis], int(table[name].max()))
-        self.channels.update(np.unique(table["channel"]).tolist())
-        self._add_times(table.take(valid & ~excluded))
+        self.channels.update(np.flatnonzero(np.bincount(table["channel"])).tolist())
+        self._add_times(table.select(_TIMED).take(rows_of(valid & ~excluded)))
 
     def _add_times(self, table: PointTable) -> None:
         time = table["gps_time"]
@@ -82,9 +87,9 @@ class _Tally:
         self.last_time = float(time.max())
         self.sample.extend((float(time.min()), float(time.max())))
         line = table["point_source_id"]
-        for psid in np.unique(line).tolist():
-            mine = table.take(line == psid)
-            ordered = np.sort(mine["gps_time"])
+        for psid in np.flatnonzero(np.bincount(line)).tolist():
+            mine = table.take(rows_of(line == psid))
+            ordered = in_order(mine["gps_time"])
             cuts = np.flatnonzero(np.diff(ordered) > self.gap_s) + 1
             for piece in np.split(ordered, cuts):
                 self.spans.setdefault(psid, []).append(

@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.kernels.shots import run_starts
+
 BINS_PER_S: Final = 256
 """Bins of a second that points are counted in [1/s]."""
 
@@ -67,7 +69,9 @@ def _counted(
     bins: NDArray[np.int64], counts: NDArray[np.int64] | None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Bins that hold something, and how much."""
-    there, place = np.unique(bins, return_inverse=True)
-    total = np.zeros(len(there), np.int64)
-    np.add.at(total, place.ravel(), 1 if counts is None else counts)
-    return there, total
+    order = np.argsort(bins, kind="stable") if np.any(bins[1:] < bins[:-1]) else slice(None)
+    bins = bins[order]
+    starts = run_starts(bins)
+    if counts is None:
+        return bins[starts[:-1]], np.diff(starts)
+    return bins[starts[:-1]], np.add.reduceat(counts[order], starts[:-1])

@@ -46,7 +46,7 @@ def add_points(writer: GroupWriter, table: PointTable) -> None:
     """
     time = table["gps_time"]
     mixed = bool(np.any(time[1:] < time[:-1]))
-    table = _in_time_order(table.take(np.isfinite(time) & ~table.has(EXCLUDED)))
+    table = _in_time_order(table.take(rows_of(np.isfinite(time) & ~table.has(EXCLUDED))))
     step = MIXED_RUN_POINTS if mixed else RUN_POINTS
     for start in range(0, len(table), step):
         writer.write(table.take(slice(start, start + step)).columns)

@@ -97,7 +97,7 @@ def observe_track(table: PointTable) -> dict[str, NDArray[np.int64]]:
     Parameters
     ----------
     table : PointTable
-        Points of one flightline with finite times.
+        Points of one flightline with finite times, at least one.
 
     Returns
     -------
@@ -105,17 +105,19 @@ def observe_track(table: PointTable) -> dict[str, NDArray[np.int64]]:
         ``second`` (m,), and per whole second ``count``, ``x_sum``, ``y_sum`` [quanta];
         ``angle`` (a,) distinct scan angles [mdeg], all int64.
     """
-    second, inverse = np.unique(np.floor(table["gps_time"]).astype(np.int64), return_inverse=True)
-    sums = np.zeros((2, len(second)), dtype=np.int64)
-    np.add.at(sums[0], inverse, table["x"])
-    np.add.at(sums[1], inverse, table["y"])
+    second = np.floor(table["gps_time"]).astype(np.int64)
+    x, y = table["x"], table["y"]
+    if np.any(second[1:] < second[:-1]):
+        order = np.argsort(second, kind="stable")
+        second, x, y = second[order], x[order], y[order]
+    starts = run_starts(second)
     angle = np.rint(table["scan_angle"].astype(np.float64) * 1000).astype(np.int64)
     return {
-        "second": second,
-        "count": np.bincount(inverse, minlength=len(second)).astype(np.int64),
-        "x_sum": sums[0],
-        "y_sum": sums[1],
-        "angle": np.unique(angle)[: 4 * MIN_ANGLES],
+        "second": second[starts[:-1]],
+        "count": np.diff(starts),
+        "x_sum": np.add.reduceat(x, starts[:-1]),
+        "y_sum": np.add.reduceat(y, starts[:-1]),
+        "angle": np.flatnonzero(np.bincount(angle - angle.min()))[: 4 * MIN_ANGLES] + angle.min(),
     }
 
 
@@ -170,6 +172,11 @@ def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
     return float(np.arctan2(speed[0], speed[1]))
 
 
+def in_order(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times in order; as they are where they are in order already."""
+    return np.sort(time_s) if np.any(time_s[1:] < time_s[:-1]) else time_s
+
+
 def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     """Histogram of the steps between consecutive shots; histograms add up.
 
@@ -183,7 +190,8 @@ def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     (STEP_BINS,) int64
         Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped.
     """
-    step = np.diff(np.unique(time_s[np.isfinite(time_s)]))
+    time = in_order(time_s[np.isfinite(time_s)])
+    step = np.diff(time[run_starts(time)[:-1]])
     step = step[step < (STEP_BINS - 1) * STEP_BIN_S]
     index = np.rint(step / STEP_BIN_S).astype(np.int64)
     return np.bincount(index, minlength=STEP_BINS).astype(np.int64)
