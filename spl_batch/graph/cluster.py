@@ -11,6 +11,12 @@ from spl_batch.errors import WorkflowError
 from spl_batch.graph.flow import PATIENCE_S, lost, workers_of
 from spl_batch.graph.work import Footing, misfit
 
+KEPT_BYTES: Final = 1 << 28
+"""Freed memory that a worker keeps for what it allocates next [byte]."""
+
+LARGE_BYTES: Final = 1 << 25
+"""Arrays from this size on are given back to the system when they are freed [byte]."""
+
 SETTINGS: Final[Mapping[str, Any]] = {
     # What waits on a worker is blamed with it when it dies, so the rest waits at the scheduler.
     # More of it would serve tasks of milliseconds; those of a second keep workers busy as well
@@ -29,7 +35,11 @@ SETTINGS: Final[Mapping[str, Any]] = {
     "distributed.worker.memory.terminate": 0.95,
     # dask has workers give back each freed page at once. Tables of points come and go by the
     # hundred: faults of pages that were just given back were a sixth of the processor's time.
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    # So all that a worker allocates, Arrow's memory too, lies in one place and is used again.
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEPT_BYTES,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": LARGE_BYTES,
+    "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": 1,
+    "distributed.nanny.pre-spawn-environ.ARROW_DEFAULT_MEMORY_POOL": "system",
     "distributed.admin.log-format": "%(name)s - %(levelname)s - %(message)s",
     "logging.distributed": "critical",
 }
