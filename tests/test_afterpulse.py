@@ -4,12 +4,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.kernels.robust_plane import (
     BISQUARE,
     bisquare_plane,
-    percentile_68,
+    percentile_68_below,
+    spread,
     weighted_plane,
 )
 from spl_batch.model import COLUMNS, PointTable, Trajectory
@@ -70,10 +73,26 @@ def test_points_on_a_line_have_no_plane() -> None:
     assert not bisquare_plane(u[:3], u[:3] ** 2, u[:3], 0.03, plane, weight[:3])
 
 
-def test_percentile_is_perpendicular() -> None:
-    distance = np.linspace(0, 1, 101)
-    assert percentile_68(np.zeros(3), distance) == pytest.approx(0.68)
-    assert percentile_68(np.array([0.0, 1.0, 0.0]), distance) == pytest.approx(0.68 / np.sqrt(2))
+@pytest.mark.parametrize(("plane", "percentile"), [([0, 0, 0], 0.68), ([0, 1, 0], 0.68 / 2**0.5)])
+def test_percentile_is_perpendicular(plane: list[float], percentile: float) -> None:
+    distance = np.linspace(0, 1, 101) * np.resize([1, -1], 101)
+    at = np.array(plane, dtype=np.float64)
+    assert percentile_68_below(at, distance, percentile + 1e-6)
+    assert not percentile_68_below(at, distance, percentile - 1e-6)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.floats(0.0, 2.0) | st.sampled_from([0.25, 0.5]), min_size=1, max_size=90),
+    st.floats(0.0, 1.0),
+    st.sampled_from([0.0, 0.5, 3.0]),
+)
+def test_spread_is_that_of_the_median_whatever_is_guessed(
+    values: list[float], least: float, guess: float
+) -> None:
+    distance = np.array(values)
+    found = spread(distance, least, guess * float(np.median(distance)), np.empty(len(values)))
+    assert found == max(float(np.median(distance)) / 0.6745, least)
 
 
 def shots(

@@ -114,12 +114,13 @@ def neighbours(
 ) -> NDArray[np.int64]:  # fmt: skip
     """First returns around one of the shot, across the beam and in range: (k,) int64."""
     near = np.empty(len(w), dtype=np.int64)
+    u_at, v_at, w_at, reach = u[at], v[at], w[at], rules.lag_max_m
     count = 0
     for j in range(len(w)):
-        square = (u[j] - u[at]) ** 2 + (v[j] - v[at]) ** 2
-        if first[j] and square <= NEAR_M**2 and abs(w[j] - w[at]) <= rules.lag_max_m:
-            near[count] = j
-            count += 1
+        du, dv = u[j] - u_at, v[j] - v_at
+        # No branch, which would be guessed wrong as often as right.
+        near[count] = j
+        count += first[j] & (du * du + dv * dv <= NEAR_M**2) & (abs(w[j] - w_at) <= reach)
     return near[:count]
 
 

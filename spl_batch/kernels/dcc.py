@@ -14,6 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+SPAN_MAX = 4096
+"""Bins that a shot's returns are counted in; those that spread farther are compared [count]."""
+
 
 @njit(nogil=True, cache=True)
 def dcc_threshold(signal: float, noise: float, bins: float) -> float:
@@ -29,6 +32,22 @@ def dcc_threshold(signal: float, noise: float, bins: float) -> float:
         N_bin, fine bins in the gate [count]; >= 1.
     """
     return (signal + math.log(bins)) / math.log(1.0 + signal / noise)
+
+
+@njit(nogil=True, cache=True)
+def _sharing(bins: NDArray[np.int64], inside: NDArray[np.bool_], count: NDArray[np.int64]) -> None:
+    """How many of the returns inside share the bin of each one: ``count`` (n,), filled."""
+    first = bins.min()
+    span = bins.max() - first + 1
+    if span > SPAN_MAX:
+        for i in range(len(bins)):
+            count[i] = np.count_nonzero(inside & (bins == bins[i]))
+        return
+    total = np.zeros(span, dtype=np.int64)
+    for i in range(len(bins)):
+        total[bins[i] - first] += inside[i]
+    for i in range(len(bins)):
+        count[i] = total[bins[i] - first]
 
 
 @njit(nogil=True, cache=True)
@@ -56,16 +75,17 @@ def dcc_keep(
         Filled.
     """
     n = len(range_m)
-    bins = np.empty(n, dtype=np.int64)
+    if n == 0:
+        return
+    bins, count = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
         bins[i] = math.floor(range_m[i] / coarse_m)
+        keep[i] = True
+    _sharing(bins, keep, count)
     best_count, best = 0, 0
     for i in range(n):
-        count = 0
-        for j in range(n):
-            count += bins[j] == bins[i]
-        if count > best_count or (count == best_count and bins[i] < best):
-            best_count, best = count, bins[i]
+        if count[i] > best_count or (count[i] == best_count and bins[i] < best):
+            best_count, best = count[i], bins[i]
     near = 0
     for i in range(n):
         keep[i] = abs(bins[i] - best) <= 1
@@ -74,11 +94,6 @@ def dcc_keep(
     rest = max(gate_m - 3.0 * coarse_m, coarse_m)
     noise = max(n - near, 0.5) * fine_m / rest
     threshold = dcc_threshold(near / 3.0, noise, max(gate_m / fine_m, 1.0))
-    inside = keep.copy()
+    _sharing(bins, keep, count)
     for i in range(n):
-        if not inside[i]:
-            continue
-        count = 0
-        for j in range(n):
-            count += inside[j] and bins[j] == bins[i]
-        keep[i] = count >= threshold
+        keep[i] = keep[i] and count[i] >= threshold

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.robust_plane import (
     bisquare_plane,
-    median_distance,
-    percentile_68,
+    percentile_68_below,
     residual,
+    spread,
 )
 
 SURFACES_MAX = 3
@@ -90,16 +90,15 @@ def fit_surface(
     if len(u) < RETURNS_MIN or not bisquare_plane(u, v, w, rules.sigma_m, plane, weight):
         return False, 0.0
     distance = residual(plane, u, v, w)
-    hard = np.empty(len(u), dtype=np.float64)
+    hard, room = np.empty(len(u)), np.empty(len(u))
     count = 0
     for i in range(len(u)):
-        if weight[i] > rules.weight_min:
-            hard[count] = distance[i]
-            count += 1
+        hard[count] = abs(distance[i])
+        count += weight[i] > rules.weight_min
     if count < RETURNS_MIN:
         return False, 0.0
-    spread = max(median_distance(hard[:count]) / 0.6745, rules.sigma_m)
-    return percentile_68(plane, distance) < rules.p68_max_m, spread
+    sigma = spread(hard[:count], rules.sigma_m, 0.0, room[:count])
+    return percentile_68_below(plane, distance, rules.p68_max_m), sigma
 
 
 @njit(nogil=True, cache=True)

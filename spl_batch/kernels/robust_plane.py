@@ -16,6 +16,9 @@ BISQUARE = 4.685
 ITERATIONS = 30
 """Most re-weightings."""
 
+NEAR_MAX = 32
+"""Most values around a guessed median that are put in order one by one [count]."""
+
 
 @njit(nogil=True, cache=True)
 def plane_of_moments(
@@ -143,15 +146,6 @@ def select(values: NDArray[np.float64], k: int) -> float:
 
 
 @njit(nogil=True, cache=True)
-def median_distance(distance: NDArray[np.float64]) -> float:
-    """Median of absolute values, of at least one."""
-    size = np.empty(len(distance), dtype=np.float64)
-    for i in range(len(distance)):
-        size[i] = abs(distance[i])
-    return _median(size)
-
-
-@njit(nogil=True, cache=True)
 def _median(values: NDArray[np.float64]) -> float:
     """Median of at least one value, whose order is changed."""
     half = len(values) // 2
@@ -162,6 +156,68 @@ def _median(values: NDArray[np.float64]) -> float:
     for i in range(1, half):
         lower = max(lower, values[i])
     return float(0.5 * (upper + lower))
+
+
+@njit(nogil=True, cache=True)
+def _median_near(values: NDArray[np.float64], guess: float, room: NDArray[np.float64]) -> float:
+    """Median of at least one value >= 0, quickly where it lies near a guess.
+
+    Parameters
+    ----------
+    values : (n,) float64
+        As they are.
+    guess : float
+        Where the median may lie.
+    room : (n,) float64
+        Room.
+    """
+    n = len(values)
+    upper, low, high = n // 2, 0.8 * guess, 1.25 * guess
+    lower = upper - 1 + n % 2
+    below = near = 0
+    for i in range(n):
+        room[near] = values[i]
+        below += values[i] < low
+        near += low <= values[i] <= high
+    if not (below <= lower and upper < below + near <= below + NEAR_MAX):
+        room[:] = values
+        return _median(room)
+    for i in range(1, near):
+        value, k = room[i], i
+        while k > 0 and room[k - 1] > value:
+            room[k] = room[k - 1]
+            k -= 1
+        room[k] = value
+    if n % 2:
+        return float(room[upper - below])
+    return float(0.5 * (room[upper - below] + room[lower - below]))
+
+
+@njit(nogil=True, cache=True)
+def spread(
+    distance: NDArray[np.float64], least: float, guess: float, room: NDArray[np.float64]
+) -> float:
+    """Robust spread of residuals: the median of their sizes, as that of a Gaussian.
+
+    Parameters
+    ----------
+    distance : (n,) float64
+        Sizes of the residuals, at least one [m].
+    least : float
+        Least spread [m].
+    guess : float
+        A spread that it may be near to, or 0: makes it quicker, not different [m].
+    room : (n,) float64
+        Room.
+    """
+    # Where more than half is surely below, the median need not be known.
+    sure = 0.6745 * least * (1.0 - 1e-9)
+    below = 0
+    for i in range(len(distance)):
+        below += distance[i] < sure
+    if below > len(distance) // 2:
+        return least
+    return max(_median_near(distance, 0.6745 * guess, room) / 0.6745, least)
 
 
 @njit(nogil=True, cache=True)
@@ -195,13 +251,13 @@ def bisquare_plane(
         weight[i] = 1.0
     if len(u) < 4 or not weighted_plane(u, v, w, weight, plane):
         return False
-    distance, size = np.empty(len(u)), np.empty(len(u))
+    distance, room, sigma = np.empty(len(u)), np.empty(len(u)), 0.0
     for _ in range(ITERATIONS):
         a, b, c = plane[0], plane[1], plane[2]
         for i in range(len(u)):
             distance[i] = abs(w[i] - (a + b * u[i] + c * v[i]))
-            size[i] = distance[i]
-        scale = BISQUARE * max(_median(size) / 0.6745, scale_min)
+        sigma = spread(distance, scale_min, sigma, room)
+        scale = BISQUARE * sigma
         for i in range(len(u)):
             ratio = distance[i] / scale
             weight[i] = (1.0 - ratio * ratio) ** 2 if ratio < 1.0 else 0.0
@@ -213,8 +269,10 @@ def bisquare_plane(
 
 
 @njit(nogil=True, cache=True)
-def percentile_68(plane: NDArray[np.float64], distance: NDArray[np.float64]) -> float:
-    """68th percentile of the point-to-plane distances [W17 ch. 7].
+def percentile_68_below(
+    plane: NDArray[np.float64], distance: NDArray[np.float64], limit: float
+) -> bool:
+    """Whether the 68th percentile of the point-to-plane distances is small [W17 ch. 7].
 
     Parameters
     ----------
@@ -222,9 +280,11 @@ def percentile_68(plane: NDArray[np.float64], distance: NDArray[np.float64]) -> 
         Plane.
     distance : (n,) float64
         Distances along the beam [m]; they are turned perpendicular to the plane here.
+    limit : float
+        What it is to be below [m].
     """
     tilt = math.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
-    size = np.empty(len(distance), dtype=np.float64)
+    below = 0
     for i in range(len(distance)):
-        size[i] = abs(distance[i])
-    return float(select(size, min(len(size) - 1, int(0.68 * len(size)))) / tilt)
+        below += abs(distance[i]) / tilt < limit
+    return below > min(len(distance) - 1, int(0.68 * len(distance)))
