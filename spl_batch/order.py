@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 _WORD = 64
 _BLOCK = 1 << 14
+_DIGIT = 16
 
 
 def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
@@ -34,6 +35,9 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
     packed, complete = _pack(keys, _WORD - row_bits)
     if packed is None:
         return np.lexsort(keys[::-1])
+    if complete and packed.max(initial=0) < 1 << _DIGIT:
+        # Numbers this short are put in order digit by digit, without comparing them.
+        return np.argsort(packed.astype(np.uint16), kind="stable")
     word = (packed << np.uint64(row_bits)) | np.arange(n, dtype=np.uint64)
     word.sort()
     order = (word & np.uint64((1 << row_bits) - 1)).astype(np.intp)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTUM_M, SPEED_OF_LIGHT_M_S
 from spl_batch.kernels.afterpulse_law import observe_lags, rate_behind
 from spl_batch.kernels.hard_surfaces import Rules
-from spl_batch.kernels.shots import lag_behind, run_starts
+from spl_batch.kernels.shots import lag_behind, offsets, run_starts
 from spl_batch.model import BeamTable, PointTable, rows_of
 from spl_batch.sensor import Sensor
 
@@ -117,8 +117,9 @@ def observe(
 
 def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.float64]:
     """Points relative to the first one of their shot: (n, 3) float64 [m]."""
-    xyz = np.stack([table[k].astype(np.int64) for k in ("x", "y", "z")], axis=1)
-    return (xyz - np.repeat(xyz[shots[:-1]], np.diff(shots), axis=0)) * np.float64(QUANTUM_M)
+    offset = np.empty((len(table), 3))
+    offsets(shots, (table["x"], table["y"], table["z"]), QUANTUM_M, offset)
+    return offset
 
 
 def _several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:
