@@ -90,15 +90,15 @@ def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _middle(cells, most, turns, rows):  # type: ignore[no-untyped-def]
+def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
     """Centre of the first cell with the largest count and of its equals beside it [cells]."""
     for a in range(turns):
         for b in range(rows):
-            if cells[a, b] == most:
+            if cells[a * lanes + b] == most:
                 total_a = total_b = equal = 0
                 for i in range(a, min(a + 3, turns)):
                     for j in range(max(b - 2, 0), min(b + 3, rows)):
-                        if cells[i, j] == most:
+                        if cells[i * lanes + j] == most:
                             total_a += i
                             total_b += j
                             equal += 1
@@ -131,7 +131,7 @@ def _directions(dx, dy, flat, rise, near, reach, step, slope_max, turns, levels,
 
 
 @njit(nogil=True, cache=True)
-def _vote(words, masks, turn, level, size, near, turns, levels):  # type: ignore[no-untyped-def]
+def _vote(words, masks, turn, level, size, near, turns, levels, stride):  # type: ignore[no-untyped-def]
     """Add every neighbour to the directions that pass it: four cells to a word."""
     for k in range(near):
         half = (2 << size[k]) - 1
@@ -139,29 +139,45 @@ def _vote(words, masks, turn, level, size, near, turns, levels):  # type: ignore
         left = b - half + PAD
         if size[k] == 0 and 0 < a < turns - 1:
             # Seven neighbours of eight, written out for the compiler's sake.
-            at, lane = np.uint64(left >> 2), np.uint64(left & 3)
+            at, lane = np.uint64((a - 1) * stride + (left >> 2)), np.uint64(left & 3)
             low, high = masks[U0, lane, U0], masks[U0, lane, U1]
-            for i in range(np.uint64(a - 1), np.uint64(a + 2)):
-                words[i, at] += low
-                words[i, at + U1] += high
+            for _ in range(3):
+                words[at] += low
+                words[at + U1] += high
+                at += np.uint64(stride)
             continue
         for i in range(a - half, a + half + 1):
             row, left = i, b - half + PAD
             if i < 0 or i >= turns:
                 row = i + turns if i < 0 else i - turns
                 left = levels - 1 - b - half + PAD
-            at, lane = left >> 2, left & 3
+            at, lane = row * stride + (left >> 2), left & 3
             for j in range((lane + 2 * half) // 4 + 1):
-                words[row, at + j] += masks[size[k], lane, j]
+                words[at + j] += masks[size[k], lane, j]
 
 
 @njit(nogil=True, cache=True)
-def _largest_count(cells):  # type: ignore[no-untyped-def]
-    """Largest of some cells (n,)."""
+def _largest_count(cells, size):  # type: ignore[no-untyped-def]
+    """Largest of the first cells."""
     most = np.uint16(0)
-    for i in range(len(cells)):
+    for i in range(size):
         most = max(most, cells[i])
     return np.int64(most)
+
+
+@njit(nogil=True, cache=True)
+def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
+    """Most points in the columns around one [count]."""
+    most = 0
+    for a in range(nx):
+        i0, i1 = columns_around(a, span, nx)
+        for b in range(ny):
+            j0, j1 = columns_around(b, span, ny)
+            held = 0
+            for i in range(i0, i1):
+                held += start[i * ny + j1] - start[i * ny + j0]
+            most = max(most, held)
+    return most
 
 
 @njit(nogil=True, cache=True)
@@ -199,10 +215,18 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
     first = np.empty((2 * span + 1) ** 2, np.int64)
     last, floor, stop = np.empty_like(first), np.empty_like(first), np.empty_like(first)
     place = np.empty((2, len(first)))
-    room = 1024
-    work, found = np.empty((4, room)), np.empty((3, room), np.int32)
-    masks = _masks()
-    cells = np.zeros(TURNS * LEVELS, np.uint16)
+    # Arrays that stay as they are: numba counts the references to each view of one.
+    room = _fullest_window(start, nx, ny, span)
+    dx, dy, flat, rise = (
+        np.empty(room + 1),
+        np.empty(room + 1),
+        np.empty(room + 1),
+        np.empty(room + 1),
+    )
+    turn, level = np.empty(room, np.int32), np.empty(room, np.int32)
+    size, masks = np.empty(room, np.int32), _masks()
+    words = np.zeros(TURNS * LEVELS // 4, np.uint64)
+    cells = words.view(np.uint16)
     for a in range(nx):
         for b in range(ny):
             own = a * ny + b
@@ -235,7 +259,6 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                 reach = length[row]
                 outer, inner = reach * reach, least * least
                 near = U0
-                dx, dy, flat, rise = work[0], work[1], work[2], work[3]
                 for k in range(beside):
                     # The near and the far corner of the column bound what of it may count.
                     ahead, aside = place[0, k] - x, place[1, k] - y
@@ -257,10 +280,6 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                     while high > low and points[2, high - 1] > top:
                         high -= 1
                     first[k], last[k] = low, high
-                    if np.int64(near) + high - low > room:
-                        room = 2 * (np.int64(near) + high - low)
-                        work, found = _grown(work, room), np.empty((3, room), np.int32)
-                        dx, dy, flat, rise = work[0], work[1], work[2], work[3]
                     # Without a branch: four candidates of ten are neighbours.
                     for j in range(np.uint64(low), np.uint64(high)):
                         across = np.float64(points[U0, j] - x)
@@ -273,29 +292,20 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                         )
                 step, turns, levels = grid(reach, radius, slope_max)
                 _directions(
-                    dx, dy, flat, rise, near, reach, step, slope_max, turns, levels,
-                    found[0], found[1], found[2],
+                    dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level,
+                    size,
                 )  # fmt: skip
-                lanes = (levels + 2 * PAD + 7) // 4 * 4
-                used = cells[: turns * lanes]
-                used[:] = 0
-                words = used.view(np.uint64).reshape(turns, lanes // 4)
-                _vote(words, masks, found[0], found[1], found[2], near, turns, levels)
-                most = _largest_count(used)
+                stride = (levels + 2 * PAD + 7) // 4
+                for i in range(turns * stride):
+                    words[i] = 0
+                _vote(words, masks, turn, level, size, near, turns, levels, stride)
+                most = _largest_count(cells, 4 * turns * stride)
                 cone = 4.0 / 3.0 * math.pi * slope_max * (reach**3 - least**3)
                 crowd = max(density[row], max(np.int64(near) - most, 0) / cone)
                 expected[row] = crowd * tube_volume(reach, least, step)
                 if expected[row] > largest[min(most, len(largest) - 1)]:
                     continue
                 count[row] = most
-                at, level = _middle(used.reshape(turns, lanes), most, turns, levels + 2 * PAD)
-                azimuth[row] = at * step
-                slope[row] = (level - PAD) * step - slope_max
-
-
-@njit(nogil=True, cache=True)
-def _grown(values, room):  # type: ignore[no-untyped-def]
-    """The same values with more room behind."""
-    out = np.empty((values.shape[0], room), values.dtype)
-    out[:, : values.shape[1]] = values
-    return out
+                around, up = _middle(cells, most, turns, levels + 2 * PAD, 4 * stride)
+                azimuth[row] = around * step
+                slope[row] = (up - PAD) * step - slope_max

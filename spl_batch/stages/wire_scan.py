@@ -45,7 +45,7 @@ DOMAIN: Final = "space"
 CELL_M: Final = 1.0
 """Cell of the density that tells a surface [m]; 27 of them are counted."""
 
-COLUMN_M: Final = 4.0
+COLUMN_M: Final = 8.0
 """Edge of the columns in which tubes are counted [m]; speed only."""
 
 CROWD: Final = 100.0
@@ -237,7 +237,7 @@ def _score(
     inline, abreast, against = (np.zeros(len(tubes.row), np.int32) for _ in range(3))
     if len(tubes.row):
         places = np.rint(tubes.middle).astype(np.int32)
-        made = columns(places, np.arange(len(places)), anchor, quanta(2 * COLUMN_M))
+        made = columns(places, np.arange(len(places)), anchor, quanta(COLUMN_M))
         agreeing(
             made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle,
             tubes.azimuth, tubes.slope, tubes.length, settings.stretch * tubes.length,
