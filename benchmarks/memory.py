@@ -102,8 +102,8 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
     plain, read = work.run_task, space_domain.read_region
     region: list[int] = []
 
-    def counted(*args: Any) -> Any:
-        found = read(*args)
+    def counted(*args: Any, **options: Any) -> Any:
+        found = read(*args, **options)
         region.append(len(found[0]))
         return found
 
