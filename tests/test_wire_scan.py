@@ -16,10 +16,10 @@ from spl_batch.kernels.columns import Columns, columns, cube_counts
 from spl_batch.kernels.tubes import PAD, fullest, grid, half_turn, tube_volume, window
 from spl_batch.model import PointTable
 from spl_batch.settings import FilterSettings, WireSettings
+from spl_batch.stages.classes import classify
 from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.denoise import denoise
 from spl_batch.stages.denoise import reach_m as filter_reach_m
-from spl_batch.stages.surface import classify
 from spl_batch.stages.wire_scan import reach_m, scan
 from spl_batch.tiling import Bounds
 
