@@ -33,6 +33,27 @@ class Cloud:
     asked: NDArray[np.bool_]
     shot_noise: NDArray[np.bool_]
 
+    def around(self, margin: int, axes: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Points within ``margin`` of the box of all that are asked for: (n,) bool.
+
+        Parameters
+        ----------
+        margin : int
+            How much the box grows [quanta].
+        axes : tuple of int
+            Along which axes it has sides.
+        """
+        if not self.asked.any():
+            return self.asked
+        around = np.ones(len(self.xyz), np.bool_)
+        for axis in axes:
+            values = self.xyz[:, axis]
+            chosen = values[self.asked]
+            around &= (values >= int(chosen.min()) - margin) & (
+                values <= int(chosen.max()) + margin
+            )
+        return around
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:

@@ -103,7 +103,7 @@ def judge(
         signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
     linked = settings.link_count > 0
-    assessed = _around(cloud.xyz, asked, quanta(settings.link_m)) if linked else asked
+    assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
     rows = np.flatnonzero(assessed)
     taken = np.minimum(np.broadcast_to(spent, asked.shape)[rows], LEAST * settings.alpha)
     alpha = settings.alpha - taken
@@ -193,12 +193,3 @@ def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> 
     ball_m3 = 4.0 / 3.0 * np.pi * settings.neighbour_cap_m**3
     rare: NDArray[np.bool_] = density * ball_m3 < HARDLY_EXPECTED
     return rare
-
-
-def _around(xyz: NDArray[np.int32], asked: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
-    """Points that may lie within ``margin`` of one asked for: those in the grown box of all."""
-    if not asked.any():
-        return asked
-    low, high = xyz[asked].min(axis=0) - margin, xyz[asked].max(axis=0) + margin
-    around: NDArray[np.bool_] = np.all((xyz >= low) & (xyz <= high), axis=1)
-    return around

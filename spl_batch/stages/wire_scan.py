@@ -187,7 +187,7 @@ def _tubes(cloud: Cloud, made: Columns, free: NDArray[np.intp], settings: WireSe
     margin = quanta((1.0 + settings.stretch) * settings.half_length_m + BESIDE_M + 2.0)
     seed = np.zeros(n, np.bool_)
     seed[free] = _drawn(cloud, free, settings.seed_share)
-    seed &= _around(cloud.xyz, cloud.asked, margin)
+    seed &= cloud.around(margin, (0, 1))
     cone = 4.0 / 3.0 * np.pi * settings.slope_max
     short_m = np.minimum(
         settings.half_length_m / 1.5,
@@ -288,13 +288,3 @@ def _drawn(cloud: Cloud, rows: NDArray[np.intp], share: float) -> NDArray[np.boo
         mixed ^= mixed >> np.uint64(29)
     drawn: NDArray[np.bool_] = (mixed >> np.uint64(32)) < share * 2.0**32
     return drawn
-
-
-def _around(xyz: NDArray[np.int32], asked: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
-    """Points within ``margin`` of the plan view's box of all that are asked for: (n,) bool."""
-    around = np.ones(len(xyz), np.bool_)
-    for axis in (0, 1):
-        values = xyz[:, axis]
-        chosen = values[asked]
-        around &= (values >= int(chosen.min()) - margin) & (values <= int(chosen.max()) + margin)
-    return around
