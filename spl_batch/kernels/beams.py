@@ -1,4 +1,4 @@
-"""Lines of sight from where the sensor was to what it saw."""
+"""Lines of sight from where the sensor was to what it saw, and what they pass through."""
 
 import math
 
@@ -45,3 +45,103 @@ def look(
             origin[i, 0], origin[i, 1], origin[i, 2] = ox, oy, oz
             direction[i, 0], direction[i, 1], direction[i, 2] = dx / scale, dy / scale, dz / scale
             range_m[i] = length
+
+
+@njit(nogil=True, cache=True)
+def reach(
+    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    step_m: float,
+    direction: NDArray[np.float64],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Box around pieces of lines: lowest and highest coordinates, two (3,) float64 [m].
+
+    Parameters
+    ----------
+    place : three (n,) integer arrays
+        Point of each line [steps].
+    step_m : float
+        A step [m].
+    direction : (n, 3) float64
+        Unit vectors along the lines.
+    near, far : (n,) float64
+        Ends of each piece, along the line from the point [m].
+    """
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    x, y, z = place
+    for i in range(len(near)):
+        for axis, at in enumerate((x[i] * step_m, y[i] * step_m, z[i] * step_m)):
+            one, other = at + near[i] * direction[i, axis], at + far[i] * direction[i, axis]
+            low[axis] = min(low[axis], one, other)
+            high[axis] = max(high[axis], one, other)
+    return low, high
+
+
+@njit(nogil=True, cache=True)
+def in_voxels(
+    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    edge: int,
+    corner: NDArray[np.int64],
+    half_step_m: float,
+    voxel: NDArray[np.int64],
+    point: NDArray[np.float64],
+) -> None:
+    """Voxel of each point, and where in it.
+
+    Parameters
+    ----------
+    place : three (n,) integer arrays
+        Points [steps].
+    edge : int
+        Edge of a voxel [steps].
+    corner : (3,) int64
+        Voxel that others are counted from.
+    half_step_m : float
+        Half a step [m].
+    voxel : (n, 3) int64
+        Filled.
+    point : (n, 3) float64
+        Filled with the place relative to the voxel's centre [m].
+    """
+    x, y, z = place
+    for i in range(len(voxel)):
+        for axis, at in enumerate((x[i], y[i], np.int64(z[i]))):
+            inside = at // edge
+            voxel[i, axis] = inside - corner[axis]
+            point[i, axis] = (2 * (at - inside * edge) - edge) * half_step_m
+
+
+@njit(nogil=True, cache=True)
+def meet_planes(
+    start: NDArray[np.int64],
+    level: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    place: NDArray[np.float64],
+    anchor: NDArray[np.float64],
+) -> None:
+    """Where beams meet the reference plane of their block.
+
+    Parameters
+    ----------
+    start : (m + 1,) int64
+        First row of each block, none empty, and the number of rows.
+    level : (m,) float64
+        Height of each block's plane [m].
+    origin, direction : (n, 3) float64
+        Beams; none is horizontal.
+    place : (n, 2) float64
+        Filled with easting and northing relative to the block's anchor [m].
+    anchor : (m, 3) float64
+        Filled with the place of the block's first beam in whole metres, and the level [m].
+    """
+    for b in range(len(start) - 1):
+        anchor[b, 2] = level[b]
+        for row in range(start[b], start[b + 1]):
+            away = (level[b] - origin[row, 2]) / direction[row, 2]
+            for axis in range(2):
+                met = origin[row, axis] + away * direction[row, axis]
+                if row == start[b]:
+                    anchor[b, axis] = np.rint(met)
+                place[row, axis] = met - anchor[b, axis]

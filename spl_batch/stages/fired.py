@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.kernels.beams import meet_planes
 from spl_batch.kernels.shot_pattern import (
     TERMS,
     learn_pattern,
@@ -148,10 +149,8 @@ def aim(
     z = table["z"] * QUANTUM_M
     level = np.array([np.median(z[a:b]) for a, b in pairwise(start)])
     size = np.diff(start)
-    away = (np.repeat(level, size) - origin[:, 2]) / direction[:, 2]
-    place = origin[:, :2] + away[:, None] * direction[:, :2]
-    anchor = np.column_stack([np.rint(place[start[:-1]]), level])
-    place -= np.repeat(anchor[:, :2], size, axis=0)
+    place, anchor = np.empty((len(table), 2)), np.empty((len(size), 3))
+    meet_planes(start, level, origin, direction, place, anchor)
     middle: NDArray[np.float64] = (first + last).astype(np.float64) / 2
     half = np.maximum(0.5 * (last - first), 0.5)
     tau = (table["shot"] - np.repeat(middle, size)) / np.repeat(half, size)
@@ -164,7 +163,7 @@ def aim(
         learnt = _learn(_only(data, wrong), channels)
         pattern[wrong], coefficient[wrong], rms[wrong] = learnt
     good = rms <= MISFIT_MAX_M
-    moving = _motion(origin - np.repeat(anchor, size, axis=0), tau, start)
+    moving = _motion(origin, anchor, tau, start)
     return FiredPart(
         first[good], last[good], middle[good], half[good], anchor[good], coefficient[good],
         moving[good], pattern[good], _sensitivity(model, channels), link_constant(sensor),
@@ -259,12 +258,15 @@ def _only(
 
 
 def _motion(
-    origin: NDArray[np.float64], tau: NDArray[np.float64], start: NDArray[np.int64]
+    origin: NDArray[np.float64],
+    anchor: NDArray[np.float64],
+    tau: NDArray[np.float64],
+    start: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Sensor at the middle of each block and its motion, by least squares: (m, 2, 3) [m]."""
+    """Sensor at the middle of each block, from its anchor, and its motion: (m, 2, 3) [m]."""
     out = np.zeros((len(start) - 1, 2, 3))
     for b, (low, high) in enumerate(pairwise(start)):
-        t, o = tau[low:high], origin[low:high]
+        t, o = tau[low:high], origin[low:high] - anchor[b]
         mean_t, mean_o = t.mean(), o.mean(axis=0)
         spread = float(((t - mean_t) ** 2).sum())
         if spread > 0.0:

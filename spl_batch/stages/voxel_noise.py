@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.kernels.beams import in_voxels, reach
 from spl_batch.kernels.chords import deposit_beamlets
 from spl_batch.kernels.shots import run_starts
 from spl_batch.model import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages.line_model import LineModel
 from spl_batch.stages.line_noise import gate_of, line_density
-from spl_batch.tiling import cell_index, quanta
+from spl_batch.tiling import quanta
 
 DOMAIN: Final = "time"
 
@@ -84,26 +85,25 @@ def deposit(
         return VoxelPart((0, 0, 0), empty, squares=np.zeros((0, 0, 0, 16), dtype=np.uint16))
     per_m = line_density(table, model) if published else seen_density(table, model)
     edge = quanta(settings.voxel_m)
-    point = np.stack([table[k].astype(np.int64) for k in ("x", "y", "z")], axis=1)
-    voxel = np.stack([cell_index(point[:, k], edge) for k in range(3)], axis=1)
-    metres = point * np.float64(QUANTUM_M)
-    relative = (2 * (point - voxel * edge) - edge) * np.float64(0.5 * QUANTUM_M)
+    place = (table["x"], table["y"], table["z"])
     direction = beams.direction
     radius = sphere_radius_m(settings.voxel_m)
-    corner, shape = _box(metres, direction, near, far, settings.voxel_m)
+    corner, shape = _box(*reach(place, QUANTUM_M, direction, near, far), settings.voxel_m)
+    voxel, relative = np.empty((len(table), 3), np.int64), np.empty((len(table), 3))
+    in_voxels(place, edge, corner, 0.5 * QUANTUM_M, voxel, relative)
     amount = np.zeros(shape, dtype=np.int64)
     counted = np.zeros((2, *(shape if published else (0, 0, 0))), dtype=np.int64)
     squares = np.zeros((0, 0, 0, 16) if published else (*shape, 16), dtype=np.uint16)
     shot = np.cumsum(np.diff(table["gps_time"], prepend=-np.inf) != 0)
     deposit_beamlets(
-        voxel - corner, relative, direction, near, far,
+        voxel, relative, direction, near, far,
         per_m.astype(np.float64) * VOXEL_FIXED_POINT, settings.voxel_m, radius, shot,
         amount, counted[0], counted[1], squares,
     )  # fmt: skip
-    place = (int(corner[0]), int(corner[1]), int(corner[2]))
+    first = (int(corner[0]), int(corner[1]), int(corner[2]))
     if published:
-        return VoxelPart(place, amount, counted[0], counted[1])
-    return VoxelPart(place, amount, squares=squares)
+        return VoxelPart(first, amount, counted[0], counted[1])
+    return VoxelPart(first, amount, squares=squares)
 
 
 def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
@@ -141,18 +141,10 @@ def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
 
 
 def _box(
-    point: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    near: NDArray[np.float64],
-    far: NDArray[np.float64],
-    voxel_m: float,
+    low: NDArray[np.float64], high: NDArray[np.float64], voxel_m: float
 ) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
-    """Voxels that the beamlets can touch: first index and number along each axis."""
+    """Voxels that beamlets within a box can touch: first index and number along each axis."""
     radius = sphere_radius_m(voxel_m)
-    low, high = np.empty(3), np.empty(3)
-    for k in range(3):
-        ends = point[:, k] + np.stack([near, far]) * direction[:, k]
-        low[k], high[k] = ends.min(), ends.max()
     # One voxel more on each side: candidates are looked at before they are measured.
     corner = np.floor((low - 2 * radius) / voxel_m).astype(np.int64) - 1
     stop = np.floor((high + 2 * radius) / voxel_m).astype(np.int64) + 2

@@ -1,0 +1,82 @@
+"""Lines of sight beside plain numpy."""
+
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.kernels.beams import in_voxels, meet_planes, reach
+from spl_batch.kernels.shots import offsets
+
+STEP_M = 0.001
+seeds = st.integers(0, 10_000)
+
+
+def scene(seed: int) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
+    """Places in steps, in metres, and directions downwards."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 40))
+    x, y = rng.integers(-(10**9), 10**9, (2, n))
+    place = (x, y, rng.integers(-(10**6), 10**6, n).astype(np.int32))
+    direction = rng.normal(size=(n, 3)) - (0.0, 0.0, 4.0)
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return place, np.stack(place, axis=1) * STEP_M, direction
+
+
+def starts_of(rng: np.random.Generator, n: int) -> NDArray[np.int64]:
+    inner = np.flatnonzero(rng.random(n - 1) < 0.3) + 1
+    return np.concatenate([[0], inner, [n]]).astype(np.int64)
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_box_around_pieces_of_lines(seed: int) -> None:
+    place, metres, direction = scene(seed)
+    near, far = np.sort(np.random.default_rng(seed).uniform(-99, 99, (2, len(metres))), axis=0)
+    low, high = reach(place, STEP_M, direction, near, far)
+    ends = np.stack([metres + d[:, None] * direction for d in (near, far)])
+    np.testing.assert_array_equal(low, ends.min(axis=(0, 1)))
+    np.testing.assert_array_equal(high, ends.max(axis=(0, 1)))
+
+
+@settings(deadline=None)
+@given(seeds, st.sampled_from([1, 7, 10_000]))
+def test_voxel_and_place_in_it_add_up_to_the_point(seed: int, edge: int) -> None:
+    place, _, _ = scene(seed)
+    steps = np.stack(place, axis=1)
+    corner = np.array([-3, 5, 2])
+    voxel, point = np.empty(steps.shape, np.int64), np.empty(steps.shape)
+    in_voxels(place, edge, corner, 0.5, voxel, point)
+    np.testing.assert_array_equal(voxel, steps // edge - corner)
+    np.testing.assert_array_equal(point, steps % edge - edge / 2)
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_beams_meet_the_plane_of_their_block(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    _, origin, direction = scene(seed)
+    start = starts_of(rng, len(origin))
+    size = np.diff(start)
+    level = rng.uniform(-50, 50, len(size))
+    place, anchor = np.empty((len(origin), 2)), np.empty((len(size), 3))
+    meet_planes(start, level, origin, direction, place, anchor)
+    away = (np.repeat(level, size) - origin[:, 2]) / direction[:, 2]
+    met = origin[:, :2] + away[:, None] * direction[:, :2]
+    np.testing.assert_array_equal(anchor[:, :2], np.rint(met[start[:-1]]))
+    np.testing.assert_array_equal(anchor[:, 2], level)
+    np.testing.assert_array_equal(place, met - np.repeat(anchor[:, :2], size, axis=0))
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_offsets_within_shots(seed: int) -> None:
+    place, _, _ = scene(seed)
+    steps = np.stack(place, axis=1)
+    start = starts_of(np.random.default_rng(seed), len(steps))
+    offset = np.empty(steps.shape)
+    offsets(start, place, STEP_M, offset)
+    first = np.repeat(steps[start[:-1]], np.diff(start), axis=0)
+    np.testing.assert_array_equal(offset, (steps - first) * STEP_M)
