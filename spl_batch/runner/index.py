@@ -24,9 +24,9 @@ from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import (
     estimate_prf,
     heading_from_track,
-    in_order,
     merge_track,
     observe_track,
+    ordered_times,
     shot_steps,
 )
 
@@ -58,8 +58,6 @@ class _Tally:
         self.low = np.full(3, np.iinfo(np.int64).max)
         self.high = np.full(3, np.iinfo(np.int64).min)
         self.channels: set[int] = set()
-        self.in_order = True
-        self.last_time = -np.inf
         self.sample: list[float] = []
 
     def add(self, table: PointTable) -> None:
@@ -82,14 +80,11 @@ class _Tally:
         time = table["gps_time"]
         if not len(time):
             return
-        follows = bool(np.all(np.diff(time) >= 0) and time[0] >= self.last_time)
-        self.in_order = self.in_order and follows
-        self.last_time = float(time.max())
         self.sample.extend((float(time.min()), float(time.max())))
         line = table["point_source_id"]
         for psid in np.flatnonzero(np.bincount(line)).tolist():
             mine = table.take(rows_of(line == psid))
-            ordered = in_order(mine["gps_time"])
+            ordered = ordered_times(mine["gps_time"])
             cuts = np.flatnonzero(np.diff(ordered) > self.gap_s) + 1
             for piece in np.split(ordered, cuts):
                 self.spans.setdefault(psid, []).append(
@@ -133,7 +128,6 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         **tally.counts,
         "bounds": [*tally.low.tolist(), *tally.high.tolist()] if tally.counts["points"] else None,
         "channels": [min(tally.channels), max(tally.channels)] if tally.channels else None,
-        "in_order": tally.in_order,
         "spans": {str(k): merge_spans(v, settings.gap_s) for k, v in sorted(tally.spans.items())},
         "fullest": {str(k): v.fullest() for k, v in sorted(tally.rates.items())},
         "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(tally.steps.items())},

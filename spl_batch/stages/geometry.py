@@ -172,7 +172,7 @@ def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
     return float(np.arctan2(speed[0], speed[1]))
 
 
-def in_order(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def ordered_times(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
     """Times in order; as they are where they are in order already."""
     return np.sort(time_s) if np.any(time_s[1:] < time_s[:-1]) else time_s
 
@@ -190,7 +190,7 @@ def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     (STEP_BINS,) int64
         Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped.
     """
-    time = in_order(time_s[np.isfinite(time_s)])
+    time = ordered_times(time_s[np.isfinite(time_s)])
     step = np.diff(time[run_starts(time)[:-1]])
     step = step[step < (STEP_BINS - 1) * STEP_BIN_S]
     index = np.rint(step / STEP_BIN_S).astype(np.int64)
