@@ -88,9 +88,10 @@ def weigh_around(
     rows: NDArray[np.int32],
     radii: NDArray[np.int64],
     tilt: NDArray[np.float64],
+    own: int,
     out: NDArray[np.int64],
 ) -> None:
-    """Kernel sums of the weights around some points, their own beamlets left out.
+    """Kernel sums of the weights around some points.
 
     Parameters
     ----------
@@ -109,6 +110,9 @@ def weigh_around(
         others, and its horizontal radius is at most ``edge``.
     tilt : (m, 2) float64
         Slopes of the kernels towards x and y.
+    own : int
+        What a return of the same beamlet above the point counts for [returns / UNIT]; those
+        below it do not count.
     out : (m, k) int64
         Filled with the sums of weight x (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
     """
@@ -131,13 +135,16 @@ def weigh_around(
                         break
                     dx, dy = float(xyz[p, 0] - x0), float(xyz[p, 1] - y0)
                     flat = dx * dx + dy * dy
-                    if flat >= wide or weight[p] == 0 or (time[p] == t0 and channel[p] == c0):
+                    if flat >= wide or weight[p] == 0:
                         continue
+                    worth = int(weight[p])
+                    if time[p] == t0 and channel[p] == c0:
+                        worth = worth * own // UNIT if z[p] > z0 else 0
                     square = (float(z[p] - z0) - bx * dx - by * dy) ** 2
                     for k in range(len(radii)):
                         left = 1.0 - flat * across[k] - square * up[k]
                         if left > 0.0:
-                            out[q, k] += weight[p] * int(left * left * UNIT)
+                            out[q, k] += worth * int(left * left * UNIT)
 
 
 @njit(nogil=True, cache=True)
@@ -219,7 +226,7 @@ def behind_plane(
     xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
     true: NDArray[np.bool_], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
     rows: NDArray[np.int32], lag: int, wide: int, high: int, thick: int, share: float,
-    least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64],
+    least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64], parents: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Whether points lie behind a plane that the true returns around their parent make.
 
@@ -245,6 +252,8 @@ def behind_plane(
     tilt : (m, 2) float64
         Filled with the plane's slopes towards x and y, whatever lies at the point's depth;
         0 where there is no plane.
+    parents : (m,) int32
+        Filled with the points' parents, -1 for none.
     """
     sums, plane = np.empty(11, dtype=np.int64), np.zeros(3)
     level = np.zeros(1)
@@ -255,6 +264,7 @@ def behind_plane(
         parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag // 5, near)
         if parent < 0:
             parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag, edge)
+        parents[q] = parent
         if parent < 0:
             continue
         for step in range(2):

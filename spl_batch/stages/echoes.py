@@ -14,9 +14,9 @@ candidate at lag :math:`l` behind its parents, two rates per metre of beamlet co
 The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in :math:`\rho` by
 their own probability of being true, which takes a second round (expectation maximisation).
 
-:math:`\rho` comes from an ellipsoid wide enough for crowns; where returns are denser or rarer in
-a thin one, at the candidate's own level, that takes over, and from it a small one, that tells
-clumps of leaves from the gaps between them: the prior of each is the density of the one before.
+:math:`\rho` comes from counts in spheres, from one wide enough for crowns to one that tells clumps
+of leaves from the gaps between them, weighed by how much the leaves around hang in clumps
+(:mod:`~spl_batch.stages.foliage`).
 A candidate whose parent lies on a plane of parentless returns, of all flightlines, with next to
 nothing at the candidate's depth, is behind a hard surface as one that the time domain is sure of.
 Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 from spl_batch.kernels.surroundings import MASS, UNIT, behind_plane, columns, weigh_around
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.settings import AfterpulseSettings
+from spl_batch.stages import foliage
 from spl_batch.stages.followers import LAG_M, dependents
 from spl_batch.tiling import quanta
 
@@ -52,18 +53,15 @@ COLUMNS_NEEDED: Final = (
     "afterpulse_share",
 )  # fmt: skip
 
-WIDE_M: Final = (1.5, 1.0)
-THIN_M: Final = (1.5, 0.3)
-NEAR_M: Final = (0.7, 0.5)
 FLAT_M: Final = (1.5, 0.2)
-"""Horizontal and vertical radii of the ellipsoids: of crowns, of what is thin in them, of clumps of
-leaves and the gaps between them, of what lies behind a hard surface [m]."""
+"""Horizontal and vertical radius of the ellipsoid that finds surfaces behind hard ones [m]."""
 
-CROWN_M: Final = (WIDE_M, THIN_M, NEAR_M)
-"""Those that tell the density in crowns, each with the one before as its prior."""
+WIDE_M: Final = max(FLAT_M[0], foliage.SPHERES_M[0])
+"""How far a count of returns looks, and how far a parent is sought aside [m]."""
 
-REACH_M: Final = 2 * WIDE_M[0]
-"""How far the decision about a point looks: two rounds of the wide ellipsoid [m]."""
+REACH_M: Final = WIDE_M + foliage.REACH_M
+"""How far the decision about a point looks: the second round counts returns by what the first
+one found [m]."""
 
 AFTERPULSE_MIN: Final = 0.5
 """Probability from which the time domain's word is believed: behind hard surfaces."""
@@ -83,6 +81,10 @@ PLANE_SHARE: Final = 0.7
 PLANE_LEAST: Final = 8
 """Share of the returns in it that lie on the plane, and their least number [count]."""
 
+SHARE: Final = 0.7
+PLANE_LEAST: Final = 8
+"""Share of the returns in it that lie on the plane, and their least number [count]."""
+
 SIGHT: Final = 1.3
 """True rate of a beamlet that has returned something in front, over the mean rate of those that
 pass: it is not in the shade of other crowns, and not blind. Chosen on seven of the simulated
@@ -94,12 +96,8 @@ SHARE: Final = 0.15
 SETTLED: Final = 0.3
 """Probability in crowns below which the first round is the last: it hardly rises so far."""
 
-PSEUDO: Final = (0.5, 1.0)
-"""Returns that the wide ellipsoid's density is worth in the thin one, and that of the thin one in
-the small one: where leaves are spread evenly a small count is mostly chance."""
-
 LEAST: Final = 0.1
-"""Returns that a place without any has in the wide one."""
+"""Returns that a place behind a hard surface without any has."""
 
 
 class Echoes(NamedTuple):
@@ -187,16 +185,20 @@ def probability(
     per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     places = _Places(table)
-    behind, tilt = places.behind_plane(rows, usable & (table["afterpulse_rate"] == 0))
+    behind, tilt, parents = places.behind_plane(rows, usable & (table["afterpulse_rate"] == 0))
     hard |= behind
     chance = np.zeros(len(rows))
+    clumping = _clumping(table, places, rows, np.where(hard, -1, parents), true)
+    open_ = np.flatnonzero(~hard)
     for last in (False, True):
         if last:
-            # The wide ellipsoid would hold the surface itself, a level one that of a steep roof.
-            returns = _density(places.around(rows[hard], true, (FLAT_M,), tilt[hard]), (FLAT_M,))
+            # Spheres would hold the surface itself, a level ellipsoid that of a steep roof.
+            flat = places.around(rows[hard], true, (FLAT_M,), tilt[hard])
+            returns = (flat[:, 0] / UNIT**2 + LEAST) / _volume_m3(*FLAT_M)
             chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
-        returns = SIGHT * _density(places.around(rows[open_], true, CROWN_M), CROWN_M)
+        counts = places.around(rows[open_], true, _SPHERES_M, own=foliage.OWN)
+        returns = foliage.density(counts / UNIT**2, clumping[open_])
         chance[open_] = rate[open_] / (rate[open_] + returns * per_metre[open_])
         true[rows[open_]] = _weights(1.0 - chance[open_])
     return rows, chance, hard
@@ -207,23 +209,25 @@ def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
     return np.rint(true * UNIT).astype(np.int16)
 
 
-def _density(
-    found: NDArray[np.float64], radii_m: tuple[tuple[float, float], ...]
+def _clumping(
+    table: PointTable,
+    places: "_Places",
+    rows: NDArray[np.intp],
+    parents: NDArray[np.intp],
+    true: NDArray[np.int16],
 ) -> NDArray[np.float64]:
-    """True returns per m3 by counts in ellipsoids, ever smaller ones: (m,) float64.
-
-    Each is the mean of a gamma distribution with the one before as its prior, worth
-    :data:`PSEUDO` returns.
-    """
-    density = (found[:, 0] + LEAST) / _volume_m3(*radii_m[0])
-    for count, radii, prior in zip(found.T[1:], radii_m[1:], PSEUDO, strict=False):
-        density = (count + prior) / (_volume_m3(*radii) + prior / density)
-    return density
+    """How much leaves hang in clumps around rows, by their parents; -1 is not one: (m, k - 1)."""
+    parents = parents[parents >= 0]
+    counts = places.around(parents, true, _SPHERES_M)
+    return foliage.clumping(table["x"], table["y"], parents, true[parents], counts, rows)
 
 
 def _volume_m3(across_m: float, up_m: float) -> float:
     """What the kernel of an ellipsoid holds [m3]."""
     return MASS * 4.0 / 3.0 * math.pi * across_m * across_m * up_m
+
+
+_SPHERES_M: Final = tuple((radius, radius) for radius in foliage.SPHERES_M)
 
 
 class _Places:
@@ -233,7 +237,7 @@ class _Places:
         xyz = np.empty((len(table), 3), dtype=np.int32)
         for axis, name in enumerate("xyz"):
             xyz[:, axis] = table[name] - table[name].min()
-        self._listed = columns(xyz, quanta(WIDE_M[0]))
+        self._listed = columns(xyz, quanta(WIDE_M))
         order = self._listed.order
         self._xyz, self._time, self._channel = (
             xyz[order], table["gps_time"][order], table["channel"][order],
@@ -247,34 +251,40 @@ class _Places:
         true: NDArray[np.int16],
         radii_m: tuple[tuple[float, float], ...],
         tilt: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
-        """True returns of other beamlets around rows, by kernel: (m, k) float64 [count]."""
+        own: float = 0.0,
+    ) -> NDArray[np.int64]:
+        """True returns around rows, by kernel: (m, k) int64 [count / :data:`UNIT` ** 2].
+
+        One of the same beamlet above the row counts for ``own``; those below do not.
+        """
         listed = self._listed
         sums = np.empty((len(rows), len(radii_m)), dtype=np.int64)
         weigh_around(
             self._xyz, self._time, self._channel,
             true[listed.order], listed.starts, listed.shape, listed.edge, self._place[rows],
             np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64),
-            np.zeros((len(rows), 2)) if tilt is None else tilt, sums,
+            np.zeros((len(rows), 2)) if tilt is None else tilt, round(own * UNIT), sums,
         )  # fmt: skip
-        return sums / float(UNIT * UNIT)
+        return sums
 
     def behind_plane(
         self, rows: NDArray[np.intp], alone: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.intp]]:
         """Which rows lie behind a hard surface of returns without a parent, and its slopes.
 
-        (m,) bool, and (m, 2) float64, 0 where there is none.
+        (m,) bool, and (m, 2) float64, 0 where there is none; then the rows of their parents,
+        (m,) intp, -1 for none.
         """
         listed = self._listed
         out, tilt = np.empty(len(rows), dtype=np.bool_), np.empty((len(rows), 2))
+        parents = np.empty(len(rows), dtype=np.int32)
         wide, high, thick = (quanta(m) for m in PLANE_M)
         behind_plane(
             self._xyz, self._time, self._channel, alone[listed.order], listed.starts,
             listed.shape, listed.edge, self._place[rows], quanta(LAG_M), wide, high, thick,
-            PLANE_SHARE, PLANE_LEAST, out, tilt,
+            PLANE_SHARE, PLANE_LEAST, out, tilt, parents,
         )  # fmt: skip
-        return out, tilt
+        return out, tilt, np.where(parents < 0, -1, listed.order[parents]).astype(np.intp)
 
 
 def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:
