@@ -56,6 +56,9 @@ COLUMNS_NEEDED: Final = (
 FLAT_M: Final = (1.5, 0.2)
 """Horizontal and vertical radius of the ellipsoid that finds surfaces behind hard ones [m]."""
 
+SPHERES_M: Final = tuple((radius, radius) for radius in foliage.SPHERES_M)
+"""Those that tell the density in crowns [m]."""
+
 WIDE_M: Final = max(FLAT_M[0], foliage.SPHERES_M[0])
 """How far a count of returns looks, and how far a parent is sought aside [m]."""
 
@@ -80,15 +83,6 @@ half-thickness, three ranging spreads [m]."""
 PLANE_SHARE: Final = 0.7
 PLANE_LEAST: Final = 8
 """Share of the returns in it that lie on the plane, and their least number [count]."""
-
-SHARE: Final = 0.7
-PLANE_LEAST: Final = 8
-"""Share of the returns in it that lie on the plane, and their least number [count]."""
-
-SIGHT: Final = 1.3
-"""True rate of a beamlet that has returned something in front, over the mean rate of those that
-pass: it is not in the shade of other crowns, and not blind. Chosen on seven of the simulated
-canopies of ``benchmarks/afterpulses.py``; it hardly depends on the size of the neighbourhood."""
 
 SHARE: Final = 0.15
 """Afterpulses per detection where the flightline's own are not known [W17 7.5]."""
@@ -188,7 +182,7 @@ def probability(
     behind, tilt, parents = places.behind_plane(rows, usable & (table["afterpulse_rate"] == 0))
     hard |= behind
     chance = np.zeros(len(rows))
-    clumping = _clumping(table, places, rows, np.where(hard, -1, parents), true)
+    clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
     open_ = np.flatnonzero(~hard)
     for last in (False, True):
         if last:
@@ -197,7 +191,7 @@ def probability(
             returns = (flat[:, 0] / UNIT**2 + LEAST) / _volume_m3(*FLAT_M)
             chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
-        counts = places.around(rows[open_], true, _SPHERES_M, own=foliage.OWN)
+        counts = places.around(rows[open_], true, SPHERES_M, own=foliage.OWN)
         returns = foliage.density(counts / UNIT**2, clumping[open_])
         chance[open_] = rate[open_] / (rate[open_] + returns * per_metre[open_])
         true[rows[open_]] = _weights(1.0 - chance[open_])
@@ -209,31 +203,16 @@ def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
     return np.rint(true * UNIT).astype(np.int16)
 
 
-def _clumping(
-    table: PointTable,
-    places: "_Places",
-    rows: NDArray[np.intp],
-    parents: NDArray[np.intp],
-    true: NDArray[np.int16],
-) -> NDArray[np.float64]:
-    """How much leaves hang in clumps around rows, by their parents; -1 is not one: (m, k - 1)."""
-    parents = parents[parents >= 0]
-    counts = places.around(parents, true, _SPHERES_M)
-    return foliage.clumping(table["x"], table["y"], parents, true[parents], counts, rows)
-
-
 def _volume_m3(across_m: float, up_m: float) -> float:
     """What the kernel of an ellipsoid holds [m3]."""
     return MASS * 4.0 / 3.0 * math.pi * across_m * across_m * up_m
-
-
-_SPHERES_M: Final = tuple((radius, radius) for radius in foliage.SPHERES_M)
 
 
 class _Places:
     """Points of a table, listed so that weighted counts around them are quick."""
 
     def __init__(self, table: PointTable) -> None:
+        self._table = table
         xyz = np.empty((len(table), 3), dtype=np.int32)
         for axis, name in enumerate("xyz"):
             xyz[:, axis] = table[name] - table[name].min()
@@ -266,6 +245,14 @@ class _Places:
             np.zeros((len(rows), 2)) if tilt is None else tilt, round(own * UNIT), sums,
         )  # fmt: skip
         return sums
+
+    def clumping(
+        self, rows: NDArray[np.intp], parents: NDArray[np.intp], true: NDArray[np.int16]
+    ) -> NDArray[np.float64]:
+        """How much leaves hang in clumps around rows, by parents: (m, k - 1) float64."""
+        counts = self.around(parents, true, SPHERES_M)
+        x, y = self._table["x"], self._table["y"]
+        return foliage.clumping(x, y, parents, true[parents], counts, rows)
 
     def behind_plane(
         self, rows: NDArray[np.intp], alone: NDArray[np.bool_]

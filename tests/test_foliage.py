@@ -1,0 +1,98 @@
+"""Density of returns among leaves: the formula against loops, and evenly spread or clumped."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.kernels.surroundings import UNIT, columns, weigh_around
+from spl_batch.stages import foliage
+
+SPHERES = len(foliage.SPHERES_M)
+VOLUME_M3 = [8 / 35 * 4 / 3 * math.pi * radius**3 for radius in foliage.SPHERES_M]
+
+
+def counts_around(xyz: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Kernel sums around some points, each of its own beamlet."""
+    n = len(xyz)
+    listed = columns((xyz - xyz.min(axis=0)).astype(np.int32), 1500)
+    order, place = listed.order, np.empty(n, np.int32)
+    place[order] = np.arange(n)
+    radii = np.array([[round(1000 * r)] * 2 for r in foliage.SPHERES_M])
+    out = np.empty((len(rows), SPHERES), np.int64)
+    weigh_around(
+        (xyz - xyz.min(axis=0)).astype(np.int32)[order], np.arange(float(n))[order],
+        np.zeros(n, np.uint8), np.full(n, UNIT, np.int16), listed.starts, listed.shape, listed.edge,
+        place[rows], radii, np.zeros((len(rows), 2)), 0, out,
+    )  # fmt: skip
+    return out
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(0, 40))
+@settings(max_examples=40, deadline=None)
+def test_clumping_is_that_of_a_plain_loop(seed: int, n: int, p: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = (rng.integers(-9000, 9000, n) for _ in range(2))
+    parents = rng.integers(0, n, p)
+    weight, counts = rng.integers(0, UNIT + 1, p), rng.integers(0, 2**30, (p, SPHERES))
+    rows = np.arange(n)
+    got = foliage.clumping(x, y, parents, weight.astype(np.int16), counts, rows)
+    cell = round(1000 * foliage.CELL_M)
+    for row in rows:
+        sums = [0] * SPHERES
+        for parent, worth, found in zip(parents, weight, counts, strict=True):
+            near = abs(x[parent] // cell - x[row] // cell) <= 1
+            if near and abs(y[parent] // cell - y[row] // cell) <= 1:
+                sums = [a + int(worth) * int(b) for a, b in zip(sums, found, strict=True)]
+        for k in range(1, SPHERES):
+            wide = sums[0] / VOLUME_M3[0]
+            expected = sums[k] / VOLUME_M3[k] / wide if wide else 1.0
+            assert got[row, k - 1] == pytest.approx(expected)
+
+
+def test_leaves_that_hang_evenly_have_one_density_and_clumps_the_more_the_smaller_they_are() -> None:
+    rng = np.random.default_rng(1)
+    found = {}
+    for radius in (math.inf, 0.8, 0.4, 0.2):
+        if math.isinf(radius):
+            points = rng.uniform(0, 9, (4000, 3))
+        else:
+            middle = rng.uniform(0, 9, (130, 3))
+            points = np.repeat(middle, 30, axis=0) + rng.uniform(-1, 1, (3900, 3)) * radius
+        xyz = np.rint(1000 * points).astype(np.int64)
+        rows = np.flatnonzero(np.all(np.abs(points - 4.5) < 2.5, axis=1))
+        weight = np.full(len(rows), UNIT, np.int16)
+        near = foliage.clumping(
+            xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows[:1]
+        )
+        found[radius] = near[0]
+    assert found[math.inf] == pytest.approx(1.0, abs=0.05)
+    smallest = [found[radius][1] for radius in (math.inf, 0.8, 0.4, 0.2)]
+    assert smallest == sorted(smallest)
+    assert smallest[2] > 2.0
+
+
+@given(
+    st.lists(st.floats(0, 50), min_size=SPHERES, max_size=SPHERES),
+    st.lists(st.floats(0.5, 60), min_size=SPHERES - 1, max_size=SPHERES - 1),
+)
+def test_density_lies_between_those_of_the_spheres(counts: list[float], near: list[float]) -> None:
+    found = foliage.density(np.array([counts]), np.array([near]))[0] / foliage.SIGHT
+    each = [count / volume for count, volume in zip(counts, VOLUME_M3, strict=True)]
+    each[0] += foliage.LEAST / VOLUME_M3[0]
+    assert min(each) * (1 - 1e-9) <= found <= max(each) * (1 + 1e-9)
+
+
+def test_a_small_count_tells_where_leaves_clump_and_hardly_where_they_do_not() -> None:
+    wide = 20 * VOLUME_M3[0]
+    for near, least, most in ((1.0, 0.99, 1.01), (5.0, 0.0, 0.05)):
+        even, bare = foliage.density(
+            np.array([[wide, 20 * VOLUME_M3[1], 20 * VOLUME_M3[2]], [wide, 0.0, 0.0]]),
+            np.full((2, SPHERES - 1), near),
+        )
+        assert least <= bare / even <= most
+        more = foliage.density(np.array([[wide, 30.0, 15.0]]), np.full((1, SPHERES - 1), near))
+        assert more > even
