@@ -18,7 +18,7 @@ that sees returns only removes more at the same loss.
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -49,6 +49,23 @@ EDGE_M: Final = 1e-6
 _ROOT2, _ROOT2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 
 
+class Best(NamedTuple):
+    """What the simulation's own laws say of each return.
+
+    Parameters
+    ----------
+    chance : (n,) float64
+        Probability that it is an afterpulse; 0 where nothing of the beamlet is in front.
+    true_per_m : (n,) float64
+        True returns of a channel of gain 1 at its place, the mean over the footprint [1/m]; 0
+        likewise. All that depends on the beamlet is left out: its gain, its other returns, its
+        silence, which return started which.
+    """
+
+    chance: NDArray[np.float64]
+    true_per_m: NDArray[np.float64]
+
+
 def echo_chance(
     scene: Scene,
     time: NDArray[np.float64],
@@ -56,8 +73,8 @@ def echo_chance(
     beams: BeamTable,
     noise_per_m: float,
     receiver: Receiver,
-) -> NDArray[np.float64]:
-    """Probability that each return is an afterpulse, by the simulation's own laws: (n,) float64.
+) -> Best:
+    """Probability that each return is an afterpulse, by the simulation's own laws.
 
     Parameters
     ----------
@@ -73,14 +90,14 @@ def echo_chance(
         The law of afterpulses.
     """
     arrays, optics = lay_out(scene).arrays, make_optics(scene)
-    out = np.zeros(len(time))
+    best = Best(np.zeros(len(time)), np.zeros(len(time)))
     _each_beamlet(
         arrays, empty_layers(arrays), beams.origin_m - np.array([*scene.origin_m[:2], 0.0]),
         np.ascontiguousarray(beams.direction), np.ascontiguousarray(beams.range_m),
         run_starts(time, channel), optics.gain[channel.astype(np.int64) - 1], optics, receiver,
-        noise_per_m, footprint(PATHS), out,
+        noise_per_m, footprint(PATHS), best.chance, best.true_per_m,
     )  # fmt: skip
-    return out
+    return best
 
 
 def footprint(count: int) -> NDArray[np.float64]:
@@ -96,7 +113,7 @@ def _each_beamlet(
     arrays: SceneArrays, layers: NDArray[np.float64], origin: NDArray[np.float64],
     direction: NDArray[np.float64], range_m: NDArray[np.float64], starts: NDArray[np.int64],
     gain: NDArray[np.float64], optics: Optics, receiver: Receiver, noise_per_m: float,
-    places: NDArray[np.float64], out: NDArray[np.float64],
+    places: NDArray[np.float64], out: NDArray[np.float64], true_per_m: NDArray[np.float64],
 ) -> None:  # fmt: skip
     path = np.empty(3)
     for b in range(len(starts) - 1):
@@ -119,6 +136,7 @@ def _each_beamlet(
             alive = _signal(met, layers, gain[low], optics, at, receiver.dead_m, real)
             for i in range(n):
                 real[i] += noise_per_m * gain[low] + EDGE_M
+                true_per_m[low + i] += real[i] / (gain[low] * len(places))
             weight[k] = _sources(at, due, spent, real, receiver, echo[k]) - alive
         weight = np.exp(weight - weight.max())
         weight /= weight.sum()

@@ -45,6 +45,9 @@ COLUMNS = (
     "afterpulse_share",
 )
 
+TINY = 1e-12
+"""Keeps returns that nothing is in front of from 0 / 0."""
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -60,6 +63,9 @@ class Prepared:
         Truth.
     bound : (n,) float64
         Probability of an afterpulse by the simulation's own laws; 0 without a parent.
+    place : (n,) float64
+        The same where only the true rate at the place is known, of a channel as others are
+        (:class:`~benchmarks.afterpulse_bound.Best`), and the fitted law.
     laws : list of AfterpulseLaw
         Fitted, by flightline.
     """
@@ -69,6 +75,7 @@ class Prepared:
     kind: NDArray[np.uint8]
     parent: NDArray[np.uint8]
     bound: NDArray[np.float64]
+    place: NDArray[np.float64]
     laws: list[afterpulse_law.AfterpulseLaw]
 
 
@@ -94,9 +101,9 @@ def prepare(content: dict[str, Any], folder: Path, *, polygons: bool = True) -> 
         flags = table["flags"] | np.where(water, np.uint8(PointFlag.WATER), np.uint8(0))
         table = table.with_columns(flags=flags)
     truth = [np.concatenate([getattr(line, name) for line in lines])[order]
-             for name in ("kind", "parent", "bound")]  # fmt: skip
+             for name in ("kind", "parent", "bound", "place")]  # fmt: skip
     density = _density(table, [line.part for line in lines], workflow)
-    return Prepared(table, density, truth[0], truth[1], truth[2], [line.law for line in lines])
+    return Prepared(table, density, *truth, [line.law for line in lines])
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,7 @@ class _Line:
     kind: NDArray[np.uint8]
     parent: NDArray[np.uint8]
     bound: NDArray[np.float64]
+    place: NDArray[np.float64]
     part: VoxelPart
     law: afterpulse_law.AfterpulseLaw
 
@@ -134,16 +142,18 @@ def _line(
         scene, table["gps_time"], table["channel"], beams, model.mean_rate, make_receiver(scene)
     )
     truth = pq.read_table(path.parents[1] / "truth" / f"{path.stem}.parquet")
+    rate = afterpulse_law.rate(table, beams, law)
     return _Line(
         table.with_columns(
             line_density=line_noise.line_density(table, model),
             afterpulse=chance,
-            afterpulse_rate=afterpulse_law.rate(table, beams, law),
+            afterpulse_rate=rate,
             afterpulse_share=np.full(len(table), law.probability, np.float32),
         ),
         truth["kind"].to_numpy()[order],
         truth["parent"].to_numpy()[order],
-        best,
+        best.chance,
+        np.where(rate > 0, rate / (rate + best.true_per_m + TINY), 0.0),
         voxel_noise.deposit(table, beams, model, workflow.noise),
         law,
     )

@@ -68,6 +68,14 @@ def echo_of(
     return echoes.resolve(table, density, given).echo
 
 
+def chances(table: PointTable, density: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probability of each return, 0 where nothing can be said."""
+    rows, chance, _ = echoes.probability(table, density)
+    out = np.zeros(len(table))
+    out[rows] = chance
+    return out
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 120))
 @settings(max_examples=40, deadline=None)
 def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
@@ -255,6 +263,8 @@ def test_halo_and_order_do_not_matter() -> None:
     rng = np.random.default_rng(8)
     crown = np.column_stack([rng.uniform(0, 24, 4000), rng.uniform(0, 6, 4000),
                              rng.uniform(10, 15, 4000)])  # fmt: skip
+    clumps = np.repeat(crown[::20], 10, axis=0) + rng.uniform(-0.3, 0.3, (2000, 3))
+    crown = np.concatenate([crown[crown[:, 0] < 12], clumps[clumps[:, 0] > 12]])
     floor = np.column_stack([rng.uniform(0, 24, 2500), rng.uniform(0, 6, 2500),
                              rng.normal(9, 0.05, 2500)])  # fmt: skip
     first = np.concatenate([crown, floor])
@@ -265,6 +275,7 @@ def test_halo_and_order_do_not_matter() -> None:
     order = canonical_order(table)
     table = table.take(order)
     whole = echoes.resolve(table, density, DEFAULT)
+    chance = chances(table, density)
     assert 0.05 < whole.echo[table["afterpulse"] > 0].mean() < 0.95
     shuffled = rng.permutation(len(table))
     np.testing.assert_array_equal(
@@ -277,3 +288,6 @@ def test_halo_and_order_do_not_matter() -> None:
         part = echoes.resolve(table.take(near), density[near], DEFAULT)
         for got, want in zip(part, whole, strict=True):
             np.testing.assert_array_equal(got[own], want[near][own])
+        np.testing.assert_array_equal(
+            chances(table.take(near), density[near])[own], chance[near][own]
+        )

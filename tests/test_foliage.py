@@ -53,7 +53,9 @@ def test_clumping_is_that_of_a_plain_loop(seed: int, n: int, p: int) -> None:
             assert got[row, k - 1] == pytest.approx(expected)
 
 
-def test_leaves_that_hang_evenly_have_one_density_and_clumps_the_more_the_smaller_they_are() -> None:
+def test_leaves_that_hang_evenly_have_one_density_and_clumps_the_more_the_smaller_they_are() -> (
+    None
+):
     rng = np.random.default_rng(1)
     found = {}
     for radius in (math.inf, 0.8, 0.4, 0.2):

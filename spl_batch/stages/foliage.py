@@ -19,9 +19,8 @@ A gamma law of that variance would have :math:`1 / (g - 1)`; but clumps are ther
 is more than their variance says, and crowns end, which is less.
 
 The returns in front in the beamlet itself are evidence as those of others are, and a bit more:
-they say that light came so far. Constants were chosen on clumps 0.4, 0.8 and 1.5 m across and on
-evenly turbid crowns other than those of ``benchmarks/afterpulses.py``; half or twice of each
-changes its figures by less than two points.
+they say that light came so far. Constants were chosen on simulated clumps 0.4, 0.8 and 1.5 m across
+and on evenly turbid crowns, of other seeds than those of ``benchmarks/afterpulses.py``.
 """
 
 import math
