@@ -40,7 +40,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.kernels.surroundings import MASS, UNIT, behind_plane, columns, weigh_around
+from spl_batch.kernels.surroundings import UNIT, behind_plane, columns, weigh_around
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.stages import foliage
@@ -56,10 +56,7 @@ COLUMNS_NEEDED: Final = (
 FLAT_M: Final = (1.5, 0.2)
 """Horizontal and vertical radius of the ellipsoid that finds surfaces behind hard ones [m]."""
 
-SPHERES_M: Final = tuple((radius, radius) for radius in foliage.SPHERES_M)
-"""Those that tell the density in crowns [m]."""
-
-WIDE_M: Final = max(FLAT_M[0], foliage.SPHERES_M[0])
+WIDE_M: Final = max(FLAT_M[0], foliage.KERNELS_M[0][0])
 """How far a count of returns looks, and how far a parent is sought aside [m]."""
 
 REACH_M: Final = WIDE_M + foliage.REACH_M
@@ -188,10 +185,10 @@ def probability(
         if last:
             # Spheres would hold the surface itself, a level ellipsoid that of a steep roof.
             flat = places.around(rows[hard], true, (FLAT_M,), tilt[hard])
-            returns = (flat[:, 0] / UNIT**2 + LEAST) / _volume_m3(*FLAT_M)
+            returns = (flat[:, 0] / UNIT**2 + LEAST) / foliage.volume_m3(*FLAT_M)
             chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
-        counts = places.around(rows[open_], true, SPHERES_M, own=foliage.OWN)
+        counts = places.around(rows[open_], true, foliage.KERNELS_M, own=foliage.OWN)
         returns = foliage.density(counts / UNIT**2, clumping[open_])
         chance[open_] = rate[open_] / (rate[open_] + returns * per_metre[open_])
         true[rows[open_]] = _weights(1.0 - chance[open_])
@@ -201,11 +198,6 @@ def probability(
 def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
     """Probabilities as weights of returns, in :data:`UNIT`."""
     return np.rint(true * UNIT).astype(np.int16)
-
-
-def _volume_m3(across_m: float, up_m: float) -> float:
-    """What the kernel of an ellipsoid holds [m3]."""
-    return MASS * 4.0 / 3.0 * math.pi * across_m * across_m * up_m
 
 
 class _Places:
@@ -250,7 +242,7 @@ class _Places:
         self, rows: NDArray[np.intp], parents: NDArray[np.intp], true: NDArray[np.int16]
     ) -> NDArray[np.float64]:
         """How much leaves hang in clumps around rows, by parents: (m, k - 1) float64."""
-        counts = self.around(parents, true, SPHERES_M)
+        counts = self.around(parents, true, foliage.KERNELS_M)
         x, y = self._table["x"], self._table["y"]
         return foliage.clumping(x, y, parents, true[parents], counts, rows)
 

@@ -1,7 +1,7 @@
 r"""How many returns per m3 a beamlet would have where one of its returns lies among leaves.
 
 Domain: space. Returns of a scene are a Poisson process whose rate varies with the leaves. A place
-is told by counts :math:`N_k` of true returns in spheres around it, ever smaller ones, of volumes
+is told by counts :math:`N_k` of true returns around it, in ever smaller spheres of volumes
 :math:`V_k`. The rate in each is taken as gamma distributed about that in the one before:
 
 .. math:: \rho_k = \frac{N_k + \nu_k}{V_k + \nu_k / \rho_{k-1}}
@@ -15,8 +15,11 @@ smaller and rarer (the pair correlation of the returns). Then
 
 .. math:: \nu_k = \frac{c}{(g_k - 1)^2}
 
-A gamma law of that variance would have :math:`1 / (g - 1)`; but clumps are there or not, which
-is more than their variance says, and crowns end, which is less.
+where it is above 1. A gamma law of that variance would have :math:`1 / (g - 1)`; but clumps are
+there or not, which is more than their variance says, and crowns end, which is less.
+
+Where parents lie on a surface (water over its bed, brushwood), a flat ellipsoid around them is far
+denser than the widest sphere. There it takes its place, and :math:`g` of the spheres is against it.
 
 The returns in front in the beamlet itself are evidence as those of others are, and a bit more:
 they say that light came so far. Constants were chosen on simulated clumps 0.4, 0.8 and 1.5 m across
@@ -34,8 +37,13 @@ from spl_batch.tiling import cell_index, quanta
 
 DOMAIN: Final = "space"
 
-SPHERES_M: Final = (1.5, 0.7, 0.5)
-"""Radii of the spheres, the widest first [m]."""
+KERNELS_M: Final = ((1.5, 1.5), (1.5, 0.3), (0.7, 0.7), (0.5, 0.5))
+"""Horizontal and vertical radii: of what is as wide as crowns, of what is thin, of clumps [m]."""
+
+SURFACE_MIN: Final = 2.2
+"""How much denser than in the widest one returns are in the thin one around parents that lie on
+surfaces: more than 4 on a level plane, less over a bed, 2 at most in foliage. Only there the thin
+one takes part."""
 
 OWN: Final = 1.7
 """Returns of other beamlets that one in front in the same beamlet is worth."""
@@ -56,7 +64,7 @@ LEAST: Final = 0.05
 CELL_M: Final = 1.5
 """Columns by which parents are summed over; three by three are near a place [m]."""
 
-REACH_M: Final = 2 * CELL_M + SPHERES_M[0]
+REACH_M: Final = 2 * CELL_M + KERNELS_M[0][0]
 """How far the density at a place looks, if a follower is at most the widest radius aside of its
 parent [m]."""
 
@@ -67,7 +75,7 @@ def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArr
     Parameters
     ----------
     counts : (m, k) float64
-        Kernel sums of the true returns in the spheres [count].
+        Kernel sums of the true returns in :data:`KERNELS_M` [count].
     clumping : (m, k - 1) float64
         From :func:`clumping`.
 
@@ -76,10 +84,13 @@ def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArr
     (m,) float64
         [1/m3].
     """
-    found = (counts[:, 0] + LEAST) / _volume_m3(SPHERES_M[0])
-    for k in range(1, len(SPHERES_M)):
-        prior = SHAPE / np.maximum(clumping[:, k - 1] - 1.0, CLUMPED_MIN) ** 2
-        found = (counts[:, k] + prior) / (_volume_m3(SPHERES_M[k]) + prior / found)
+    found = (counts[:, 0] + LEAST) / volume_m3(*KERNELS_M[0])
+    surface = clumping[:, 0] >= SURFACE_MIN
+    near = np.where(surface[:, None], clumping / clumping[:, :1].clip(SURFACE_MIN), clumping)
+    near[:, 0] = np.where(surface, clumping[:, 0], 1.0)
+    for k in range(1, len(KERNELS_M)):
+        prior = SHAPE / np.maximum(near[:, k - 1] - 1.0, CLUMPED_MIN) ** 2
+        found = (counts[:, k] + prior) / (volume_m3(*KERNELS_M[k]) + prior / found)
     return SIGHT * found
 
 
@@ -91,7 +102,7 @@ def clumping(
     counts: NDArray[np.int64],
     rows: NDArray[np.intp],
 ) -> NDArray[np.float64]:
-    """Density in each sphere around parents near by, over that in the widest.
+    """Density in each kernel around parents near by, over that in the widest.
 
     Parameters
     ----------
@@ -125,13 +136,13 @@ def clumping(
         around[ahead] += sums[behind]
         around[behind] += sums[ahead]
         sums = around
-    near = sums[i[rows], j[rows]] / [_volume_m3(radius) for radius in SPHERES_M]
-    out = np.ones((len(rows), counts.shape[1] - 1))
+    near = sums[i[rows], j[rows]] / [volume_m3(*radii) for radii in KERNELS_M]
+    out = np.ones((len(rows), len(KERNELS_M) - 1))
     known = near[:, 0] > 0
     out[known] = near[known, 1:] / near[known, :1]
     return out
 
 
-def _volume_m3(radius_m: float) -> float:
-    """What the kernel of a sphere holds [m3]."""
-    return MASS * 4.0 / 3.0 * math.pi * radius_m**3
+def volume_m3(across_m: float, up_m: float) -> float:
+    """What the kernel of an ellipsoid holds [m3]."""
+    return MASS * 4.0 / 3.0 * math.pi * across_m * across_m * up_m
