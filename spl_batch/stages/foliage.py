@@ -37,7 +37,7 @@ from spl_batch.tiling import cell_index, quanta
 
 DOMAIN: Final = "space"
 
-KERNELS_M: Final = ((1.5, 1.5), (1.5, 0.3), (0.7, 0.7), (0.5, 0.5))
+KERNELS_M: Final = ((1.5, 1.5), (1.5, 0.2), (0.7, 0.7), (0.5, 0.5))
 """Horizontal and vertical radii: of what is as wide as crowns, of what is thin, of clumps [m]."""
 
 SURFACE_MIN: Final = 2.2
