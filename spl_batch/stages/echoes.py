@@ -7,9 +7,10 @@ candidate at lag :math:`l` behind its parents, two rates per metre of beamlet co
 
 - :math:`\lambda_a = p \sum f(l)`, column ``afterpulse_rate``, from the law that was fitted to the
   flightline (:mod:`~spl_batch.stages.afterpulse_law`);
-- :math:`\lambda_t = \rho\, r / n`, true returns: :math:`\rho` is the density of returns of other
-  beamlets around it [1/m3], and :math:`n / r`, expected noise density over the beamlet's own
-  noise rate [m/m3], is the length of beamlets per volume that listened, silent ones included.
+- :math:`\lambda_t = \rho\, r / n`, true returns: :math:`\rho` is the density of returns around it,
+  those in front in its own beamlet among them [1/m3], and :math:`n / r`, expected noise
+  density over the beamlet's own noise rate [m/m3], is the length of beamlets per volume that
+  listened, silent ones included.
 
 The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in :math:`\rho` by
 their own probability of being true, which takes a second round (expectation maximisation).
@@ -17,6 +18,7 @@ their own probability of being true, which takes a second round (expectation max
 :math:`\rho` comes from counts in spheres, from one wide enough for crowns to one that tells clumps
 of leaves from the gaps between them, weighed by how much the leaves around hang in clumps
 (:mod:`~spl_batch.stages.foliage`).
+
 A candidate whose parent lies on a plane of parentless returns, of all flightlines, with next to
 nothing at the candidate's depth, is behind a hard surface as one that the time domain is sure of.
 Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
