@@ -9,6 +9,7 @@ published correction for silent beamlets, gamma = 100 n_u / n [W18 2.2.2], makes
 For the surveys without a trajectory the beams are compared with the true ones as well.
 """
 
+import itertools
 import json
 import sys
 import tempfile
@@ -22,10 +23,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from spl_batch import api
-from spl_batch.io.tables import read_table
-from spl_batch.io.trajectory import read_slice, read_trajectory
+from spl_batch.api.preparing import prepare
+from spl_batch.io.store import read_receipts
+from spl_batch.io.trajectory import read_trajectory
 from spl_batch.io.voxels import add_voxels
-from spl_batch.runner.lines_of_sight import STRETCH_COLUMNS
+from spl_batch.plan.phases import PHASES
+from spl_batch.runner import lines_of_sight
+from spl_batch.runner.stretches import read_stretch
 from spl_batch.sensor import load_preset
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import parse_scene
@@ -263,16 +267,20 @@ def _gate_ends(truth: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[n
 
 def _print_beams(folder: Path, overrides: tuple[str, ...]) -> None:
     """Angle between the beams that were found without a trajectory and the true ones."""
-    store = folder / _output(overrides) / "store"
+    output = f"output={_output(overrides)}"
+    prepared = prepare(folder / "workflow.yaml", [*overrides, output])
+    survey, context = prepared.ledger, prepared.context
+    for phase in itertools.takewhile(lambda p: p.kind != "scatter", PHASES):
+        for receipt in read_receipts(context.store, phase.kind):
+            survey.of(phase.kind).put(receipt)
+    scatter = next(phase for phase in PHASES if phase.kind == "scatter")
     loaded = read_trajectory([folder / "trajectory.csv"], survey_crs=None, trajectory_crs=None)
     angles = []
-    for path in sorted((store / "stretches").glob("*/*.parquet")):
-        table = read_table(path, STRETCH_COLUMNS)
-        time = table["gps_time"]
-        found = store / "paths" / f"{path.parent.name}.parquet"
-        beams = geometry.beams(table, read_slice(found, float(time.min()), float(time.max())))
+    for task in scatter.tasks(survey):
+        table = read_stretch(task.args, context, lines_of_sight.columns(task.args))
+        found = lines_of_sight.beams(table, context.store, task.args)
         true = geometry.beams(table, loaded.trajectory)
-        angles.append(np.linalg.norm(np.cross(beams.direction, true.direction), axis=1))
+        angles.append(np.linalg.norm(np.cross(found.direction, true.direction), axis=1))
     angle = 1000.0 * np.concatenate(angles)
     channels = "without" if "survey.channel_dimension=null" in overrides else "with"
     print(
