@@ -4,7 +4,6 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from spl_batch.io.store import Store
 from spl_batch.io.tables import read_between, read_table, writing
 from spl_batch.model import COLUMNS, PointTable, empty_table
-from spl_batch.order import lexicographic_order
+from spl_batch.order import in_order, lexicographic_order
 from spl_batch.tiling import Bounds, CellId, inside
 
 DEFAULTS: dict[str, float] = {
@@ -72,25 +71,14 @@ def write_labels(
     """
     columns = {"tile_i": tiles[:, 0], "tile_j": tiles[:, 1], "row": rows}
     columns |= {k: np.asarray(v, COLUMNS[k].dtype) for k, v in labels.items()}
-    if not _in_order(columns):
-        order = lexicographic_order((tiles[:, 1], tiles[:, 0], rows))
+    keys = (tiles[:, 1], tiles[:, 0], rows)
+    if not in_order(keys):
+        order = lexicographic_order(keys)
         columns = {name: values[order] for name, values in columns.items()}
     cuts = _tile_starts(columns)
     with writing(path, {k: v.dtype for k, v in columns.items()}) as writer:
         for start, end in zip([0, *cuts], [*cuts, len(rows)], strict=True):
             writer.write({k: v[start:end] for k, v in columns.items()})
-
-
-def _in_order(columns: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether points come by tile, row after row of tiles, and by row in each."""
-    i, j, row = (columns[name] for name in ("tile_i", "tile_j", "row"))
-    cuts = _tile_starts(columns)
-    falls = np.flatnonzero(row[1:] < row[:-1]) + 1
-    tiles = list(zip(j[cuts].tolist(), i[cuts].tolist(), strict=True))
-    first = [(int(j[0]), int(i[0]))] if len(row) else []
-    return bool(np.isin(falls, cuts).all()) and all(
-        a < b for a, b in itertools.pairwise([*first, *tiles])
-    )
 
 
 def _tile_starts(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
