@@ -160,6 +160,7 @@ def test_one_more_flightline_redoes_the_tiles_that_it_touches(survey: Path) -> N
 def test_blocks_stay_as_they_are_when_the_survey_grows(
     survey: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(blocks, "FEW_TILES", 0)
     monkeypatch.setattr(blocks, "BLOCKS_PER_WORKER", 8)
     settings = ("tiling.tile_m=50", "filter.method=none", "afterpulse.enabled=false")
     output, size = survey.parent / "out", "store/blocks.json"

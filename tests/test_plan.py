@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,16 @@ from spl_batch.errors import WorkflowError
 from spl_batch.io.store import Store
 from spl_batch.plan import mosaics
 from spl_batch.plan.blocks import (
-    block_holders,
-    block_sides,
+    FEW_TILES,
+    LARGEST,
+    Holders,
+    Sizes,
     blocks,
-    choose_block_tiles,
+    choose_sizes,
     count_blocks,
-    remember_block_tiles,
-    remembered_block_tiles,
+    layout_of,
+    remember_sizes,
+    remembered_sizes,
 )
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import (
@@ -32,7 +35,8 @@ from spl_batch.plan.flightlines import (
     is_timeless,
 )
 from spl_batch.plan.inputs import source_key
-from spl_batch.plan.memory import UNEVEN, points_within
+from spl_batch.plan.layout import Block, Layout, parse_block
+from spl_batch.plan.memory import UNEVEN
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, owners, tile_counts, units, voxel_index
 from spl_batch.runner.index import merge_spans
@@ -295,24 +299,57 @@ def everywhere(points: int, side: int = 16) -> dict[CellId, int]:
     return dict.fromkeys(itertools.starmap(CellId, np.ndindex(side, side)), points)
 
 
-def test_blocks_grow_with_memory_and_shrink_with_workers() -> None:
-    many = list(from_counts(everywhere(100_000), 100_000))
-    sizes = [choose_block_tiles(many, workflow(), m * 2**30, 2) for m in (1, 4, 64)]
-    assert sizes == sorted(sizes)
-    assert sizes[0] < sizes[-1]
-    assert choose_block_tiles(many, workflow(), 2**36, 200) == 1
-    assert choose_block_tiles(many, workflow(tiling={"block_tiles": 3}), 2**28, 2) == 3
-    assert choose_block_tiles([], workflow(), 2**30, 2) >= 1
+def sizes_of(counts: Mapping[CellId, int], memory_gib: float, workers: int, **tiling: Any) -> Sizes:
+    pieces = list(from_counts(counts, 100_000))
+    return choose_sizes(pieces, workflow(tiling=tiling), int(memory_gib * 2**30), workers)
+
+
+def test_blocks_of_a_large_survey_grow_with_memory_and_shrink_with_workers() -> None:
+    many = everywhere(100_000, 24)
+    assert len(many) > FEW_TILES
+    found = [len(cores(many, sizes_of(many, memory, 2), memory)) for memory in (1, 4, 64)]
+    assert found == sorted(found, reverse=True)
+    assert found[0] > found[-1]
+    assert sizes_of(many, 64, 300).tiles == 1
+    assert sizes_of(many, 0.25, 2, block_tiles=3) == Sizes(3)
+    assert sizes_of({}, 1, 2).tiles >= 1
+
+
+def cores(counts: Mapping[CellId, int], sizes: Sizes, memory_gib: float = 64) -> set[str]:
+    layout = layout_of(counts, DEFAULTS)
+    return set(map(str, blocks(layout, sizes, DEFAULTS, int(memory_gib * 2**30))))
+
+
+def test_a_small_survey_is_one_block_for_one_worker_and_is_shared_by_several() -> None:
+    rim = {CellId(i, j): 3000 for i in (-1, 4) for j in range(-1, 5)}
+    rim |= {CellId(i, j): 3000 for i in range(4) for j in (-1, 4)}
+    counts = everywhere(100_000, 4) | rim
+    assert cores(counts, sizes_of(counts, 64, 1)) == {"-1_-1_6_6"}
+    assert cores(counts, sizes_of(counts, 64, 2)) == {"-1_-1_3_6", "2_-1_3_6"}
+    assert cores(counts, sizes_of(counts, 64, 4)) == {
+        "-1_-1_3_3", "-1_2_3_3", "2_-1_3_3", "2_2_3_3",
+    }  # fmt: skip
+    assert len(cores(counts, sizes_of(counts, 64, 16))) >= 16
+    assert cores(counts, Sizes(4), 1) != cores(counts, Sizes(4)), "as memory allows"
 
 
 def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
     counts = {**everywhere(100_000), CellId(3, 3): 9_000_000}
     pieces = list(from_counts(counts, 100_000))
-    assert choose_block_tiles(pieces, workflow(), 2**36, 1) == 8
-    assert count_blocks(pieces, workflow(), 2**36, 8) == (4, 8)
-    most = points_within("denoise", 2**32)
-    assert sum(counts[CellId(i, j)] for i in range(4) for j in range(4)) < most, "fits a quarter"
-    assert count_blocks(pieces, workflow(), 2**32, 8) == (7, 8)
+    assert count_blocks(pieces, workflow(), 2**36, Sizes(8)) == (4, 8)
+    found, longest = count_blocks(pieces, workflow(), 2**32, Sizes(8))
+    assert found in range(5, 12)
+    assert longest == 8
+
+
+def test_the_plan_estimates_the_blocks_of_large_surveys() -> None:
+    counts = everywhere(100_000, 24)
+    found = cores(counts, Sizes(6), 3)
+    estimated, side = count_blocks(
+        list(from_counts(counts, 100_000)), DEFAULTS, 3 * 2**30, Sizes(6)
+    )
+    assert estimated == pytest.approx(len(found), rel=0.5)
+    assert side <= 6
 
 
 tile_points = st.dictionaries(
@@ -321,61 +358,69 @@ tile_points = st.dictionaries(
 EDGE, HALO = 100, 30
 
 
-def cut(counts: Mapping[CellId, int], largest: int, most: float) -> dict[str, Unit]:
-    sides = block_sides(largest, workflow())
-    return {u.name: u for u in blocks(counts, EDGE, sides, HALO, most)}
+def laid_out(counts: Mapping[CellId, int], side: int, most: float) -> dict[str, Unit]:
+    layout = Layout(counts, EDGE, HALO)
+    return {str(block): layout.unit(block) for block in layout.share(side, most)}
 
 
 @settings(deadline=None, max_examples=50)
-@given(tile_points, st.sampled_from([8, 6, 4, 3, 2, 1]), st.integers(1, 9000))
+@given(tile_points, st.sampled_from(LARGEST), st.integers(1, 9000))
 @example({CellId(0, 0): 1, CellId(0, -1): 1}, 8, 1)
 def test_blocks_own_each_tile_once_and_hold_what_they_may(
-    counts: dict[CellId, int], largest: int, most: int
+    counts: dict[CellId, int], side: int, most: int
 ) -> None:
-    sides = block_sides(largest, workflow())
-    found = cut(counts, largest, most)
+    found = laid_out(counts, side, most)
     owning = {t: [n for n, u in found.items() if overlap(u.core, cell_bounds(t, EDGE))]
               for t in counts}  # fmt: skip
     assert all(len(names) == 1 for names in owning.values())
-    assert block_holders(counts, sides, found) == owning  # type: ignore[arg-type]
+    assert Holders(found, EDGE).of(counts) == owning  # type: ignore[arg-type]
     for name, unit in found.items():
-        i, j, side = map(int, name.split("_"))
-        assert side in sides
-        assert unit.core == Bounds(i * EDGE, j * EDGE, (i + side) * EDGE, (j + side) * EDGE)
-        assert unit.held <= most or side == 1
+        i, j, columns, rows = parse_block(name)
+        assert unit.core == Bounds(i * EDGE, j * EDGE, (i + columns) * EDGE, (j + rows) * EDGE)
+        assert unit.held <= most or columns == rows == 1
         assert unit.points == sum(n for t, n in counts.items() if owning[t] == [name])
-    pieces = list(from_counts(counts, EDGE))
-    # what a unit reads is a multiple of 0.01 points: halves of that tell sums from their last bit
-    cuts = [p.cut([side * EDGE for side in sides], HALO, most + 0.005) for p in pieces]
-    for level, side in enumerate(sides):
-        expected = [u for n, u in found.items() if n.endswith(f"_{side}")]
-        assert sum(c[level].units for c in cuts) == len(expected)
-        read = sum(c[level].read for c in cuts)
-        assert read == pytest.approx(sum(u.held for u in expected), abs=1 + len(expected))
+
+
+@settings(deadline=None, max_examples=50)
+@given(tile_points, st.sampled_from(LARGEST), st.integers(1, 9000))
+def test_blocks_that_are_joined_read_less(counts: dict[CellId, int], side: int, most: int) -> None:
+    layout = Layout(counts, EDGE, HALO)
+
+    def read(blocks: Iterable[Block]) -> int:
+        return sum(layout.unit(block).held for block in blocks)
+
+    cut = list(layout.cut(layout.squares(side), most))
+    # what is held is rounded up to whole points
+    assert read(layout.join(cut, most)) <= read(cut) + len(cut)
+
+
+def test_a_strip_is_joined_to_the_neighbour_that_reads_it_anyway() -> None:
+    counts = everywhere(1000, 4) | {CellId(4, j): 20 for j in range(4)}
+    assert set(laid_out(counts, 4, 1e9)) == {"0_0_5_4"}
+    assert set(laid_out(counts, 4, 16_050)) == {"0_0_2_4", "2_0_3_4"}, "cut through all of it"
+    corner = {CellId(0, 0): 1000, CellId(1, 0): 9, CellId(1, 1): 1000, CellId(0, 1): 1000}
+    assert set(laid_out(corner, 1, 1e9)) == {"0_0_2_1", "0_1_1_1", "1_1_1_1"}
 
 
 @settings(deadline=None, max_examples=50)
 @given(tile_points, tile_points, st.integers(1, 9000))
-def test_points_that_are_added_change_no_block_that_does_not_see_them(
+def test_points_far_away_change_no_block(
     counts: dict[CellId, int], more: dict[CellId, int], most: int
 ) -> None:
-    both = {t: counts.get(t, 0) + more.get(t, 0) for t in (*counts, *more)}
-    before, after = cut(counts, 8, most), cut(both, 8, most)
-    for name, unit in before.items():
-        parent = grow(cell_bounds(CellId(unit.core.xmin // 800, unit.core.ymin // 800), 800), HALO)
-        if not any(overlap(cell_bounds(t, EDGE), parent) for t in more):
-            assert after[name] == unit
+    far = {CellId(t.i + 400, t.j): n for t, n in more.items()}
+    before, after = laid_out(counts, 8, most), laid_out({**counts, **far}, 8, most)
+    assert before.items() <= after.items()
 
 
-def test_the_size_of_blocks_is_remembered_for_each_size_of_tiles(tmp_path: Path) -> None:
+def test_the_sizes_of_blocks_are_remembered_for_each_size_of_tiles(tmp_path: Path) -> None:
     store, other = Store(tmp_path), workflow(tiling={"tile_m": 50})
-    assert remembered_block_tiles(store, DEFAULTS) is None
-    remember_block_tiles(store, DEFAULTS, 4)
-    remember_block_tiles(store, other, 2)
-    assert remembered_block_tiles(store, DEFAULTS) == 4
-    assert remembered_block_tiles(store, other) == 2
+    assert remembered_sizes(store, DEFAULTS) is None
+    remember_sizes(store, DEFAULTS, Sizes(4, 12.5))
+    remember_sizes(store, other, Sizes(2))
+    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 12.5)
+    assert remembered_sizes(store, other) == Sizes(2)
     store.path("blocks.json").write_text("{half")
-    assert remembered_block_tiles(store, DEFAULTS) is None, "chosen anew"
+    assert remembered_sizes(store, DEFAULTS) is None, "chosen anew"
 
 
 def test_only_voxel_parts_of_the_region_are_read() -> None:

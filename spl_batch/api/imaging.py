@@ -9,7 +9,7 @@ from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError
 from spl_batch.io.cells import create_raster_store
-from spl_batch.plan.blocks import remember_block_tiles, remembered_block_tiles
+from spl_batch.plan.blocks import remember_sizes, remembered_sizes
 from spl_batch.plan.cost import SurveyCost, estimate
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.inputs import gather_inputs
@@ -61,7 +61,7 @@ class Imaging(Receiver[Survey, Context]):
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
         context = Context(workflow, place.base, place.output, crs_wkt, code_version())
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
-        survey.block_tiles = remembered_block_tiles(context.store, workflow)
+        survey.remembered = remembered_sizes(context.store, workflow)
         return Prepared(self, survey, context)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
@@ -93,8 +93,8 @@ class Imaging(Receiver[Survey, Context]):
         workflow, survey = prepared.context.workflow, prepared.ledger
         if phase.kind == "denoise" and workflow.tiling.block_tiles is None:
             # The run may have begun with emptying the store.
-            survey.block_tiles = remembered_block_tiles(prepared.context.store, workflow)
-            remember_block_tiles(prepared.context.store, workflow, survey.block_sides[0])
+            survey.remembered = remembered_sizes(prepared.context.store, workflow)
+            remember_sizes(prepared.context.store, workflow, survey.block_sizes)
         if phase.kind == "surface":
             create_raster_store(
                 prepared.context.rasters,

@@ -31,9 +31,9 @@ class State(IntEnum):
 class TileMap:
     """Units of an absolute grid, counted by state in cells of ``step`` x ``step`` squares.
 
-    A unit is a square of the grid, named by its column and row, or several along either
-    side, of which the name tells the first and then the number: it counts in each cell of
-    the map that it touches.
+    A unit is a square of the grid, named by its column and row, or a rectangle of several,
+    of which the name tells the first and then how many lie along its sides: it counts in each
+    cell of the map that it touches.
 
     Parameters
     ----------
@@ -126,16 +126,16 @@ class TileMap:
         counts += change.cumsum(axis=0).cumsum(axis=1)[:-1, :-1]
 
     def _add(self, counts: NDArray[np.int64], name: str, change: int) -> None:
-        i, j, side = _parse([name])[0].tolist()
+        i, j, wide, high = _parse([name])[0].tolist()
         rows, columns = (
             slice(max(low // self.step, 0), max((low + side - 1) // self.step + 1, 0))
-            for low in (j - self.south, i - self.west)
+            for low, side in ((j - self.south, high), (i - self.west, wide))
         )
         counts[rows, columns] += change
 
 
 def _parse(names: Iterable[str]) -> NDArray[np.int64]:
-    """Column, row and side of units such as ``"-3_12"``, of side 1, or ``"-4_12_2"``."""
-    parts = ([*name.split("_"), "1"] for name in names)
-    numbers = (int(v) for part in parts for v in part[:3])
-    return np.fromiter(numbers, np.int64).reshape(-1, 3)
+    """Column, row and sides of units such as ``"-3_12"``, a square, or ``"-4_12_2_3"``."""
+    parts = ([*name.split("_"), "1", "1"] for name in names)
+    numbers = (int(v) for part in parts for v in part[:4])
+    return np.fromiter(numbers, np.int64).reshape(-1, 4)

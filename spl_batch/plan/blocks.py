@@ -1,28 +1,38 @@
-"""Denoise blocks: squares of tiles that are as large as memory and the workers allow.
+"""How large denoise blocks are: as memory allows, and so that all workers finish together.
 
-A block that would hold too much is cut into smaller ones, and these again, where it lies: the
-rest of the survey keeps its blocks. The largest size is remembered in the store, so that a
-flightline that is added, or another number of workers, leaves finished blocks as they are.
+The choice is made once and remembered in the store, so that a flightline that is added, or
+another number of workers, leaves finished blocks as they are.
 """
 
+import heapq
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
 
 from spl_batch.errors import DamagedError
 from spl_batch.io.store import Store, read_json, write_json
 from spl_batch.plan.density import Cut, Piece
+from spl_batch.plan.layout import Block, Layout, parse_block
 from spl_batch.plan.memory import halo_m, points_within
-from spl_batch.plan.space import Unit, cells_with_points, unit_of
 from spl_batch.task import Receipt
-from spl_batch.tiling import CellId, quanta
+from spl_batch.tiling import BoxIndex, CellId, cell_bounds, quanta
 from spl_batch.workflow import Workflow
 
 LARGEST: Final = (8, 6, 4, 3, 2, 1)
 """Tiles along one side of the largest blocks, to choose from [count]."""
 
 BLOCKS_PER_WORKER: Final = 3
-"""Blocks that each worker should have, at the least [count]."""
+"""Blocks of a large survey that each worker should have, at the least [count]."""
+
+FEW_TILES: Final = 400
+"""Tiles of a survey that is small enough to try how its blocks would be worked off [count]."""
+
+SHARES: Final = (2.0, 1.75, 1.5, 1.25, 1.0, 0.8, 0.6, 0.4)
+"""Points that a block of a small survey may hold, over a worker's share of all; to choose from."""
+
+CORE_COST: Final = 2.5
+"""Cost of a point that a block owns, over that of one in its halo: what the quickstart's
+blocks took, by ``python -m benchmarks.denoise_steps``."""
 
 BLOCK_SHARE: Final = 0.9
 """Part of the points that a worker can hold which a block of several tiles may have: within
@@ -31,13 +41,25 @@ a tile they may lie on the side of the halo."""
 _FILE: Final = "blocks.json"
 
 
-def choose_block_tiles(
-    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, workers: int
-) -> int:
-    """Tiles along one side of the largest blocks: that of which all blocks read least.
+class Sizes(NamedTuple):
+    """How large blocks are.
 
-    A larger block reads less halo, unless it has to be cut; but every worker should have
-    several blocks.
+    Parameters
+    ----------
+    tiles : int
+        Tiles along one side of the squares that they begin as [count].
+    points : float
+        Points that a block of several tiles may hold, as far as memory allows [count].
+    """
+
+    tiles: int
+    points: float = math.inf
+
+
+def choose_sizes(
+    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, workers: int
+) -> Sizes:
+    """Sizes with which the blocks of a survey are done soonest.
 
     Parameters
     ----------
@@ -51,7 +73,130 @@ def choose_block_tiles(
         Worker processes [count].
     """
     if workflow.tiling.block_tiles is not None:
-        return workflow.tiling.block_tiles
+        return Sizes(workflow.tiling.block_tiles)
+    counts = _few_tiles(pieces, workflow)
+    if counts is None:
+        return Sizes(_choose_by_read(pieces, workflow, memory_bytes, workers))
+    share = sum(counts.values()) / max(workers, 1)
+    tried = [Sizes(tiles, points) for tiles in LARGEST
+             for points in (math.inf, *(part * share for part in SHARES))]  # fmt: skip
+    if workers <= 1:
+        tried = [sizes for sizes in tried if math.isinf(sizes.points)]
+    layout = layout_of(counts, workflow)
+    costs = [
+        _finished([_cost(layout, block) for block in found], workers)
+        for found in (blocks(layout, sizes, workflow, memory_bytes) for sizes in tried)
+    ]
+    return tried[costs.index(min(costs))]
+
+
+def blocks(layout: Layout, sizes: Sizes, workflow: Workflow, memory_bytes: int) -> list[Block]:
+    """Blocks that own points, sorted.
+
+    Parameters
+    ----------
+    layout : Layout
+        From :func:`layout_of`.
+    sizes : Sizes
+        From :func:`choose_sizes`.
+    workflow : Workflow
+        The settings; blocks of a size that they give are neither cut nor joined.
+    memory_bytes : int
+        Memory limit of a worker [byte].
+    """
+    if workflow.tiling.block_tiles is not None:
+        return layout.squares(sizes.tiles)
+    return layout.share(sizes.tiles, min(sizes.points, block_points(memory_bytes)))
+
+
+def layout_of(counts: Mapping[CellId, int], workflow: Workflow) -> Layout:
+    """Tiles of a survey as blocks see them."""
+    return Layout(counts, quanta(workflow.tiling.tile_m), quanta(halo_m(workflow)))
+
+
+def block_points(memory_bytes: int) -> float:
+    """Points that a block of several tiles may hold under a worker's memory limit [count]."""
+    return points_within("denoise", memory_bytes) * BLOCK_SHARE
+
+
+class Holders:
+    """Finished blocks by the tiles that they own.
+
+    Parameters
+    ----------
+    done : mapping of str to Receipt
+        Finished blocks by name.
+    tile_q : int
+        Edge of a tile [quanta].
+    """
+
+    def __init__(self, done: Mapping[str, Receipt], tile_q: int) -> None:
+        self._tile_q = tile_q
+        self._index = BoxIndex({name: parse_block(name).core(tile_q) for name in done})
+
+    def of(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
+        """Block that holds labels of each tile, none where it has failed; by tile."""
+        return {t: self._index.overlapping(cell_bounds(t, self._tile_q)) for t in tiles}
+
+
+def count_blocks(
+    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, sizes: Sizes
+) -> tuple[int, int]:
+    """Blocks of a survey of which only the density is known, and the longest side of them.
+
+    Parameters
+    ----------
+    pieces, workflow, memory_bytes
+        As in :func:`choose_sizes`.
+    sizes : Sizes
+        What it chose.
+
+    Returns
+    -------
+    blocks, tiles : int
+        Their number, of a large survey estimated, and the tiles along the longest side [count].
+    """
+    counts = _few_tiles(pieces, workflow)
+    if counts is not None:
+        found = blocks(layout_of(counts, workflow), sizes, workflow, memory_bytes)
+        longest = max((max(block.columns, block.rows) for block in found), default=sizes.tiles)
+        return len(found), longest
+    sides = _sides(sizes.tiles, workflow)
+    cuts = _cuts(pieces, workflow, memory_bytes, sizes.tiles)
+    there = [side for side, cut in zip(sides, cuts, strict=True) if cut.units]
+    return sum(cut.units for cut in cuts), max(there, default=sizes.tiles)
+
+
+def _few_tiles(pieces: Sequence[Piece], workflow: Workflow) -> dict[CellId, int] | None:
+    """Points by tile, of a survey of few."""
+    tile_q = quanta(workflow.tiling.tile_m)
+    if any(p.edge != tile_q for p in pieces) or sum(p.touched.sum() for p in pieces) > FEW_TILES:
+        return None
+    return {
+        CellId(piece.first.i + int(column), piece.first.j + int(row)):
+            max(math.ceil(piece.points[row, column]), 1)
+        for piece in pieces
+        for row, column in zip(*piece.touched.nonzero(), strict=True)
+    }  # fmt: skip
+
+
+def _cost(layout: Layout, block: Block) -> float:
+    unit = layout.unit(block)
+    return unit.held + (CORE_COST - 1) * unit.points
+
+
+def _finished(costs: Iterable[float], workers: int) -> float:
+    """When the last of some tasks is done, if each worker takes the next one."""
+    busy = [0.0] * max(workers, 1)
+    for cost in costs:
+        heapq.heapreplace(busy, busy[0] + cost)
+    return max(busy)
+
+
+def _choose_by_read(
+    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, workers: int
+) -> int:
+    """Side of squares of which all read least; but every worker has several [tiles]."""
     tile_q = quanta(workflow.tiling.tile_m)
     best, least = LARGEST[-1], math.inf
     for tiles in LARGEST:
@@ -63,16 +208,8 @@ def choose_block_tiles(
     return best
 
 
-def block_sides(largest: int, workflow: Workflow) -> tuple[int, ...]:
-    """Sizes that blocks may have, the largest first; each divides the one before [tiles].
-
-    Parameters
-    ----------
-    largest : int
-        What :func:`choose_block_tiles` chose.
-    workflow : Workflow
-        The settings; blocks of a size that they give are not cut.
-    """
+def _sides(largest: int, workflow: Workflow) -> tuple[int, ...]:
+    """Sides of squares that are cut into equal ones, the largest first [tiles]."""
     if workflow.tiling.block_tiles is not None:
         return (largest,)
     sides = [largest]
@@ -81,111 +218,12 @@ def block_sides(largest: int, workflow: Workflow) -> tuple[int, ...]:
     return tuple(sides)
 
 
-def block_points(memory_bytes: int) -> float:
-    """Points that a block of several tiles may hold under a worker's memory limit [count]."""
-    return points_within("denoise", memory_bytes) * BLOCK_SHARE
-
-
-def blocks(
-    counts: Mapping[CellId, int], tile_q: int, sides: Sequence[int], halo_q: int, most: float
-) -> Iterator[Unit]:
-    """Blocks that own points, one by one in the order of the largest ones' cells.
-
-    Parameters
-    ----------
-    counts : mapping of CellId to int
-        Points by tile.
-    tile_q : int
-        Edge of a tile [quanta].
-    sides : sequence of int
-        From :func:`block_sides` [tiles].
-    halo_q : int
-        Halo that a block reads [quanta].
-    most : float
-        Points beyond which a block is cut, as long as there is a smaller size [count].
-    """
-    cells = cells_with_points(counts, tile_q, sides[0] * tile_q)
-    waiting = [(cell, 0) for cell in reversed(cells)]
-    while waiting:
-        cell, level = waiting.pop()
-        unit = unit_of(cell, counts, tile_q, sides[level] * tile_q, halo_q)
-        if not unit.points:
-            continue  # a part without tiles
-        if unit.held > most and level + 1 < len(sides):
-            step = sides[level] // sides[level + 1]
-            inside = (CellId(cell.i * step + k // step, cell.j * step + k % step)
-                      for k in range(step**2 - 1, -1, -1))  # fmt: skip
-            waiting.extend((part, level + 1) for part in inside)
-        else:
-            yield unit._replace(name=block_name(cell, sides[level]))
-
-
-def block_name(cell: CellId, side: int) -> str:
-    """Name of a block: column and row of its first tile, and tiles along its side.
-
-    Parameters
-    ----------
-    cell : CellId
-        Its cell on the grid of blocks of its size.
-    side : int
-        That size [tiles].
-    """
-    return f"{cell.i * side}_{cell.j * side}_{side}"
-
-
-def block_holders(
-    tiles: Iterable[CellId], sides: Sequence[int], done: Mapping[str, Receipt]
-) -> dict[CellId, list[str]]:
-    """Finished block that holds labels of each tile, none where it has failed; by tile.
-
-    Parameters
-    ----------
-    tiles : iterable of CellId
-        Tiles.
-    sides : sequence of int
-        Sizes that blocks may have [tiles].
-    done : mapping of str to Receipt
-        Finished blocks by name.
-    """
-    return {
-        tile: [
-            name
-            for side in sides
-            if (name := block_name(CellId(tile.i // side, tile.j // side), side)) in done
-        ]
-        for tile in tiles
-    }
-
-
-def count_blocks(
-    pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, largest: int
-) -> tuple[int, int]:
-    """Blocks of a survey of which only the density is known, and the largest size of them.
-
-    Parameters
-    ----------
-    pieces, workflow, memory_bytes
-        As in :func:`choose_block_tiles`.
-    largest : int
-        What it chose.
-
-    Returns
-    -------
-    blocks, tiles : int
-        Their number, and the tiles along one side of the largest [count].
-    """
-    sides = block_sides(largest, workflow)
-    found = _cuts(pieces, workflow, memory_bytes, largest)
-    there = [side for side, cut in zip(sides, found, strict=True) if cut.units]
-    return sum(cut.units for cut in found), max(there, default=largest)
-
-
 def _cuts(
     pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, largest: int
 ) -> list[Cut]:
-    """Blocks of each size, and what they read."""
+    """Blocks of each size, and what they read, about: halves are counted as squares."""
     tile_q, halo_q = quanta(workflow.tiling.tile_m), quanta(halo_m(workflow))
-    edges = [side * tile_q for side in block_sides(largest, workflow)]
+    edges = [side * tile_q for side in _sides(largest, workflow)]
     by_piece = [piece.cut(edges, halo_q, block_points(memory_bytes)) for piece in pieces]
     return [
         Cut(sum(cut.units for cut in by_size), sum(cut.read for cut in by_size))
@@ -193,13 +231,14 @@ def _cuts(
     ] or [Cut(0, 0.0)] * len(edges)
 
 
-def remembered_block_tiles(store: Store, workflow: Workflow) -> int | None:
-    """Size of the largest blocks of earlier runs with these tiles; None where there is none."""
-    return _remembered(store).get(_key(workflow))
+def remembered_sizes(store: Store, workflow: Workflow) -> Sizes | None:
+    """Sizes of the blocks of earlier runs with these tiles; None where there are none."""
+    found = _remembered(store).get(_key(workflow))
+    return None if found is None else Sizes(int(found["tiles"]), found["points"] or math.inf)
 
 
-def remember_block_tiles(store: Store, workflow: Workflow, tiles: int) -> None:
-    """Keep the size of the largest blocks for later runs.
+def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
+    """Keep the sizes of blocks for later runs.
 
     Parameters
     ----------
@@ -207,19 +246,20 @@ def remember_block_tiles(store: Store, workflow: Workflow, tiles: int) -> None:
         Where.
     workflow : Workflow
         The settings.
-    tiles : int
-        Tiles along one side [count].
+    sizes : Sizes
+        What :func:`choose_sizes` chose.
     """
     known = _remembered(store)
-    if known.get(_key(workflow)) != tiles:
-        write_json(store.path(_FILE), {**known, _key(workflow): tiles})
+    new = {"tiles": sizes.tiles, "points": None if math.isinf(sizes.points) else sizes.points}
+    if known.get(_key(workflow)) != new:
+        write_json(store.path(_FILE), {**known, _key(workflow): new})
 
 
 def _key(workflow: Workflow) -> str:
-    return f"tiles of {workflow.tiling.tile_m:g} m"
+    return f"blocks of tiles of {workflow.tiling.tile_m:g} m"
 
 
-def _remembered(store: Store) -> dict[str, int]:
+def _remembered(store: Store) -> dict[str, dict[str, float]]:
     try:
         return read_json(store.path(_FILE))
     except DamagedError:

@@ -8,7 +8,7 @@ from typing import Final
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.plan import density
-from spl_batch.plan.blocks import choose_block_tiles, count_blocks
+from spl_batch.plan.blocks import choose_sizes, count_blocks
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
 from spl_batch.plan.inputs import Source
@@ -47,7 +47,7 @@ class SurveyCost(Cost):
     stretches, tiles, blocks, cells : int
         Stretches of flightlines, tiles, denoise blocks and ground cells [count].
     block_tiles : int
-        Tiles along one side of the largest block [count].
+        Tiles along the longest side of a block [count].
     halo_m : float
         Halo of a block, the sum of the reaches of the filter's steps [m].
     """
@@ -74,8 +74,9 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     points = sum(s.facts.n_points for s in sources)
     pieces = list(density.from_boxes(map(_box, sources), survey.tile_q))
     limits = workflow, survey.memory_bytes
-    largest = survey.block_tiles or choose_block_tiles(pieces, *limits, survey.workers)
-    blocks, side = count_blocks(pieces, *limits, workflow.tiling.block_tiles or largest)
+    sizes = survey.remembered if workflow.tiling.block_tiles is None else None
+    sizes = sizes or choose_sizes(pieces, *limits, survey.workers)
+    blocks, side = count_blocks(pieces, *limits, sizes)
     tiles, cells = (
         sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
     )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.plan.blocks import block_holders
+from spl_batch.plan.blocks import Holders
 from spl_batch.plan.inputs import source_args
 from spl_batch.plan.memory import refusal, surface_reach_m
 from spl_batch.plan.space import Unit, fired_index, owners, units, voxel_index
@@ -99,8 +99,9 @@ def denoise(survey: Survey) -> Iterator[Task]:
 def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo = quanta(survey.workflow.ground.buffer_m)
+    holders = survey.holders()
     for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
-        noise = block_holders(cell.tiles, survey.block_sides, survey.of("denoise"))
+        noise = holders.of(cell.tiles)
         args = {**_cell_args(cell), "noise": _named("noise", noise)}
         needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
         yield _task("ground", cell, args, needs, survey)
@@ -110,10 +111,11 @@ def surface(survey: Survey) -> Iterator[Task]:
     """Ground cells whose ground is found, with what their rasters read around them."""
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
+    holders = survey.holders()
     for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
         if str(cell.cell) not in survey.of("ground"):
             continue
-        noise = block_holders(cell.tiles, survey.block_sides, survey.of("denoise"))
+        noise = holders.of(cell.tiles)
         ground_of = owners(cell.tiles, survey.tile_q, survey.cell_q, survey.of("ground"))
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
@@ -138,16 +140,17 @@ def knows_reflectance(survey: Survey) -> bool:
 
 def deliver(survey: Survey) -> Iterator[Task]:
     """Input files, each with the tiles that hold its points."""
-    holders: dict[str, list[CellId]] = {}
+    tiles_of: dict[str, list[CellId]] = {}
     for tile in survey.counts:
         for source in survey.of("build_tile")[str(tile)].facts["sources"]:
-            holders.setdefault(source, []).append(tile)
+            tiles_of.setdefault(source, []).append(tile)
+    holders = survey.holders()
     for source in survey.inputs.sources:
         key = str(source.key)
         receipt = survey.of("index_file").get(key)
         if receipt is None:
             continue
-        labels = _label_units(survey, holders.get(key, []))
+        labels = _label_units(survey, tiles_of.get(key, []), holders)
         args = {
             **source_args(source),
             "delivered": source.delivered,
@@ -162,8 +165,9 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
     """Tiles, where they are delivered."""
     if survey.workflow.outputs.tiles == "none":
         return
+    holders = survey.holders()
     for tile, count in survey.counts.items():
-        labels = _label_units(survey, [tile])
+        labels = _label_units(survey, [tile], holders)
         args = {"tile": str(tile), "units": labels[tile]}
         yield Task("deliver_tile", str(tile), args, _delivery_needs(labels), count)
 
@@ -223,9 +227,11 @@ def _label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[s
     return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
 
 
-def _label_units(survey: Survey, tiles: list[CellId]) -> dict[CellId, dict[str, list[str]]]:
+def _label_units(
+    survey: Survey, tiles: list[CellId], holders: Holders
+) -> dict[CellId, dict[str, list[str]]]:
     """Finished units that hold the delivered labels of each tile, by tile and label."""
-    noise = block_holders(tiles, survey.block_sides, survey.of("denoise"))
+    noise = holders.of(tiles)
     classes = owners(tiles, survey.tile_q, survey.cell_q, survey.of("surface"))
     return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
 

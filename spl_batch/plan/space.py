@@ -24,9 +24,9 @@ class Unit(NamedTuple):
     Parameters
     ----------
     name : str
-        Column and row on its absolute grid; of a block, :func:`~spl_batch.plan.blocks.block_name`.
+        Column and row on its absolute grid; of a block, see :class:`~spl_batch.plan.layout.Block`.
     cell : CellId
-        That column and row.
+        That column and row; of a block, those of its first tile.
     core : Bounds
         What it owns.
     tiles : tuple of CellId
@@ -79,15 +79,36 @@ def unit_of(
     counts, tile_q, unit_q, halo_q
         As in :func:`units`.
     """
-    core = cell_bounds(cell, unit_q)
-    near = [t for t in cells_touching(grow(core, halo_q), tile_q) if t in counts]
+    return unit_within(cell_bounds(cell, unit_q), counts, tile_q, halo_q, (str(cell), cell))
+
+
+def unit_within(
+    core: Bounds,
+    counts: Mapping[CellId, int],
+    tile_q: int,
+    halo_q: int,
+    named: tuple[str, CellId],
+) -> Unit:
+    """A unit that owns any rectangle.
+
+    Parameters
+    ----------
+    core : Bounds
+        What it owns [quanta].
+    counts, tile_q, halo_q
+        As in :func:`units`.
+    named : tuple of str and CellId
+        Its name, and column and row.
+    """
+    reach = grow(core, halo_q)
+    near = [t for t in cells_touching(reach, tile_q) if t in counts]
     owned = held = 0.0
     for tile in near:
         bounds = cell_bounds(tile, tile_q)
-        held += counts[tile] * _shared(bounds, grow(core, halo_q)) / tile_q**2
+        held += counts[tile] * _shared(bounds, reach) / tile_q**2
         owned += counts[tile] if overlap(bounds, core) else 0
     # shares of tiles add up to whole points, but for the last bit of a sum
-    return Unit(str(cell), cell, core, tuple(near), int(owned), math.ceil(round(held, 6)))
+    return Unit(*named, core, tuple(near), int(owned), math.ceil(round(held, 6)))
 
 
 def cells_with_points(counts: Mapping[CellId, int], tile_q: int, unit_q: int) -> list[CellId]:

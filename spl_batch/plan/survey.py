@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from spl_batch.plan.blocks import block_points, block_sides, blocks, choose_block_tiles
+from spl_batch.plan.blocks import Holders, Sizes, blocks, choose_sizes, layout_of
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.inputs import Inputs, Source
@@ -20,10 +20,10 @@ from spl_batch.workflow import Workflow
 class Survey(Ledger[Inputs, Workflow]):
     """What a run on an airborne survey knows so far.
 
-    ``block_tiles`` are the tiles along one side of the largest blocks that earlier runs had.
+    ``remembered`` are the sizes of the blocks that earlier runs had.
     """
 
-    block_tiles: int | None = None
+    remembered: Sizes | None = None
 
     @property
     def beamlets(self) -> int:
@@ -51,17 +51,21 @@ class Survey(Ledger[Inputs, Workflow]):
 
     def blocks(self) -> Iterator[Unit]:
         """Denoise blocks; complete once the shuffle is."""
-        most = block_points(self.memory_bytes)
-        return blocks(self.counts, self.tile_q, self.block_sides, self.halo_q, most)
+        layout = layout_of(self.counts, self.workflow)
+        found = blocks(layout, self.block_sizes, self.workflow, self.memory_bytes)
+        return map(layout.unit, found)
 
     @cached_property
-    def block_sides(self) -> tuple[int, ...]:
-        """Tiles along one side of denoise blocks, the largest first [count]."""
-        largest = self.block_tiles
-        if largest is None or self.workflow.tiling.block_tiles is not None:
-            pieces = list(from_counts(self.counts, self.tile_q))
-            largest = choose_block_tiles(pieces, self.workflow, self.memory_bytes, self.workers)
-        return block_sides(largest, self.workflow)
+    def block_sizes(self) -> Sizes:
+        """How large denoise blocks are; known once the shuffle is complete."""
+        if self.remembered is not None and self.workflow.tiling.block_tiles is None:
+            return self.remembered
+        pieces = list(from_counts(self.counts, self.tile_q))
+        return choose_sizes(pieces, self.workflow, self.memory_bytes, self.workers)
+
+    def holders(self) -> Holders:
+        """Blocks that are finished, by the tiles that they own."""
+        return Holders(self.of("denoise"), self.tile_q)
 
     @property
     def tile_q(self) -> int:

@@ -1,0 +1,208 @@
+"""Denoise blocks: rectangles of tiles, cut where they hold too much, joined where they own little.
+
+Every point of a halo is read and tested again for each block that it lies around. A block at the
+edge of a survey may own a strip of a few metres and read twenty times as much; its neighbour
+reads nearly all of that anyway and takes the strip over.
+"""
+
+import heapq
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from spl_batch.plan.space import Unit, unit_within
+from spl_batch.tiling import Bounds, CellId
+
+POOR: Final = 0.25
+"""Share of what it reads that a block owns, below which a neighbour takes it over if it can."""
+
+
+class Block(NamedTuple):
+    """Rectangle of tiles.
+
+    Parameters
+    ----------
+    i, j : int
+        Column and row of its south-western tile.
+    columns, rows : int
+        Tiles along its sides [count].
+    """
+
+    i: int
+    j: int
+    columns: int
+    rows: int
+
+    def __str__(self) -> str:
+        return f"{self.i}_{self.j}_{self.columns}_{self.rows}"
+
+    def tiles(self) -> Iterator[CellId]:
+        """Its tiles, column by column."""
+        for i in range(self.i, self.i + self.columns):
+            for j in range(self.j, self.j + self.rows):
+                yield CellId(i, j)
+
+    def core(self, tile_q: int) -> Bounds:
+        """Region that it owns [quanta]."""
+        east, north = self.i + self.columns, self.j + self.rows
+        return Bounds(self.i * tile_q, self.j * tile_q, east * tile_q, north * tile_q)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the tiles of a survey are shared among blocks.
+
+    Parameters
+    ----------
+    counts : mapping of CellId to int
+        Points by tile; only tiles that hold some.
+    tile_q : int
+        Edge of a tile [quanta].
+    halo_q : int
+        Halo that a block reads [quanta].
+    """
+
+    counts: Mapping[CellId, int]
+    tile_q: int
+    halo_q: int
+
+    def unit(self, block: Block) -> Unit:
+        """What a block owns and reads."""
+        cell, core = CellId(block.i, block.j), block.core(self.tile_q)
+        return unit_within(core, self.counts, self.tile_q, self.halo_q, (str(block), cell))
+
+    def share(self, side: int, most: float) -> list[Block]:
+        """Blocks that read little and hold no more than they may.
+
+        Parameters
+        ----------
+        side : int
+            Tiles along one side of the squares that they are made of [count].
+        most : float
+            Points that a block of several tiles may hold with its halo [count].
+
+        Returns
+        -------
+        list of Block
+            Sorted; each tile that holds points belongs to one.
+        """
+        # strips at the edges first, so that cuts run through all of a survey
+        whole = self.join(self.squares(side), math.inf)
+        return self.join(self.cut(whole, most), most)
+
+    def squares(self, side: int) -> list[Block]:
+        """Squares of an absolute grid, without the rows and columns that hold no points.
+
+        Parameters
+        ----------
+        side : int
+            Tiles along one side [count].
+        """
+        cells: dict[CellId, list[CellId]] = {}
+        for tile in self.counts:
+            cells.setdefault(CellId(tile.i // side, tile.j // side), []).append(tile)
+        return [_around(tiles) for _, tiles in sorted(cells.items())]
+
+    def cut(self, blocks: Iterable[Block], most: float) -> Iterator[Block]:
+        """Blocks of several tiles that hold too much in halves, and these again.
+
+        Parameters
+        ----------
+        blocks : iterable of Block
+            Blocks that own points.
+        most : float
+            Points that a block may hold with its halo [count].
+        """
+        waiting = list(blocks)[::-1]
+        while waiting:
+            block = waiting.pop()
+            if block.columns * block.rows > 1 and self.unit(block).held > most:
+                waiting.extend(reversed(self._halves(block)))
+            else:
+                yield block
+
+    def join(self, blocks: Iterable[Block], most: float) -> list[Block]:
+        """Blocks that own little of what they read given to a neighbour, the poorest first.
+
+        Parameters
+        ----------
+        blocks : iterable of Block
+            Blocks that own points and share no tile.
+        most : float
+            Points that the two may hold together [count].
+
+        Returns
+        -------
+        list of Block
+            Sorted.
+        """
+        holder = {t: block for block in blocks for t in block.tiles() if t in self.counts}
+        waiting = [self._rank(block) for block in set(holder.values())]
+        heapq.heapify(waiting)
+        while waiting and waiting[0][0] < POOR:
+            block = heapq.heappop(waiting)[-1]
+            if holder[next(t for t in block.tiles() if t in self.counts)] != block:
+                continue  # taken over
+            both = self._best(block, holder, most)
+            if both is not None:
+                holder.update((t, both) for t in both.tiles() if t in self.counts)
+                heapq.heappush(waiting, self._rank(both))
+        return sorted(set(holder.values()))
+
+    def _rank(self, block: Block) -> tuple[float, Block]:
+        unit = self.unit(block)
+        return unit.points / max(unit.held, 1), block
+
+    def _best(self, block: Block, holder: Mapping[CellId, Block], most: float) -> Block | None:
+        """The block with that neighbour with which it reads least beyond what both did."""
+        found = []
+        for other in {holder[t] for t in _beside(block) if t in holder}:
+            both = _around((*_corners(block), *_corners(other)))
+            if any(holder.get(t, block) not in (block, other) for t in both.tiles()):
+                continue
+            held = self.unit(both).held
+            if held <= most:
+                found.append((held - self.unit(other).held, both))
+        return min(found)[1] if found else None
+
+    def _halves(self, block: Block) -> tuple[Block, Block]:
+        """A block in two along its longer side, where its points are shared most evenly."""
+        wide = block.columns >= block.rows
+        tiles = [t for t in block.tiles() if t in self.counts]
+        at = [t.i if wide else t.j for t in tiles]
+        west, total = 0, sum(self.counts[t] for t in tiles)
+        shares = []
+        for line in range(min(at), max(at)):
+            west += sum(self.counts[t] for t, k in zip(tiles, at, strict=True) if k == line)
+            shares.append((abs(total - 2 * west), line))
+        line = min(shares)[1]
+        low = [t for t, k in zip(tiles, at, strict=True) if k <= line]
+        high = [t for t, k in zip(tiles, at, strict=True) if k > line]
+        return _around(low), _around(high)
+
+
+def parse_block(name: str) -> Block:
+    """Block of a name such as ``"-3_12_4_2"``."""
+    return Block(*map(int, name.split("_")))
+
+
+def _around(tiles: Iterable[CellId]) -> Block:
+    columns, rows = zip(*tiles, strict=True)
+    i, j = min(columns), min(rows)
+    return Block(i, j, max(columns) - i + 1, max(rows) - j + 1)
+
+
+def _corners(block: Block) -> tuple[CellId, CellId]:
+    east, north = block.i + block.columns, block.j + block.rows
+    return CellId(block.i, block.j), CellId(east - 1, north - 1)
+
+
+def _beside(block: Block) -> Iterator[CellId]:
+    """Tiles that share a side with a block."""
+    for j in range(block.j, block.j + block.rows):
+        yield CellId(block.i - 1, j)
+        yield CellId(block.i + block.columns, j)
+    for i in range(block.i, block.i + block.columns):
+        yield CellId(i, block.j - 1)
+        yield CellId(i, block.j + block.rows)
