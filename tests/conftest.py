@@ -10,6 +10,25 @@ from spl_batch.simulate import preset_scene, simulate
 from tests import clusters, surveys
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put one file that runs whole surveys first, and others after those that run none.
+
+    What the first compiles, in one process, the others then load; the second process would
+    compile the same at the same time.
+    """
+    weights: dict[Path, int] = {}
+    for item in items:
+        slow = item.get_closest_marker("slow") is not None
+        weights[item.path] = weights.get(item.path, 0) + (20 if slow else 1)
+
+    def turn(item: pytest.Item) -> tuple[int, int, str]:
+        flies = isinstance(item, pytest.Function) and hasattr(item.module, "surveys")
+        first = item.path.name == "test_run.py"
+        return (0 if first else 1 + flies, -weights[item.path], str(item.path))
+
+    items.sort(key=turn)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _no_waiting_for_the_disk() -> Iterator[None]:
     """No test cuts the power, and a busy disk takes its time over each file."""

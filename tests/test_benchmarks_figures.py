@@ -67,7 +67,7 @@ def test_our_rays_end_nearer_than_the_source_s(monkeypatch: pytest.MonkeyPatch) 
 def test_the_curve_of_afterpulses_lies_below_its_bound(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = tuple({**content, "extent_m": [30, 30]} for content in afterpulses.CANOPIES)
+    small = tuple({**content, "extent_m": [18, 18]} for content in afterpulses.CANOPIES)
     monkeypatch.setattr(afterpulses, "CANOPIES", small)
     with style.type_context():
         panels = figures.afterpulse_curve(tmp_path).axes
