@@ -24,6 +24,9 @@ from spl_batch.stages import denoise
 from tests import clusters, faulty_worker, surveys
 from tests.clusters import Cluster, Plan, cluster, fault
 
+BLOCKS = ("--set", "tiling.block_tiles=1")
+"""The small survey in blocks of one tile, four of them."""
+
 
 def run_on(there: Cluster, workflow: Path, *options: object) -> surveys.Ended:
     """Run a workflow on workers that were started elsewhere."""
@@ -55,9 +58,9 @@ def raster(output: Path, name: str) -> tuple[Any, Any, Any]:
 def test_a_task_that_always_fails_costs_its_place_alone(
     small: Path, small_output: Path, cluster: Cluster
 ) -> None:
-    name = max(p.stem for p in (small_output / "store/receipts/denoise").glob("*.json"))
+    name = "2720_32900_1_1"
     cluster.plan.set(fault("denoise", "raise", name))
-    ended = run_on(cluster, small)
+    ended = run_on(cluster, small, *BLOCKS)
     assert ended.status == 1
     assert f"failed: denoise {name}: RuntimeError: broken on purpose" in ended.err
     tries = [pid for tried, pid in cluster.plan.tries("denoise") if tried == name]
@@ -138,7 +141,7 @@ def test_a_worker_that_is_killed_and_a_passing_fault_cost_nothing(
     small: Path, small_output: Path, cluster: Cluster
 ) -> None:
     cluster.plan.set(fault("scatter", "raise", times=1), fault("denoise", "kill", times=1))
-    ended = run_on(cluster, small)
+    ended = run_on(cluster, small, *BLOCKS)
     assert ended.status == 0, ended.text
     assert "failed" not in ended.err
     assert report(small)["failures"] == []

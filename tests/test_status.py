@@ -100,18 +100,23 @@ def test_a_map_counts_every_unit_once(units: set[tuple[int, int]], data: st.Data
 
 @settings(deadline=None, max_examples=50)
 @given(
-    st.sets(st.tuples(st.integers(-99, 99), st.integers(-99, 99), st.integers(1, 8)), min_size=1)
+    st.sets(
+        st.tuples(st.integers(-99, 99), st.integers(-99, 99), st.integers(1, 8), st.integers(1, 8)),
+        min_size=1,
+    )
 )
-def test_a_unit_of_many_squares_shows_wherever_it_lies(units: set[tuple[int, int, int]]) -> None:
-    names = [f"{i}_{j}_{n}" for i, j, n in sorted(units)]
+def test_a_unit_of_many_squares_shows_wherever_it_lies(
+    units: set[tuple[int, int, int, int]],
+) -> None:
+    names = ["_".join(map(str, unit)) for unit in sorted(units)]
     tiles = TileMap.of(names, [], 100.0)
     assert tiles is not None
     expected = np.zeros_like(tiles.total)
-    for i, j, n in units:
+    for i, j, wide, high in units:
         touched = {
             ((y - tiles.south) // tiles.step, (x - tiles.west) // tiles.step)
-            for y in range(j, j + n)
-            for x in range(i, i + n)
+            for y in range(j, j + high)
+            for x in range(i, i + wide)
         }
         for row, column in touched:
             expected[row, column] += 1

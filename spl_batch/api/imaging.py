@@ -1,6 +1,6 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
@@ -9,6 +9,7 @@ from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError
 from spl_batch.io.cells import create_raster_store
+from spl_batch.kernels.ahead import compile_share
 from spl_batch.plan.blocks import remember_sizes, remembered_sizes
 from spl_batch.plan.cost import SurveyCost, estimate
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
@@ -51,6 +52,11 @@ class Imaging(Receiver[Survey, Context]):
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = REMEDIES
+
+    @property
+    def compiles(self) -> Callable[[int, int], int]:
+        """Compiles a share of the kernels."""
+        return compile_share
 
     def prepare(
         self, workflow: Workflow, place: Place, limits: Limits

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from spl_batch.api.claim import claim
 from spl_batch.api.events import (
@@ -28,12 +28,14 @@ from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
 from spl_batch.errors import SplBatchError, StoppedError, StoreError, WorkflowError
-from spl_batch.graph import Executor, Footing, executor
+from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.worklist import Worklist
 from spl_batch.runner import kinds, stages
 from spl_batch.runner.remember import RunFacts, StageCost, recall
 from spl_batch.task import Receipt
+
+COMPILING: Final = "compiling for this machine; later runs find it done"
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +129,7 @@ def run(
         phases = Counter(progress.stage(phase.kind) for phase in prepared.receiver.phases)
         progress.tell(RunStarted(str(workflow), workers, code, _expected_s(cost), order, phases))
         progress.tidy()
+        compiles = prepared.receiver.compiles
         with _telling_the_end(progress):
             for warning in prepared.ledger.inputs.warnings:
                 progress.warn(warning)
@@ -138,6 +141,7 @@ def run(
                 scheduler=scheduler,
                 observer=progress,
                 footing=Footing(code, str(lock_file(output)), mark),
+                ahead=compiles and Ahead(compiles, COMPILING),
             ) as (pool, dashboard):
                 progress.tell(WorkersReady(scheduler or "", dashboard))
                 _process(prepared, pool, progress, until, verify=verify)

@@ -6,7 +6,7 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -90,6 +90,11 @@ class Receiver(ABC, Generic[L, C]):
     phases: ClassVar[Sequence[Phase]]
     words: ClassVar[Mapping[str, str]] = MappingProxyType({})
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    @property
+    def compiles(self) -> Callable[[int, int], int] | None:
+        """Compiles a share, from 0, of so many, of the kernels that the tasks call."""
+        return None
 
     @abstractmethod
     def prepare(self, workflow: Any, place: Place, limits: Limits) -> Prepared[L, C]:

@@ -10,12 +10,14 @@ from importlib.util import find_spec
 from typing import Any
 
 from spl_batch.errors import StoppedError
+from spl_batch.graph.ahead import Ahead
 from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster, silent
 from spl_batch.graph.flow import OUT_OF_MEMORY, OnDask
 from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer
 
 __all__ = [
     "OUT_OF_MEMORY",
+    "Ahead",
     "Executor",
     "Footing",
     "InProcess",
@@ -34,6 +36,7 @@ def executor(
     scheduler: str | None,
     observer: Observer,
     footing: Footing,
+    ahead: Ahead | None = None,
 ) -> Iterator[tuple[Executor, str]]:
     """Give somewhere to run tasks.
 
@@ -49,6 +52,8 @@ def executor(
         Told what happens to tasks and workers.
     footing : Footing
         What every worker has to find.
+    ahead : Ahead, optional
+        What local workers do before their first task.
 
     Yields
     ------
@@ -86,7 +91,7 @@ def executor(
             check_workers(client, footing, memory_bytes)
         shown = scheduler is not None or find_spec("bokeh") is not None
         dashboard = str(client.dashboard_link or "") if shown else ""
-        yield OnDask(client, observer, footing, scheduler is None), dashboard
+        yield OnDask(client, observer, footing, scheduler is None, ahead), dashboard
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from spl_batch.errors import StoppedError
+from spl_batch.graph.ahead import Ahead
 from spl_batch.graph.work import Footing, Job, Observer, OnReceipt, work
 from spl_batch.io.store import write_receipt
 from spl_batch.runner import failure
@@ -43,6 +44,7 @@ class OnDask:
     observer: Observer
     footing: Footing
     local: bool
+    ahead: Ahead | None = None
 
     def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
         """Do jobs as workers become free, those that join later included.
@@ -52,6 +54,8 @@ class OnDask:
         StoppedError
             If the scheduler is lost or a task met something that concerns everything.
         """
+        if self.local and self.ahead is not None:
+            self.ahead.share_out(self.client, sorted(workers_of(self.client)), self.observer)
         flow = _Flow(self, context, iter(jobs))
         try:
             for receipt in flow.receipts():

@@ -1,0 +1,92 @@
+"""Compiling ahead: what is listed is what the chain calls, and each worker gets its share."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from spl_batch.graph import Ahead
+from spl_batch.graph.cluster import SETTINGS
+from spl_batch.kernels import ahead
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.slow
+def test_the_list_is_what_a_run_calls() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "benchmarks.signatures", "--check"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, f"python -m benchmarks.signatures\n{ended.stdout}{ended.stderr}"
+
+
+def test_types_are_read_as_they_are_written() -> None:
+    for name, listed in ahead.signatures().items():
+        kernel = ahead.find(name)
+        for text in listed:
+            assert "; ".join(map(str, ahead.parse(text, kernel))) == text
+    assert any("readonly" in text for listed in ahead.signatures().values() for text in listed)
+    assert any("Rules(" in text for listed in ahead.signatures().values() for text in listed)
+
+
+@pytest.mark.parametrize("shares", [1, 2, 3, 16, 100])
+def test_shares_are_all_kernels_once_and_about_equal(shares: int) -> None:
+    names = ahead.signatures()
+    found = ahead.divided(names, shares)
+    assert len(found) == shares
+    assert sorted(name for share in found for name in share) == sorted(names)
+    if 1 < shares < 4:
+        sizes = [len({c for n in share for c in ahead._called(ahead.find(n))}) for share in found]
+        assert max(sizes) < 1.2 * min(sizes)
+        every = {c for name in names for c in ahead._called(ahead.find(name))}
+        assert sum(sizes) < 1.1 * len(every), "what calls the same is compiled together"
+
+
+def test_a_share_that_is_compiled_is_loaded() -> None:
+    ahead.compile_share(15, 16)
+    assert ahead.compile_share(15, 16) == 0
+    assert all(ahead.find(n).signatures for n in ahead.divided(ahead.signatures(), 16)[15])
+
+
+class Told:
+    """An observer that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def noted(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def left_behind(share: int, shares: int) -> int:
+    """Share number one fails, the others leave a file."""
+    if share == 1:
+        raise ValueError(f"share {share} of {shares}")
+    return share
+
+
+def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
+    import dask  # noqa: PLC0415 - slow
+    from distributed import Client, LocalCluster  # noqa: PLC0415
+
+    told, work = Told(), Ahead(left_behind, "compiling")
+    with (
+        dask.config.set(SETTINGS),
+        LocalCluster(
+            n_workers=2, processes=False, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+        ) as two,
+        Client(two) as client,
+    ):
+        client.wait_for_workers(2)
+        addresses = sorted(client.sync(client.scheduler.identity)["workers"])
+        work.share_out(client, addresses[:1], told)  # type: ignore[arg-type]
+        assert told.notes == [], "one worker compiles what it needs when it needs it"
+        again = Ahead(left_behind, "compiling")
+        again.share_out(client, addresses, told)  # type: ignore[arg-type]
+        again.share_out(client, addresses, told)  # type: ignore[arg-type]
+    assert told.notes == ["compiling: share 1 of 2"]
