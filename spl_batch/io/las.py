@@ -5,7 +5,7 @@ multiples of the quantum that is integer arithmetic and exact; elsewhere coordin
 are rounded to the nearest quantum, and a warning says so.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +20,7 @@ from spl_batch.errors import InputError
 from spl_batch.io.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
 from spl_batch.io.las_chunks import RecordReader
 from spl_batch.io.las_header import LasHeader, open_input, read_header
+from spl_batch.io.las_layers import can_be_copied
 from spl_batch.io.las_records import RecordLayout, dimension, record_layout, scan_angle_deg
 from spl_batch.model import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable
 
@@ -45,6 +46,8 @@ class LasFacts:
         Names that ``channel_dimension`` may take.
     warnings : tuple of str
         Oddities that do not stop the work; each is one sentence.
+    layers_can_be_copied : bool
+        Whether :mod:`spl_batch.io.las_layers` knows how its points are compressed.
     """
 
     path: Path
@@ -61,6 +64,7 @@ class LasFacts:
     has_gps_time: bool
     dimensions: tuple[str, ...]
     warnings: tuple[str, ...]
+    layers_can_be_copied: bool
 
 
 def inspect(path: Path) -> LasFacts:
@@ -79,6 +83,7 @@ def inspect(path: Path) -> LasFacts:
     header = read_header(path)
     with RecordReader(header) as reader:
         layout = reader.layout
+        layered = can_be_copied(reader)
     crs, crs_warnings = header_crs(header)
     exact = all(_whole(header.scales[a], header.offsets[a]) is not None for a in range(3))
     rounding = (
@@ -100,6 +105,7 @@ def inspect(path: Path) -> LasFacts:
         has_gps_time="gps_time" in layout.names,
         dimensions=layout.names,
         warnings=header.warnings + crs_warnings + (() if exact else (rounding,)),
+        layers_can_be_copied=layered,
     )
 
 
@@ -142,6 +148,7 @@ def iter_points(
     start: int = 0,
     stop: int | None = None,
     chunk: int = 1_000_000,
+    watch: Callable[[NDArray[Any]], None] | None = None,
 ) -> Iterator[PointTable]:
     """Points of a file in its own order, as tables of bounded length.
 
@@ -157,6 +164,8 @@ def iter_points(
         Range of points, half-open; by default all.
     chunk : int
         Points per table [count].
+    watch : callable, optional
+        Is given the records of each table before it comes.
 
     Yields
     ------
@@ -181,6 +190,8 @@ def iter_points(
     with RecordReader(header) as reader:
         for first in range(start, end, chunk):
             records = reader.read(first, min(first + chunk, end))
+            if watch is not None:
+                watch(records)
             x, y, z = (_coordinate(records, header, axis, first) for axis in range(3))
             channel = _channel(records, header, layout, channel_dimension, first)
             places = {"x": x, "y": y, "z": z, "channel": channel}

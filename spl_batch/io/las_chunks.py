@@ -7,7 +7,9 @@ that decodes to other values of an attribute cannot be seen.)
 """
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Final, Self
@@ -23,10 +25,16 @@ from spl_batch.io.las_records import RecordLayout, record_layout
 LASZIP_KEY: Final = ("laszip encoded", 22204)
 
 _LASZIP: Final = struct.Struct("<HHBBHIIqqH")
+CHUNK_SIZE: Final = struct.Struct("<I")
+CHUNK_SIZE_AT: Final = 12
+"""Where a LASzip record has the points of a chunk."""
+
 _ITEM: Final = struct.Struct("<HHH")
 _CHUNKED: Final = (2, 3)
 _VARIABLE: Final = 2**32 - 1
-_CHUNK_POINTS_MAX: Final = 5_000_000
+CHUNK_POINTS_MAX: Final = 5_000_000
+"""Points of a chunk that can be decoded in bounded memory [count]."""
+
 _LAYERED: Final = 3
 _LAYERS: Final = {10: 9, 11: 1, 12: 2, 13: 1}
 """Layers of an item of point formats 6-10 by type; extra bytes (14) have one a byte."""
@@ -67,7 +75,7 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
     """
     path = str(header.path)
     laszip = _laszip_data(header)
-    chunk_points = struct.unpack_from("<I", laszip, 12)[0]
+    chunk_points = CHUNK_SIZE.unpack_from(laszip, CHUNK_SIZE_AT)[0]
     if header.n_points == 0:
         start = np.array([0], dtype=np.int64)
         return ChunkTable(start, start + header.points_start + 8)
@@ -102,11 +110,11 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
             f" {places[-1] - start_byte} of {table_byte - start_byte} bytes:"
             " the file is damaged, copy it again",
         )
-    if np.max(np.diff(points)) > _CHUNK_POINTS_MAX:
+    if np.max(np.diff(points)) > CHUNK_POINTS_MAX:
         raise InputError(
             path,
             f"a LAZ chunk holds {np.max(np.diff(points))} points; at most"
-            f" {_CHUNK_POINTS_MAX} can be decoded in bounded memory: {_REMEDY}",
+            f" {CHUNK_POINTS_MAX} can be decoded in bounded memory: {_REMEDY}",
         )
     return ChunkTable(points.astype(np.int64), places.astype(np.int64))
 
@@ -125,7 +133,7 @@ def _laszip_data(header: LasHeader) -> bytes:
         )
     if len(vlr.data) < _LASZIP.size + n_items * _ITEM.size or chunk_points == 0:
         raise InputError(path, "its LASzip record is damaged, copy the file again")
-    items = [_ITEM.unpack_from(vlr.data, _LASZIP.size + i * _ITEM.size) for i in range(n_items)]
+    items = laszip_items(vlr.data)
     if sum(size for _, size, _ in items) != header.record_size:
         raise InputError(
             path,
@@ -135,13 +143,26 @@ def _laszip_data(header: LasHeader) -> bytes:
     return vlr.data
 
 
-def _count_layers(laszip: bytes) -> int:
+def laszip_items(laszip: bytes) -> list[tuple[int, int, int]]:
+    """Type, size [byte] and version of each item that a LASzip record lists."""
+    n_items = _LASZIP.unpack_from(laszip)[-1]
+    return [_ITEM.unpack_from(laszip, _LASZIP.size + i * _ITEM.size) for i in range(n_items)]
+
+
+def count_layers(laszip: bytes) -> int:
     """Layers in each chunk; 0 where points are compressed one after the other."""
-    compressor, *_, n_items = _LASZIP.unpack_from(laszip)
-    if compressor != _LAYERED:
+    if _LASZIP.unpack_from(laszip)[0] != _LAYERED:
         return 0
-    items = [_ITEM.unpack_from(laszip, _LASZIP.size + i * _ITEM.size) for i in range(n_items)]
+    items = laszip_items(laszip)
     return sum(size if kind == _EXTRA_ITEM else _LAYERS.get(kind, 0) for kind, size, _ in items)
+
+
+def chunk_layers(packed: bytes, record_size: int, n_layers: int) -> list[bytes]:
+    """Layers of a layered chunk: what follows its first record, its points and their sizes."""
+    head = struct.Struct(f"<{1 + n_layers}I")
+    sizes = head.unpack_from(packed, record_size)[1:]
+    ends = np.cumsum((record_size + head.size, *sizes)).tolist()
+    return [packed[a:b] for a, b in pairwise(ends)]
 
 
 def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> tuple[int, int]:
@@ -199,12 +220,13 @@ class RecordReader:
         self._opened = open_input(header.path)
         self._file = self._opened.__enter__()
         self._table: ChunkTable | None = None
+        self.laszip = b""
         self._n_layers = 0
         self._held: tuple[int, NDArray[Any]] = (-1, np.empty(0, self._dtype))
         try:
             if header.compressed:
-                self._laszip = _laszip_data(header)
-                self._n_layers = _count_layers(self._laszip)
+                self.laszip = _laszip_data(header)
+                self._n_layers = count_layers(self.laszip)
                 self._table = read_chunk_table(header, self._file)
         except BaseException:
             self._file.close()
@@ -237,9 +259,12 @@ class RecordReader:
         try:
             return self._read(start, stop)
         except OSError as error:
-            raise InputError(
-                str(self.path), f"points from {start} on cannot be read: {error.strerror}"
-            ) from None
+            raise self._unreadable(start, error) from None
+
+    def _unreadable(self, start: int, error: OSError) -> InputError:
+        return InputError(
+            str(self.path), f"points from {start} on cannot be read: {error.strerror}"
+        )
 
     def _read(self, start: int, stop: int) -> NDArray[Any]:
         out = np.empty(stop - start, dtype=self._dtype)
@@ -296,15 +321,31 @@ class RecordReader:
         table = self._table
         if table is None or len(out) == 0:
             return
+        begin, end, packed = self._packed(table, chunk)
+        _guarded(
+            str(self.path),
+            f"points {begin} to {end - 1} cannot be decoded",
+            lambda: lazrs.decompress_points_with_chunk_table(
+                packed, self.laszip, out.view(np.uint8), [(len(out), len(packed))]
+            ),
+        )
+
+    def packed_chunks(self) -> Iterator[tuple[int, int, bytes]]:
+        """First point, past-the-last point and bytes of each LAZ chunk that holds points."""
+        table = self._table
+        if table is None:
+            return
+        for chunk in np.flatnonzero(np.diff(table.points)).tolist():
+            try:
+                found = self._packed(table, chunk)
+            except OSError as error:
+                raise self._unreadable(int(table.points[chunk]), error) from None
+            yield found
+
+    def _packed(self, table: ChunkTable, chunk: int) -> tuple[int, int, bytes]:
         begin, end = (int(v) for v in table.points[chunk : chunk + 2])
         low, high = (int(v) for v in table.bytes[chunk : chunk + 2])
         self._file.seek(low)
         packed = self._file.read(high - low)
         self._check_layers(packed, begin, end)
-        _guarded(
-            str(self.path),
-            f"points {begin} to {end - 1} cannot be decoded",
-            lambda: lazrs.decompress_points_with_chunk_table(
-                packed, self._laszip, out.view(np.uint8), [(len(out), high - low)]
-            ),
-        )
+        return begin, end, packed

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-import laspy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +13,7 @@ from spl_batch.io.las_records import (
     ExtraDimension,
     RecordLayout,
     dimension,
+    standard_dtype,
 )
 
 EXTENDED_FORMAT: Final = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
@@ -54,7 +54,7 @@ class Conversion:
         """
         out = np.zeros(len(given), dtype=self.layout.dtype)
         shared = set(self.given.dtype.names or ()) & set(self.layout.dtype.names or ())
-        standard = laspy.PointFormat(self.layout.point_format).dtype().names
+        standard = standard_dtype(self.layout.point_format).names or ()
         for name in shared.intersection(standard) - {"bit_fields"}:
             out[name] = given[name]
         if self.given.point_format >= FIRST_EXTENDED_FORMAT:

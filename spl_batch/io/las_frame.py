@@ -7,7 +7,7 @@ their wave packets, though it reads those of others well.
 """
 
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from spl_batch import __version__
 from spl_batch.errors import WorkflowError
 from spl_batch.io.atomic import replacing
 from spl_batch.io.crs import WKT_KEY
-from spl_batch.io.las_chunks import LASZIP_KEY
+from spl_batch.io.las_chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
 from spl_batch.io.las_header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Evlr, Vlr
 from spl_batch.io.las_records import EXTRA_BYTES_KEY, RecordLayout
 
@@ -34,6 +34,7 @@ HEADER_SIZE: Final = HEADER_SIZES[4]
 _COPY_BYTES: Final = 1 << 20
 _COMPRESSED_BIT: Final = 0x80
 _UNCOMPRESSED: Final = (9, 10)
+_PLACE: Final = struct.Struct("<q")
 _COUNTS: Final = struct.Struct("<QQIQ15Q")
 _WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
 
@@ -150,13 +151,30 @@ def output_file(path: Path) -> Iterator[WatchedFile]:
 
 
 class Extent:
-    """Counts and bounding box that the header needs, gathered while writing."""
+    """Counts and bounding box that the header needs, gathered from the records."""
 
     def __init__(self) -> None:
         self.low = [2**31] * 3
         self.high = [-(2**31)] * 3
         self.returns = np.zeros(16, dtype=np.int64)
-        self.n_points = 0
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.int64]]) -> "Extent":
+        """What :meth:`to_arrays` gave."""
+        found = cls()
+        found.low, found.high = (arrays[f"extent/{side}"].tolist() for side in ("low", "high"))
+        found.returns = arrays["extent/returns"]
+        return found
+
+    def to_arrays(self) -> dict[str, NDArray[np.int64]]:
+        """Arrays by name, to be stored."""
+        sides = {"low": self.low, "high": self.high, "returns": self.returns}
+        return {f"extent/{name}": np.asarray(v, np.int64) for name, v in sides.items()}
+
+    @property
+    def n_points(self) -> int:
+        """Records counted."""
+        return int(self.returns.sum())
 
     def add(self, records: NDArray[Any]) -> None:
         """Count records in."""
@@ -164,7 +182,6 @@ class Extent:
             self.low[axis] = min(self.low[axis], int(records[name].min()))
             self.high[axis] = max(self.high[axis], int(records[name].max()))
         self.returns += np.bincount(records["bit_fields"] & 15, minlength=16)
-        self.n_points += len(records)
 
     def box(self, frame: Frame) -> list[float]:
         """Max x, min x, max y, and so on: the header's order [m]."""
@@ -201,35 +218,68 @@ def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
     WorkflowError
         If the place cannot be written.
     """
+    laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
     with output_file(path) as file:
-        return _write(file, frame, chunks)
+        extent = Extent()
+        with _framed(file, frame, laz, extent):
+            compressor = None if laz is None else lazrs.LasZipCompressor(file, laz)
+            for records in chunks:
+                if not len(records):
+                    continue
+                extent.add(records)
+                content = np.ascontiguousarray(records).view(np.uint8)
+                if compressor is None:
+                    file.write(content)
+                else:
+                    compressor.compress_many(content)
+            if compressor is not None:
+                compressor.done()
+    return extent.n_points
 
 
-def _write(file: WatchedFile, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
-    laz = _laz_record(frame.layout)
+def write_packed(
+    path: Path, frame: Frame, laz: Any, extent: Extent, chunks: Iterable[tuple[int, bytes]]
+) -> int:
+    """Write a LAS 1.4 file whose points are compressed already; see :func:`write_laz`.
+
+    Parameters
+    ----------
+    path, frame
+        As there.
+    laz : lazrs.LazVlr
+        LASzip record of the chunks.
+    extent : Extent
+        Of their points.
+    chunks : iterable of (int, bytes)
+        Points of each chunk, and its bytes.
+    """
+    with output_file(path) as file, _framed(file, frame, laz, extent):
+        start = file.tell()
+        file.write(bytes(_PLACE.size))
+        table = []
+        for points, packed in chunks:
+            file.write(packed)
+            table.append((points, len(packed)))
+        place = file.tell()
+        lazrs.write_chunk_table(file, table, laz)
+        file.seek(start)
+        file.write(_PLACE.pack(place))
+    return extent.n_points
+
+
+@contextmanager
+def _framed(file: WatchedFile, frame: Frame, laz: Any | None, extent: Extent) -> Iterator[None]:
+    """Everything before the points; when they are written, what follows, and the header."""
     vlrs = [*frame.vlrs, *extra_vlr(frame.layout)]
     if laz is not None:
         data = bytes(laz.record_data())
         vlrs.append(Vlr(LASZIP_KEY[0].encode(), LASZIP_KEY[1], b"lazrs", data))
     points_start = start_file(file, vlrs)
-    extent = Extent()
-    compressor = None if laz is None else lazrs.LasZipCompressor(file, laz)
-    for records in chunks:
-        if not len(records):
-            continue
-        extent.add(records)
-        content = np.ascontiguousarray(records).view(np.uint8)
-        if compressor is None:
-            file.write(content)
-        else:
-            compressor.compress_many(content)
-    if compressor is not None:
-        compressor.done()
+    yield
     file.seek(0, 2)
     places = _write_evlrs(file, frame)
     file.seek(0)
     file.write(header_bytes(frame, extent, len(vlrs), points_start, places))
-    return extent.n_points
 
 
 def start_file(file: WatchedFile, vlrs: Sequence[Vlr]) -> int:
@@ -241,11 +291,23 @@ def start_file(file: WatchedFile, vlrs: Sequence[Vlr]) -> int:
     return file.tell()
 
 
-def _laz_record(layout: RecordLayout) -> Any | None:
-    if layout.point_format in _UNCOMPRESSED:
-        return None
+def laz_record(layout: RecordLayout, chunk_points: int | None = None) -> Any:
+    """LASzip record for records of a layout, ``lazrs.LazVlr``.
+
+    Parameters
+    ----------
+    layout : RecordLayout
+        Of a point format that is compressed.
+    chunk_points : int, optional
+        Points of a chunk [count]; by default as many as the compressor takes.
+    """
     extra_bytes = sum(d.dtype.itemsize for d in layout.extra)
-    return lazrs.LazVlr.new_for_compression(layout.point_format, extra_bytes)
+    laz = lazrs.LazVlr.new_for_compression(layout.point_format, extra_bytes)
+    if chunk_points is None:
+        return laz
+    data = bytearray(laz.record_data())
+    CHUNK_SIZE.pack_into(data, CHUNK_SIZE_AT, chunk_points)
+    return lazrs.LazVlr(bytes(data))
 
 
 def extra_vlr(layout: RecordLayout) -> list[Vlr]:

@@ -1,6 +1,7 @@
 """Layout of LAS point records: names, bits and extra bytes [LAS 1.4 R15, sections 2.6, 4]."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Final
 
 import laspy
@@ -55,7 +56,7 @@ class RecordLayout:
     @property
     def dtype(self) -> np.dtype[Any]:
         """Packed dtype of one record."""
-        standard = laspy.PointFormat(self.point_format).dtype()
+        standard = standard_dtype(self.point_format)
         fields: list[tuple[str, Any]] = [(name, standard[name]) for name in standard.names]
         return np.dtype(fields + [(d.field, d.dtype) for d in self.extra])
 
@@ -66,6 +67,13 @@ class RecordLayout:
         return standard + tuple(d.name for d in self.extra)
 
 
+@cache
+def standard_dtype(point_format: int) -> np.dtype[Any]:
+    """Packed dtype of a record without extra bytes."""
+    standard: np.dtype[Any] = laspy.PointFormat(point_format).dtype()
+    return standard
+
+
 def record_layout(header: LasHeader) -> RecordLayout:
     """Layout of a file's point records.
 
@@ -74,7 +82,7 @@ def record_layout(header: LasHeader) -> RecordLayout:
     InputError
         If the extra bytes' description contradicts the record length.
     """
-    base = laspy.PointFormat(header.point_format).dtype().itemsize
+    base = standard_dtype(header.point_format).itemsize
     room = header.record_size - base
     vlr = header.vlr(*EXTRA_BYTES_KEY)
     described = b"" if vlr is None else vlr.data

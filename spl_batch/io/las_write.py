@@ -5,6 +5,7 @@ same bytes.
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,8 +20,17 @@ from spl_batch.io.crs import WKT_KEY
 from spl_batch.io.las import header_crs
 from spl_batch.io.las_chunks import LASZIP_KEY, RecordReader
 from spl_batch.io.las_convert import conversion
-from spl_batch.io.las_frame import HEADER_SIZE, Frame, preamble, wkt_vlr, write_laz
+from spl_batch.io.las_frame import (
+    HEADER_SIZE,
+    Extent,
+    Frame,
+    preamble,
+    wkt_vlr,
+    write_laz,
+    write_packed,
+)
 from spl_batch.io.las_header import LasHeader, Vlr, read_header
+from spl_batch.io.las_layers import LayerCopy, can_be_copied
 from spl_batch.io.las_records import (
     EXTRA_BYTES_KEY,
     SCAN_ANGLE_STEP_DEG,
@@ -63,8 +73,30 @@ _ORIGIN_STEP: Final = 1_000 * QUANTA_PER_M
 _INT32: Final = np.iinfo(np.int32)
 
 
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What is known of a file's points by who has decoded them before.
+
+    Parameters
+    ----------
+    given : callable
+        ``given(start, stop)`` is :func:`~spl_batch.io.las_layers.given_of` of these records.
+    extent : Extent
+        Of all records.
+    """
+
+    given: Callable[[int, int], NDArray[np.uint32]]
+    extent: Extent
+
+
 def write_classified(
-    src: Path, dst: Path, *, labels: Labels, diagnostics: bool, crs: CRS | None
+    src: Path,
+    dst: Path,
+    *,
+    labels: Labels,
+    diagnostics: bool,
+    crs: CRS | None,
+    decoded: Decoded | None = None,
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
 
@@ -86,6 +118,9 @@ def write_classified(
         Whether to add ``noise_density`` and ``p_value``.
     crs : CRS or None
         CRS for an input that carries none.
+    decoded : Decoded, optional
+        Spares decoding a file of which :func:`~spl_batch.io.las_layers.can_be_copied` holds: what
+        is not changed is copied as it is compressed.
 
     Returns
     -------
@@ -117,6 +152,15 @@ def write_classified(
                 _label(out, convert.layout, classes, labels(start, stop), names)
                 yield out
 
+        def packed(known: Decoded, copy: LayerCopy) -> Iterator[tuple[int, bytes]]:
+            for start, stop, chunk in reader.packed_chunks():
+                own, first = copy.records(known.given(start, stop)), copy.first(chunk)
+                classes, values = own["classification"].copy(), labels(start, stop)
+                _label(own, copy.own, classes, values, names)
+                of_first = {name: v[:1] for name, v in values.items()}
+                _label(first, convert.layout, classes[:1], of_first, names)
+                yield stop - start, copy.chunk(chunk, first, own)
+
         vlrs, wkt = _vlrs(header, crs)
         frame = Frame(
             preamble=preamble(header.raw, wkt=wkt),
@@ -126,7 +170,10 @@ def write_classified(
             vlrs=vlrs,
             evlrs=[(e, src) for e in header.evlrs if e.key[0] != "copc"],
         )
-        return write_laz(dst, frame, chunks())
+        if decoded is None or not can_be_copied(reader):
+            return write_laz(dst, frame, chunks())
+        copy = LayerCopy(reader, convert, len(names))
+        return write_packed(dst, frame, copy.laz, decoded.extent, packed(decoded, copy))
 
 
 def _added(name: str) -> ExtraDimension:

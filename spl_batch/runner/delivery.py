@@ -11,10 +11,14 @@ from spl_batch.errors import InputError
 from spl_batch.io.atomic import remove
 from spl_batch.io.cells import frame, stored_blocks
 from spl_batch.io.labels import read_labelled_tile
-from spl_batch.io.las_write import write_classified, write_points
+from spl_batch.io.las_frame import Extent
+from spl_batch.io.las_layers import GIVEN
+from spl_batch.io.las_write import Decoded, write_classified, write_points
 from spl_batch.io.rasters import write_cog
+from spl_batch.io.tables import read_arrays, read_columns
 from spl_batch.model import COLUMNS, PointTable
 from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.index import CHUNK_POINTS
 from spl_batch.runner.unchanged import as_indexed, unchanged
 from spl_batch.tiling import Bounds, cells_of_runs, parse_cell, quanta
 
@@ -84,7 +88,12 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     try:
         with unchanged(source, stamp):
             written = write_classified(
-                source, target, labels=labels, diagnostics=diagnostics, crs=context.crs
+                source,
+                target,
+                labels=labels,
+                diagnostics=diagnostics,
+                crs=context.crs,
+                decoded=_decoded(args, context),
             )
     except InputError:
         # What an earlier run made of it would pass for this run's.
@@ -96,6 +105,31 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         "classes": _nonzero(labels.classes),
     }
     return Produced([target], facts, written)
+
+
+def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:
+    """What the index keeps of a file whose layers can be copied."""
+    arrays = read_arrays(context.store.path("index", f"{args['source']}.npz"))
+    extent = Extent.from_arrays(arrays)
+    path = context.store.path("given", f"{args['source']}.parquet")
+    return Decoded(_Given(path), extent) if extent.n_points else None
+
+
+class _Given:
+    """What the index keeps of each record, some row groups at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.start = 0
+        self.values = np.empty(0, np.uint32)
+
+    def __call__(self, start: int, stop: int) -> NDArray[np.uint32]:
+        """Of records ``[start, stop)``."""
+        if start < self.start or stop > self.start + len(self.values):
+            groups = range(start // CHUNK_POINTS, -(-stop // CHUNK_POINTS))
+            self.values = read_columns(self.path, [GIVEN], groups)[GIVEN]
+            self.start = start // CHUNK_POINTS * CHUNK_POINTS
+        return self.values[start - self.start : stop - self.start]
 
 
 def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from spl_batch.io.atomic import checksum
 from spl_batch.io.gpstime import bit_warning, time_standard
 from spl_batch.io.las import inspect, iter_points
+from spl_batch.io.las_frame import Extent
+from spl_batch.io.las_layers import GIVEN, given_of
 from spl_batch.io.tables import read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
@@ -104,20 +106,26 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     tally = _Tally(settings.gap_s)
     points = context.store.path("points", f"{args['source']}.parquet")
     dtypes = {name: COLUMNS[name].dtype for name in SOURCE_COLUMNS}
-    with unchanged(path, args["stamp"]), writing(points, dtypes) as writer:
+    given = _Given(context.store.path("given", f"{args['source']}.parquet"))
+    with ExitStack() as stack:
+        stack.enter_context(unchanged(path, args["stamp"]))
+        writer = stack.enter_context(writing(points, dtypes))
         digest = checksum(path)
         header = inspect(path)
+        if header.layers_can_be_copied:
+            given.open(stack)
         for table in iter_points(
             path,
             channel_dimension=settings.channel_dimension,
             source=int(args["source"]),
             chunk=CHUNK_POINTS,
+            watch=given.add if given.outputs else None,
         ):
             tally.add(table)
             add_points(writer, table)
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
-    write_arrays(index, tracks)
+    write_arrays(index, tracks | given.extent.to_arrays())
     standard = time_standard(np.array(tally.sample))
     contradiction = bit_warning(standard, adjusted_bit=header.adjusted_standard_bit)
     facts = {
@@ -135,7 +143,26 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "warnings": [*header.warnings, *([contradiction] if contradiction else [])],
     }
     inputs = {str(path): args["stamp"]}
-    return Produced([index, points], facts, tally.counts["points"], inputs)
+    return Produced([index, points, *given.outputs], facts, tally.counts["points"], inputs)
+
+
+class _Given:
+    """Keeps what delivery needs of the records of a file whose layers can be copied."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.extent = Extent()
+        self.outputs: list[Path] = []
+
+    def open(self, stack: ExitStack) -> None:
+        """Begin to write."""
+        self._writer = stack.enter_context(writing(self.path, {GIVEN: np.uint32}))
+        self.outputs.append(self.path)
+
+    def add(self, records: NDArray[Any]) -> None:
+        """Keep what is needed of records, in the order of the file."""
+        self.extent.add(records)
+        self._writer.write({GIVEN: given_of(records)})
 
 
 def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
