@@ -1,12 +1,13 @@
-"""Labels that a work unit gives to points of several tiles: Parquet, a row group a tile.
+"""Labels that a work unit gives to points of several tiles: Parquet, row groups by tile.
 
 A label names its point by tile and row in the tile's file, so units that are cut
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,12 @@ DEFAULTS: dict[str, float] = {
     "classification": 255,
 }
 """Label of a point that no unit has labelled."""
+
+
+GROUP_ROWS: Final = 16_384
+"""Most rows of a row group [count]: a halo is read from few."""
+
+ALL_ROWS: Final = (0, 2**32 - 1)
 
 
 class Origin(NamedTuple):
@@ -69,16 +76,19 @@ def write_labels(
     labels : mapping of str to (n,) ndarray
         Values by column name.
     """
-    columns = {"tile_i": tiles[:, 0], "tile_j": tiles[:, 1], "row": rows}
+    i, j = (np.ascontiguousarray(axis) for axis in tiles.T)
+    columns = {"tile_i": i, "tile_j": j, "row": rows}
     columns |= {k: np.asarray(v, COLUMNS[k].dtype) for k, v in labels.items()}
-    keys = (tiles[:, 1], tiles[:, 0], rows)
+    keys = (j, i, rows)
     if not in_order(keys):
         order = lexicographic_order(keys)
         columns = {name: values[order] for name, values in columns.items()}
-    cuts = _tile_starts(columns)
+    cuts = _tile_starts(columns).tolist()
     with writing(path, {k: v.dtype for k, v in columns.items()}) as writer:
-        for start, end in zip([0, *cuts], [*cuts, len(rows)], strict=True):
-            writer.write({k: v[start:end] for k, v in columns.items()})
+        for start, end in pairwise([0, *cuts, len(rows)]):
+            for first in range(start, max(end, start + 1), GROUP_ROWS):
+                last = min(first + GROUP_ROWS, end)
+                writer.write({k: v[first:last] for k, v in columns.items()})
 
 
 def _tile_starts(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
@@ -87,7 +97,9 @@ def _tile_starts(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
     return np.flatnonzero((i[1:] != i[:-1]) | (j[1:] != j[:-1])) + 1
 
 
-def read_labels(path: Path, tile: CellId, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+def read_labels(
+    path: Path, tile: CellId, names: Sequence[str], rows: tuple[int, int] = ALL_ROWS
+) -> dict[str, NDArray[Any]]:
     """Labels of one tile's points.
 
     Parameters
@@ -98,14 +110,16 @@ def read_labels(path: Path, tile: CellId, names: Sequence[str]) -> dict[str, NDA
         The tile.
     names : sequence of str
         Labels to read.
+    rows : (int, int)
+        First and last row of the tile that are wanted; row groups are read whole.
 
     Returns
     -------
     dict of str to (m,) ndarray
         The labels, and ``row``: which rows of the tile they belong to.
     """
-    spans = {"tile_i": (tile.i, tile.i), "tile_j": (tile.j, tile.j)}
-    return read_between(path, ["row", *names], spans)[0]
+    spans = {"tile_i": (tile.i, tile.i), "tile_j": (tile.j, tile.j), "row": rows}
+    return read_between(path, names, spans, counted="row")[0]
 
 
 def read_labelled_tile(
@@ -128,26 +142,28 @@ def read_labelled_tile(
         Label -> kind and name of the units that may hold it for this tile.
     """
     table = read_table(store.tile(str(tile)), columns)
-    return table.with_columns(**_labels_of(store, tile, len(table), labels))
+    return table.with_columns(**_labels_of(store, tile, (0, len(table)), labels))
 
 
 def _labels_of(
     store: Store,
     tile: CellId,
-    points: int,
+    rows: tuple[int, int],
     labels: Mapping[str, Sequence[tuple[str, str]]],
 ) -> dict[str, NDArray[Any]]:
-    """Labels of the first rows of a tile."""
-    filled = {name: np.full(points, DEFAULTS[name], dtype=COLUMNS[name].dtype) for name in labels}
+    """Labels of the rows ``[first, end)`` of a tile."""
+    first, end = rows
+    filled = {name: np.full(end - first, DEFAULTS[name], COLUMNS[name].dtype) for name in labels}
     wanted: dict[tuple[str, str], list[str]] = {}
     for name, units in labels.items():
         for unit in units:
             wanted.setdefault(unit, []).append(name)
     for (kind, name_of_unit), names in wanted.items():
-        part = read_labels(store.labels(kind, name_of_unit), tile, names)
-        end = np.searchsorted(part["row"], points)
+        part = read_labels(store.labels(kind, name_of_unit), tile, names, (first, end - 1))
+        mine = slice(*np.searchsorted(part["row"], rows))
+        at = part["row"][mine].astype(np.intp) - first
         for name in names:
-            filled[name][part["row"][:end]] = part[name][:end]
+            filled[name][at] = part[name][mine]
     return filled
 
 
@@ -192,12 +208,13 @@ def read_region(
         span = {"x": (bounds.xmin, bounds.xmax - 1)}
         values, row = read_between(store.tile(str(tile)), columns, span)
         of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
-        found = _labels_of(store, tile, int(row[-1]) + 1 if len(row) else 0, of_tile)
+        first, end = (int(row[0]), int(row[-1]) + 1) if len(row) else (0, 0)
+        found = _labels_of(store, tile, (first, end), of_tile)
         chosen = np.flatnonzero(inside(values["x"], values["y"], bounds))
         for name in columns:
             parts[name].append(values.pop(name)[chosen])
         for name in labels:
-            parts[name].append(found[name][row[chosen]])
+            parts[name].append(found[name][row[chosen] - first])
         parts["row"].append(row[chosen].astype(np.uint32))
     cells = np.array(held, dtype=np.int32).reshape(-1, 2)
     if not held:

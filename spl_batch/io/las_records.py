@@ -57,7 +57,7 @@ class RecordLayout:
     def dtype(self) -> np.dtype[Any]:
         """Packed dtype of one record."""
         standard = standard_dtype(self.point_format)
-        fields: list[tuple[str, Any]] = [(name, standard[name]) for name in standard.names]
+        fields: list[tuple[str, Any]] = [(name, standard[name]) for name in standard.names or ()]
         return np.dtype(fields + [(d.field, d.dtype) for d in self.extra])
 
     @property
