@@ -1,12 +1,21 @@
 """Labels find their points again, however the units are cut."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from spl_batch.io.labels import read_labelled_tile, read_labels, read_region, write_labels
+from spl_batch.io.labels import (
+    GROUP_ROWS,
+    OPEN_FILES,
+    LabelFiles,
+    read_labelled_tile,
+    read_region,
+    write_labels,
+)
 from spl_batch.io.store import Store
 from spl_batch.io.tables import write_table
 from spl_batch.model import CANONICAL_ORDER, COLUMNS, PointTable, canonical_order
@@ -114,15 +123,51 @@ def test_points_without_labels_say_so(tmp_path: Path) -> None:
 
 
 def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
-    path = tmp_path / "u.parquet"
+    store = Store(tmp_path)
+    path = store.labels("ground", "u")
     write_labels(path, np.empty((0, 2), np.int32), np.empty(0, np.uint32), {"ground": np.empty(0)})
-    assert len(read_labels(path, CellId(0, 0), ["ground"])["row"]) == 0
+    assert len(labels_of(store, "u", CellId(0, 0))["row"]) == 0
     tiles = np.array([[1, 0], [0, 1], [1, 0]], np.int32)
     write_labels(path, tiles, np.array([7, 3, 2], np.uint32), {"ground": np.array([1, 2, 3])})
-    back = read_labels(path, CellId(1, 0), ["ground"])
+    back = labels_of(store, "u", CellId(1, 0))
     assert back["row"].tolist() == [2, 7]
     assert back["ground"].tolist() == [3, 1]
-    assert len(read_labels(path, CellId(1, 1), ["ground"])["row"]) == 0
+    assert len(labels_of(store, "u", CellId(1, 1))["row"]) == 0
+
+
+def labels_of(
+    store: Store, unit: str, tile: CellId, rows: tuple[int, int] = (0, 2**32)
+) -> dict[str, NDArray[Any]]:
+    with LabelFiles(store) as files:
+        return files.read(("ground", unit), tile, ["ground"], rows)
+
+
+def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> None:
+    store, count = Store(tmp_path), 3 * GROUP_ROWS + 5
+    ground = (np.arange(count) % 5 == 0).astype(np.uint8)
+    whole = np.arange(count, dtype=np.uint32)
+    # Where rows are left out they are read; elsewhere they are counted.
+    gaps = np.delete(whole, [4, 2 * GROUP_ROWS + 9])
+    for unit, row in {"whole": whole, "gaps": gaps}.items():
+        tiles = np.zeros((len(row), 2), np.int32)
+        write_labels(store.labels("ground", unit), tiles, row, {"ground": ground[row]})
+        for low, high in ((0, 0), (GROUP_ROWS - 1, GROUP_ROWS), (3 * GROUP_ROWS, count - 1)):
+            back = labels_of(store, unit, CellId(0, 0), (low, high))
+            assert np.array_equal(back["ground"], ground[back["row"]])
+            assert np.array_equal(np.intersect1d(back["row"], [low, high]), np.unique([low, high]))
+            assert len(back["row"]) <= 2 * GROUP_ROWS
+
+
+def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
+    store, tile = Store(tmp_path), CellId(0, 0)
+    units = [f"u{k}" for k in range(OPEN_FILES + 2)]
+    for k, unit in enumerate(units):
+        label = {"ground": np.array([k])}
+        write_labels(store.labels("ground", unit), np.array([tile]), np.array([0]), label)
+    with LabelFiles(store) as files:
+        for k, unit in [*enumerate(units), *enumerate(units)]:
+            back = files.read(("ground", unit), tile, ["ground"], (0, 0))
+            assert back["ground"].tolist() == [k]
 
 
 def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:

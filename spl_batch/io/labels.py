@@ -5,15 +5,25 @@ otherwise than the tiles (ground cells, blocks) need no join to find their point
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, nullcontext
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from spl_batch.io.store import Store
-from spl_batch.io.tables import read_between, read_table, writing
+from spl_batch.io.tables import (
+    naming_damage,
+    ranges_of,
+    read_between,
+    read_groups,
+    read_table,
+    reading,
+    writing,
+)
 from spl_batch.model import COLUMNS, PointTable, empty_table
 from spl_batch.order import in_order, lexicographic_order
 from spl_batch.tiling import Bounds, CellId, inside
@@ -29,10 +39,11 @@ DEFAULTS: dict[str, float] = {
 """Label of a point that no unit has labelled."""
 
 
-GROUP_ROWS: Final = 16_384
+GROUP_ROWS: Final = 65_536
 """Most rows of a row group [count]: a halo is read from few."""
 
-ALL_ROWS: Final = (0, 2**32 - 1)
+OPEN_FILES: Final = 8
+"""Files of labels that are open at once [count]."""
 
 
 class Origin(NamedTuple):
@@ -97,29 +108,92 @@ def _tile_starts(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
     return np.flatnonzero((i[1:] != i[:-1]) | (j[1:] != j[:-1])) + 1
 
 
-def read_labels(
-    path: Path, tile: CellId, names: Sequence[str], rows: tuple[int, int] = ALL_ROWS
-) -> dict[str, NDArray[Any]]:
-    """Labels of one tile's points.
+class _LabelFile:
+    """An open file of :func:`write_labels` that knows where its row groups belong."""
+
+    def __init__(self, file: pq.ParquetFile) -> None:
+        footer = file.metadata
+        self.file = file
+        i, j, self.rows = (
+            np.array(ranges_of(footer, name), np.int64).reshape(-1, 2)
+            for name in ("tile_i", "tile_j", "row")
+        )
+        self.tile = np.stack([i[:, 0], j[:, 0]], axis=1)
+        self.count = np.array([footer.row_group(g).num_rows for g in range(len(self.rows))])
+
+    def read(
+        self, tile: CellId, names: Sequence[str], rows: tuple[int, int]
+    ) -> dict[str, NDArray[Any]]:
+        """What :meth:`LabelFiles.read` gives."""
+        meets = (self.tile == tile).all(axis=1) & (self.count > 0)
+        meets &= (self.rows[:, 0] <= rows[1]) & (self.rows[:, 1] >= rows[0])
+        wanted = np.flatnonzero(meets)
+        low, high = self.rows[wanted].T
+        if np.any(high - low + 1 != self.count[wanted]):
+            return read_groups(self.file, ["row", *names], wanted.tolist())
+        # No row is left out: which they are need not be read.
+        held = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
+        row = np.concatenate(held) if held else np.arange(0)
+        return {"row": row, **read_groups(self.file, names, wanted.tolist())}
+
+
+class LabelFiles:
+    """Files of labels that are read tile by tile, a few of them open; a context manager.
 
     Parameters
     ----------
-    path : Path
-        File written by :func:`write_labels`.
-    tile : CellId
-        The tile.
-    names : sequence of str
-        Labels to read.
-    rows : (int, int)
-        First and last row of the tile that are wanted; row groups are read whole.
-
-    Returns
-    -------
-    dict of str to (m,) ndarray
-        The labels, and ``row``: which rows of the tile they belong to.
+    store : Store
+        The working store.
     """
-    spans = {"tile_i": (tile.i, tile.i), "tile_j": (tile.j, tile.j), "row": rows}
-    return read_between(path, names, spans, counted="row")[0]
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._open: dict[tuple[str, str], tuple[ExitStack, _LabelFile]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._open:
+            self._close_oldest()
+
+    def _close_oldest(self) -> None:
+        self._open.pop(next(iter(self._open)))[0].close()
+
+    def read(
+        self, unit: tuple[str, str], tile: CellId, names: Sequence[str], rows: tuple[int, int]
+    ) -> dict[str, NDArray[Any]]:
+        """Labels that a unit gave to points of a tile.
+
+        Parameters
+        ----------
+        unit : (str, str)
+            Its kind and name.
+        tile : CellId
+            The tile.
+        names : sequence of str
+            Labels to read.
+        rows : (int, int)
+            First and last row of the tile that are wanted; row groups are read whole.
+
+        Returns
+        -------
+        dict of str to (m,) ndarray
+            The labels, and ``row``: which rows of the tile they belong to, increasing.
+
+        Raises
+        ------
+        DamagedError
+            If the file is missing or damaged.
+        """
+        if unit not in self._open:
+            if len(self._open) >= OPEN_FILES:
+                self._close_oldest()
+            stack = ExitStack()
+            file = stack.enter_context(reading(self._store.labels(*unit)))
+            self._open[unit] = stack, _LabelFile(file)
+        with naming_damage(self._store.labels(*unit)):
+            return self._open[unit][1].read(tile, names, rows)
 
 
 def read_labelled_tile(
@@ -127,6 +201,7 @@ def read_labelled_tile(
     tile: CellId,
     columns: Sequence[str],
     labels: Mapping[str, Sequence[tuple[str, str]]],
+    files: LabelFiles | None = None,
 ) -> PointTable:
     """One tile's points with the labels that some units gave them.
 
@@ -140,13 +215,16 @@ def read_labelled_tile(
         Point columns to read.
     labels : mapping of str to sequence of (str, str)
         Label -> kind and name of the units that may hold it for this tile.
+    files : LabelFiles, optional
+        Of the same store, where more tiles are read.
     """
     table = read_table(store.tile(str(tile)), columns)
-    return table.with_columns(**_labels_of(store, tile, (0, len(table)), labels))
+    with LabelFiles(store) if files is None else nullcontext(files) as opened:
+        return table.with_columns(**_labels_of(opened, tile, (0, len(table)), labels))
 
 
 def _labels_of(
-    store: Store,
+    files: LabelFiles,
     tile: CellId,
     rows: tuple[int, int],
     labels: Mapping[str, Sequence[tuple[str, str]]],
@@ -158,8 +236,8 @@ def _labels_of(
     for name, units in labels.items():
         for unit in units:
             wanted.setdefault(unit, []).append(name)
-    for (kind, name_of_unit), names in wanted.items():
-        part = read_labels(store.labels(kind, name_of_unit), tile, names, (first, end - 1))
+    for unit, names in wanted.items():
+        part = files.read(unit, tile, names, (first, end - 1))
         mine = slice(*np.searchsorted(part["row"], rows))
         at = part["row"][mine].astype(np.intp) - first
         for name in names:
@@ -204,18 +282,20 @@ def read_region(
     names = [*columns, *labels]
     held = sorted(tiles) if ordered else sorted(tiles, key=lambda tile: (tile.j, tile.i))
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in (*names, "row")}
-    for tile in held:
-        span = {"x": (bounds.xmin, bounds.xmax - 1)}
-        values, row = read_between(store.tile(str(tile)), columns, span)
-        of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
-        first, end = (int(row[0]), int(row[-1]) + 1) if len(row) else (0, 0)
-        found = _labels_of(store, tile, (first, end), of_tile)
-        chosen = np.flatnonzero(inside(values["x"], values["y"], bounds))
-        for name in columns:
-            parts[name].append(values.pop(name)[chosen])
-        for name in labels:
-            parts[name].append(found[name][row[chosen] - first])
-        parts["row"].append(row[chosen].astype(np.uint32))
+    span = {"x": (bounds.xmin, bounds.xmax - 1)}
+    with LabelFiles(store) as files:
+        for tile in held:
+            values, row = read_between(store.tile(str(tile)), columns, span)
+            chosen = np.flatnonzero(inside(values["x"], values["y"], bounds))
+            for name in columns:
+                parts[name].append(values.pop(name)[chosen])
+            row = row[chosen]
+            parts["row"].append(row.astype(np.uint32))
+            of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
+            first, end = (int(row[0]), int(row[-1]) + 1) if len(row) else (0, 0)
+            found = _labels_of(files, tile, (first, end), of_tile)
+            for name in labels:
+                parts[name].append(found[name][row - first])
     cells = np.array(held, dtype=np.int32).reshape(-1, 2)
     if not held:
         nothing = np.empty(0, np.uint32)

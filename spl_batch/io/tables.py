@@ -122,11 +122,17 @@ def reading(path: Path) -> Iterator[pq.ParquetFile]:
     DamagedError
         If the file is missing or damaged.
     """
+    with naming_damage(path), _open(path) as stream:
+        footer = _read_footer(stream)
+        with pq.ParquetFile(stream, metadata=footer, page_checksum_verification=True) as file:
+            yield file
+
+
+@contextmanager
+def naming_damage(path: Path) -> Iterator[None]:
+    """Turn what is raised over a file that cannot be read into a :class:`DamagedError`."""
     try:
-        with _open(path) as stream:
-            footer = _read_footer(stream)
-            with pq.ParquetFile(stream, metadata=footer, page_checksum_verification=True) as file:
-                yield file
+        yield
     except MemoryError:
         raise
     except (OSError, pa.ArrowException, struct.error) as error:
@@ -174,8 +180,6 @@ def read_between(
     path: Path,
     names: Sequence[str],
     spans: Mapping[str, tuple[int, int]],
-    *,
-    counted: str | None = None,
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
     """Columns of the row groups that may hold values within some spans.
 
@@ -187,9 +191,6 @@ def read_between(
         Columns to read.
     spans : mapping of str to (int, int)
         Smallest and largest value of interest by column; every column has to meet its own.
-    counted : str, optional
-        One more column, of whole numbers that increase within each row group. Where the footer says
-        that none is left out, it is not read.
 
     Returns
     -------
@@ -207,20 +208,13 @@ def read_between(
         footer = file.metadata
         meets = np.ones(footer.num_row_groups, np.bool_)
         for name, (low, high) in spans.items():
-            ranges = np.array(_ranges(footer, name), dtype=np.int64).reshape(-1, 2)
+            ranges = np.array(ranges_of(footer, name), dtype=np.int64).reshape(-1, 2)
             meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
         wanted = np.flatnonzero(meets).tolist()
         ends = np.cumsum([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
         rows = [np.arange(ends[g - 1] if g else 0, ends[g]) for g in wanted]
         row = np.concatenate(rows) if rows else np.arange(0)
-        if counted is None:
-            return read_groups(file, names, wanted), row
-        held = [range(low, high + 1) for low, high in np.array(_ranges(footer, counted))[wanted]]
-        if any(len(v) != footer.row_group(g).num_rows for v, g in zip(held, wanted, strict=True)):
-            return read_groups(file, [counted, *names], wanted), row
-        values = [np.arange(v.start, v.stop) for v in held]
-        count = np.concatenate(values) if values else np.arange(0)
-        return {counted: count, **read_groups(file, names, wanted)}, row
+        return read_groups(file, names, wanted), row
 
 
 def read_with(
@@ -245,7 +239,7 @@ def read_with(
         If the file is missing or damaged.
     """
     with reading(path) as file:
-        for group, (low, high) in enumerate(_ranges(file.metadata, key)):
+        for group, (low, high) in enumerate(ranges_of(file.metadata, key)):
             first, last = np.searchsorted(values, [low, high + 1])
             if last > first:
                 yield read_groups(file, names, [group])
@@ -265,10 +259,11 @@ def group_ranges(path: Path, name: str) -> list[tuple[int, int]]:
         If the file is missing or damaged.
     """
     with reading(path) as file:
-        return _ranges(file.metadata, name)
+        return ranges_of(file.metadata, name)
 
 
-def _ranges(footer: pq.FileMetaData, name: str) -> list[tuple[int, int]]:
+def ranges_of(footer: pq.FileMetaData, name: str) -> list[tuple[int, int]]:
+    """Smallest and largest value of a column in each row group."""
     column = footer.schema.names.index(name)
     statistics = [
         footer.row_group(g).column(column).statistics for g in range(footer.num_row_groups)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spl_batch.errors import InputError
 from spl_batch.io.atomic import remove
 from spl_batch.io.cells import frame, stored_blocks
-from spl_batch.io.labels import read_labelled_tile
+from spl_batch.io.labels import LabelFiles, read_labelled_tile
 from spl_batch.io.las_frame import Extent
 from spl_batch.io.las_layers import GIVEN
 from spl_batch.io.las_write import Decoded, write_classified, write_points
@@ -67,14 +67,14 @@ class _FileLabels:
                 self.values[name][at] = mine[name]
 
     def _tiles(self) -> Iterator[PointTable]:
-        for tile, units in self.args["tiles"].items():
-            labels = {k: [("classes", u) for u in units["classes"]] for k in ("classification",)}
-            for name in self.names:
-                if name != "classification":
-                    labels[name] = [("noise", u) for u in units["noise"]]
-            yield read_labelled_tile(
-                self.context.store, parse_cell(tile), ("source", "index"), labels
-            )
+        store, columns = self.context.store, ("source", "index")
+        with LabelFiles(store) as files:
+            for tile, units in self.args["tiles"].items():
+                labels = {"classification": [("classes", u) for u in units["classes"]]}
+                for name in self.names:
+                    if name != "classification":
+                        labels[name] = [("noise", u) for u in units["noise"]]
+                yield read_labelled_tile(store, parse_cell(tile), columns, labels, files)
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
