@@ -30,12 +30,14 @@ from spl_batch.io.las_chunks import (
 from spl_batch.io.las_convert import Conversion
 from spl_batch.io.las_frame import laz_record
 from spl_batch.io.las_records import RecordLayout
+from spl_batch.io.laz_coder import byte_layer, class_layer
 
 GIVEN: Final = "given"
 """Name of the column of :func:`given_of`."""
 
 _COPIED_FORMATS: Final = (6, 7, 8)
 _FORMAT: Final = 6
+_CHANNEL_BITS: Final = 0x30
 _CLASSES: Final = 2
 """Place of the layer of classes among those of a format."""
 
@@ -80,6 +82,7 @@ class LayerCopy:
         self._own_dtype = self.own.dtype
         self._own_laz = laz_record(self.own, CHUNK_POINTS_MAX)
         self._own_layers = count_layers(bytes(self._own_laz.record_data()))
+        self._added_bytes = sum(d.dtype.itemsize for d in self.own.extra)
         self._kept = self._kept_layers()
 
     def _kept_layers(self) -> list[int]:
@@ -115,18 +118,30 @@ class LayerCopy:
             From :meth:`records`, with the same for all points.
         """
         theirs = chunk_layers(packed, self._given_dtype.itemsize, self._given_layers)
+        channel = own["classification_flags"] & _CHANNEL_BITS
+        one_channel = bool(np.all(channel == channel[0]))
+        classes, *added = self._coded(own) if one_channel else self._compressed(own)
+        layers = [theirs[k] for k in self._kept]
+        layers[_CLASSES] = classes
+        layers += added
+        sizes = np.array([len(own), *map(len, layers)], "<u4")
+        return b"".join([first.tobytes(), sizes.tobytes(), *layers])
+
+    def _coded(self, own: NDArray[Any]) -> list[bytes]:
+        """Layers of the classes and of each added byte, of one scanner channel."""
+        number, count = own["bit_fields"] & np.uint8(15), own["bit_fields"] >> np.uint8(4)
+        single = (number == 1) & (number >= count)
+        values = np.ascontiguousarray(own["classification"])
+        octets = own.view(np.uint8).reshape(len(own), -1)[:, -self._added_bytes :]
+        added = [byte_layer(np.ascontiguousarray(column)) for column in octets.T]
+        return [class_layer(values, single), *added]
+
+    def _compressed(self, own: NDArray[Any]) -> list[bytes]:
+        """The same, whatever the scanner channels."""
         content = io.BytesIO()
         compressor = lazrs.LasZipCompressor(content, self._own_laz)
         compressor.compress_many(own.view(np.uint8))
         compressor.done()
         place = 8  # the chunk follows the place of the table
-        ours = chunk_layers(content.getvalue()[place:], own.dtype.itemsize, self._own_layers)
-        layers = [theirs[k] for k in self._kept]
-        layers[_CLASSES] = ours[_CLASSES]
-        layers += ours[self._own_layers - self._added_bytes :]
-        sizes = np.array([len(own), *map(len, layers)], "<u4")
-        return b"".join([first.tobytes(), sizes.tobytes(), *layers])
-
-    @property
-    def _added_bytes(self) -> int:
-        return sum(d.dtype.itemsize for d in self.own.extra)
+        layers = chunk_layers(content.getvalue()[place:], own.dtype.itemsize, self._own_layers)
+        return [layers[_CLASSES], *layers[self._own_layers - self._added_bytes :]]
