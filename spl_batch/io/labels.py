@@ -95,7 +95,8 @@ def write_labels(
         order = lexicographic_order(keys)
         columns = {name: values[order] for name, values in columns.items()}
     cuts = _tile_starts(columns).tolist()
-    with writing(path, {k: v.dtype for k, v in columns.items()}) as writer:
+    dtypes = {k: v.dtype for k, v in columns.items()}
+    with writing(path, dtypes, sought=("tile_i", "tile_j", "row")) as writer:
         for start, end in pairwise([0, *cuts, len(rows)]):
             for first in range(start, max(end, start + 1), GROUP_ROWS):
                 last = min(first + GROUP_ROWS, end)

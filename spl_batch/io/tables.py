@@ -47,7 +47,7 @@ _HASH_CHARACTERS: Final = 32
 class GroupWriter:
     """Appends row groups to one Parquet file; see :func:`writing`."""
 
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
+    def __init__(self, path: Path, schema: pa.Schema, sought: Sequence[str] | None) -> None:
         few = [f.name for f in schema if f.type.bit_width == 8 or f.name in _FEW_VALUES]
         split = [f.name for f in schema if f.type.bit_width // 8 in _SPLIT_SIZES]
         self._schema = schema
@@ -58,6 +58,7 @@ class GroupWriter:
             use_dictionary=few,
             use_byte_stream_split=[name for name in split if name not in few],
             write_page_checksum=True,
+            write_statistics=True if sought is None else list(sought),
         )
 
     def write(self, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -71,7 +72,9 @@ class GroupWriter:
 
 
 @contextmanager
-def writing(path: Path, dtypes: Mapping[str, DTypeLike]) -> Iterator[GroupWriter]:
+def writing(
+    path: Path, dtypes: Mapping[str, DTypeLike], *, sought: Sequence[str] | None = None
+) -> Iterator[GroupWriter]:
     """Write a Parquet file by row groups, atomically.
 
     Parameters
@@ -80,13 +83,15 @@ def writing(path: Path, dtypes: Mapping[str, DTypeLike]) -> Iterator[GroupWriter
         Final name.
     dtypes : mapping of str to dtype
         Columns of the file, in order.
+    sought : sequence of str, optional
+        Columns by whose bounds row groups are chosen; by default the footer has bounds of all.
     """
     schema = pa.schema(
         # What cannot be missing is written and read a quarter faster.
         [pa.field(k, pa.from_numpy_dtype(np.dtype(v)), nullable=False) for k, v in dtypes.items()]
     )
     with replacing(path) as temporary:
-        writer = GroupWriter(temporary, schema)
+        writer = GroupWriter(temporary, schema, sought)
         try:
             yield writer
         finally:
@@ -94,7 +99,13 @@ def writing(path: Path, dtypes: Mapping[str, DTypeLike]) -> Iterator[GroupWriter
         _seal(temporary)
 
 
-def write_table(path: Path, table: PointTable, *, group_starts: Sequence[int] = (0,)) -> None:
+def write_table(
+    path: Path,
+    table: PointTable,
+    *,
+    group_starts: Sequence[int] = (0,),
+    sought: Sequence[str] | None = None,
+) -> None:
     """Write a table atomically.
 
     Parameters
@@ -105,10 +116,12 @@ def write_table(path: Path, table: PointTable, *, group_starts: Sequence[int] = 
         Rows in the order in which they are to lie on disk.
     group_starts : sequence of int
         First row of each row group, increasing, the first one 0.
+    sought : sequence of str, optional
+        As :func:`writing` has it.
     """
     dtypes = {name: COLUMNS[name].dtype for name in table.columns}
     ends = [*group_starts[1:], len(table)]
-    with writing(path, dtypes) as writer:
+    with writing(path, dtypes, sought=sought) as writer:
         for start, end in zip(group_starts, ends, strict=True):
             writer.write(table.take(slice(start, end)).columns)
 

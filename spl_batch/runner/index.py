@@ -18,10 +18,10 @@ from spl_batch.io.las_layers import GIVEN, given_of
 from spl_batch.io.tables import read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
-from spl_batch.model import COLUMNS, EXCLUDED, SOURCE_COLUMNS, PointFlag, PointTable, rows_of
+from spl_batch.model import COLUMNS, EXCLUDED, PointFlag, PointTable, rows_of
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.rate import Rate
-from spl_batch.runner.stretches import add_points
+from spl_batch.runner.stretches import KEPT_COLUMNS, add_points
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import (
     estimate_prf,
@@ -105,11 +105,11 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     settings = context.workflow.survey
     tally = _Tally(settings.gap_s)
     points = context.store.path("points", f"{args['source']}.parquet")
-    dtypes = {name: COLUMNS[name].dtype for name in SOURCE_COLUMNS}
+    dtypes = {name: COLUMNS[name].dtype for name in KEPT_COLUMNS}
     given = _Given(context.store.path("given", f"{args['source']}.parquet"))
     with ExitStack() as stack:
         stack.enter_context(unchanged(path, args["stamp"]))
-        writer = stack.enter_context(writing(points, dtypes))
+        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",)))
         digest = checksum(path)
         header = inspect(path)
         if header.layers_can_be_copied:

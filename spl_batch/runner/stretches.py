@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from spl_batch.io.tables import GroupWriter, group_ranges, read_table
-from spl_batch.model import EXCLUDED, PointTable, ShotClock, concat, rows_of
+from spl_batch.model import EXCLUDED, SOURCE_COLUMNS, PointTable, ShotClock, concat, rows_of
 from spl_batch.order import in_order, lexicographic_order
 from spl_batch.runner.context import Context
 
@@ -26,6 +26,9 @@ TIME_ORDER: Final = (
     "index",
 )
 """Sort keys of a stretch, first one first."""
+
+KEPT_COLUMNS: Final = tuple(name for name in SOURCE_COLUMNS if name != "source")
+"""Columns of an input in time order; the file's name tells the source."""
 
 RUN_POINTS: Final = 65_536
 """Points of a row group of a file in time order [count]: a stretch reads two in vain at most."""
@@ -87,9 +90,11 @@ def _pieces(
     path = context.store.path("points", f"{source}.parquet")
     ranges = np.array(group_ranges(path, "gps_time"), dtype=np.float64).reshape(-1, 2)
     hits = np.flatnonzero((ranges[:, 0] <= window_s[1]) & (ranges[:, 1] >= window_s[0]))
+    kept = [name for name in names if name != "source"]
     for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
         if len(run):
-            yield read_table(path, names, run.tolist())
+            table = read_table(path, kept, run.tolist())
+            yield table.with_columns(source=np.full(len(table), int(source), np.uint64))
 
 
 def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:

@@ -109,7 +109,7 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     table, i, j = table.take(order), i[order], j[order]
     starts = [0, *(np.flatnonzero((np.diff(i) != 0) | (np.diff(j) != 0)) + 1).tolist()]
     path = context.store.path("scatter", f"{args['stretch']}.parquet")
-    write_table(path, table.select(TILE_COLUMNS), group_starts=starts)
+    write_table(path, table.select(TILE_COLUMNS), group_starts=starts, sought=())
     ends = [*starts[1:], len(table)]
     if len(table):
         facts["tiles"] = {
@@ -129,7 +129,7 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
     table = table.take(canonical_order(table))
     path = context.store.tile(args["tile"])
     starts = np.arange(0, max(len(table), 1), GROUP_POINTS)
-    write_table(path, table, group_starts=starts.tolist())
+    write_table(path, table, group_starts=starts.tolist(), sought=("x",))
     facts = {
         "points": len(table),
         "z": [int(table["z"].min()), int(table["z"].max())] if len(table) else None,
