@@ -170,7 +170,7 @@ def test_in_crowns_the_ratio_of_rates_decides() -> None:
         table, density = survey(first, followers(first, rows, 0.6), rate=odds * true_rate)
         _, chance, hard = echoes.probability(table, density)
         assert not hard.any()
-        assert float(np.median(chance)) == pytest.approx(odds / (odds + foliage.SIGHT), abs=0.04)
+        assert float(np.median(chance)) == pytest.approx(odds / (odds + foliage.SIGHT[0]), abs=0.04)
         assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)
 
 

@@ -44,13 +44,14 @@ def test_clumping_is_that_of_a_plain_loop(seed: int, n: int, p: int) -> None:
     for row in rows:
         sums = [0] * KERNELS
         for parent, worth, found in zip(parents, weight, counts, strict=True):
-            near = abs(x[parent] // cell - x[row] // cell) <= 1
-            if near and abs(y[parent] // cell - y[row] // cell) <= 1:
+            near = abs(x[parent] // cell - x[row] // cell) <= foliage.CELLS
+            if near and abs(y[parent] // cell - y[row] // cell) <= foliage.CELLS:
                 sums = [a + int(worth) * int(b) for a, b in zip(sums, found, strict=True)]
         for k in range(1, KERNELS):
-            wide = sums[0] / VOLUME_M3[0]
-            expected = sums[k] / VOLUME_M3[k] / wide if wide else 1.0
-            assert got[row, k - 1] == pytest.approx(expected)
+            lent = foliage.PAIRS * UNIT**3
+            pairs = (sums[k] + lent) / VOLUME_M3[k]
+            wide = sums[0] / VOLUME_M3[0] + lent / VOLUME_M3[k]
+            assert got[row, k - 1] == pytest.approx(pairs / wide)
 
 
 def test_leaves_that_hang_evenly_have_one_density_and_clumps_the_more_the_smaller_they_are() -> (
@@ -96,9 +97,24 @@ def test_density_is_that_of_a_plain_loop_and_between_those_of_the_kernels(seed: 
         prior = foliage.SHAPE / max(clumped - 1, foliage.CLUMPED_MIN) ** 2
         found = (counts[k] + prior) / (VOLUME_M3[k] + prior / found)
         each.append(counts[k] / VOLUME_M3[k])
-    got = foliage.density(counts[None], near[None])[0] / foliage.SIGHT
+    more = max(clumped - 1, 0)
+    even, dense = foliage.SIGHT
+    share = more / (more + foliage.HALF)
+    got = foliage.density(counts[None], near[None])[0] / (even ** (1 - share) * dense**share)
     assert got == pytest.approx(found)
     assert min(each) * (1 - 1e-9) <= got <= max(each) * (1 + 1e-9)
+
+
+def test_a_few_pairs_of_returns_near_each_other_do_not_make_clumps() -> None:
+    largest = []
+    for seed, per_m3 in ((4, 0.1), (5, 0.1), (3, 30.0)):
+        rng = np.random.default_rng(seed)
+        xyz = np.rint(rng.uniform(0, 9000, (round(per_m3 * 9**3), 3))).astype(np.int64)
+        rows = np.flatnonzero(np.all(np.abs(xyz - 4500) < 3000, axis=1))
+        weight = np.full(len(rows), UNIT, np.int16)
+        near = foliage.clumping(xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows)
+        largest.append(near[:, 1:].max())
+    assert max(largest) < 1.2
 
 
 def test_a_small_count_tells_where_leaves_clump_and_hardly_where_they_do_not() -> None:

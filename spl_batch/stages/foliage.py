@@ -11,7 +11,9 @@ hang. Spread evenly, a small count is mostly chance and :math:`\nu` is large; wh
 clumps the wide one says little. The returns tell which: :math:`g_k` is the density in sphere k
 around *parents*, places where there are leaves, over that in the widest, summed over the parents
 near by. It is 1 where leaves are spread evenly within the widest sphere, and grows as clumps get
-smaller and rarer (the pair correlation of the returns). Then
+smaller and rarer (the pair correlation of the returns). Where light is weak few pairs of returns
+are as near as that, and their number is mostly chance; so a few pairs are added as evenly spread
+leaves have them. Then
 
 .. math:: \nu_k = \frac{c}{(g_k - 1)^2}
 
@@ -22,8 +24,12 @@ Where parents lie on a surface (water over its bed, brushwood), a flat ellipsoid
 denser than the widest sphere. There it takes its place, and :math:`g` of the spheres is against it.
 
 The returns in front in the beamlet itself are evidence as those of others are, and a bit more:
-they say that light came so far. Constants were chosen on simulated clumps 0.4, 0.8 and 1.5 m across
-and on evenly turbid crowns, of other seeds than those of ``benchmarks/afterpulses.py``.
+they say that light came so far. The leaves in front take of it, the more the denser they hang:
+:math:`\rho` times a factor between two, by :math:`g` in the smallest sphere, is the rate.
+
+Constants were chosen on simulated clumps 0.4, 0.8 and 1.5 m across and on evenly turbid crowns, at
+all of the light and at a half, a quarter and an eighth of it, of other seeds than those of
+``benchmarks/afterpulses.py``.
 """
 
 import math
@@ -32,7 +38,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.kernels.surroundings import MASS
+from spl_batch.kernels.surroundings import MASS, UNIT
 from spl_batch.tiling import cell_index, quanta
 
 DOMAIN: Final = "space"
@@ -48,23 +54,33 @@ one takes part."""
 OWN: Final = 1.7
 """Returns of other beamlets that one in front in the same beamlet is worth."""
 
-SIGHT: Final = 0.9
+SIGHT: Final = (1.1, 0.66)
 """True rate of a beamlet that has returned something in front, over the one that all returns
-around it give."""
+around it give: where leaves hang evenly, as its light has found a way so far, and where they hang
+in clumps, as those take it."""
 
-SHAPE: Final = 0.3
+HALF: Final = 0.3
+"""g - 1 at which it is between the two."""
+
+SHAPE: Final = 0.15
 """c above."""
+
+PAIRS: Final = 6
+"""Pairs of returns that evenly spread leaves lend to each sphere around parents [count]."""
 
 CLUMPED_MIN: Final = 0.005
 """Least g - 1: below it chance could turn the sign."""
 
-LEAST: Final = 0.05
+LEAST: Final = 0.1
 """Returns that a place without any has in the widest sphere."""
 
-CELL_M: Final = 1.5
-"""Columns by which parents are summed over; three by three are near a place [m]."""
+CELL_M: Final = 0.75
+"""Columns by which parents are summed over [m]."""
 
-REACH_M: Final = 2 * CELL_M + KERNELS_M[0][0]
+CELLS: Final = 3
+"""Columns on each side of a place's own whose parents are near by."""
+
+REACH_M: Final = (CELLS + 1) * CELL_M + KERNELS_M[0][0]
 """How far the density at a place looks, if a follower is at most the widest radius aside of its
 parent [m]."""
 
@@ -91,7 +107,14 @@ def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArr
     for k in range(1, len(KERNELS_M)):
         prior = SHAPE / np.maximum(near[:, k - 1] - 1.0, CLUMPED_MIN) ** 2
         found = (counts[:, k] + prior) / (volume_m3(*KERNELS_M[k]) + prior / found)
-    return SIGHT * found
+    return found * _sight(near[:, -1])
+
+
+def _sight(near: NDArray[np.float64]) -> NDArray[np.float64]:
+    """:data:`SIGHT` where leaves are so much denser in the smallest sphere: (m,) float64."""
+    more = np.maximum(near - 1.0, 0.0)
+    even, clumped = SIGHT
+    return np.asarray(even * (clumped / even) ** (more / (more + HALF)))
 
 
 def clumping(
@@ -111,9 +134,9 @@ def clumping(
     parents : (p,) intp
         Returns in front of others; one counts as often as it is named.
     weight : (p,) int16
-        What they count for.
+        What they count for, ``UNIT`` at most.
     counts : (p, k) int64
-        Kernel sums around them, in any unit.
+        Kernel sums around them [count / ``UNIT`` ** 2].
     rows : (m,) intp
         Where it is asked.
 
@@ -127,20 +150,21 @@ def clumping(
     i, j = i - i.min(), j - j.min()
     sums = np.zeros((int(i.max()) + 1, int(j.max()) + 1, counts.shape[1]), np.int64)
     np.add.at(sums, (i[parents], j[parents]), counts * weight[:, None].astype(np.int64))
+    near = _around(sums)[i[rows], j[rows]]
+    volume = np.array([volume_m3(*radii) for radii in KERNELS_M])
+    lent = PAIRS * UNIT**3 / volume[1:]
+    out: NDArray[np.float64] = near[:, 1:] / volume[1:] + lent
+    return out / (near[:, :1] / volume[0] + lent)
+
+
+def _around(sums: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sums over squares of columns, :data:`CELLS` on each side: (nx, ny, k) int64."""
     for axis in (0, 1):
-        around = sums.copy()
-        ahead, behind = (
-            tuple(part if a == axis else slice(None) for a in range(3))
-            for part in (slice(1, None), slice(None, -1))
-        )
-        around[ahead] += sums[behind]
-        around[behind] += sums[ahead]
-        sums = around
-    near = sums[i[rows], j[rows]] / [volume_m3(*radii) for radii in KERNELS_M]
-    out = np.ones((len(rows), len(KERNELS_M) - 1))
-    known = near[:, 0] > 0
-    out[known] = near[known, 1:] / near[known, :1]
-    return out
+        until = np.insert(np.cumsum(sums, axis=axis), 0, 0, axis=axis)
+        at = np.arange(sums.shape[axis])
+        high, low = np.minimum(at + CELLS + 1, len(at)), np.maximum(at - CELLS, 0)
+        sums = until.take(high, axis=axis) - until.take(low, axis=axis)
+    return sums
 
 
 def volume_m3(across_m: float, up_m: float) -> float:
