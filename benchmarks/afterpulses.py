@@ -11,18 +11,30 @@ depends on how leaves hang: evenly through a crown, or in clumps with air betwee
 beamlets see nothing. Both are simulated. The *bound* orders followers by the
 probability that the simulation's own laws give them (:mod:`benchmarks.afterpulse_bound`): no filter
 that sees returns can remove more at the same loss. Lost are vegetation returns, in percent of all
-of them. The first table is the bound alone, by afterpulses per detection, their scale, the canopy's
-extinction, and brightness; the pulse's energy stands for all that makes leaves brighter.
+of them. The first table is the bound alone, by afterpulses per detection, their scale and the
+canopy's extinction; the last one of vegetation tells what less light changes. The pulse's energy
+stands for all that makes leaves brighter, and set-ups of [W18] for what surveys have of it.
 """
 
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.afterpulse_scenes import (
+    BOUNDS,
+    CANOPIES,
+    CLUMP_EXTINCTION,
+    FLIGHTS,
+    LIGHTS,
+    ROOFS,
+    WATERS,
+    clumps,
+    scene,
+    trees,
+)
 from benchmarks.afterpulse_tables import Prepared, prepare
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.settings import AfterpulseSettings, FilterSettings
@@ -30,8 +42,9 @@ from spl_batch.simulate.survey import KINDS
 from spl_batch.stages import echoes
 from spl_batch.stages.denoise import denoise
 
-GROUND, ROOF, VEGETATION, WATER, AFTERPULSE, BOTTOM = (
-    KINDS.index(name) for name in ("ground", "roof", "vegetation", "water", "afterpulse", "bottom")
+BACKGROUND, GROUND, ROOF, VEGETATION, WATER, AFTERPULSE, BOTTOM = (
+    KINDS.index(name)
+    for name in ("background", "ground", "roof", "vegetation", "water", "afterpulse", "bottom")
 )
 PUBLISHED = 90.6
 """Share of afterpulses removed on roofs, [W17] Table 7-1 [%]."""
@@ -45,96 +58,10 @@ LOSSES = (0.005, 0.01, 0.02, 0.04, 0.08)
 SHALLOW_M = 1.5
 """Depth that divides bottoms: on banks they slope, close behind the surface [m]."""
 
+FOOTPRINT_M = 4.0
+"""A shot centred farther inside is wholly over the trees [m]."""
+
 THRESHOLDS = (0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
-RING = [[20, 20], [80, 25], [85, 75], [30, 80]]
-FLIGHTS = [
-    {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110},
-    {"heading_deg": 90, "offset_m": -280, "speed_m_s": 110},
-    {"heading_deg": 200, "offset_m": 350, "speed_m_s": 110, "sky": 1.3},
-]
-
-
-def scene(name: str, seed: int, law: tuple[float, float], **parts: Any) -> dict[str, Any]:
-    """Content of a scene file; ``law`` is afterpulses per detection and their scale [m]."""
-    return {
-        "name": name,
-        "extent_m": [100, 100],
-        "seed": seed,
-        "terrain": {"relief_m": 8},
-        "flights": FLIGHTS,
-        "sky": {"background_per_m3": 0.08},
-        "acquisition": {"prf_hz": 30_000, "gate_m": 150},
-        "sensor_overrides": {"afterpulse_probability": law[0], "afterpulse_scale_m": law[1]},
-        **parts,
-    }
-
-
-def trees(**keys: float) -> dict[str, Any]:
-    """A canopy of 60 % cover, its crowns evenly turbid."""
-    return {"cover": 0.6, **keys}
-
-
-def clumps(across_m: float = 0.8, **keys: float) -> dict[str, Any]:
-    """Leaves in clumps about so far across, two along a vertical path, with air between them."""
-    return {"cover": 0.85, "height_m": [3, 16],
-            "radius_m": [0.375 * across_m, 0.625 * across_m], "crown_share": 0.075 * across_m,
-            "extinction_per_m": 2.0, "gaps": 0.0, "understory": 0.0, **keys}  # fmt: skip
-
-
-CANOPIES = (
-    scene("canopy", 1, (0.15, 0.7), trees=trees()),
-    scene("canopy, another seed", 21, (0.15, 0.7), trees=trees()),
-    scene("open crowns", 2, (0.15, 0.7), trees=trees(extinction_per_m=0.2)),
-    scene("dense crowns, p 0.2, 0.4 m", 3, (0.2, 0.4), trees=trees(extinction_per_m=0.6)),
-    scene("p 0.1, 1.0 m", 11, (0.1, 1.0), trees=trees()),
-    scene("p 0.2, 0.3 m", 14, (0.2, 0.3), trees=trees()),
-    scene("dim leaves", 12, (0.15, 0.7), trees=trees(reflectance=0.12)),
-    scene("dark ground", 15, (0.15, 0.7), trees=trees(), terrain={"reflectance": 0.08}),
-    scene("one flightline", 13, (0.15, 0.7), trees=trees(), flights=FLIGHTS[:1]),
-    scene("clumps of leaves", 16, (0.15, 0.7), trees=clumps(), extent_m=[50, 50]),
-    scene("clumps, p 0.2, 0.3 m", 17, (0.2, 0.3), trees=clumps(), extent_m=[50, 50]),
-    scene("clumps, one flightline", 18, (0.15, 0.7), trees=clumps(), extent_m=[50, 50],
-          flights=FLIGHTS[:1]),
-    scene("clumps, two flightlines", 41, (0.15, 0.7), trees=clumps(), extent_m=[50, 50],
-          flights=FLIGHTS[:2]),
-    scene("clumps, four flightlines", 42, (0.15, 0.7), trees=clumps(), extent_m=[50, 50],
-          flights=[*FLIGHTS, {"heading_deg": 290, "offset_m": -250, "speed_m_s": 110}]),
-    scene("clumps of 0.4 m", 43, (0.15, 0.7), trees=clumps(0.4), extent_m=[50, 50]),
-    scene("clumps of 1.5 m", 44, (0.15, 0.7), trees=clumps(1.5), extent_m=[50, 50]),
-    scene("clumps, extinction 1 /m", 45, (0.15, 0.7), trees=clumps(extinction_per_m=1.0),
-          extent_m=[50, 50]),
-    scene("clumps, extinction 4 /m", 46, (0.15, 0.7), trees=clumps(extinction_per_m=4.0),
-          extent_m=[50, 50]),
-)  # fmt: skip
-
-USUAL_LAW, USUAL_EXTINCTION, USUAL_UJ = (0.15, 0.7), 0.35, 83.0
-CLUMP_EXTINCTION = 2.0
-BOUNDS = (
-    *(
-        ((p, 0.7), extinction, USUAL_UJ)
-        for extinction in (0.15, 0.35, 0.7)
-        for p in (0.1, 0.15, 0.2)
-    ),
-    *(((p, scale), USUAL_EXTINCTION, USUAL_UJ) for scale in (0.3, 1.0) for p in (0.1, 0.15, 0.2)),
-    *((USUAL_LAW, USUAL_EXTINCTION, energy) for energy in (10.0, 20.0, 40.0, 160.0)),
-    *(((p, 0.7), CLUMP_EXTINCTION, USUAL_UJ) for p in (0.1, 0.15, 0.2)),
-    *(((0.15, scale), CLUMP_EXTINCTION, USUAL_UJ) for scale in (0.3, 1.0)),
-)
-"""Law, extinction of crowns or of clumps of leaves [1/m] and pulse energy [uJ] of the bound's
-table."""
-
-WATERS = (
-    scene("lake of 2 m", 5, (0.15, 0.7), trees={"cover": 0.1}, water=[
-        {"ring_m": RING, "depth_m": 2.0, "bank_slope": 0.15, "bottom_reflectance": 0.2}]),
-    scene("bright surface, 1.2 m", 6, (0.15, 0.7), trees={"cover": 0.1}, water=[
-        {"ring_m": RING, "depth_m": 1.2, "reflectance": 0.15, "bottom_reflectance": 0.1}]),
-    scene("brighter, 3 m, turbid", 7, (0.2, 0.5), trees={"cover": 0.1}, water=[
-        {"ring_m": RING, "depth_m": 3.0, "reflectance": 0.2, "bottom_reflectance": 0.15,
-         "attenuation_per_m": 0.25}]),
-)  # fmt: skip
-
-ROOFS = scene("roofs", 4, (0.15, 0.7), buildings={"count": 8}, trees={"cover": 0.15},
-              extent_m=[120, 120])  # fmt: skip
 
 
 def main(folder: Path) -> dict[str, dict[str, float]]:
@@ -166,6 +93,7 @@ def main(folder: Path) -> dict[str, dict[str, float]]:
     )
     print("bound 80: lost where the bound removes 80 %; ground-: lost\n")
     print(f"Removed / lost [%] by threshold, {CANOPIES[0]['name']}\n{curve}")
+    found |= lights(folder)
     print("Labels of the whole filter [%]: kept and removed; published is for roofs")
     for content, polygons in [(ROOFS, True), *((w, p) for w in WATERS for p in (True, False))]:
         name = content["name"]
@@ -179,7 +107,7 @@ def main(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def bounds(folder: Path) -> dict[str, dict[str, float]]:
-    """Print the bound by law, canopy and brightness; figures by scene."""
+    """Print the bound by law and canopy; figures by scene."""
     print(
         "Bound: afterpulses of vegetation removed [%] where this share of vegetation is lost [%];"
     )
@@ -190,34 +118,68 @@ def bounds(folder: Path) -> dict[str, dict[str, float]]:
         f"that follow another one, per afterpulse of it ({len(BOUNDS)} canopies of one flightline)"
     )
     heads = [f"at {100 * x:g}" for x in LOSSES] + ["for 80", "seen", "leaves"]
-    print("".join(f"{h:>9s}" for h in ("p", "scale m", "extinct.", "energy", *heads)))
+    print("".join(f"{h:>9s}" for h in ("p", "scale m", "extinct.", *heads)))
     found = {}
-    for k, (law, extinction, energy) in enumerate(BOUNDS):
-        # as many afterpulses of dim canopies as of bright ones
-        side = min(max(70.0 * USUAL_UJ / energy, 70.0), 160.0)
+    for k, (law, extinction) in enumerate(BOUNDS):
         leaves = clumps if extinction == CLUMP_EXTINCTION else trees
         content = scene(f"bound {k}", 31 + k, law, trees=leaves(extinction_per_m=extinction),
-                        flights=FLIGHTS[:1], extent_m=[side, side])  # fmt: skip
-        content["sensor_overrides"]["pulse_energy_uj"] = energy
-        found[content["name"]] = row = bound_row(prepare(content, folder / f"bound_{k}"))
-        cells = "".join(f"{v:9.3g}" for v in (*law, extinction, energy))
-        print(cells + "".join(f"{v:9.2f}" for v in row.values()), flush=True)
+                        flights=FLIGHTS[:1], extent_m=[70, 70])  # fmt: skip
+        survey = prepare(content, folder / f"bound_{k}")
+        true, false = leaves_and_echoes(survey)
+        found[content["name"]] = row = {
+            **{f"at {x}": removed_at(survey.bound, true, false, x) for x in LOSSES},
+            "for 80": lost_at(survey.bound, true, false, 0.8),
+            **brightness(survey),
+        }
+        cells = "".join(f"{v:9.3g}" for v in (*law, extinction))
+        print(cells + "".join(f"{row[h]:9.2f}" for h in row if h != "returns"), flush=True)
     print()
     return found
 
 
-def bound_row(survey: Prepared) -> dict[str, float]:
-    """One row of the bound's table."""
+def lights(folder: Path) -> dict[str, dict[str, float]]:
+    """Print what less light changes; figures by scene."""
+    print(
+        "Vegetation by light, the share of the preset's pulse energy: true and afterpulse returns"
+    )
+    print("per m2 and flightline, share of beamlets that have one [%], true followers per")
+    print("afterpulse; removed [%] where 2 % are lost, and by default")
+    names = ("returns", "seen", "leaves", "bound", "ours", "shot", "default", "lost")
+    print(f"{'':30s}" + "".join(f"{n:>9s}" for n in names))
+    found = {}
+    for content in LIGHTS:
+        name = content["name"]
+        survey = prepare(content, folder / name.replace(" ", "_"))
+        row = {**brightness(survey), **vegetation(survey)}
+        row["returns"] /= len(content["flights"])
+        found[name] = row
+        print(f"{name:30s}" + "".join(f"{row[n]:9.2f}" for n in names), flush=True)
+    print()
+    return found
+
+
+def brightness(survey: Prepared) -> dict[str, float]:
+    """Returns per m2, share of beamlets that have one [%], true followers per afterpulse.
+
+    Background is left out, and shots that are not wholly over the trees' square.
+    """
+    table = survey.table.take(np.flatnonzero(survey.kind != BACKGROUND))
+    shot = np.unique(table["gps_time"], return_inverse=True)[1]
+    inside, over = np.ones(len(table), np.bool_), np.ones(int(shot.max()) + 1, np.bool_)
+    area = 1.0
+    for axis in "xy":
+        at, leaves = table[axis], survey.table[axis][survey.kind == VEGETATION]
+        low, high, edge = leaves.min(), leaves.max(), FOOTPRINT_M / QUANTUM_M
+        centre = np.bincount(shot, at) / np.bincount(shot)
+        inside &= (at >= low) & (at <= high)
+        over &= (centre >= low + edge) & (centre <= high - edge)
+        area *= float(high - low) * QUANTUM_M
+    seen = np.unique(shot[over[shot]] * 256 + table["channel"][over[shot]])
     true, false = leaves_and_echoes(survey)
-    follows = survey.table["afterpulse_rate"] > 0
-    shots = survey.table["shot"].astype(np.int64)
-    fired = 100 * len(np.unique(shots))
-    seen = len(np.unique(shots * 256 + survey.table["channel"]))
     return {
-        **{f"at {x}": removed_at(survey.bound, true, false, x) for x in LOSSES},
-        "for 80": lost_at(survey.bound, true, false, 0.8),
-        "seen": 100 * seen / fired,
-        "leaves": float((true & follows).sum() / false.sum()),
+        "returns": inside.sum() / area,
+        "seen": len(seen) / over.sum(),
+        "leaves": float((true & (survey.table["afterpulse_rate"] > 0)).sum() / false.sum()),
     }
 
 

@@ -31,6 +31,7 @@ from benchmarks import (
     null_calibration,
     water_surface,
 )
+from benchmarks.afterpulse_scenes import CANOPIES
 from benchmarks.afterpulse_tables import Prepared, prepare
 from benchmarks.methods import (
     AFTERPULSE,
@@ -213,7 +214,7 @@ def afterpulse_curve(folder: Path) -> Figure:
     """Afterpulses removed against vegetation lost, by threshold, in two kinds of canopy."""
     drawn = style.figure(9.6, 4.2)
     panels = drawn.subplots(1, 2, sharey=True)
-    by_name = {content["name"]: content for content in afterpulses.CANOPIES}
+    by_name = {content["name"]: content for content in CANOPIES}
     for axes, name, title in (
         (panels[0], "canopy", "Crowns of 60 % cover, evenly turbid"),
         (panels[1], "clumps of leaves", "Leaves in clumps of 0.6 to 1 m"),

@@ -154,7 +154,8 @@ def clumping(
     volume = np.array([volume_m3(*radii) for radii in KERNELS_M])
     lent = PAIRS * UNIT**3 / volume[1:]
     out: NDArray[np.float64] = near[:, 1:] / volume[1:] + lent
-    return out / (near[:, :1] / volume[0] + lent)
+    out /= near[:, :1] / volume[0] + lent
+    return out
 
 
 def _around(sums: NDArray[np.int64]) -> NDArray[np.int64]:
