@@ -140,10 +140,12 @@ def bounds(folder: Path) -> dict[str, dict[str, float]]:
 def lights(folder: Path) -> dict[str, dict[str, float]]:
     """Print what less light changes; figures by scene."""
     print(
-        "Vegetation by light, the share of the preset's pulse energy: true and afterpulse returns"
+        "Vegetation by light: true and afterpulse returns per m2 and flightline, share of beamlets"
     )
-    print("per m2 and flightline, share of beamlets that have one [%], true followers per")
-    print("afterpulse; removed [%] where 2 % are lost, and by default")
+    print(
+        "that have one [%], true followers per afterpulse; removed [%] where 2 % are lost, and by"
+    )
+    print("default, and lost then")
     names = ("returns", "seen", "leaves", "bound", "ours", "shot", "default", "lost")
     print(f"{'':30s}" + "".join(f"{n:>9s}" for n in names))
     found = {}
@@ -191,7 +193,7 @@ def leaves_and_echoes(survey: Prepared) -> tuple[NDArray[np.bool_], NDArray[np.b
 
 def scores(survey: Prepared) -> NDArray[np.float64]:
     """Probability of each return, 2 where it is an afterpulse at any threshold."""
-    rows, chance, hard = echoes.probability(survey.table, survey.density)
+    rows, chance, hard, _ = echoes.probability(survey.table, survey.density)
     echo = echoes.resolve(survey.table, survey.density, AfterpulseSettings()).echo
     score = np.zeros(len(survey.table))
     score[rows] = np.where(hard, np.where(echo[rows], 2.0, 0.0), chance)

@@ -70,7 +70,7 @@ def echo_of(
 
 def chances(table: PointTable, density: NDArray[np.float64]) -> NDArray[np.float64]:
     """Probability of each return, 0 where nothing can be said."""
-    rows, chance, _ = echoes.probability(table, density)
+    rows, chance, *_ = echoes.probability(table, density)
     out = np.zeros(len(table))
     out[rows] = chance
     return out
@@ -168,7 +168,7 @@ def test_in_crowns_the_ratio_of_rates_decides() -> None:
     true_rate = 3000 / 8**3 / BEAMLETS_PER_M2
     for odds in (0.2, 1.0, 30.0):
         table, density = survey(first, followers(first, rows, 0.6), rate=odds * true_rate)
-        _, chance, hard = echoes.probability(table, density)
+        _, chance, hard, _ = echoes.probability(table, density)
         assert not hard.any()
         assert float(np.median(chance)) == pytest.approx(odds / (odds + foliage.SIGHT[0]), abs=0.04)
         assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)
@@ -184,7 +184,7 @@ def test_between_clumps_of_leaves_a_follower_is_suspicious_and_within_one_it_is_
     chance = {}
     for lag in (1.5, 3.0):
         table, density = survey(first, followers(first, top, lag), rate=0.3)
-        chance[lag] = float(np.median(echoes.probability(table, density)[1]))
+        chance[lag] = float(np.median(echoes.probability(table, density).chance))
     assert chance[1.5] > 0.5, chance
     assert chance[3.0] < 0.25, chance
 
@@ -193,10 +193,10 @@ def test_between_clumps_of_leaves_a_follower_is_suspicious_and_within_one_it_is_
 def test_the_budget_holds_in_any_foliage_and_is_reached_in_some(budget: float) -> None:
     given = AfterpulseSettings(vegetation_loss=budget)
     table, _ = survey(plate(1, 5.0, 0.0, 1))
-    rows = np.arange(1)
+    rows, even = np.arange(1), np.zeros(1)
     for share, scale in ((0.1, 1.0), (0.15, 0.6), (0.2, 0.3)):
         known = table.with_columns(afterpulse_share=np.full(len(table), share, np.float32))
-        limit = echoes._enough(known, rows, given)[0]
+        limit = echoes._enough(known, rows, even, given)[0]
         lost = []
         for true_rate in np.geomspace(1e-4, 100, 400):
             lag = np.linspace(0, 10 * scale, 4001)[1:]
@@ -204,8 +204,18 @@ def test_the_budget_holds_in_any_foliage_and_is_reached_in_some(budget: float) -
             believed = rate / (rate + true_rate) >= limit
             lost.append(true_rate * lag[believed].max(initial=0.0))
         assert max(lost) == pytest.approx(budget, rel=0.02)
-    by_default = echoes._enough(table, rows, given)[0]
+    by_default = echoes._enough(table, rows, even, given)[0]
     assert by_default == pytest.approx(1 / (1 + np.e * budget / 0.15))
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_in_clumps_lower_odds_are_enough_and_half_as_large_at_least(a: float, b: float) -> None:
+    table, _ = survey(plate(1, 5.0, 0.0, 1))
+    clumped = np.array([0.0, a, b, 1.0])
+    enough = echoes._enough(table, np.zeros(4, np.intp), clumped, AfterpulseSettings())
+    odds = enough / (1 - enough)
+    assert odds[3] == pytest.approx(odds[0] / 2)
+    assert (a <= b) == (odds[1] >= odds[2]) or odds[1] == pytest.approx(odds[2])
 
 
 def test_a_larger_budget_takes_more() -> None:

@@ -100,6 +100,7 @@ def test_density_is_that_of_a_plain_loop_and_between_those_of_the_kernels(seed: 
     more = max(clumped - 1, 0)
     even, dense = foliage.SIGHT
     share = more / (more + foliage.HALF)
+    assert foliage.clumped(near[None])[0] == pytest.approx(share)
     got = foliage.density(counts[None], near[None])[0] / (even ** (1 - share) * dense**share)
     assert got == pytest.approx(found)
     assert min(each) * (1 - 1e-9) <= got <= max(each) * (1 + 1e-9)

@@ -37,6 +37,6 @@ class AfterpulseSettings(Section):
     )
     lag_max_m: Positive = Field(5.0, description="Longest lag behind a parent or plane [m].")
     vegetation_loss: Share = Field(
-        0.01,
+        0.0125,
         description="Share of the true returns of vegetation that may go with its afterpulses.",
     )

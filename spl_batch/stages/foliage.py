@@ -101,20 +101,27 @@ def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArr
         [1/m3].
     """
     found = (counts[:, 0] + LEAST) / volume_m3(*KERNELS_M[0])
-    surface = clumping[:, 0] >= SURFACE_MIN
-    near = np.where(surface[:, None], clumping / clumping[:, :1].clip(SURFACE_MIN), clumping)
-    near[:, 0] = np.where(surface, clumping[:, 0], 1.0)
+    near = _against(clumping)
     for k in range(1, len(KERNELS_M)):
         prior = SHAPE / np.maximum(near[:, k - 1] - 1.0, CLUMPED_MIN) ** 2
         found = (counts[:, k] + prior) / (volume_m3(*KERNELS_M[k]) + prior / found)
-    return found * _sight(near[:, -1])
+    even, dense = SIGHT
+    found *= even * (dense / even) ** clumped(clumping)
+    return found
 
 
-def _sight(near: NDArray[np.float64]) -> NDArray[np.float64]:
-    """:data:`SIGHT` where leaves are so much denser in the smallest sphere: (m,) float64."""
-    more = np.maximum(near - 1.0, 0.0)
-    even, clumped = SIGHT
-    return np.asarray(even * (clumped / even) ** (more / (more + HALF)))
+def clumped(clumping: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Whether leaves hang evenly, 0, or in clumps, towards 1: (m,) float64."""
+    more = np.maximum(_against(clumping)[:, -1] - 1.0, 0.0)
+    return np.asarray(more / (more + HALF), np.float64)
+
+
+def _against(clumping: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density over that in the thin ellipsoid where parents lie on surfaces: (m, k - 1)."""
+    surface = clumping[:, 0] >= SURFACE_MIN
+    near = np.where(surface[:, None], clumping / clumping[:, :1].clip(SURFACE_MIN), clumping)
+    near[:, 0] = np.where(surface, clumping[:, 0], 1.0)
+    return near
 
 
 def clumping(
