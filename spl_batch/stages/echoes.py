@@ -89,8 +89,8 @@ SHARE: Final = 0.15
 """Afterpulses per detection where the flightline's own are not known [W17 7.5]."""
 
 CLUMPED_ODDS: Final = 0.5
-"""Odds that keep the budget where leaves hang in clumps, over those at constant rates: by them
-no canopy of ``benchmarks/afterpulses.py`` loses a third more than the budget."""
+"""Odds that keep the budget where leaves hang in clumps, over those at constant rates: with them
+about as much is lost of a budget there as in evenly turbid crowns."""
 
 SETTLED: Final = 0.3
 """Probability in crowns below which the first round is the last: it hardly rises so far."""
