@@ -277,7 +277,7 @@ def _top_surface(
     tops = tops.reshape(rows, cols)
     # The outermost cells lack neighbours that could confirm them: they must lend nothing.
     edge = _support_cells(settings)
-    tops = tops[edge : rows - edge, edge : cols - edge]
+    tops = np.ascontiguousarray(tops[edge : rows - edge, edge : cols - edge])
     filled = np.empty_like(tops)
     fill_voids(tops, ring_offsets(settings.dsm_void_max_m / settings.cell_m), filled)
     void = _void_cells(settings)
@@ -292,7 +292,8 @@ def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDAr
     tops = np.empty(rows * cols)
     confirmed_tops(xyz, signal["ground"][order] == 1, start, support, tops)
     lifted = np.empty((rows, cols))
-    lift_pits(xyz[:, 2], start, tops.reshape(rows, cols), PIT_M / QUANTUM_M, lifted)
+    z = np.ascontiguousarray(xyz[:, 2])
+    lift_pits(z, start, tops.reshape(rows, cols), PIT_M / QUANTUM_M, lifted)
     return lifted.ravel()
 
 
