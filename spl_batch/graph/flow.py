@@ -6,6 +6,7 @@ workers in a row fails, with the reason that the nannies gave.
 """
 
 import contextlib
+import itertools
 import queue
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -54,9 +55,11 @@ class OnDask:
         StoppedError
             If the scheduler is lost or a task met something that concerns everything.
         """
-        if self.local and self.ahead is not None:
+        jobs = iter(jobs)
+        first = list(itertools.islice(jobs, 1))
+        if first and self.local and self.ahead is not None:
             self.ahead.share_out(self.client, sorted(workers_of(self.client)), self.observer)
-        flow = _Flow(self, context, iter(jobs))
+        flow = _Flow(self, context, itertools.chain(first, jobs))
         try:
             for receipt in flow.receipts():
                 on_receipt(receipt)
