@@ -84,7 +84,8 @@ def _cover(
         return np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
     tree = cKDTree(points[:, :2])
     above = reference.xyz_m[others]
-    foot = np.asarray(tree.query(above[:, :2])[1], dtype=np.intp)
+    # nothing else is at work when a report is written
+    foot = np.asarray(tree.query(above[:, :2], workers=-1)[1], dtype=np.intp)
     height = above[:, 2] - points[foot, 2]
     plants = reference.classification[others] != CLASS_BUILDING
     return (
@@ -99,7 +100,8 @@ def _near(
     """Which points have one of the others within a horizontal distance."""
     if len(others) == 0:
         return np.zeros(len(points), np.bool_)
-    distance, _ = cKDTree(others[:, :2]).query(points[:, :2], distance_upper_bound=radius_m)
+    tree = cKDTree(others[:, :2])
+    distance, _ = tree.query(points[:, :2], distance_upper_bound=radius_m, workers=-1)
     return np.isfinite(distance)
 
 
