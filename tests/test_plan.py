@@ -336,20 +336,23 @@ def test_a_small_survey_is_one_block_for_one_worker_and_is_shared_by_several() -
 def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
     counts = {**everywhere(100_000), CellId(3, 3): 9_000_000}
     pieces = list(from_counts(counts, 100_000))
-    assert count_blocks(pieces, workflow(), 2**36, Sizes(8)) == (4, 8)
-    found, longest = count_blocks(pieces, workflow(), 2**32, Sizes(8))
-    assert found in range(5, 12)
-    assert longest == 8
+    few = count_blocks(pieces, workflow(), 2**36, Sizes(8))
+    assert few[:2] == (4, 8)
+    more = count_blocks(pieces, workflow(), 2**32, Sizes(8))
+    assert more.blocks in range(5, 12)
+    assert more.tiles == 8
+    assert 1.0 < few.read < more.read < 2.0
 
 
 def test_the_plan_estimates_the_blocks_of_large_surveys() -> None:
     counts = everywhere(100_000, 24)
     found = cores(counts, Sizes(6), 3)
-    estimated, side = count_blocks(
-        list(from_counts(counts, 100_000)), DEFAULTS, 3 * 2**30, Sizes(6)
-    )
-    assert estimated == pytest.approx(len(found), rel=0.5)
-    assert side <= 6
+    estimated = count_blocks(list(from_counts(counts, 100_000)), DEFAULTS, 3 * 2**30, Sizes(6))
+    assert estimated.blocks == pytest.approx(len(found), rel=0.5)
+    assert estimated.tiles <= 6
+    layout = layout_of(counts, DEFAULTS)
+    read = sum(layout.unit(parse_block(name)).held for name in found) / sum(counts.values())
+    assert estimated.read == pytest.approx(read, rel=0.2)
 
 
 tile_points = st.dictionaries(

@@ -80,6 +80,10 @@ class Imaging(Receiver[Survey, Context]):
         """Label and value of what a plan tells beside disk, memory and time."""
         settings = prepared.ledger.workflow
         area_km2 = cost.tiles * settings.tiling.tile_m**2 / 1e6
+        blocks = (
+            f"{cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles; with their "
+            f"halos they read {cost.block_reads:.2f} times the points"
+        )
         halo = (
             f"{cost.halo_m:g} m around a block; around a ground cell "
             f"{settings.ground.buffer_m:g} m for the ground, "
@@ -89,7 +93,7 @@ class Imaging(Receiver[Survey, Context]):
             ("area", f"{area_km2:,.3f} km2 of tiles"),
             ("stretches", f"{cost.stretches:,} of flightlines"),
             ("tiles", f"{cost.tiles:,}"),
-            ("blocks", f"{cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles"),
+            ("blocks", blocks),
             ("ground cells", f"{cost.cells:,}"),
             ("halo", halo),
         ]

@@ -56,6 +56,24 @@ class Sizes(NamedTuple):
     points: float = math.inf
 
 
+class Expected(NamedTuple):
+    """Blocks that a survey will have.
+
+    Parameters
+    ----------
+    blocks : int
+        Their number [count].
+    tiles : int
+        Tiles along the longest side of one [count].
+    read : float
+        Points that they read, halos included, over those of the survey.
+    """
+
+    blocks: int
+    tiles: int
+    read: float
+
+
 def choose_sizes(
     pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, workers: int
 ) -> Sizes:
@@ -141,8 +159,8 @@ class Holders:
 
 def count_blocks(
     pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, sizes: Sizes
-) -> tuple[int, int]:
-    """Blocks of a survey of which only the density is known, and the longest side of them.
+) -> Expected:
+    """Blocks of a survey of which only the density is known, of a large one estimated.
 
     Parameters
     ----------
@@ -150,21 +168,21 @@ def count_blocks(
         As in :func:`choose_sizes`.
     sizes : Sizes
         What it chose.
-
-    Returns
-    -------
-    blocks, tiles : int
-        Their number, of a large survey estimated, and the tiles along the longest side [count].
     """
+    points = max(math.fsum(float(piece.points.sum()) for piece in pieces), 1.0)
     counts = _few_tiles(pieces, workflow)
     if counts is not None:
-        found = blocks(layout_of(counts, workflow), sizes, workflow, memory_bytes)
+        layout = layout_of(counts, workflow)
+        found = blocks(layout, sizes, workflow, memory_bytes)
         longest = max((max(block.columns, block.rows) for block in found), default=sizes.tiles)
-        return len(found), longest
+        read = sum(layout.unit(block).held for block in found)
+        return Expected(len(found), longest, read / points)
     sides = _sides(sizes.tiles, workflow)
     cuts = _cuts(pieces, workflow, memory_bytes, sizes.tiles)
     there = [side for side, cut in zip(sides, cuts, strict=True) if cut.units]
-    return sum(cut.units for cut in cuts), max(there, default=sizes.tiles)
+    reading = math.fsum(cut.read for cut in cuts)
+    longest = max(there, default=sizes.tiles)
+    return Expected(sum(cut.units for cut in cuts), longest, reading / points)
 
 
 def _few_tiles(pieces: Sequence[Piece], workflow: Workflow) -> dict[CellId, int] | None:

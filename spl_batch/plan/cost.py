@@ -48,6 +48,8 @@ class SurveyCost(Cost):
         Stretches of flightlines, tiles, denoise blocks and ground cells [count].
     block_tiles : int
         Tiles along the longest side of a block [count].
+    block_reads : float
+        Points that all blocks read, halos included, over those of the survey.
     halo_m : float
         Halo of a block, the sum of the reaches of the filter's steps [m].
     """
@@ -57,6 +59,7 @@ class SurveyCost(Cost):
     blocks: int
     cells: int
     block_tiles: int
+    block_reads: float
     halo_m: float
 
 
@@ -76,7 +79,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     limits = workflow, survey.memory_bytes
     sizes = survey.remembered if workflow.tiling.block_tiles is None else None
     sizes = sizes or choose_sizes(pieces, *limits, survey.workers)
-    blocks, side = count_blocks(pieces, *limits, sizes)
+    blocks = count_blocks(pieces, *limits, sizes)
     tiles, cells = (
         sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
     )
@@ -87,14 +90,15 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     # every file is indexed and most likely is a flightline of its own; each stretch is
     # gathered and scattered; the noise map is a mosaic too
     mosaics = len(PRODUCTS) + 1
-    tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks + delivered + mosaics
+    tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered + mosaics
     return SurveyCost(
         points=points,
         stretches=stretches,
         tiles=tiles,
-        blocks=blocks,
+        blocks=blocks.blocks,
         cells=cells,
-        block_tiles=side,
+        block_tiles=blocks.tiles,
+        block_reads=blocks.read,
         halo_m=halo_m(workflow),
         tasks=tasks,
         disk_bytes=points * (STORE_BYTES_PER_POINT + DELIVERED_BYTES_PER_POINT),
