@@ -54,7 +54,11 @@ def _significant(count: int, n: int, width: float, extent: float) -> bool:
 
 @njit(nogil=True, cache=True)
 def signal_heights(
-    z: NDArray[np.float64], group: NDArray[np.int64], n_groups: int, width: float
+    z: NDArray[np.float64],
+    order: NDArray[np.int64],
+    group: NDArray[np.int64],
+    n_groups: int,
+    width: float,
 ) -> NDArray[np.float64]:
     """Height of the signal in each group of one interval.
 
@@ -65,6 +69,8 @@ def signal_heights(
     ----------
     z : (n,) float64
         Heights of the interval's returns [m], n >= 1.
+    order : (n,) int64
+        The returns by increasing height.
     group : (n,) int64
         Group of each return, 0..n_groups - 1.
     n_groups : int
@@ -77,7 +83,7 @@ def signal_heights(
     (n_groups,) float64
         Heights [m].
     """
-    everything = np.sort(z)
+    everything = z[order]
     extent = everything[-1] - everything[0]
     height, count = densest_window(everything, width)
     if not _significant(count, len(z), width, extent):
@@ -85,18 +91,17 @@ def signal_heights(
     out = np.full(n_groups, height)
     if n_groups == 1:
         return out
-    # Returns put together by group, in one pass.
+    # Returns put together by group, in one pass, in which they stay in order.
     stop = np.zeros(n_groups + 1, dtype=np.int64)
     for g in group:
         stop[g + 1] += 1
     stop = np.cumsum(stop)
     at, grouped = stop.copy(), np.empty(len(z))
-    for i in range(len(z)):
+    for i in order:
         grouped[at[group[i]]] = z[i]
         at[group[i]] += 1
     for g in range(n_groups):
         own = grouped[stop[g] : stop[g + 1]]
-        own.sort()
         if len(own) >= 10:
             peak, count = densest_window(own, width)
             if _significant(count, len(own), width, extent):
@@ -107,6 +112,7 @@ def signal_heights(
 @njit(nogil=True, cache=True)
 def observe_interval(
     z: NDArray[np.float64],
+    order: NDArray[np.int64],
     range_m: NDArray[np.float64],
     cosine: NDArray[np.float64],
     offset: NDArray[np.int64],
@@ -121,6 +127,8 @@ def observe_interval(
     ----------
     z, range_m, cosine : (n,) float64
         Height [m], slant range [m] and cosine of the off-nadir angle.
+    order : (n,) int64
+        The returns by increasing height.
     offset : (n,) int64
         Shot within the interval.
     interval_shots : int
@@ -136,7 +144,7 @@ def observe_interval(
     """
     n_groups = min(GROUPS_MAX, max(1, len(z) // GROUP_RETURNS), interval_shots)
     group = offset * n_groups // interval_shots
-    heights = signal_heights(z, group, n_groups, width)
+    heights = signal_heights(z, order, group, n_groups, width)
     summary[:4] = 0.0
     summary[4::2] = np.inf
     summary[5::2] = -np.inf
@@ -158,6 +166,7 @@ def observe_interval(
 def observe_intervals(
     starts: NDArray[np.int64],
     z: NDArray[np.float64],
+    order: NDArray[np.int64],
     range_m: NDArray[np.float64],
     cosine: NDArray[np.float64],
     offset: NDArray[np.int64],
@@ -181,6 +190,8 @@ def observe_intervals(
         Rows where intervals start, then n.
     z, range_m, cosine, offset
         Rows as in :func:`observe_interval`.
+    order : (n,) int64
+        Rows of the stretch by interval and increasing height.
     channel : (n,) uint8
         Beamlet numbers.
     counts : (n,) bool
@@ -207,7 +218,7 @@ def observe_intervals(
     for m in range(len(starts) - 1):
         rows = slice(starts[m], starts[m + 1])
         observe_interval(
-            z[rows], range_m[rows], cosine[rows], offset[rows],
+            z[rows], order[rows] - starts[m], range_m[rows], cosine[rows], offset[rows],
             interval_shots, width, summary[m], below[rows],
         )  # fmt: skip
         for i in range(starts[m], starts[m + 1]):
