@@ -6,13 +6,13 @@ another number of workers, leaves finished blocks as they are.
 
 import heapq
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from spl_batch.errors import DamagedError
 from spl_batch.io.store import Store, read_json, write_json
 from spl_batch.plan.density import Cut, Piece
-from spl_batch.plan.layout import Block, Layout, parse_block
+from spl_batch.plan.layout import Block, Layout, around, parse_block
 from spl_batch.plan.memory import halo_m, points_within
 from spl_batch.task import Receipt
 from spl_batch.tiling import BoxIndex, CellId, cell_bounds, quanta
@@ -37,6 +37,9 @@ blocks took, by ``python -m benchmarks.denoise_steps``."""
 BLOCK_SHARE: Final = 0.9
 """Part of the points that a worker can hold which a block of several tiles may have: within
 a tile they may lie on the side of the halo."""
+
+MANY: Final = 2000
+"""Tiles times blocks near by from which on each tile is looked up by itself."""
 
 _FILE: Final = "blocks.json"
 
@@ -150,11 +153,18 @@ class Holders:
 
     def __init__(self, done: Mapping[str, Receipt], tile_q: int) -> None:
         self._tile_q = tile_q
-        self._index = BoxIndex({name: parse_block(name).core(tile_q) for name in done})
+        self._blocks = {name: parse_block(name) for name in done}
+        self._index = BoxIndex({name: block.core(tile_q) for name, block in self._blocks.items()})
 
-    def of(self, tiles: Iterable[CellId]) -> dict[CellId, list[str]]:
+    def of(self, tiles: Collection[CellId]) -> dict[CellId, list[str]]:
         """Block that holds labels of each tile, none where it has failed; by tile."""
-        return {t: self._index.overlapping(cell_bounds(t, self._tile_q)) for t in tiles}
+        if not tiles:
+            return {}
+        near = self._index.overlapping(around(tiles).core(self._tile_q))
+        rows = {name: self._blocks[name] for name in near}
+        if len(tiles) * len(rows) > MANY:
+            return {t: self._index.overlapping(cell_bounds(t, self._tile_q)) for t in tiles}
+        return {t: [name for name, block in rows.items() if block.holds(t)] for t in tiles}
 
 
 def count_blocks(

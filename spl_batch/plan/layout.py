@@ -43,6 +43,10 @@ class Block(NamedTuple):
             for j in range(self.j, self.j + self.rows):
                 yield CellId(i, j)
 
+    def holds(self, tile: CellId) -> bool:
+        """Whether a tile is one of its own."""
+        return 0 <= tile.i - self.i < self.columns and 0 <= tile.j - self.j < self.rows
+
     def core(self, tile_q: int) -> Bounds:
         """Region that it owns [quanta]."""
         east, north = self.i + self.columns, self.j + self.rows
@@ -102,7 +106,7 @@ class Layout:
         cells: dict[CellId, list[CellId]] = {}
         for tile in self.counts:
             cells.setdefault(CellId(tile.i // side, tile.j // side), []).append(tile)
-        return [_around(tiles) for _, tiles in sorted(cells.items())]
+        return [around(tiles) for _, tiles in sorted(cells.items())]
 
     def cut(self, blocks: Iterable[Block], most: float) -> Iterator[Block]:
         """Blocks of several tiles that hold too much in halves, and these again.
@@ -158,7 +162,7 @@ class Layout:
         """The block with that neighbour with which it reads least beyond what both did."""
         found = []
         for other in {holder[t] for t in _beside(block) if t in holder}:
-            both = _around((*_corners(block), *_corners(other)))
+            both = around((*_corners(block), *_corners(other)))
             if any(holder.get(t, block) not in (block, other) for t in both.tiles()):
                 continue
             held = self.unit(both).held
@@ -179,7 +183,7 @@ class Layout:
         line = min(shares)[1]
         low = [t for t, k in zip(tiles, at, strict=True) if k <= line]
         high = [t for t, k in zip(tiles, at, strict=True) if k > line]
-        return _around(low), _around(high)
+        return around(low), around(high)
 
 
 def parse_block(name: str) -> Block:
@@ -187,7 +191,8 @@ def parse_block(name: str) -> Block:
     return Block(*map(int, name.split("_")))
 
 
-def _around(tiles: Iterable[CellId]) -> Block:
+def around(tiles: Iterable[CellId]) -> Block:
+    """The smallest block that contains some tiles, at least one."""
     columns, rows = zip(*tiles, strict=True)
     i, j = min(columns), min(rows)
     return Block(i, j, max(columns) - i + 1, max(rows) - j + 1)

@@ -1,0 +1,52 @@
+"""What compiling the kernels takes, by one process and in shares side by side.
+
+    python -m benchmarks.compiling [SHARES ...]
+
+Compiles all kernels of the airborne chain into an empty folder, by as many processes as given (1
+and 2 by default), each its share as workers do before their first task. Prints the functions that
+were compiled, processor time and wall time.
+"""
+
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from typing import Any
+
+
+def compile_one(share: int, shares: int) -> tuple[int, float]:
+    """Compile a share: functions that were compiled, and processor time [s]."""
+    from numba.core import event  # noqa: PLC0415 - looks for the folder when it is imported
+
+    from spl_batch.kernels import ahead  # noqa: PLC0415
+
+    with event.install_recorder("numba:compile") as recorder:
+        ahead.compile_share(share, shares)
+    began = sum(1 for _, heard in recorder.buffer if heard.is_start)
+    return began, time.process_time()
+
+
+def measure(shares: int) -> tuple[int, float, float]:
+    """Functions, processor time and wall time with so many processes side by side [s]."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["NUMBA_CACHE_DIR"] = folder
+        start = time.perf_counter()
+        context = multiprocessing.get_context("spawn")
+        with context.Pool(shares, maxtasksperchild=1) as pool:
+            tasks: list[Any] = [(k, shares) for k in range(shares)]
+            found = pool.starmap(compile_one, tasks, chunksize=1)
+        wall_s = time.perf_counter() - start
+    return sum(n for n, _ in found), sum(s for _, s in found), wall_s
+
+
+def main() -> None:
+    """Print a line for each number of processes."""
+    print("processes  functions  processor [s]  wall [s]")
+    for shares in [int(v) for v in sys.argv[1:]] or [1, 2]:
+        functions, processor_s, wall_s = measure(shares)
+        print(f"{shares:9d}{functions:11d}{processor_s:15.1f}{wall_s:10.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
