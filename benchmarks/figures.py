@@ -31,7 +31,7 @@ from benchmarks import (
     null_calibration,
     water_surface,
 )
-from benchmarks.afterpulse_scenes import CANOPIES
+from benchmarks.afterpulse_scenes import CANOPIES, LIGHTS
 from benchmarks.afterpulse_tables import Prepared, prepare
 from benchmarks.methods import (
     AFTERPULSE,
@@ -211,13 +211,14 @@ def near_noise(folder: Path) -> Figure:
 
 
 def afterpulse_curve(folder: Path) -> Figure:
-    """Afterpulses removed against vegetation lost, by threshold, in two kinds of canopy."""
-    drawn = style.figure(9.6, 4.2)
-    panels = drawn.subplots(1, 2, sharey=True)
-    by_name = {content["name"]: content for content in CANOPIES}
+    """Afterpulses removed against vegetation lost, by threshold, in three canopies."""
+    drawn = style.figure(13.2, 4.2)
+    panels = drawn.subplots(1, 3, sharey=True)
+    by_name = {content["name"]: content for content in (*CANOPIES, *LIGHTS)}
     for axes, name, title in (
         (panels[0], "canopy", "Crowns of 60 % cover, evenly turbid"),
         (panels[1], "clumps of leaves", "Leaves in clumps of 0.6 to 1 m"),
+        (panels[2], "clumps, Easton, p 0.15", "The same under the light of Easton [W18]"),
     ):
         place = folder / f"figure_{name.replace(' ', '_')}"
         _curve(axes, name, prepare(by_name[name], place), place)

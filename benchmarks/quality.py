@@ -27,7 +27,7 @@ BARS: dict[str, Bar] = {
     "vegetation kept %": (">=", 98.0),
     "wire kept %": (">=", 95.0),
     "background removed %": (">=", 95.0),
-    "afterpulses under ground and roofs removed %": (">=", 85.0),
+    "afterpulses under ground and roofs removed %": (">=", 97.0),
     "DTM RMSE on open ground cm": ("<=", 10.0),
     "DSM cells set by noise per 10 000": ("<=", 1.0),
     "expected / true noise density": ("~", 0.05),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import afterpulses, figures, water_surface
+from benchmarks import figures, water_surface
 from spl_batch.report import style
 
 
@@ -67,11 +67,12 @@ def test_our_rays_end_nearer_than_the_source_s(monkeypatch: pytest.MonkeyPatch) 
 def test_the_curve_of_afterpulses_lies_below_its_bound(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = tuple({**content, "extent_m": [18, 18]} for content in afterpulses.CANOPIES)
-    monkeypatch.setattr(afterpulses, "CANOPIES", small)
+    for name in ("CANOPIES", "LIGHTS"):
+        small = [{**content, "extent_m": [12, 12]} for content in getattr(figures, name)]
+        monkeypatch.setattr(figures, name, small)
     with style.type_context():
         panels = figures.afterpulse_curve(tmp_path).axes
-    assert len(panels) == 2
+    assert len(panels) == 3
     removed = []
     for axes in panels:
         curves = {line.get_label(): np.asarray(line.get_xydata()) for line in axes.lines}
@@ -83,5 +84,6 @@ def test_the_curve_of_afterpulses_lies_below_its_bound(
         at = np.array([2.0, 4.0, 8.0])
         assert (np.interp(at, *ours.T) < np.interp(at, *best.T) + 2.0).all()
         removed.append(float(np.interp(2.0, *ours.T)))
-    even, clumped = removed
+    even, clumped, easton = removed
     assert clumped > even + 10.0
+    assert easton > 75.0
