@@ -4,8 +4,8 @@
 [--methods published tail ours]`` simulates the scenes of :mod:`benchmarks.twins` for each seed
 (into FOLDER, where what is there is used again), runs each filter and prints percentages: wire
 returns kept, of each line and of all; background returns kept, all of them and those farther than
-5 m from anything else (the filter's false alarms where nothing vouches for them); roofs, ground,
-vegetation and poles kept. A last line of each method pools the seeds.
+5 m from every true return of anything else (the filter's false alarms where nothing vouches for
+them); roofs, ground, vegetation and poles kept. A last line of each method pools the seeds.
 """
 
 import argparse
@@ -18,11 +18,22 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks import corridors, methods
-from benchmarks.methods import BACKGROUND, GROUND, OTHER, ROOF, VEGETATION, WIRE, Columns, Method
+from benchmarks.methods import (
+    AFTERPULSE,
+    BACKGROUND,
+    GROUND,
+    OTHER,
+    ROOF,
+    VEGETATION,
+    WIRE,
+    Columns,
+    Method,
+)
 from benchmarks.twins import TWINS
 
 FAR_M = 5.0
-"""Background farther than this from every other return is pure noise [m]."""
+"""Background farther than this from every true return is pure noise [m]. Afterpulses are none:
+background has its own, which lie everywhere."""
 
 THIN_M = 0.5
 """Returns are thinned to cells of this size before distances to them are taken [m]."""
@@ -69,10 +80,10 @@ def strata(survey: Path, points: Columns) -> dict[str, NDArray[np.bool_]]:
 
 
 def _far(points: Columns) -> NDArray[np.bool_]:
-    """Which returns are farther than :data:`FAR_M` from all that is not background."""
+    """Which returns are farther than :data:`FAR_M` from all true returns."""
     xyz = np.column_stack([points[axis] for axis in "xyz"])
     low = xyz.min(axis=0)
-    rest = xyz[points["kind"] != BACKGROUND] - low
+    rest = xyz[~np.isin(points["kind"], (BACKGROUND, AFTERPULSE))] - low
     _, first = np.unique(np.floor(rest / THIN_M).astype(np.int64), axis=0, return_index=True)
     noise = np.flatnonzero(points["kind"] == BACKGROUND)
     distance = cKDTree(rest[first]).query(xyz[noise] - low, distance_upper_bound=FAR_M)[0]
