@@ -263,6 +263,8 @@ def _run_phase(
             progress.costs.setdefault(stage, StageCost()).skip(receipt)
     if not work.left and not work.ready:
         return
+    if work.left:
+        pool.make_ready()
     tiles = _tile_map(prepared.receiver.edge_m(kind, ledger), left, ready)
     left.clear()
     ready.clear()

@@ -6,7 +6,6 @@ workers in a row fails, with the reason that the nannies gave.
 """
 
 import contextlib
-import itertools
 import queue
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -47,6 +46,11 @@ class OnDask:
     local: bool
     ahead: Ahead | None = None
 
+    def make_ready(self) -> None:
+        """Have local workers do what comes before the first task."""
+        if self.local and self.ahead is not None:
+            self.ahead.share_out(self.client, sorted(workers_of(self.client)), self.observer)
+
     def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
         """Do jobs as workers become free, those that join later included.
 
@@ -55,11 +59,7 @@ class OnDask:
         StoppedError
             If the scheduler is lost or a task met something that concerns everything.
         """
-        jobs = iter(jobs)
-        first = list(itertools.islice(jobs, 1))
-        if first and self.local and self.ahead is not None:
-            self.ahead.share_out(self.client, sorted(workers_of(self.client)), self.observer)
-        flow = _Flow(self, context, itertools.chain(first, jobs))
+        flow = _Flow(self, context, iter(jobs))
         try:
             for receipt in flow.receipts():
                 on_receipt(receipt)

@@ -36,6 +36,9 @@ class Observer(Protocol):
 class Executor(Protocol):
     """Something that does jobs."""
 
+    def make_ready(self) -> None:
+        """Do what comes before the first job, if it is not done."""
+
     def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
         """Do jobs in any order and report each receipt as it comes."""
 
@@ -64,6 +67,9 @@ class InProcess:
     """Does one job after the other, here; for debugging and for tests."""
 
     observer: Observer
+
+    def make_ready(self) -> None:
+        """Do nothing: what a task needs is compiled when it is called."""
 
     def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
         """Do jobs in order; there is no other worker that could try one again."""
