@@ -185,7 +185,7 @@ def count_blocks(
         layout = layout_of(counts, workflow)
         found = blocks(layout, sizes, workflow, memory_bytes)
         longest = max((max(block.columns, block.rows) for block in found), default=sizes.tiles)
-        read = sum(layout.unit(block).held for block in found)
+        read = sum(layout.load(block).held for block in found)
         return Expected(len(found), longest, read / points)
     sides = _sides(sizes.tiles, workflow)
     cuts = _cuts(pieces, workflow, memory_bytes, sizes.tiles)
@@ -209,8 +209,8 @@ def _few_tiles(pieces: Sequence[Piece], workflow: Workflow) -> dict[CellId, int]
 
 
 def _cost(layout: Layout, block: Block) -> float:
-    unit = layout.unit(block)
-    return unit.held + (CORE_COST - 1) * unit.points
+    load = layout.load(block)
+    return load.held + (CORE_COST - 1) * load.points
 
 
 def _finished(costs: Iterable[float], workers: int) -> float:

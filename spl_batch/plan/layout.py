@@ -8,7 +8,7 @@ reads nearly all of that anyway and takes the strip over.
 import heapq
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from spl_batch.plan.space import Unit, unit_within
@@ -53,6 +53,21 @@ class Block(NamedTuple):
         return Bounds(self.i * tile_q, self.j * tile_q, east * tile_q, north * tile_q)
 
 
+class Load(NamedTuple):
+    """Points of a block.
+
+    Parameters
+    ----------
+    points : int
+        In tiles of its own [count].
+    held : int
+        In its core and halo, as if they spread evenly over each tile [count].
+    """
+
+    points: int
+    held: int
+
+
 @dataclass(frozen=True)
 class Layout:
     """How the tiles of a survey are shared among blocks.
@@ -70,9 +85,17 @@ class Layout:
     counts: Mapping[CellId, int]
     tile_q: int
     halo_q: int
+    _loads: dict[Block, Load] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def load(self, block: Block) -> Load:
+        """Points that a block owns and reads; the same blocks are tried again and again."""
+        if block not in self._loads:
+            unit = self.unit(block)
+            self._loads[block] = Load(unit.points, unit.held)
+        return self._loads[block]
 
     def unit(self, block: Block) -> Unit:
-        """What a block owns and reads."""
+        """What a block owns and reads, with its tiles."""
         cell, core = CellId(block.i, block.j), block.core(self.tile_q)
         return unit_within(core, self.counts, self.tile_q, self.halo_q, (str(block), cell))
 
@@ -121,7 +144,7 @@ class Layout:
         waiting = list(blocks)[::-1]
         while waiting:
             block = waiting.pop()
-            if block.columns * block.rows > 1 and self.unit(block).held > most:
+            if block.columns * block.rows > 1 and self.load(block).held > most:
                 waiting.extend(reversed(self._halves(block)))
             else:
                 yield block
@@ -155,8 +178,8 @@ class Layout:
         return sorted(set(holder.values()))
 
     def _rank(self, block: Block) -> tuple[float, Block]:
-        unit = self.unit(block)
-        return unit.points / max(unit.held, 1), block
+        load = self.load(block)
+        return load.points / max(load.held, 1), block
 
     def _best(self, block: Block, holder: Mapping[CellId, Block], most: float) -> Block | None:
         """The block with that neighbour with which it reads least beyond what both did."""
@@ -165,9 +188,9 @@ class Layout:
             both = around((*_corners(block), *_corners(other)))
             if any(holder.get(t, block) not in (block, other) for t in both.tiles()):
                 continue
-            held = self.unit(both).held
+            held = self.load(both).held
             if held <= most:
-                found.append((held - self.unit(other).held, both))
+                found.append((held - self.load(other).held, both))
         return min(found)[1] if found else None
 
     def _halves(self, block: Block) -> tuple[Block, Block]:
