@@ -43,13 +43,13 @@ class Ahead:
         observer : Observer
             Told what takes long or fails.
         """
-        from distributed import wait  # noqa: PLC0415 - slow import, only when used
-
         if self.done:
             return
         self.done = True
         if len(workers) < 2:
             return
+        from distributed import wait  # noqa: PLC0415 - slow import, only when used
+
         shares = [
             client.submit(self.work, k, len(workers), workers=[address], allow_other_workers=True,
                           pure=False, key=f"{self.work.__name__}-{k}")

@@ -48,7 +48,7 @@ class OnDask:
 
     def make_ready(self) -> None:
         """Have local workers do what comes before the first task."""
-        if self.local and self.ahead is not None:
+        if self.local and self.ahead is not None and not self.ahead.done:
             self.ahead.share_out(self.client, sorted(workers_of(self.client)), self.observer)
 
     def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:

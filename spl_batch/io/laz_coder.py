@@ -93,14 +93,7 @@ def encode(symbol: NDArray[np.uint8], model: NDArray[np.uint8], out: NDArray[np.
         low = np.int64(share[m, s]) * unit
         base += low
         length = np.int64(share[m, s + 1]) * unit - low if s < _SYMBOLS - 1 else length - low
-        if base > _WORD:
-            base &= _WORD
-            _carry(out, size)
-        while length < _LENGTH_MIN:
-            out[size] = base >> 24
-            size += 1
-            base = (base << 8) & _WORD
-            length <<= 8
+        base, length, size = _put_out(base, length, out, size)
         count[m, s] += 1
         left[m] -= 1
         if left[m] == 0:
@@ -108,6 +101,22 @@ def encode(symbol: NDArray[np.uint8], model: NDArray[np.uint8], out: NDArray[np.
             cycle[m] = min((5 * cycle[m]) >> 2, _CYCLE_MAX)
             left[m] = cycle[m]
     return _finish(base, length, out, size)
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _put_out(
+    base: np.int64, length: np.int64, out: NDArray[np.uint8], size: int
+) -> tuple[np.int64, np.int64, int]:
+    """Put out the bytes that are settled; base and length of what is left, and the new size."""
+    if base > _WORD:
+        base &= _WORD
+        _carry(out, size)
+    while length < _LENGTH_MIN:
+        out[size] = base >> 24
+        size += 1
+        base = (base << 8) & _WORD
+        length <<= 8
+    return base, length, size
 
 
 @njit(nogil=True, cache=True)
@@ -125,15 +134,8 @@ def _finish(base: np.int64, length: np.int64, out: NDArray[np.uint8], size: int)
     """Put out what tells the last interval, and the bytes that a decoder reads beyond."""
     long = length > 2 * _LENGTH_MIN
     base += _LENGTH_MIN if long else _LENGTH_MIN >> 1
-    left = _LENGTH_MIN >> 1 if long else _LENGTH_MIN >> 9
-    if base > _WORD:
-        base &= _WORD
-        _carry(out, size)
-    while left < _LENGTH_MIN:
-        out[size] = base >> 24
-        size += 1
-        base = (base << 8) & _WORD
-        left <<= 8
+    left = np.int64(_LENGTH_MIN >> 1 if long else _LENGTH_MIN >> 9)
+    base, left, size = _put_out(base, left, out, size)
     for _ in range(3 if long else 2):
         out[size] = 0
         size += 1

@@ -190,9 +190,7 @@ def read_columns(
 
 
 def read_between(
-    path: Path,
-    names: Sequence[str],
-    spans: Mapping[str, tuple[int, int]],
+    path: Path, names: Sequence[str], spans: Mapping[str, tuple[int, int]]
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
     """Columns of the row groups that may hold values within some spans.
 

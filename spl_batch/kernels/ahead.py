@@ -39,10 +39,10 @@ def compile_share(share: int, shares: int) -> int:
     int
         Kernels that were compiled and not loaded [count].
     """
-    compiled = 0
-    for name in divided(signatures(), shares)[share]:
+    compiled, listed = 0, signatures()
+    for name in divided(listed, shares)[share]:
         kernel = find(name)
-        for text in signatures()[name]:
+        for text in listed[name]:
             before = sum(kernel.stats.cache_misses.values())
             kernel.compile(tuple(parse(text, kernel)))
             compiled += sum(kernel.stats.cache_misses.values()) - before
