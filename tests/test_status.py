@@ -20,6 +20,7 @@ from spl_batch import api
 from spl_batch.api.events import (
     Note,
     PhaseStarted,
+    ReportStarted,
     RunEnded,
     RunStarted,
     TaskEnded,
@@ -316,6 +317,25 @@ def test_a_terminal_sees_the_map_and_a_log_plain_lines(monkeypatch: pytest.Monke
     assert "failed: denoise 1_0: RuntimeError: broken" in lines
     assert any(line.startswith("denoise: 2/6") for line in lines)
     assert "\x1b" not in plain.file.getvalue()
+
+
+def test_a_view_says_what_goes_on_where_no_task_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = 1000.0
+    monkeypatch.setattr(view.time, "time", lambda: clock)
+    watching = view.View(Console(file=io.StringIO()))
+    assert "getting ready" not in drawn(watching.draw()), "not at once"
+    clock += 7
+    assert "getting ready, 7 s" in drawn(watching.draw())
+    for event in a_run():
+        watching.on_event(event)
+    clock += 7
+    assert "getting ready" not in drawn(watching.draw()), "a task runs"
+    watching.on_event(ended("2_1"))
+    watching.on_event(ReportStarted())
+    clock += 3
+    assert "writing the report, 3 s" in drawn(watching.draw())
+    watching.on_event(RunEnded(0))
+    assert "1/1" in drawn(watching.draw()), "the report is done"
 
 
 def test_a_run_tells_what_it_begins_and_how_it_ends(small: Path) -> None:

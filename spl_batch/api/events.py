@@ -131,6 +131,11 @@ class TaskEnded:
 
 
 @dataclass(frozen=True, slots=True)
+class ReportStarted:
+    """All tasks are over, and the report is being written."""
+
+
+@dataclass(frozen=True, slots=True)
 class RunEnded:
     """A run ends in order; one that was killed does not say so.
 
@@ -169,6 +174,7 @@ Event = (
     | TaskStarted
     | TaskEnded
     | WorkersSeen
+    | ReportStarted
     | RunEnded
     | Note
 )

@@ -81,8 +81,8 @@ class Imaging(Receiver[Survey, Context]):
         settings = prepared.ledger.workflow
         area_km2 = cost.tiles * settings.tiling.tile_m**2 / 1e6
         blocks = (
-            f"{cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles; with their "
-            f"halos they read {cost.block_reads:.2f} times the points"
+            f"about {cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles; "
+            f"with their halos they read {cost.block_reads:.2f} times the points"
         )
         halo = (
             f"{cost.halo_m:g} m around a block; around a ground cell "

@@ -13,6 +13,7 @@ from spl_batch.api.events import (
     Listener,
     Note,
     PhaseStarted,
+    ReportStarted,
     RunEnded,
     RunStarted,
     WorkersReady,
@@ -182,6 +183,7 @@ def _conclude(
         receiver.not_read(ledger),
         earlier_s,
     )
+    progress.tell(ReportStarted())
     written = receiver.report(ledger.done, context, facts)
     screen = (*receiver.screen(written),)
     return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))

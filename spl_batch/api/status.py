@@ -184,6 +184,7 @@ class RunStatus:
             "TaskStarted": self._task_started,
             "TaskEnded": self._task_ended,
             "WorkersSeen": self._workers_seen,
+            "ReportStarted": self._report_started,
             "RunEnded": self._run_ended,
         }.get(str(record.get("event")))
         if take is not None:
@@ -260,8 +261,16 @@ class RunStatus:
     def _workers_seen(self, record: Mapping[str, Any]) -> None:
         self.workers = record
 
+    def _report_started(self, record: Mapping[str, Any]) -> None:
+        stage = self.stages["report"]
+        stage.total = 1
+        stage.began_s = stage.latest_s = _seconds(record)
+
     def _run_ended(self, record: Mapping[str, Any]) -> None:
         self.ended = record
+        report = self.stages["report"]
+        if report.total and not record["reason"]:
+            report.done, report.latest_s = 1, _seconds(record)
         self.dashboard = ""
         self.nothing_runs()
 

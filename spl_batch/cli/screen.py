@@ -106,11 +106,11 @@ def _whole(status: "RunStatus") -> RenderableType:
     for stage in status.stages.values():
         table.add_row(
             stage.stage,
-            f"{stage.done}/{stage.total}",
+            f"{stage.done}/{stage.total}" if stage.total else "",
             str(stage.failed or ""),
             str(stage.left or ""),
             short(stage.points_per_s) if stage.points_per_s else "",
-            duration(stage.elapsed_s) if stage.began_s and stage.points else "",
+            duration(stage.elapsed_s) if stage.elapsed_s > 0 else "",
             duration(stage.left_s) if stage.left else "",
         )
     killed = status.ended is None and status.holder is None

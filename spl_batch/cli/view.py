@@ -28,6 +28,9 @@ REFRESH_PER_S = 4.0
 LINE_S = 30.0
 """How often a log that is not a terminal is told how far a stage is [s]."""
 
+QUIET_S = 1.0
+"""How long nothing is heard before a view says so [s]."""
+
 
 class View:
     """Keeps the state of a run, for someone to draw.
@@ -44,6 +47,7 @@ class View:
         self._status = RunStatus()
         self._simulated = StageStatus("simulate")
         self._over = False
+        self._heard_s = time.time()
 
     def simulated(self, share: float) -> None:
         """Show how much of a simulation is done, 0..1."""
@@ -51,12 +55,14 @@ class View:
         with self._lock:
             stage = self._simulated
             stage.total, stage.done, stage.latest_s = 100, round(100 * share), now
+            self._heard_s = now
             stage.began_s = stage.began_s or now
 
     def on_event(self, event: Event) -> None:
         """Take in an event; what is to be read is printed at once."""
         with self._lock:
             self._status.feed(as_record(event))
+            self._heard_s = time.time()
         if isinstance(event, Note):
             style = {"warning": "yellow", "error": "red"}.get(event.level, "dim")
             self._print(f"{event.level}: {event.text}", style)
@@ -73,9 +79,19 @@ class View:
         """The view as it is now."""
         with self._lock:
             stages = bars([self._simulated, *self._status.stages.values()])
-            if self._over or not self._status.running:
+            if self._over:
                 return stages
+            if not self._status.running:
+                return Group(stages, self._between())
             return Group(stages, *details(self._status))
+
+    def _between(self) -> Text:
+        """What is done where no task runs, and for how long: that it is alive."""
+        quiet_s = time.time() - self._heard_s
+        if quiet_s < QUIET_S:
+            return Text("")
+        word = "writing the report" if self._status.stages["report"].total else "getting ready"
+        return Text(f"  {word}, {duration(quiet_s)}", style="dim")
 
     def _print(self, text: str, style: str) -> None:
         self._console.print(Text(text, style=style), soft_wrap=True)

@@ -125,7 +125,7 @@ def draw_profile(profile: Profile) -> Figure:
     size = float(np.clip(9e4 / max(along.size, 1), 0.7, 5.0))
     layers = (
         ("removed: background", background, style.NOISE, 0.45),
-        ("kept: above ground", kept & ~ground, style.SIGNAL, 0.9),
+        ("kept: all else", kept & ~ground, style.SIGNAL, 0.9),
         ("kept: ground", ground, style.GROUND, 0.95),
         ("removed: afterpulses", afterpulse, style.AFTERPULSE, 0.9),
     )
