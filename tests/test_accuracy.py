@@ -16,6 +16,7 @@ from spl_batch.accuracy import (
     Reference,
     accuracy_report,
     difference_raster,
+    differences,
     merge,
     statistics,
     surface_differences,
@@ -126,6 +127,18 @@ def test_terrain_differences_by_what_stands_on_the_ground():
     np.testing.assert_allclose(d["under_canopy"], expected[[0]], atol=2e-6)
     assert len(d["slope_0_5"]) == 5
     assert len(d["slope_15_30"]) == 0
+
+
+@given(st.integers(0, 2**32), st.sampled_from([0.5, 3.0, 40.0, 4000.0]), st.booleans())
+def test_what_is_near_is_what_all_distances_say(seed, extent_m, on_lattice):
+    random = np.random.default_rng(seed)
+    points, others = (random.uniform(0, extent_m, (n, 3)) for n in random.integers(0, 60, 2))
+    if on_lattice:  # ties, and distances of exactly the radius
+        points, others = np.round(points * 2) / 2, np.round(others * 2) / 2
+    apart = np.hypot(*(points[:, None, :2] - others[None, :, :2]).transpose(2, 0, 1))
+    for radius_m in (1.0, 2.0):
+        expected = (apart < radius_m).any(axis=1)
+        assert np.array_equal(differences._near(points, others, radius_m), expected)
 
 
 def test_the_canopy_model_takes_ground_out_of_the_open():

@@ -6,11 +6,13 @@ per cell is what it is.
 """
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from spl_batch.accuracy.located import Raster, Reference, known
@@ -24,6 +26,12 @@ TALL_M: Final = 0.5
 
 CANOPY_M: Final = 2.0
 """Vegetation this far above a ground point within 1 m makes it ground under canopy [m]."""
+
+CELLS: Final = 4
+"""Cells in the radius that is looked for [count]; speed only."""
+
+CELLS_MAX: Final = 64
+"""Cells for each point beyond which a tree is asked for all [count]: points lie far apart."""
 
 SLOPE_EDGES_DEG: Final = (0, 5, 15, 30, 90)
 """Classes of terrain slope [deg]."""
@@ -82,10 +90,8 @@ def _cover(
     others = ~ground & (reference.classification != CLASS_WATER)
     if not ground.any() or not others.any():
         return np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
-    tree = cKDTree(points[:, :2])
     above = reference.xyz_m[others]
-    # nothing else is at work when a report is written
-    foot = np.asarray(tree.query(above[:, :2], workers=-1)[1], dtype=np.intp)
+    foot = np.asarray(_tree(points).query(above[:, :2])[1], dtype=np.intp)
     height = above[:, 2] - points[foot, 2]
     plants = reference.classification[others] != CLASS_BUILDING
     return (
@@ -97,12 +103,43 @@ def _cover(
 def _near(
     points: NDArray[np.float64], others: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.bool_]:
-    """Which points have one of the others within a horizontal distance."""
-    if len(others) == 0:
+    """Which points have one of the others within a horizontal distance.
+
+    Distances between cells settle it for most; a tree is asked for the rest.
+    """
+    if len(others) == 0 or len(points) == 0:
         return np.zeros(len(points), np.bool_)
-    tree = cKDTree(others[:, :2])
-    distance, _ = tree.query(points[:, :2], distance_upper_bound=radius_m, workers=-1)
-    return np.isfinite(distance)
+    low_m, high_m = _by_cells(points, others, radius_m / CELLS)
+    near = high_m < radius_m
+    open_m = np.flatnonzero(~near & (low_m <= radius_m))
+    asked = points[open_m, :2]
+    found, _ = _tree(others).query(asked, distance_upper_bound=radius_m)
+    near[open_m] = np.isfinite(found)
+    return near
+
+
+def _by_cells(
+    points: NDArray[np.float64], others: NDArray[np.float64], cell_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bounds of each point's distance from the nearest of the others [m]: two (n,) float64."""
+    corner = np.minimum(points[:, :2].min(axis=0), others[:, :2].min(axis=0))
+    mine, theirs = (
+        np.floor((p[:, :2] - corner) / cell_m).astype(np.int64) for p in (points, others)
+    )
+    shape = np.maximum(mine.max(axis=0), theirs.max(axis=0)) + 1
+    if shape.prod() > CELLS_MAX * (len(points) + len(others)):
+        return np.zeros(len(points)), np.full(len(points), np.inf)
+    free = np.ones(shape, np.bool_)
+    free[*theirs.T] = False
+    apart_m = cell_m * distance_transform_edt(free)[*mine.T]
+    # each of the two lies up to half a diagonal from the centre of its cell
+    diagonal_m = cell_m * math.sqrt(2.0) * (1.0 + 1e-9)
+    return apart_m - diagonal_m, apart_m + diagonal_m
+
+
+def _tree(points: NDArray[np.float64]) -> cKDTree:
+    """Tree of horizontal places; one that is built quickly, as it is asked little."""
+    return cKDTree(points[:, :2], balanced_tree=False, compact_nodes=False)
 
 
 def surface_differences(dsm: Raster, reference: Reference) -> Differences:
@@ -127,10 +164,13 @@ def surface_differences(dsm: Raster, reference: Reference) -> Differences:
     rows, cols = dsm.values.shape
     picked = np.flatnonzero(held)
     cell = row[picked] * cols + col[picked]
-    # Last of each run is the highest; equal heights are settled by class, never by order.
-    order = np.lexsort([reference.classification[picked], reference.xyz_m[picked, 2], cell])
-    last = np.flatnonzero(np.diff(cell[order], append=-1))
-    top, cell = picked[order[last]], cell[order[last]]
+    # The last that is put down stays: the highest. Equal heights are settled by class, never by
+    # order.
+    order = np.lexsort([reference.classification[picked], reference.xyz_m[picked, 2]])
+    highest = np.full(rows * cols, -1, np.intp)
+    highest[cell[order]] = picked[order]
+    cell = np.flatnonzero(highest >= 0)
+    top = highest[cell]
     surface = known(dsm.values.ravel()[cell])
     kind = reference.classification[top]
     roof = np.zeros((rows + 2, cols + 2), np.bool_)

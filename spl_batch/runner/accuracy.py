@@ -1,6 +1,9 @@
 """Compare the delivered rasters with reference points, part by part."""
 
-from collections.abc import Iterable
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +27,9 @@ from spl_batch.runner.reference import read_reference
 
 SAMPLE = 500_000
 """Differences that the histogram is drawn from, at most [count]."""
+
+THREADS = 4
+"""Parts of the reference that are compared side by side, at most [count]: memory grows with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +72,12 @@ def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
     unreadable: list[InputError] = []
     for path in paths:
         try:
-            for known in read_reference(path, context.store.local, overview.cell_m):
-                points += int(np.count_nonzero(known.counts))
-                _compare(known, context, dtm, dsm)
-                part = difference_raster(overview, known).values
-                seen = part > -9000
-                total[seen] += part[seen]
+            for part in _parts(path, overview, context):
+                points += part.points
+                dtm += part.terrain
+                dsm += part.surface
+                seen = part.difference.values > -9000
+                total[seen] += part.difference.values[seen]
                 count[seen] += 1
         except InputError as error:
             unreadable.append(error)
@@ -87,16 +93,43 @@ def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
     )
 
 
-def _compare(
-    known: Reference, context: Context, dtm: list[Differences], dsm: list[Differences]
-) -> None:
-    """Add the differences of one part of the reference, where the rasters reach it."""
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What one part of the reference says; no differences where the rasters do not reach it."""
+
+    points: int
+    terrain: tuple[Differences, ...]
+    surface: tuple[Differences, ...]
+    difference: Raster
+
+
+def _parts(path: Path, overview: Raster, context: Context) -> Iterator[_Part]:
+    """Parts of a reference file in their order, some of them compared side by side."""
+    threads = min(os.cpu_count() or 1, THREADS)
+    waiting: deque[Future[_Part]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        for known in read_reference(path, context.store.local, overview.cell_m):
+            waiting.append(pool.submit(_part, known, overview, context))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def _part(known: Reference, overview: Raster, context: Context) -> _Part:
+    """Compare one part of the reference with the rasters."""
     bounds = _bounds(known)
     rasters = [read_part(context.output / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm")]
     terrain, surface, height = (r if r is None else _raster(r) for r in rasters)
-    if terrain is not None and surface is not None:
-        dtm.append(terrain_differences(terrain, known, chm=height))
-        dsm.append(surface_differences(surface, known))
+    points, difference = int(np.count_nonzero(known.counts)), difference_raster(overview, known)
+    if terrain is None or surface is None:
+        return _Part(points, (), (), difference)
+    return _Part(
+        points,
+        (terrain_differences(terrain, known, chm=height),),
+        (surface_differences(surface, known),),
+        difference,
+    )
 
 
 def _bounds(reference: Reference) -> tuple[float, float, float, float]:

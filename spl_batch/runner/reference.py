@@ -83,13 +83,22 @@ def _put_down(records: NDArray[np.void], folder: Path, edge: int, margin: int) -
             # the far square, where there is one beside the near one
             mine = np.flatnonzero(((high[0] > low[0]) | (a == 0)) & ((high[1] > low[1]) | (b == 0)))
             i, j = low[0][mine] + a, low[1][mine] + b
-            order = np.lexsort((i, j))
+            if not len(mine):
+                continue
+            order = _by_square(i, j)
             mine, i, j = mine[order], i[order], j[order]
             cuts = np.flatnonzero((np.diff(i) != 0) | (np.diff(j) != 0)) + 1
             for rows, at in zip(np.split(mine, cuts), [0, *cuts.tolist()], strict=True):
-                if len(rows):
-                    with Path(folder, f"{i[at]}_{j[at]}").open("ab") as stream:
-                        records[rows].tofile(stream)
+                with Path(folder, f"{i[at]}_{j[at]}").open("ab") as stream:
+                    records[rows].tofile(stream)
+
+
+def _by_square(i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Order of points by the column and row of their square, as they came within each."""
+    column, row = i - i.min(), j - j.min()
+    square = column * (int(row.max()) + 1) + row
+    # numpy counts numbers of up to 16 bits where it compares longer ones
+    return np.argsort(square.astype(np.min_scalar_type(int(square.max()))), kind="stable")
 
 
 def _reference(records: NDArray[np.void], core: Bounds | None) -> Reference:
