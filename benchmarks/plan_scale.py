@@ -1,8 +1,8 @@
-"""What planning costs: ``python -m benchmarks.plan_scale [--files 2000] [--points 100000000]``.
+"""What planning costs: ``python -m benchmarks.plan_scale [--files N] [--points N] [--side-m M]``.
 
-Writes LAS files that are a header and a hole, in strips of half overlap over 100 km by
-100 km, and runs ``spl-batch plan`` on them as a process of its own: its output, its time
-and its peak memory.
+Writes LAS files that are a header and a hole, in strips of half overlap over a square, 2 000 over
+100 km by 100 km by default, and runs ``spl-batch plan`` on them as a process of its own: its
+output, its time and its peak memory.
 """
 
 import argparse
@@ -75,9 +75,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--points", type=int, default=100_000_000)
+    parser.add_argument("--side-m", type=float, default=SIDE_M)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        workflow = write_survey(Path(folder), given.files, given.points)
+        workflow = write_survey(Path(folder), given.files, given.points, given.side_m)
         start = time.perf_counter()
         command = [sys.executable, "-m", "spl_batch", "plan", str(workflow)]
         process = subprocess.Popen(command)  # noqa: S603 - our own command

@@ -78,29 +78,30 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
 
 def workflow_model(kind: str) -> Any:
     """Model of a receiver's workflow file."""
-    return _load(HOMES[kind].workflow)
+    return load(HOMES[kind].workflow)
 
 
 def task_kinds(kind: str) -> Any:
     """What a receiver's tasks do, by kind of task."""
-    return _load(HOMES[kind].kinds)
+    return load(HOMES[kind].kinds)
 
 
 def receiver(kind: str) -> Any:
     """What the verbs need of a receiver."""
-    return _load(HOMES[kind].receiver)
+    return load(HOMES[kind].receiver)
 
 
 def report_model(kind: str) -> Any:
     """Model of a receiver's report."""
-    return _load(HOMES[kind].report)
+    return load(HOMES[kind].report)
 
 
 def simulator(kind: str) -> Any:
     """What makes synthetic data for a receiver."""
-    return _load(HOMES[kind].simulate)
+    return load(HOMES[kind].simulate)
 
 
-def _load(place: str) -> Any:
+def load(place: str) -> Any:
+    """What lies at a place, ``module:name``."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)

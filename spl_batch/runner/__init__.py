@@ -24,9 +24,8 @@ from spl_batch import __version__
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError
 from spl_batch.io.atomic import checksum, size, stop_if_full
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
-from spl_batch.receivers import task_kinds
-from spl_batch.runner import delivery, index, lines_of_sight, space_domain, time_domain
-from spl_batch.runner.context import RunContext, TaskFunction
+from spl_batch.receivers import load, task_kinds
+from spl_batch.runner.context import Produced, RunContext, TaskFunction
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.task import Receipt, Task
 
@@ -45,11 +44,28 @@ STAGES: Final = (
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of task."""
+    """A kind of task.
+
+    Parameters
+    ----------
+    stage : str
+        Stage of the command line that it belongs to.
+    function : callable or str
+        What does it, or where that lies, as ``module:name``: who plans, or looks at a run,
+        loads no kernels.
+    settings : tuple of str
+        Parts of the workflow that its result depends on.
+    """
 
     stage: str
-    function: TaskFunction
+    function: TaskFunction | str
     settings: tuple[str, ...]
+
+    def do(self, args: Mapping[str, Any], context: RunContext[Any]) -> Produced:
+        """Do a task of this kind."""
+        function = load(self.function) if isinstance(self.function, str) else self.function
+        produced: Produced = function(args, context)
+        return produced
 
 
 LIBRARIES: Final = (
@@ -75,26 +91,48 @@ _TIME: Final = (
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
-        "index_file": Kind("index", index.index_file, ("survey.channel_dimension", "survey.gap_s")),
-        "trajectory": Kind("index", index.gather_trajectory, ("survey.trajectory_crs",)),
-        "heading": Kind("shots", index.find_heading, ()),
-        "gather": Kind("shots", time_domain.gather, _OBSERVED),
-        "gather_range": Kind("shots", time_domain.gather_range, ("survey.channel_dimension",)),
-        "sensor_path": Kind("shots", lines_of_sight.find_path, ()),
-        "observe": Kind("shots", lines_of_sight.observe, _OBSERVED),
-        "fit_line": Kind("shots", time_domain.fit_line, _TIME),
-        "scatter": Kind("shuffle", time_domain.scatter, (*_TIME, "tiling.tile_m", "aoi", "water")),
-        "build_tile": Kind("shuffle", time_domain.build_tile, ()),
+        "index_file": Kind(
+            "index",
+            "spl_batch.runner.index:index_file",
+            ("survey.channel_dimension", "survey.gap_s"),
+        ),
+        "trajectory": Kind(
+            "index", "spl_batch.runner.index:gather_trajectory", ("survey.trajectory_crs",)
+        ),
+        "heading": Kind("shots", "spl_batch.runner.index:find_heading", ()),
+        "gather": Kind("shots", "spl_batch.runner.time_domain:gather", _OBSERVED),
+        "gather_range": Kind(
+            "shots", "spl_batch.runner.time_domain:gather_range", ("survey.channel_dimension",)
+        ),
+        "sensor_path": Kind("shots", "spl_batch.runner.lines_of_sight:find_path", ()),
+        "observe": Kind("shots", "spl_batch.runner.lines_of_sight:observe", _OBSERVED),
+        "fit_line": Kind("shots", "spl_batch.runner.time_domain:fit_line", _TIME),
+        "scatter": Kind(
+            "shuffle",
+            "spl_batch.runner.time_domain:scatter",
+            (*_TIME, "tiling.tile_m", "aoi", "water"),
+        ),
+        "build_tile": Kind("shuffle", "spl_batch.runner.time_domain:build_tile", ()),
         "denoise": Kind(
             "denoise",
-            space_domain.denoise,
+            "spl_batch.runner.space_domain:denoise",
             ("filter", "noise", "afterpulse", "outputs.diagnostics"),
         ),
-        "ground": Kind("ground", space_domain.ground, ("ground",)),
-        "surface": Kind("surfaces", space_domain.surface, ("ground.cell_m", "products", "aoi")),
-        "deliver_file": Kind("deliver", delivery.deliver_file, ("outputs.diagnostics",)),
-        "deliver_tile": Kind("deliver", delivery.deliver_tile, ("outputs.tiles",)),
-        "mosaic": Kind("deliver", delivery.mosaic, ("ground.cell_m", "products.cell_m")),
+        "ground": Kind("ground", "spl_batch.runner.space_domain:ground", ("ground",)),
+        "surface": Kind(
+            "surfaces",
+            "spl_batch.runner.space_domain:surface",
+            ("ground.cell_m", "products", "aoi"),
+        ),
+        "deliver_file": Kind(
+            "deliver", "spl_batch.runner.delivery:deliver_file", ("outputs.diagnostics",)
+        ),
+        "deliver_tile": Kind(
+            "deliver", "spl_batch.runner.delivery:deliver_tile", ("outputs.tiles",)
+        ),
+        "mosaic": Kind(
+            "deliver", "spl_batch.runner.delivery:mosaic", ("ground.cell_m", "products.cell_m")
+        ),
     }
 )
 
@@ -231,7 +269,7 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     # them if this task is killed half-way.
     forget_receipt(context.store, task.kind, task.name)
     try:
-        produced = _kind(task, context).function(task.args, context)
+        produced = _kind(task, context).do(task.args, context)
         paths = {context.store.name_of(path): path for path in produced.outputs}
         outputs = {name: checksum(path) for name, path in paths.items()}
         receipt = Receipt(

@@ -4,22 +4,33 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from spl_batch.altimetry.runner import delivery, heights, intake, photons
 from spl_batch.runner import Kind
 
 _FOUND: Final = ("rate", "signal", "reference.baseline")
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
-        "index_file": Kind("index", intake.index_file, ()),
-        "take_in": Kind("index", intake.take_in, ("track.prf_hz", "rate.cell_m")),
-        "rate": Kind("rate", photons.find_rate, ("rate", "signal", "work")),
-        "score": Kind("signal", photons.score, _FOUND),
-        "select": Kind("signal", photons.select, ("rate", "signal", "profile")),
-        "profile": Kind("profile", heights.profile_beam, ("profile", "reference.baseline")),
-        "compare": Kind("profile", heights.compare, ("reference",)),
-        "deliver_beam": Kind("deliver", delivery.deliver_beam, ()),
-        "deliver_file": Kind("deliver", delivery.deliver_file, ("outputs.hdf5",)),
+        "index_file": Kind("index", "spl_batch.altimetry.runner.intake:index_file", ()),
+        "take_in": Kind(
+            "index", "spl_batch.altimetry.runner.intake:take_in", ("track.prf_hz", "rate.cell_m")
+        ),
+        "rate": Kind(
+            "rate", "spl_batch.altimetry.runner.photons:find_rate", ("rate", "signal", "work")
+        ),
+        "score": Kind("signal", "spl_batch.altimetry.runner.photons:score", _FOUND),
+        "select": Kind(
+            "signal", "spl_batch.altimetry.runner.photons:select", ("rate", "signal", "profile")
+        ),
+        "profile": Kind(
+            "profile",
+            "spl_batch.altimetry.runner.heights:profile_beam",
+            ("profile", "reference.baseline"),
+        ),
+        "compare": Kind("profile", "spl_batch.altimetry.runner.heights:compare", ("reference",)),
+        "deliver_beam": Kind("deliver", "spl_batch.altimetry.runner.delivery:deliver_beam", ()),
+        "deliver_file": Kind(
+            "deliver", "spl_batch.altimetry.runner.delivery:deliver_file", ("outputs.hdf5",)
+        ),
     }
 )
 """What is done, in the order in which it is done."""
