@@ -12,8 +12,11 @@ were refused; where a surface is seen they are not. Our own rule, asked twice:
   that is seen through few gaps of a canopy continues, and fills a wider one.
 
 Both count what was refused as well: in clean clouds and at night few returns make a surface.
+How much of pure noise is kept, the cloud itself says, as the filter may be any: there are always
+boxes that hold noise alone, and in them the least of what was delivered was kept.
 """
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -36,7 +39,13 @@ CELL_M: Final = 5.0
 """Edge of the cells in which returns are counted [m]."""
 
 KEPT_SHARE: Final = 0.002
-"""Twice the share of pure noise that the filter keeps by default."""
+"""Twice the share of pure noise that the filter keeps by default: the least that is allowed for."""
+
+NOISE_QUANTILE: Final = 0.1
+NOISE_RETURNS: Final = 100
+NOISE_SHARE: Final = 0.3
+"""Where fewer than a tenth of the wide boxes with so many returns hold noise alone, or the share
+kept in that tenth is larger than any test leaves of pure noise, nothing is known of the noise."""
 
 
 class Box(NamedTuple):
@@ -98,10 +107,13 @@ def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
     kept, gone = (np.zeros([int(along[-1]) + 1 for along in place], np.int64) for _ in kinds)
     number = np.empty(len(table), np.int32)
     count_in_cells(xyz, kind, kinds, corner, float(edge), place, kept, gone, number)
-    bare = _bare_boxes(kept, gone)
+    held = [_in_boxes(kept, gone, box) for box in BOXES]
+    occupied = kept + gone > 0
+    odds = _kept_of_noise(*(count[occupied] for count in held[-1]))
+    bare = _bare_boxes(held, odds)
     if spare_above:
         bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
-    bare |= _bare_columns(kept, gone)[:, :, None]
+    bare |= _bare_columns(kept, gone, odds)[:, :, None]
     in_marked_cells(number, bare.ravel(), out)
     return out
 
@@ -115,26 +127,45 @@ def _close_gaps(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
     return place
 
 
-def _bare_boxes(kept: Count, gone: Count) -> NDArray[np.bool_]:
+def _kept_of_noise(kept: Count, gone: Count) -> float:
+    """Twice the kept returns for each that was refused, where noise is alone [1/1].
+
+    Parameters
+    ----------
+    kept, gone : (n,) int64
+        Returns of the widest box around each cell that holds any [count].
+    """
+    held = kept + gone
+    told = held >= NOISE_RETURNS
+    share = float(np.quantile(kept[told] / held[told], NOISE_QUANTILE)) if told.any() else 1.0
+    return KEPT_SHARE if share > NOISE_SHARE else max(KEPT_SHARE, 2.0 * share / (1.0 - share))
+
+
+def _bare_boxes(held: Sequence[tuple[Count, Count]], odds: float) -> NDArray[np.bool_]:
     """Cells around which no box holds more than noise explains."""
-    bare = np.ones(kept.shape, np.bool_)
-    for box in BOXES:
-        near, refused = (_around(_around(c, 1, (2,)), box.reach, (0, 1)) for c in (kept, gone))
-        bare &= near < _explained(refused, box)
+    bare = np.ones(held[0][0].shape, np.bool_)
+    for box, (near, refused) in zip(BOXES, held, strict=True):
+        bare &= near < _explained(refused, box, odds)
     return bare
 
 
-def _bare_columns(kept: Count, gone: Count) -> NDArray[np.bool_]:
+def _bare_columns(kept: Count, gone: Count, odds: float) -> NDArray[np.bool_]:
     """Columns that, with those around them, hold no more than noise explains."""
     near, refused = (_around(count.sum(axis=2), COLUMN.reach, (0, 1)) for count in (kept, gone))
-    bare: NDArray[np.bool_] = near < _explained(refused, COLUMN)
+    bare: NDArray[np.bool_] = near < _explained(refused, COLUMN, odds)
     return bare
 
 
-def _explained(refused: Count, box: Box) -> NDArray[np.float64]:
+def _explained(refused: Count, box: Box, odds: float) -> NDArray[np.float64]:
     """Kept returns that noise may leave beside so many refused ones [count]."""
     limit: NDArray[np.float64] = np.minimum(box.cluster, box.share * refused)
-    return limit + KEPT_SHARE * refused
+    return limit + odds * refused
+
+
+def _in_boxes(kept: Count, gone: Count, box: Box) -> tuple[Count, Count]:
+    """Kept and refused returns of the box around each cell."""
+    near, refused = (_around(_around(c, 1, (2,)), box.reach, (0, 1)) for c in (kept, gone))
+    return near, refused
 
 
 def _around(count: Count, reach: int, axes: tuple[int, ...]) -> Count:
