@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from spl_batch import api
+from spl_batch.api.comparison import PUBLISHED_FILTER, PUBLISHED_NOISE
 from spl_batch.io.store import Store
 from spl_batch.plan.inputs import source_key
 from spl_batch.settings import FilterSettings
@@ -51,21 +52,14 @@ class Method:
 
 
 LEFT_IN = ("afterpulse.enabled=false",)
-"""Steps before the sources' filters: none of them takes afterpulses out first."""
-
-PUBLISHED_NOISE = ("noise.correction=published", *LEFT_IN)
-"""The same with the published gamma of [W18] Eq. 2, which belongs to VSAES. AES draws the number
-of noise returns from where there is no signal [W17 Eq. 4.1]; gamma's factor of two would make it
-throw half of the signal away."""
+"""Steps before the sources' filters: none of them takes afterpulses out first. VSAES alone has the
+published gamma of [W18] Eq. 2 as well. AES draws the number of noise returns from where there is no
+signal [W17 Eq. 4.1]; gamma's factor of two would make it throw half of the signal away."""
 
 
 def known_methods() -> dict[str, Method]:
     """Every filter of this installation by name; the sources' with the sources' steps before."""
-    rule = (
-        "filter.method=vsaes", "filter.test=published", "filter.neighbours=15",
-        "filter.radius_m=1.5",
-    )  # fmt: skip
-    found = {"published": Method("VSAES, as published", rule, PUBLISHED_NOISE)}
+    found = {"published": Method("VSAES, as published", PUBLISHED_FILTER, PUBLISHED_NOISE)}
     for name in _choices("method"):
         if name not in {"vsaes", "none"}:
             one = Method(name.upper(), (f"filter.method={name}",), LEFT_IN)

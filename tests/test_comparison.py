@@ -25,7 +25,7 @@ from spl_batch.tiling import Bounds
 from tests import surveys
 from tests.report_data import make_report
 
-METHODS = "vsaes:tail,dcc,cylinder"
+METHODS = "vsaes:tail,dcc,cylinder,published"
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +69,8 @@ def test_the_table_says_what_the_clouds_hold(compared: Path) -> None:
         assert 0 <= method["far_share"] < 0.2
     assert methods["dcc"]["kept_only"] > 0
     assert methods["dcc"]["removed_only"] > 0
+    # Its time domain is its own: no afterpulses are called in it.
+    assert methods["published"]["afterpulse"] == 0 < methods["cylinder"]["afterpulse"]
 
 
 @pytest.mark.slow
@@ -98,7 +100,7 @@ def test_what_methods_share_is_done_once(compared: Path) -> None:
         assert not tile.samefile(dcc)
     seen: list[Any] = []
     again = api.compare(
-        compared.parent / "workflow.yaml", ["dcc", "none"], workers=0,
+        compared.parent / "workflow.yaml", ["dcc", "published", "none"], workers=0,
         listener=seen.append,
     )  # fmt: skip
     assert again.exit_status == 0
@@ -111,12 +113,16 @@ def test_what_methods_share_is_done_once(compared: Path) -> None:
 
 
 def test_methods_are_parsed() -> None:
-    found = parse_methods("vsaes:published, voxel ,vsaes,voxel")
-    assert found == [Variant("vsaes", "published"), Variant("voxel"), Variant("vsaes")]
-    assert [v.folder for v in found] == ["vsaes-published", "voxel", "vsaes"]
+    found = parse_methods("vsaes:tail, voxel ,vsaes,voxel,published")
+    assert found == [
+        Variant("vsaes", "tail"), Variant("voxel"), Variant("vsaes"), Variant("published"),
+    ]  # fmt: skip
+    assert [v.folder for v in found] == ["vsaes-tail", "voxel", "vsaes", "published"]
 
 
-@pytest.mark.parametrize("methods", ["voxels,aes", "voxel:tail,aes", "vsaes:best,aes", "aes,,aes"])
+@pytest.mark.parametrize(
+    "methods", ["voxels,aes", "voxel:tail,aes", "published:tail,aes", "vsaes:best,aes", "aes,,aes"]
+)
 def test_a_wrong_list_names_what_there_is(methods: str, small_lines: Path) -> None:
     with pytest.raises(WorkflowError, match=r"vsaes, aes, dcc, voxel, multilevel, cylinder, none"):
         parse_methods(methods)

@@ -44,6 +44,17 @@ TESTS: Final = tuple(get_args(FilterSettings.model_fields["test"].annotation))
 OWN: Final = "vsaes"
 """The method that has several tests."""
 
+PUBLISHED: Final = "published"
+"""The whole chain of [W18], as a method: test, ellipsoid, noise, and no afterpulses before it."""
+
+PUBLISHED_FILTER: Final = (
+    f"filter.method={OWN}", "filter.test=published", "filter.neighbours=15", "filter.radius_m=1.5",
+)  # fmt: skip
+"""Its filter."""
+
+PUBLISHED_NOISE: Final = ("noise.correction=published", "afterpulse.enabled=false")
+"""What the filter looks at; the other methods have the workflow's own."""
+
 
 @dataclass(frozen=True, slots=True)
 class Variant:
@@ -52,7 +63,7 @@ class Variant:
     Parameters
     ----------
     method : str
-        A value of ``filter.method``.
+        A value of ``filter.method``, or :data:`PUBLISHED`.
     test : str
         A value of ``filter.test``; empty for the workflow's own.
     """
@@ -76,9 +87,12 @@ class Variant:
 
     def overrides(self, output: Path, url: str | None) -> list[str]:
         """Keys of the workflow that make a run one of this variant."""
-        keys = [f"output={json.dumps(str(output))}", f"filter.method={self.method}"]
+        keys = [f"output={json.dumps(str(output))}"]
         if url:
             keys.append(f"outputs.store={json.dumps(self.store(output, url).url)}")
+        if self.method == PUBLISHED:
+            return [*keys, *PUBLISHED_FILTER, *PUBLISHED_NOISE]
+        keys.append(f"filter.method={self.method}")
         return [*keys, f"filter.test={self.test}"] if self.test else keys
 
 
@@ -117,7 +131,7 @@ def compare(
     workflow : Path or str
         Workflow file.
     methods : str or sequence of str
-        At least two, separated by commas, e.g. ``"vsaes:published,vsaes:tail,voxel"``; the
+        At least two, separated by commas, e.g. ``"vsaes:tail,voxel,published"``; the
         first is the one that the others are compared with.
     workers : int
         Worker processes; 0 works in this process.
@@ -180,7 +194,7 @@ def parse_methods(methods: str | Sequence[str]) -> list[Variant]:
 
 def _variant(name: str) -> Variant:
     method, colon, test = name.partition(":")
-    if method not in (*METHODS, "none"):
+    if method not in (*METHODS, "none", PUBLISHED):
         raise WorkflowError(f"--methods: no method {method!r}; there are {_known()}")
     if colon and (method != OWN or test not in TESTS):
         raise WorkflowError(f"--methods: no method {name!r}; there are {_known()}")
@@ -189,15 +203,18 @@ def _variant(name: str) -> Variant:
 
 def _known() -> str:
     tested = ", ".join(f"{OWN}:{test}" for test in TESTS)
-    return f"{', '.join(METHODS)}, none; and {tested}"
+    return f"{', '.join(METHODS)}, none; {tested}; and {PUBLISHED}"
 
 
 def _share(source: Store, target: Store, settings: Workflow, variant: Variant) -> None:
     """Link what the workflow's own run has finished and the variant can use."""
-    kinds = [name for name, kind in KINDS.items() if kind.stage in {"index", "shots"}]
-    # The points of a tile carry the verdict of single shots, which one method alone asks for.
-    if (settings.filter.method == "dcc") == (variant.method == "dcc"):
-        kinds += [name for name, kind in KINDS.items() if kind.stage == "shuffle"]
+    stages = {"index"}
+    if variant.method != PUBLISHED:
+        stages.add("shots")
+        # The points of a tile carry the verdict of single shots, which one method alone asks for.
+        if (settings.filter.method == "dcc") == (variant.method == "dcc"):
+            stages.add("shuffle")
+    kinds = [name for name, kind in KINDS.items() if kind.stage in stages]
     share_finished(source, target, kinds)
 
 

@@ -154,7 +154,7 @@ def run(
     "--methods",
     required=True,
     metavar="A,B[,...]",
-    help="Filters to compare, e.g. vsaes:published,vsaes:tail,voxel; the first is the yardstick.",
+    help="Filters to compare, e.g. vsaes,aes,published; the first is the yardstick.",
 )
 @_limits
 @_SETTINGS
