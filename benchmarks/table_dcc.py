@@ -63,7 +63,8 @@ def dcc_table(folder: Path, seeds: Sequence[int]) -> dict[tuple[float, str], dic
     )
     print("bin of a shot, median; returns per metre of the line and flightline]; detected by a")
     print("fixed number. [W17] Tables 6-1 and 6-2: " + ", ".join(
-        f"{kind} {d} detected, {f} false" for kind, (d, f) in said.items()))  # fmt: skip
+        f"{kind} {c.detection:.1f} detected, {c.false_alarm:.1f} false"
+        for kind, c in said.items()))  # fmt: skip
     names = ("per m", "wire", "K", "detected", "false al.", "by eye")
     print(f"{'':20s}" + "".join(f"{n:>10s}" for n in (*names, *(f"K = {k}" for k in FIXED))))
     out = {}

@@ -23,6 +23,7 @@ from shapely.affinity import scale
 from benchmarks import methods
 from benchmarks.methods import AFTERPULSE, BACKGROUND, ROOF, Columns, Method
 from benchmarks.twins import canopy, houston
+from spl_batch.api.comparison import PUBLISHED_NOISE
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, QUANTUM_M
 from spl_batch.io.las import iter_points
 
@@ -114,7 +115,7 @@ def roof_table(folder: Path, seeds: Sequence[int]) -> dict[str, float]:
     published = ("filter.method=vsaes", "filter.test=published")
     ours = methods.known_methods().get("ours", Method("", tail)).settings
     variants = {
-        "VSAES alone": Method("VSAES alone", published, methods.PUBLISHED_NOISE),
+        "VSAES alone": Method("VSAES alone", published, PUBLISHED_NOISE),
         "published plane, VSAES": Method(
             "", published, ("noise.correction=published", "survey.channel_dimension=null")
         ),
