@@ -8,6 +8,8 @@ Beside the source's two figures stand those that explain where ours differ:
 - "by eye": false alarms farther than half a metre from every wire that are no afterpulses. A human
   who sorts returns by eye puts what lies on a wire to the wire.
 - "noise kept": share of all the survey's background that the filter keeps.
+- "> 1.5 m": share of the region's noise farther from every wire that is kept. A sphere of AES ends
+  there, an ellipsoid does not.
 - "bright": the twin with wires of four times the diameter. As the link budget has it, the twins'
   regions hold more noise than wire (last columns), part of it afterpulses of the wires; the last
   lines say what the source's held.
@@ -55,6 +57,9 @@ BRIGHT = ("published", "aes_alone", "dcc", "ours")
 CLOSE_M = 0.5
 """Noise nearer to a wire than this is classed with it by eye [m]."""
 
+SPHERE_M = 1.5
+"""Radius of the sources' spheres [m]."""
+
 TITLES = {
     ("easton", "transmission"): "Table 1, Easton, transmission line",
     ("easton", "distribution"): "Table 2, Easton, distribution line",
@@ -67,6 +72,7 @@ class Result:
     """What one filter keeps of one line's region, and of the survey's background [count]."""
 
     region: Counts
+    far: Counts
     plain_noise_kept: int
     background: int
     background_kept: int
@@ -74,6 +80,7 @@ class Result:
     def __add__(self, other: "Result") -> "Result":
         return Result(
             self.region + other.region,
+            self.far + other.far,
             self.plain_noise_kept + other.plain_noise_kept,
             self.background + other.background,
             self.background_kept + other.background_kept,
@@ -114,6 +121,7 @@ def _measure(
             for kind, within, distance in lines:
                 result = Result(
                     corridors.count(points, kept, within),
+                    corridors.count(points, kept, within & (distance > SPHERE_M)),
                     int((kept & within & noise & (distance > CLOSE_M)).sum()),
                     int(noise.sum()),
                     int((kept & noise).sum()),
@@ -129,7 +137,10 @@ def _print(
     found: Mapping[tuple[str, str, str], Result],
     known: Mapping[str, Method],
 ) -> None:
-    columns = ("detected", "[W18]", "false al.", "[W18]", "by eye", "noise kept", "wire", "noise")
+    columns = (
+        "detected", "[W18]", "false al.", "[W18]", "by eye", "> 1.5 m", "noise kept", "wire",
+        "noise",
+    )  # fmt: skip
     print(f"\n{TITLES[twin, kind]} [%; wire and noise returns of the region]")
     print(f"{'':28s}" + "".join(f"{c:>11s}" for c in columns))
     source = PUBLISHED[twin, kind]
@@ -149,7 +160,7 @@ def _print_row(label: str, r: Result, source: Counts | None) -> None:
     detection, false_alarm = (source.detection, source.false_alarm) if source else (np.nan, np.nan)
     figures = (
         r.region.detection, detection, r.region.false_alarm, false_alarm,
-        100.0 * r.plain_noise_kept / max(kept, 1),
+        100.0 * r.plain_noise_kept / max(kept, 1), 100.0 * r.far.noise_kept / max(r.far.noise, 1),
         100.0 * r.background_kept / max(r.background, 1),
     )  # fmt: skip
     print(
