@@ -4,12 +4,12 @@ Takes ``[FOLDER] [--scenes hill dense town] [--seeds 11 12]``.
 
 Simulates three surveys (a wooded hill of 90 m relief under 60 % canopy, dense forest of
 80 %, a town with a hall and a lake) for each of two seeds into FOLDER, a temporary one by
-default, runs the chain with ground cells as configured, with one cell for the whole scene, and
-with a short reach of the terrain, so that halls, lakes and crowns leave voids. Prints what the
-terrain models are off, pits and spikes of the surface model, what the cuts between ground cells
-do, and whether voids keep the rule. Beside the figures
-stand the bars: USGS QL0 asks 5 cm RMSE on open ground; [W17] 7.4 reports 0.23 m mean |difference|
-to linear-mode lidar. Finished runs in FOLDER are used again.
+default, and runs the chain with ground cells as configured, with one cell for the whole scene,
+and with a short reach of the terrain, so that halls, lakes and crowns leave voids. Prints what
+the terrain models are off, pits and spikes of the surface model, what the cuts between ground
+cells do, and whether voids keep the rule. Beside the figures stand the bars: USGS QL0 asks 5 cm
+RMSE on open ground; [W17] 7.4 reports 0.23 m mean |difference| to linear-mode lidar. Finished
+runs in FOLDER are used again.
 """
 
 import argparse

@@ -130,9 +130,10 @@ def test_far_outliers_take_no_memory() -> None:
     np.testing.assert_array_equal(stray(table(points))[:-2], stray(table(without)))
 
 
-@pytest.mark.parametrize("share", [0.05, 0.25])
+@pytest.mark.parametrize("share", [0.05, 0.25, 0.4])
 def test_noise_of_a_loose_filter_makes_no_ground_off_the_edge(share: float) -> None:
-    # The survey ends at x = 45; published tests keep up to a quarter of pure noise.
+    # The survey ends at x = 45. Published tests keep up to a quarter of pure noise, and two fifths
+    # of noise that has afterpulses.
     rng = np.random.default_rng(10)
     ground = plate(rng, (0, 0, 40), (45, 80, 40), 8.0)
     canopy = plate(rng, (10, 20, 60), (25, 60, 60), 1.0)
@@ -174,7 +175,7 @@ def slow_twin(points: PointTable) -> NDArray[np.bool_]:
     told = in_wide.sum(0) >= 100
     if told.any():
         share = np.quantile((in_wide[0] / in_wide.sum(0))[told], 0.1)
-        odds = max(odds, 2 * share / (1 - share)) if share <= 0.3 else odds
+        odds = max(odds, 2 * share / (1 - share)) if share <= 0.5 else odds
 
     def bare(near: NDArray[np.bool_], box: Box) -> NDArray[np.bool_]:
         kept, gone = near[:, signal].sum(1), near[:, refused].sum(1)

@@ -50,10 +50,12 @@ _GAP_SPACINGS = 10.0
 [count]."""
 
 _SUPPORT = 2
+_STRONG_SUPPORT = 8
 _SUPPORT_STEP_M = 0.25
 _SUPPORT_SLOPE = 0.35
 """A node is believed below the surface, and as a seed, with two nodes within two cells
-that continue it; on a slope of any steepness those along the contour do."""
+that continue it; on a slope of any steepness those along the contour do. A doubtful one needs
+more: ground under crowns has them where every cell has a return or two of it, noise has not."""
 
 Float = NDArray[np.float64]
 
@@ -140,7 +142,8 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     """
     nodes, cells, cell_m = _candidates(own, settings)
     sunk = _sunk(nodes, cells, cell_m)
-    trusted = _supported(nodes, cells, cell_m) & ~nodes.doubtful & ~sunk
+    support = _support(nodes, cells, cell_m)
+    trusted = (support >= np.where(nodes.doubtful, _STRONG_SUPPORT, _SUPPORT)) & ~sunk
     eligible = trusted & ~_on_objects(nodes, trusted, cells, cell_m, settings)
     seed = _seeds(nodes.xyz, _first_true((eligible, trusted)), settings.seed_cell_m)
     others = np.flatnonzero(~seed & ~sunk)
@@ -261,7 +264,8 @@ def _sunk(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
     return sunk | nodes.buried
 
 
-def _supported(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
+def _support(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.int64]:
+    """Nodes near each node that continue it [count]."""
     support = np.empty(len(nodes.cell), dtype=np.int64)
     count_support(
         nodes.xyz,
@@ -274,7 +278,7 @@ def _supported(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
         _SUPPORT_SLOPE,
         support,
     )
-    return support >= _SUPPORT
+    return support
 
 
 def _on_objects(

@@ -43,9 +43,9 @@ KEPT_SHARE: Final = 0.002
 
 NOISE_QUANTILE: Final = 0.1
 NOISE_RETURNS: Final = 100
-NOISE_SHARE: Final = 0.3
-"""Where fewer than a tenth of the wide boxes with so many returns hold noise alone, or the share
-kept in that tenth is larger than any test leaves of pure noise, nothing is known of the noise."""
+NOISE_SHARE: Final = 0.5
+"""Of the wide boxes with so many returns, the tenth where least was kept tells the share that is
+kept of noise. Where that is more than half, few boxes hold noise alone, and nothing is known."""
 
 
 class Box(NamedTuple):
