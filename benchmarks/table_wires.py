@@ -51,7 +51,7 @@ it does not say, and stands as none."""
 BRIGHTER = {"easton": "bright", "lufkin": "lufkin bright"}
 """Twin of bright wires by twin."""
 
-BRIGHT = ("published", "aes_alone", "dcc", "ours")
+BRIGHT = ("published", "published_alone", "aes_alone", "dcc", "ours")
 """Methods that are run on the twins of bright wires."""
 
 CLOSE_M = 0.5
