@@ -21,23 +21,112 @@ def pack(squares: np.ndarray) -> np.ndarray:
     return out
 
 
-def listened(until_m: float, *, holes: np.ndarray | None = None) -> np.ndarray:
-    """Density at every square of a line that listens up to x = until_m, evenly."""
+def spheres(until_m: float) -> np.ndarray:
+    """Part of the sphere of each voxel along x that lies below x = until_m."""
     centres = (np.arange(SIZE[0]) + 0.5) * 10.0
     fine = np.linspace(-6.2035, 6.2035, 4001)
     disc = 6.2035**2 - fine**2
-    share = np.array([disc[c + fine < until_m].sum() / disc.sum() for c in centres])
-    amount = np.broadcast_to(share[:, None, None], SIZE) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
+    return np.array([disc[c + fine < until_m].sum() / disc.sum() for c in centres])
+
+
+def made(share: np.ndarray, squares: np.ndarray) -> local_noise.Listened:
+    """A line with that share of the noise in each sphere, by x and z, and beamlets over squares."""
+    share = share.reshape(SIZE[0], 1, -1)
+    amount = np.broadcast_to(share, SIZE) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
+    heard = local_noise.listened(np.rint(amount).astype(np.int64), pack(squares), 10.0)
+    assert heard is not None
+    return heard
+
+
+def listened(until_m: float, *, holes: np.ndarray | None = None) -> np.ndarray:
+    """Density at every square of a line of few beamlets that listens up to x = until_m, evenly."""
     squares = np.zeros((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), dtype=bool)
     squares[: int(np.ceil(until_m / 2.5))] = True
     if holes is not None:
         squares &= ~holes
-    x, y = np.indices(squares.shape[:2]).reshape(2, -1)
+    found = at_centres(made(spheres(until_m), squares))
+    return found[:, 8:-8]
+
+
+def at_centres(heard: local_noise.Listened) -> np.ndarray:
+    """Density in the middle of every square of one layer."""
+    shape = heard.covered.shape[:2]
+    x, y = np.indices(shape).reshape(2, -1)
     voxel = (x // 4, y // 4, np.full(len(x), MIDDLE))
-    heard = local_noise.listened(np.rint(amount).astype(np.int64), pack(squares), 10.0)
-    assert heard is not None
-    found = heard.at(voxel, (x, y))
-    return found.reshape(squares.shape[:2])[:, 8:-8]
+    return local_noise.around([heard], voxel, (x, y), (np.zeros(len(x)),) * 3).reshape(shape)
+
+
+def along_x(heard: local_noise.Listened, x_m: np.ndarray, z_m: float = 25.0) -> np.ndarray:
+    """Density at places along a line."""
+    n = len(x_m)
+    square, layer = np.floor(x_m / 2.5).astype(int), int(z_m // 10)
+    voxel = (square // 4, np.full(n, 4), np.full(n, layer))
+    beside = (x_m / 2.5 % 1 - 0.5, np.full(n, 0.3), np.full(n, z_m / 10 % 1 - 0.5))
+    density, part = heard.at(voxel, (square, np.full(n, 17)), beside)
+    return density * part
+
+
+def lean(until_m: float, rise_m: float = 0.0, beamlets: float = 200.0) -> np.ndarray:
+    """Beamlets over squares up to x = until_m in the middle layer, and so much farther each up."""
+    edge = until_m + rise_m * (np.arange(SIZE[2]) - MIDDLE)
+    left = 2.5 * np.arange(SIZE[0] * 4)
+    part = np.clip((edge - left[:, None]) / 2.5, 0, 1)
+    return np.rint(np.repeat(part[:, None] * beamlets, SIZE[1] * 4, axis=1)).astype(np.uint32)
+
+
+@pytest.mark.parametrize("until_m", np.arange(40.3, 50.0, 0.9).tolist())
+def test_across_a_clear_edge_the_density_rises_over_two_squares(until_m: float) -> None:
+    heard = made(spheres(until_m), lean(until_m))
+    inside = np.array([-12.0, -6.0, -4.0, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 4.0, 8.0])
+    found = along_x(heard, until_m - inside) / PER_M3
+    assert (np.diff(found) > -0.03).all()
+    np.testing.assert_array_equal(found[inside < -5.1], 0)
+    np.testing.assert_allclose(found[inside > 5.1], 1, atol=0.04)
+    # what is read off the squares lies within a third of one
+    ideal = np.interp(inside, [-3.2, -2, -1, 0, 1, 2, 3.2], [0, 0.03, 0.2, 0.5, 0.8, 0.97, 1])
+    np.testing.assert_allclose(found, ideal, atol=0.17)
+
+
+def test_beside_an_edge_flightlines_add_up_in_part() -> None:
+    """But no less is expected than where all noise ends at the edge."""
+    n = 200
+    x = np.linspace(42, 52, n)
+    square = np.floor(x / 2.5).astype(int)
+    place = (square // 4, np.full(n, 4), np.full(n, MIDDLE)), (square, np.full(n, 17))
+    beside = (x / 2.5 % 1 - 0.5, np.zeros(n), np.zeros(n))
+    cut = made(spheres(47.0), lean(47.0))
+    least = local_noise.BESIDE_NOTHING
+    for other in (0.0, 0.3, 1.0):
+        whole = made(np.full(SIZE[0], other), lean(1e3))
+        found = local_noise.around([cut, whole], *place, beside)
+        density, part = cut.at(*place, beside)
+        inside = part >= 0.5
+        total = other * PER_M3 + density * part
+        np.testing.assert_allclose(
+            found[inside], np.maximum(total, least * (other * PER_M3 + density))[inside]
+        )
+        if other > 0:
+            np.testing.assert_allclose(found[~inside], total[~inside])
+    alone = local_noise.around([cut], *place, beside)
+    np.testing.assert_allclose(alone, np.where(part > 0, np.maximum(part, least) * density, 0))
+
+
+def test_between_layers_a_leaning_edge_goes_on() -> None:
+    layers = [spheres(45.0 + 3.0 * (k - MIDDLE)) for k in range(SIZE[2])]
+    heard = made(np.array(layers).T, lean(45.0, rise_m=3.0))
+    x = np.linspace(30, 60, 400)
+    middle = [
+        np.trapezoid(along_x(heard, x, z), x) / PER_M3 for z in (21.0, 23.0, 25.0, 27.0, 29.0)
+    ]
+    np.testing.assert_allclose(middle, 15.0 + 0.3 * np.array([-4, -2, 0, 2, 4]), atol=0.35)
+
+
+def test_up_to_the_end_of_a_gate_nothing_is_taken_off() -> None:
+    squares = np.full((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), 200, dtype=np.uint32)
+    squares[:, :, MIDDLE + 1 :] = 0
+    heard = made(np.ones(SIZE[0]), squares)
+    for z in (25.0, 29.9):
+        np.testing.assert_allclose(along_x(heard, np.linspace(20, 70, 50), z), PER_M3, rtol=1e-6)
 
 
 def test_counts_and_squares() -> None:
@@ -115,13 +204,10 @@ def ridge(per_square: float, height: float) -> tuple[np.ndarray, np.ndarray]:
     blocks = rate.reshape(SIZE[0], 4, SIZE[1], 4)
     amount = np.einsum("xiyj,ij->xy", blocks, sphere) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
     beamlets = rng.poisson(rate[:, :, None] * per_square, (*rate.shape, SIZE[2])) + 1
-    x, y = np.indices(rate.shape).reshape(2, -1)
-    voxel = (x // 4, y // 4, np.full(len(x), MIDDLE))
     amounts = np.repeat(np.rint(amount).astype(np.int64)[:, :, None], SIZE[2], axis=2)
     heard = local_noise.listened(amounts, pack(beamlets), 10.0)
     assert heard is not None
-    found = heard.at(voxel, (x, y))
-    return found.reshape(rate.shape)[8:-8, 8:-8], true[12:-12, 12:-12]
+    return at_centres(heard)[8:-8, 8:-8], true[12:-12, 12:-12]
 
 
 def test_a_ridge_of_beamlets_is_a_ridge_of_noise() -> None:

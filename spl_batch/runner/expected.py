@@ -10,7 +10,7 @@ from spl_batch.io.store import Store
 from spl_batch.io.voxels import add_voxels
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages import voxel_noise
-from spl_batch.stages.local_noise import MARGIN_VOXELS, SQUARES, Listened, listened
+from spl_batch.stages.local_noise import MARGIN_VOXELS, SQUARES, Listened, around, listened
 from spl_batch.tiling import cell_index, quanta
 
 AT_ONCE: Final = 1 << 18
@@ -44,6 +44,13 @@ class _Box(NamedTuple):
         return tuple(
             cell_index(axis.astype(np.int64, copy=False), self.edge) - first
             for axis, first in zip(xyz, self.corner, strict=True)
+        )
+
+    def offsets(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.float64], ...]:
+        """From the centres of their squares, in squares, and voxels, in voxels [-0.5..0.5]."""
+        return tuple(
+            axis.astype(np.int64, copy=False) * parts % self.edge / self.edge - 0.5
+            for axis, parts in zip(xyz, (SQUARES, SQUARES, 1), strict=True)
         )
 
     def squares(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.int64], ...]:
@@ -86,7 +93,7 @@ def expected_noise(
     published = settings.correction == "published"
     names = ("amount", "shots", "beamlets") if published else ("amount",)
     totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
-    local = np.zeros(n)
+    heard: list[Listened] = []
     for line in _by_line(parts):
         sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
         if not published:
@@ -96,9 +103,8 @@ def expected_noise(
         for name in names:
             totals[name] += sums[name]
         if not published:
-            heard = listened(sums["amount"], sums["squares"], settings.voxel_m)
-            if heard is not None:
-                _add(local, heard, box, xyz)
+            found = listened(sums["amount"], sums["squares"], settings.voxel_m)
+            heard += [] if found is None else [found]
     density = voxel_noise.density(
         totals["amount"],
         settings,
@@ -107,10 +113,12 @@ def expected_noise(
         beamlets_per_shot=beamlets,
     )
     # published, or beside all that any beamlet crosses
-    within, mean = voxel_noise.within_gate(density), []
+    within, mean, local = voxel_noise.within_gate(density), [], np.empty(n)
     for some in _batches(n):
-        voxel = box.voxels([axis[some] for axis in xyz])
-        local[some] = np.where(local[some] > 0.0, local[some], within[voxel])
+        place = [axis[some] for axis in xyz]
+        voxel = box.voxels(place)
+        near = around(heard, voxel, box.squares(place), box.offsets(place))
+        local[some] = np.where(near > 0.0, near, within[voxel])
         mean.append(density[voxel][told[some]])
     return Expected(np.concatenate(mean), local)
 
@@ -121,18 +129,6 @@ def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int) -> _Box:
     corner = tuple(i - MARGIN_VOXELS for i in low)
     shape = tuple(i - c + 1 + MARGIN_VOXELS for i, c in zip(high, corner, strict=True))
     return _Box((corner[0], corner[1], corner[2]), (shape[0], shape[1], shape[2]), edge)
-
-
-def _add(
-    local: NDArray[np.float64],
-    heard: Listened,
-    box: _Box,
-    xyz: Sequence[NDArray[np.integer[Any]]],
-) -> None:
-    """Add the noise of one flightline at points."""
-    for some in _batches(len(local)):
-        part = [axis[some] for axis in xyz]
-        local[some] += heard.at(box.voxels(part), box.squares(part))
 
 
 def _batches(n: int) -> Iterator[slice]:
