@@ -48,11 +48,10 @@ from spl_batch.io.atomic import write_bytes
 from spl_batch.io.trajectory import read_trajectory
 from spl_batch.report import style
 from spl_batch.sensor import load_preset
-from spl_batch.settings import AfterpulseSettings, FilterSettings
+from spl_batch.settings import AfterpulseSettings, FilterSettings, WireSettings
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import Scene, parse_scene
 from spl_batch.stages import afterpulse, echoes, geometry
-from spl_batch.stages.ellipsoid_test import reach_m
 
 LARGEST: Final = 150_000
 """Most bytes of a figure."""
@@ -60,11 +59,19 @@ LARGEST: Final = 150_000
 PUBLISHED, TAIL, OURS, TRUTH = style.NOISE, "#d9a441", style.SIGNAL, style.MUTED
 """Colour of each method, the same in all figures; the last is the best possible or the nominal."""
 
-POINTS: Final = 60_000
-"""Noise points per density of the first figure [count]."""
+POINTS: Final = 100_000
+DRAWS: Final = 8
+"""Noise points of a draw, and draws per density, of the first figure [count]."""
 
-NULL_DENSITIES: Final = (0.02, 0.05, 0.13, 0.3, 1.0)
+NULL_DENSITIES: Final = null_calibration.DENSITIES
 """[1/m3]"""
+
+NEAR_SEEDS: Final = (1, 2, 3)
+NEAR_M: Final = (90.0, 70.0)
+FEWEST: Final = 30
+LEAST: Final = 0.01
+"""Scenes near surfaces, their extent [m]; bins with fewer returns are left out [count], and shares
+are drawn from here on [%]."""
 
 REMOVED: Final = 0.8
 """Share of afterpulses for which the bound is printed."""
@@ -91,23 +98,20 @@ PATCHES_M: Final = 80.0
 
 def null_share(_: Path) -> Figure:
     """Share of pure noise that each test keeps, by the density of the noise."""
+    published = FilterSettings(test="published", neighbours=15, wires=WireSettings(enabled=False))
     runs: dict[str, tuple[FilterSettings, str, str]] = {
-        'published, "95 %"': (FilterSettings(test="published", neighbours=15), PUBLISHED, "s"),
+        'published, "95 %"': (published, PUBLISHED, "s"),
         "tail, alpha 0.001": (FilterSettings(test="tail"), TAIL, "^"),
     }
     alphas = null_calibration.ALPHAS
     for alpha in alphas:
         runs[f"calibrated, alpha {alpha:g}"] = (FilterSettings(alpha=alpha), OURS, "o")
     shares: dict[str, list[float]] = {name: [] for name in runs}
-    margin = reach_m(FilterSettings())
     for density in NULL_DENSITIES:
-        side = max((POINTS / density) ** (1 / 3), 30.0)
-        rng = np.random.default_rng([SEED, round(1000 * density)])
-        box = null_calibration.draw(rng, density, np.full(3, -margin), np.full(3, side + margin))
-        asked = np.all((box >= 0) & (box < side), axis=1)
-        rho = np.full(len(box), density)
+        clouds = [null_calibration.interior(k, density, POINTS).cloud for k in range(DRAWS)]
         for name, (settings, _colour, _mark) in runs.items():
-            shares[name].append(float(null_calibration.decide(box, rho, asked, settings).mean()))
+            kept = [null_calibration.keeps(cloud, settings).whole.mean() for cloud in clouds]
+            shares[name].append(float(np.mean(kept)))
     drawn = style.figure(7.2, 3.7)
     axes = drawn.subplots()
     axes.hlines(100 * np.array(alphas), 0.017, NULL_DENSITIES[-1], colors=TRUTH, linewidth=0.8,
@@ -180,33 +184,30 @@ def weak_wire(folder: Path) -> Figure:
 
 
 def near_noise(folder: Path) -> Figure:
-    """Noise kept by its distance from the nearest surface; true returns lost by kind."""
-    _, points, kept = weak_scene(folder)
-    noise = {name.removesuffix(" all").strip(): mask
-             for name, mask in near_surface.noise_strata(points).items()
-             if name.endswith(" all")}  # fmt: skip
-    signal = {name.replace(" within 0.5 m of an", "\n").replace("thin veg", "thin\nveg"): mask
-              for name, mask in near_surface.signal_strata(points).items()
-              if mask.sum() > 50}  # fmt: skip
-    drawn = style.figure(10.5, 3.6)
-    panels = drawn.subplots(1, 2, width_ratios=(1, 1.35))
+    """Noise kept, and true returns lost, by distance from surfaces and edges."""
+    found = near_surface.measure(folder, NEAR_SEEDS, NEAR_M)
     names = {"published": PUBLISHED, "calibrated": TAIL, "ours": OURS}
-    labels = ("published", "calibrated", "calibrated and scan")
-    for axes, strata, title, part in (
-        (panels[0], noise, "Background kept, by distance from a true return", kept),
-        (panels[1], signal, "True returns lost, by kind", {n: ~k for n, k in kept.items()}),
-    ):
-        for k, (name, colour) in enumerate(names.items()):
-            shares = [100 * float(part[name][mask].mean()) for mask in strata.values()]
-            tell("near_noise", name, list(strata), shares)
-            axes.bar(np.arange(len(strata)) + 0.27 * (k - 1), np.maximum(shares, 0.011), 0.25,
-                     bottom=0.0, color=colour, label=labels[k])  # fmt: skip
-        axes.set(yscale="log", ylim=(0.01, 100), title=title)
-        axes.set_xticks(range(len(strata)), list(strata))
+    labels = ("published", "calibrated test", "with the scan")
+    drawn = style.figure(13.2, 5.8)
+    panels = drawn.subplots(2, 4, sharey=True)
+    for axes, (name, bins) in zip(panels.flat, found.items(), strict=False):
+        rows = [row for row in bins if row.number >= FEWEST]
+        for k, (method, colour) in enumerate(names.items()):
+            values = [near_surface.shares(name, row)[k] for row in rows]
+            tell("near_noise", f"{name}, {method}", [row.label for row in rows], values)
+            axes.plot(range(len(rows)), np.maximum(values, LEAST), color=colour, marker="so^"[k],
+                      markersize=4.5, linewidth=1.2, label=labels[k])  # fmt: skip
+        axes.set_xticks(range(len(rows)), [row.label.removesuffix(" m") for row in rows],
+                        rotation=45, ha="right", rotation_mode="anchor")  # fmt: skip
+        what = "kept" if name.startswith("noise") else "lost"
+        axes.set(yscale="log", ylim=(LEAST, 130))
+        axes.set_title(f"{what.capitalize()}: {name}", fontsize=9)
         plain(axes)
-        axes.set_ylabel("share [%]")
         bare(axes)
-    panels[0].legend(loc="upper right")
+    for row in panels:
+        row[0].set_ylabel("share [%]")
+    drawn.supxlabel("distance [m]", fontsize=8.5)
+    panels[0, 0].legend(loc="lower left")
     return drawn
 
 

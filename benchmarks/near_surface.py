@@ -1,20 +1,25 @@
-"""Noise near surfaces, and the edges of things: what each filter keeps, against point truth.
+"""Near surfaces and at the edges of things: what each filter keeps and loses, against point truth.
 
-``python -m benchmarks.near_surface [--folder FOLDER] [--seeds 1 2] [--extent 90 70]`` simulates
+``python -m benchmarks.near_surface [--folder FOLDER] [--seeds 1 2 3] [--extent 90 70]`` simulates
 scenes with roofs, trees, poles and wires (into FOLDER, where what is there is used again), runs
-the published test, the corrected tail and the calibrated one, and prints two tables in percent:
+the published method, the calibrated test and the whole filter, and prints percentages:
 
-- background returns kept, by the distance to the nearest true return of anything else, and by
-  what that is;
-- true returns lost, by kind, at roof edges (a lower return within 0.5 m in plan) and where
-  vegetation is thin (fewer than eight returns of vegetation within 1 m).
+- background returns kept, by distance to the nearest true return of anything else: of all, and of
+  those whose nearest is at a roof's edge, of a pole or tower, of thin vegetation;
+- true returns lost: at roofs by distance in plan from the edge (the nearest ground return), of
+  poles and vegetation by distance to the nearest surface, a return of ground or roof;
+- true returns lost by kind.
+
+Thin vegetation has fewer than eight returns of vegetation within 1 m. Walls are no poles: those
+have no roof within 3 m in plan.
 """
 
 import argparse
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,104 +41,169 @@ from benchmarks.methods import (
     make_survey,
 )
 from benchmarks.twins import ordinary_wires
+from spl_batch.simulate.scene import Scene, parse_scene
 
-DISTANCES_M = (0.0, 0.3, 1.0, 3.0, 10.0, np.inf)
-EDGE_M = 0.5
-DROP_M = 1.5
-"""A return this much lower beside a roof's is not of the roof [m]."""
+FILTERS = ("published", "calibrated", "ours")
+"""By name in :func:`benchmarks.methods.known_methods`."""
 
+NOISE_M = (0.0, 0.15, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
+EDGE_M = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, np.inf)
+POLE_M = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 20.0, np.inf)
+TREE_M = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 12.0, np.inf)
+"""Bins of distances."""
+
+AT_EDGE_M = 0.5
+"""A return of a roof so near to its edge is at it [m]."""
+WALL_M = 3.0
 THIN_M, THIN = 1.0, 8
 
-NAMES = {GROUND: "ground", ROOF: "roof", VEGETATION: "vegetation", WIRE: "wire", OTHER: "pole"}
+KINDS = {GROUND: "ground", ROOF: "roof", VEGETATION: "vegetation", WIRE: "wire", OTHER: "other",
+         WATER: "water"}  # fmt: skip
 
-Strata = Mapping[str, NDArray[np.bool_]]
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 
-def noise_strata(points: Columns) -> Strata:
-    """Background returns by distance and by the kind of the nearest other return."""
+class Curve(NamedTuple):
+    """Some returns by a distance.
+
+    Parameters
+    ----------
+    of : (n,) bool
+        Which returns.
+    distance : (n,) float64
+        [m]; matters where ``of``.
+    edges : tuple of float
+        Bins of the distance [m].
+    """
+
+    of: Bools
+    distance: Floats
+    edges: tuple[float, ...]
+
+
+class Counts(NamedTuple):
+    """Returns of a bin, and how many of them each filter keeps [count]."""
+
+    label: str
+    number: int
+    kept: tuple[int, ...]
+
+
+def scene(seed: int, extent_m: tuple[float, float]) -> Scene:
+    """Ordinary wires with more roofs and trees."""
+    content = ordinary_wires(seed, extent_m).model_dump(mode="json", by_alias=True)
+    content |= {"name": "near surfaces", "buildings": {"count": 6}, "trees": {"cover": 0.2}}
+    return parse_scene(content, "near surfaces")
+
+
+def curves(points: Columns) -> dict[str, Curve]:
+    """What is told by distance, from returns with their truth; names begin with what is told."""
     xyz, kind = _places(points), points["kind"]
     true = ~np.isin(kind, (BACKGROUND, AFTERPULSE))
-    noise = np.flatnonzero(kind == BACKGROUND)
-    distance, nearest = cKDTree(xyz[true]).query(xyz[noise], distance_upper_bound=DISTANCES_M[-2])
-    other = np.append(kind[true], BACKGROUND)[nearest]
-    strata = {}
-    for low, high in pairwise(DISTANCES_M):
-        near = (distance >= low) & ((distance < high) | np.isinf(high))
-        name = f"{low:g}-{high:g} m" if np.isfinite(high) else f"> {low:g} m"
-        groups = {"all": near}
-        if np.isfinite(high):
-            groups |= {label: near & (other == code) for code, label in NAMES.items()}
-        for label, rows in groups.items():
-            mask = np.zeros(len(kind), dtype=np.bool_)
-            mask[noise[rows]] = True
-            strata[f"{name:>8s} {label}"] = mask
-    return strata
+    surface = np.isin(kind, (GROUND, ROOF))
+    from_edge = _distance(xyz[:, :2], kind == ROOF, kind == GROUND)
+    from_surface = _distance(xyz, true & ~surface, surface)
+    pole = (kind == OTHER) & (_distance(xyz[:, :2], kind == OTHER, kind == ROOF) > WALL_M)
+    thin = _thin(xyz, kind == VEGETATION)
+    at_edge = (kind == ROOF) & (from_edge < AT_EDGE_M)
+    noise = kind == BACKGROUND
+    distance = np.full(len(kind), np.inf)
+    distance[noise], row = cKDTree(xyz[true]).query(xyz[noise])
+    nearest = np.full(len(kind), -1)
+    nearest[noise] = np.flatnonzero(true)[row]
+    found = {"noise": Curve(noise, distance, NOISE_M)}
+    for name, mask in (("roof edges", at_edge), ("poles", pole), ("thin vegetation", thin)):
+        found[f"noise nearest to {name}"] = Curve(noise & mask[nearest], distance, NOISE_M[:-1])
+    return {
+        **found,
+        "roofs, from the edge in plan": Curve(kind == ROOF, from_edge, EDGE_M),
+        "poles, from ground or roof": Curve(pole, from_surface, POLE_M),
+        "vegetation, from ground or roof": Curve(kind == VEGETATION, from_surface, TREE_M),
+        "thin vegetation, from ground or roof": Curve(thin, from_surface, TREE_M),
+    }
 
 
-def signal_strata(points: Columns) -> Strata:
-    """True returns by kind, at roof edges and where vegetation is thin."""
-    xyz, kind = _places(points), points["kind"]
-    strata = {label: kind == code for code, label in {**NAMES, WATER: "water"}.items()}
-    true = ~np.isin(kind, (BACKGROUND, AFTERPULSE))
-    roofs, around = np.flatnonzero(kind == ROOF), np.flatnonzero(true)
-    edge = np.zeros(len(kind), dtype=np.bool_)
-    plan = cKDTree(xyz[around, :2]).query_ball_point(xyz[roofs, :2], EDGE_M)
-    for row, rows in zip(roofs, plan, strict=True):
-        edge[row] = bool((xyz[around[rows], 2] < xyz[row, 2] - DROP_M).any())
-    strata["roof within 0.5 m of an edge"] = edge
-    trees = np.flatnonzero(kind == VEGETATION)
-    tree = cKDTree(xyz[trees])
-    thin = np.zeros(len(kind), dtype=np.bool_)
-    crowd = tree.query_ball_point(xyz[trees], THIN_M, return_length=True)
+def _thin(xyz: Floats, vegetation: Bools) -> Bools:
+    trees = np.flatnonzero(vegetation)
+    crowd = cKDTree(xyz[trees]).query_ball_point(xyz[trees], THIN_M, return_length=True)
+    thin = np.zeros(len(xyz), dtype=np.bool_)
     thin[trees] = crowd - 1 < THIN
-    strata["thin vegetation"] = thin
-    return strata
+    return thin
 
 
-def _places(points: Columns) -> NDArray[np.float64]:
+def _distance(xyz: Floats, of: Bools, to: Bools) -> Floats:
+    """From some returns to the nearest of others [m]; infinite elsewhere."""
+    out = np.full(len(xyz), np.inf)
+    out[of] = cKDTree(xyz[to]).query(xyz[of])[0]
+    return out
+
+
+def _places(points: Columns) -> Floats:
     xyz = np.column_stack([points[axis] for axis in "xyz"])
-    low: NDArray[np.float64] = xyz.min(axis=0)
+    low: Floats = xyz.min(axis=0)
     return xyz - low
 
 
-def table(
-    title: str, labels: Sequence[str], counts: Mapping[str, Sequence[tuple[int, int]]]
-) -> None:
-    """One row for each stratum, one column for each method."""
-    print(f"\n{title:34s}{'points':>9s}" + "".join(f"{label:>24s}" for label in labels))
-    for name, row in counts.items():
-        if row and row[0][1]:
-            shares = "".join(f"{100 * part / whole:24.2f}" for part, whole in row)
-            print(f"{name:34s}{row[0][1]:9d}{shares}")
+def measure(
+    folder: Path, seeds: Sequence[int], extent_m: tuple[float, float]
+) -> dict[str, list[Counts]]:
+    """Simulate and filter; by name of curve its bins, and at last the kinds of returns."""
+    known = known_methods()
+    pooled: dict[str, list[Counts]] = {}
+    for seed in seeds:
+        survey = make_survey(scene(seed, extent_m), folder / f"near_{seed}")
+        points = load_truth(survey)
+        kept = [judge(survey, known[name]) == 0 for name in FILTERS]
+        for name, row in _counts(points, kept).items():
+            before = pooled.get(name, [Counts(c.label, 0, (0,) * len(kept)) for c in row])
+            pooled[name] = [
+                Counts(a.label, a.number + b.number,
+                       tuple(x + y for x, y in zip(a.kept, b.kept, strict=True)))
+                for a, b in zip(before, row, strict=True)
+            ]  # fmt: skip
+    return pooled
+
+
+def _counts(points: Columns, kept: Sequence[Bools]) -> dict[str, list[Counts]]:
+    out = {}
+    for name, (of, distance, edges) in curves(points).items():
+        bins = np.where(of, np.digitize(distance, edges) - 1, -1)
+        out[name] = [_count(_bin(*pair), bins == k, kept) for k, pair in enumerate(pairwise(edges))]
+    out["all, by kind"] = [_count(n, points["kind"] == k, kept) for k, n in KINDS.items()]
+    return out
+
+
+def _bin(low: float, high: float) -> str:
+    return f"{low:g}-{high:g} m" if np.isfinite(high) else f"> {low:g} m"
+
+
+def _count(label: str, mask: Bools, kept: Sequence[Bools]) -> Counts:
+    return Counts(label, int(mask.sum()), tuple(int((k & mask).sum()) for k in kept))
+
+
+def shares(name: str, row: Counts) -> list[float]:
+    """Percentage of noise kept, or of other returns lost, by each filter."""
+    kept = [100 * k / row.number if row.number else np.nan for k in row.kept]
+    return kept if name.startswith("noise") else [100 - k for k in kept]
 
 
 def main(folder: Path, seeds: Sequence[int], extent_m: tuple[float, float]) -> None:
-    """Simulate, filter and print."""
-    known = known_methods()
-    methods = [known[n] for n in ("published", "tail", "calibrated", "ours") if n in known]
-    noise: dict[str, list[list[int]]] = {}
-    signal: dict[str, list[list[int]]] = {}
-    for seed in seeds:
-        survey = make_survey(ordinary_wires(seed, extent_m), folder / f"near_{seed}")
-        points = load_truth(survey)
-        groups = (noise, noise_strata(points)), (signal, signal_strata(points))
-        for column, method in enumerate(methods):
-            kept = judge(survey, method) == 0
-            for tally, strata in groups:
-                for name, mask in strata.items():
-                    cells = tally.setdefault(name, [[0, 0] for _ in methods])
-                    counted = kept if tally is noise else ~kept
-                    cells[column][0] += int((counted & mask).sum())
-                    cells[column][1] += int(mask.sum())
-    labels = [method.label for method in methods]
-    for title, tally in (("noise kept [%]", noise), ("true returns lost [%]", signal)):
-        table(title, labels, {n: [(a, b) for a, b in c] for n, c in tally.items()})
+    """Print a table for each curve."""
+    labels = [known_methods()[name].label for name in FILTERS]
+    for name, rows in measure(folder, seeds, extent_m).items():
+        what = "kept [%]" if name.startswith("noise") else "lost [%]"
+        print(f"\n{f'{name}: {what}':46s}{'returns':>9s}" + "".join(f"{n:>24s}" for n in labels))
+        for row in rows:
+            if row.number:
+                text = "".join(f"{share:24.2f}" for share in shares(name, row))
+                print(f"{row.label:46s}{row.number:9d}{text}")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--extent", type=float, nargs=2, default=(90.0, 70.0))
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:

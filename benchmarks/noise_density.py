@@ -1,10 +1,11 @@
-"""Expected over true background, by stratum: ``python -m benchmarks.noise_density [SEED]``.
+"""Expected over true background, by stratum: ``python -m benchmarks.noise_density [SEED ...]``.
 
-Simulates small surveys with point truth, runs the chain up to the shuffle, and compares
-the expected noise of voxels with the background returns that truth counts in them. A
-stratum is a set of voxels chosen by geometry alone (flightlines, extent, where the gate
-ends), so voxels without a single point count as well. Beside each ratio stands what the
-published correction for silent beamlets, gamma = 100 n_u / n [W18 2.2.2], makes of it.
+Simulates small surveys with point truth, for each seed anew, runs the chain up to the shuffle,
+and compares the expected noise of voxels with the background returns that truth counts in them. A
+stratum is a set of voxels chosen by geometry alone (flightlines, extent, where the gate ends), so
+voxels without a single point count as well. Beside each ratio stands what the published correction
+for silent beamlets, gamma = 100 n_u / n [W18 2.2.2], makes of it. The error is that of the number
+of true returns, all seeds together; the ratios of single seeds stand last.
 
 For the surveys without a trajectory the beams are compared with the true ones as well.
 """
@@ -13,7 +14,7 @@ import itertools
 import json
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -134,40 +135,66 @@ STRATA: tuple[tuple[str, str, tuple[str, ...], Region], ...] = (
 """Name, scene, overrides of the workflow, and which voxels."""
 
 
-def main(seed: int) -> dict[str, float]:
-    """Print the table; returns expected / true by stratum."""
-    found: dict[str, float] = {}
-    known: dict[tuple[str, ...], Voxels] = {}
+class Sums(NamedTuple):
+    """Of one stratum and seed: true and expected noise, and that of the published correction."""
+
+    true: float
+    expected: float
+    published: float
+
+
+def main(seeds: list[int]) -> None:
+    """Print the table of all seeds pooled."""
+    found: dict[str, list[Sums]] = {}
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as temporary:
+            for name, sums in strata(seed, Path(temporary)):
+                found.setdefault(name, []).append(sums)
+                print(f"seed {seed}, {name}: {sums.expected / sums.true:.4f}", flush=True)
+            print_settings(seed, Path(temporary))
     print(
         f"{'stratum':32s}{'noise returns':>14s}{'expected/true':>15s}{'+-':>8s}{'published':>11s}"
+        "   by seed"
     )
-    with tempfile.TemporaryDirectory() as temporary:
-        for name, scene, overrides, region in STRATA:
-            folder = Path(temporary) / scene.replace(" ", "_")
-            if not folder.exists():
-                content = {"name": scene, "seed": seed, **BASE, **SCENES[scene]}
-                simulate(parse_scene(content, scene), folder)
-            figures = []
-            for more in ((), ("noise.correction=published",))[: 1 if overrides else 2]:
-                key = (scene, *overrides, *more)
-                if key not in known:
-                    known[key] = voxels(folder, (*overrides, *more))
-                mask = region(known[key])
-                true = float(known[key].true[mask].sum())
-                figures.append(float(known[key].expected[mask].sum()) / true)
-            found[name] = figures[0]
-            remark = "" if abs(figures[0] - 1) <= BAR else "  outside 3 %"
-            remark += "" if true >= RETURNS else "  few returns"
-            published = f"{figures[1]:11.2f}" if not overrides else 11 * " "
-            print(f"{name:32s}{true:14.0f}{figures[0]:15.4f}{true**-0.5:8.4f}{published}{remark}")
-        receipts = (Path(temporary) / "low" / "out" / "store" / "receipts" / "fit_line").glob("*")
-        seen = [json.loads(path.read_text())["facts"]["seen_fraction"] for path in receipts]
-        print(f"low occupancy: {100 * min(seen):.1f} to {100 * max(seen):.1f} % of beamlets seen")
-        blind = ("survey.trajectory=null",)
-        _print_beams(Path(temporary) / "edges", blind)
-        _print_beams(Path(temporary) / "low", blind)
-        _print_beams(Path(temporary) / "edges", (*blind, "survey.channel_dimension=null"))
-    return found
+    for name, by_seed in found.items():
+        true, expected, other = (sum(column) for column in zip(*by_seed, strict=True))
+        ratio = expected / true
+        remark = "" if abs(ratio - 1) <= BAR else "  outside 3 %"
+        remark += "" if true >= RETURNS else "  few returns"
+        published = f"{other / true:11.2f}" if other else 11 * " "
+        single = " ".join(f"{one.expected / one.true:.4f}" for one in by_seed)
+        print(f"{name:32s}{true:14.0f}{ratio:15.4f}{true**-0.5:8.4f}{published}   {single}{remark}")
+
+
+def strata(seed: int, scratch: Path) -> Iterator[tuple[str, Sums]]:
+    """Every stratum of one seed, whose surveys are made in a folder."""
+    known: dict[tuple[str, ...], Voxels] = {}
+    for name, scene, overrides, region in STRATA:
+        folder = scratch / scene.replace(" ", "_")
+        if not folder.exists():
+            content = {"name": scene, "seed": seed, **BASE, **SCENES[scene]}
+            simulate(parse_scene(content, scene), folder)
+        expected = [0.0, 0.0]
+        for k, more in enumerate(((), ("noise.correction=published",))[: 1 if overrides else 2]):
+            key = (scene, *overrides, *more)
+            if key not in known:
+                known[key] = voxels(folder, (*overrides, *more))
+            mask = region(known[key])
+            true = float(known[key].true[mask].sum())
+            expected[k] = float(known[key].expected[mask].sum())
+        yield name, Sums(true, *expected)
+
+
+def print_settings(seed: int, scratch: Path) -> None:
+    """Print how few beamlets return, and how well beams are known without a trajectory."""
+    receipts = (scratch / "low" / "out" / "store" / "receipts" / "fit_line").glob("*")
+    seen = [json.loads(path.read_text())["facts"]["seen_fraction"] for path in receipts]
+    low, high = 100 * min(seen), 100 * max(seen)
+    print(f"seed {seed}, low occupancy: {low:.1f} to {high:.1f} % of beamlets seen")
+    blind = ("survey.trajectory=null",)
+    _print_beams(scratch / "edges", blind)
+    _print_beams(scratch / "low", blind)
+    _print_beams(scratch / "edges", (*blind, "survey.channel_dimension=null"))
 
 
 def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
@@ -290,4 +317,4 @@ def _print_beams(folder: Path, overrides: tuple[str, ...]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1)
+    main([int(seed) for seed in sys.argv[1:]] or [1])

@@ -1,68 +1,115 @@
 """Is alpha the share of pure noise that is kept? ``python -m benchmarks.null_calibration``.
 
-Options: ``--points N`` noise points per draw, ``--draws N``, ``--only density`` for the first
-part, ``--survey FOLDER``.
+Options: ``--points N`` noise points per draw, ``--draws N``, ``--densities X ...`` [1/m3], ``--only
+interior gate swath overlap`` some parts, ``--survey FOLDER``.
 
-Prints kept share over alpha, with the standard error over independent draws: of the whole default
-filter, with its links and the scan for conductors, by density of the noise, and what the scan
-alone keeps at the least alpha; of the point-wise test with its links along a gate whose ends cut
-voxels, and across the edge of a flightline, where the density doubles. There the density handed
-to the test is that of a perfect voxel model: the true mean of each 10 m cube, and at the gate's
-ends what the chain makes of it
-(:func:`~spl_batch.stages.voxel_noise.within_gate`).
+Prints kept share over alpha of the whole filter as shipped, with its links and the scan for
+conductors, and the standard error over independent draws; all draws are made at the least alpha,
+the first :data:`FEW` at the others. By density of the noise, with what the scan alone keeps at the
+least alpha; along a gate whose ends cut voxels; at the upright edge of a flightline beyond which
+is nothing; across that of a second one, where the density doubles. At edges the test is handed what
+the chain makes of a perfect voxel model: the true amount in the sphere of each voxel, and from it
+the density around the points (:mod:`~spl_batch.stages.local_noise`).
 ``--survey`` adds the noise far from everything in a simulated survey that ``spl-batch run`` has
 processed with ``outputs.diagnostics: true``, where the density is estimated: what is kept at its
 alpha, and the shares of p <= alpha, without links.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods import AFTERPULSE, BACKGROUND, flightlines, load_truth
 from spl_batch.constants import NOISE_SIGNAL
+from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.settings import FilterSettings
 from spl_batch.stages import wire_null
 from spl_batch.stages.cloud import Cloud
-from spl_batch.stages.ellipsoid_test import judge, reach_m
+from spl_batch.stages.ellipsoid_test import judge
+from spl_batch.stages.local_noise import SQUARES, Listened, around, listened
 from spl_batch.stages.null_distribution import repeated
-from spl_batch.stages.voxel_noise import within_gate
+from spl_batch.stages.voxel_noise import sphere_radius_m
 from spl_batch.stages.wire_scan import scan
 
 ALPHAS = (0.05, 0.01, 0.001)
 DENSITIES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
-VOXEL_M = 10.0
+FEW = 4
+"""Draws at the alphas beyond the least: their shares are better known [count]."""
+VOXEL_M, CELLS = 10.0, 8
+"""Edge of a voxel, and how many lie on either side of an edge."""
 HEIGHT_M = 60.0
 AROUND_M, ABOVE_M = 28.0, 20.0
 """Box of uniform noise, and as far as it is repeated around itself: beyond the reach of the test
 and its links, and two tubes of the scan [m]."""
+GATE_M = 60.0
+GATE_BINS_M = (0.0, 2.0, 5.0, 10.0, 30.0)
+OVERLAP_BINS_M = (-30.0, -10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0, 30.0)
+BEAMLETS = 125
+"""Of one flightline over a square of 2.5 m [count]."""
 HIGH_M = 15.0
 """Noise this far above everything else is pure [m]; reaches of test and links add up."""
 
-Places = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
-def draw(rng: np.random.Generator, density: float, low: Places, high: Places) -> Places:
-    """Uniform points of a box [m], sorted: (n, 3)."""
-    n = rng.poisson(density * np.prod(high - low))
-    points = rng.uniform(low, high, (n, 3))
-    return points[np.lexsort(points.T[::-1])]
+class Kept(NamedTuple):
+    """What the filter keeps of the points asked for: (n,) bool, by all of it and by the scan."""
+
+    whole: NDArray[np.bool_]
+    scan: NDArray[np.bool_]
 
 
-def decide(
-    points: Places, density: Places, asked: NDArray[np.bool_], settings: FilterSettings
-) -> NDArray[np.bool_]:
-    """Kept or not, of the points asked for."""
-    quanta = np.rint(points * 1000).astype(np.int64)
-    anchor = quanta.min(axis=0)
-    nothing = np.zeros(len(points), dtype=np.bool_)
-    place = (int(anchor[0]), int(anchor[1]), int(anchor[2]))
-    cloud = Cloud((quanta - anchor).astype(np.int32), place, density, asked, nothing)
-    return judge(cloud, settings).signal
+class Draw(NamedTuple):
+    """Noise, and the bin of each point that is asked for."""
+
+    cloud: Cloud
+    place: NDArray[np.int64]
+
+
+def keeps(cloud: Cloud, settings: FilterSettings) -> Kept:
+    """Decide as the chain does: by the test, its links and the scan, which share alpha."""
+    alone = judge(cloud, settings, spent=wire_null.spent(cloud.density, settings)).signal
+    found = scan(cloud, wire_null.fitted(settings)).signal
+    return Kept(alone | found, found)
+
+
+def uniform(
+    rng: np.random.Generator, density: float, size_m: Sequence[float], around_m: Sequence[float]
+) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
+    """Uniform noise that repeats itself; see :func:`~.null_distribution.repeated`."""
+    size, around = (np.rint(1000 * np.array(v)).astype(np.int64) for v in (size_m, around_m))
+    return repeated(rng, density, size, np.minimum(size, around))
+
+
+def measure(
+    title: str, make: Callable[[int], Draw], draws: int, names: Sequence[str] = ("",)
+) -> None:
+    """Print share kept over alpha, a row for each bin, a column for each alpha and the scan."""
+    label = f"{title}; kept / alpha"
+    print(f"{label:40s}" + "".join(f"{f'alpha {a:g}':18s}" for a in ALPHAS) + "scan alone")
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda k: _shares(make(k), k < FEW, len(names)), range(draws)))
+    for row, name in enumerate(names):
+        columns = [[f[row][k] for f in found if k < len(f[row])] for k in range(len(ALPHAS) + 1)]
+        order = [*range(2, len(ALPHAS) + 1), 0, 1]  # the least alpha and the scan come first
+        line(f"  {name}", [columns[k] for k in order], (*ALPHAS, ALPHAS[-1]))
+
+
+def _shares(draw: Draw, more: bool, bins: int) -> list[list[float]]:  # noqa: FBT001
+    """By bin: share kept at the least alpha, by the scan alone, and, if so, at other alphas."""
+    least = keeps(draw.cloud, FilterSettings(alpha=ALPHAS[-1]))
+    masks = [least.whole, least.scan]
+    if more:
+        masks += [keeps(draw.cloud, FilterSettings(alpha=alpha)).whole for alpha in ALPHAS[:-1]]
+    share = np.array([np.bincount(draw.place[mask], minlength=bins) for mask in masks])
+    number = np.bincount(draw.place, minlength=bins)
+    return [[float(n) for n in share[:, k] / max(number[k], 1)] for k in range(bins)]
 
 
 def line(label: str, shares: Sequence[Sequence[float]], alphas: Sequence[float] = ALPHAS) -> None:
@@ -71,119 +118,140 @@ def line(label: str, shares: Sequence[Sequence[float]], alphas: Sequence[float] 
     for alpha, values in zip(alphas, shares, strict=True):
         value = np.array(values) / alpha
         error = value.std(ddof=1) / np.sqrt(len(value)) if len(value) > 1 else np.nan
-        text.append(f"{value.mean():7.3f} +- {error:5.3f}")
-    print(f"{label:28s}" + "".join(text), flush=True)
+        text.append(f"{value.mean():7.3f} +- {error:5.3f}  ")
+    print(f"{label:40s}" + "".join(text), flush=True)
 
 
-def by_density(points: int, draws: int) -> None:
-    """Whole default filter in the interior of uniform noise."""
-    columns = "".join(f"{alpha:<18g}" for alpha in ALPHAS)
-    print(f"kept / alpha in uniform noise    {columns}scan alone")
-    for density in DENSITIES:
-        with ThreadPoolExecutor(2) as pool:
-            shares = list(pool.map(lambda k: whole(k, density, points), range(draws)))  # noqa: B023
-        line(f"{density:g} per m3", list(zip(*shares, strict=True)), (*ALPHAS, ALPHAS[-1]))
-
-
-def whole(seed: int, density: float, points: int) -> list[float]:
-    """Share of one draw of noise that is kept, by alpha, and by the scan alone."""
+def interior(seed: int, density: float, points: int) -> Draw:
+    """Uniform noise."""
     rng = np.random.default_rng([1, seed, round(1000 * density)])
     side = (points / density / HEIGHT_M) ** 0.5
-    size, margin = (side, side, HEIGHT_M), (min(AROUND_M, side), min(AROUND_M, side), ABOVE_M)
-    xyz, _, core = repeated(rng, density, *(np.rint(1000 * np.array(v)).astype(int)
-                                            for v in (size, margin)))  # fmt: skip
-    rho, nothing = np.full(len(xyz), density), np.zeros(len(xyz), dtype=np.bool_)
-    cloud = Cloud(xyz, (0, 0, 0), rho, core, nothing)
-    shares = []
-    for alpha in ALPHAS:
-        settings = FilterSettings(alpha=alpha)
-        alone = judge(cloud, settings, spent=wire_null.spent(rho, settings)).signal
-        found = scan(cloud, wire_null.fitted(settings)).signal
-        shares.append(float((alone | found).mean()))
-    return [*shares, float(found.mean())]
+    xyz, _, core = uniform(
+        rng, density, (side, side, HEIGHT_M), (AROUND_M, AROUND_M, ABOVE_M)
+    )  # fmt: skip
+    return _draw(xyz, np.full(len(xyz), density), core, np.zeros(core.sum(), np.int64))
 
 
-def cubed(points: Places, values: Places, *, gate: bool, cells: int = 40) -> Places:
-    """Mean of a step function along the last axis over the cubes: density at each point.
+def along_gate(seed: int, density: float, points: int) -> Draw:
+    """Noise between the ends of a gate that cut voxels anywhere, by distance from the nearer."""
+    rng = np.random.default_rng([2, seed])
+    side, start = (points / density / GATE_M) ** 0.5, rng.uniform(0, VOXEL_M)
+    xyz, _, core = uniform(rng, density, (side, side, GATE_M), (AROUND_M, AROUND_M, 0.0))
+    layers = (np.arange(-CELLS, CELLS) + 0.5) * VOXEL_M
+    amount = density * (spheres_beyond(layers - start) - spheres_beyond(layers - start - GATE_M))
+    height = xyz[:, 2] / 1000
+    rho = heard([perfect(amount, 2)], height + start, axis=2)
+    end = np.minimum(height, GATE_M - height)[core]
+    return _draw(xyz, rho, core, np.digitize(end, GATE_BINS_M) - 1)
+
+
+def across_overlap(seed: int, density: float, points: int) -> Draw:
+    """Noise of twice the density where a second flightline begins, by distance from there."""
+    return _across(seed, density, points, 2, OVERLAP_BINS_M)
+
+
+def swath_edge(seed: int, density: float, points: int) -> Draw:
+    """Noise of one flightline alone, by distance from its edge."""
+    return _across(seed, density, points, 1, GATE_BINS_M)
+
+
+def _across(seed: int, density: float, points: int, lines: int, edges_m: tuple[float, ...]) -> Draw:
+    rng = np.random.default_rng([3, lines, seed])
+    ends, start = edges_m[-1], rng.uniform(0, VOXEL_M)
+    side = points / density / ((2 * lines - 1) * ends * HEIGHT_M)
+    wide = 2 * (ends + AROUND_M)
+    xyz, source, core = uniform(
+        rng, lines * density, (wide, side, HEIGHT_M), (0, AROUND_M, ABOVE_M)
+    )  # fmt: skip
+    across = xyz[:, 0] / 1000 - wide / 2
+    first = rng.uniform(size=source.max() + 1) < (lines - 1) / 2  # else of the second flightline
+    there = first[source] | (across > 0)
+    xyz, core, across = xyz[there], core[there], across[there]
+    core &= np.abs(across) < ends
+    columns = (np.arange(-CELLS, CELLS) + 0.5) * VOXEL_M
+    squares = np.arange(-CELLS * SQUARES, CELLS * SQUARES) * (VOXEL_M / SQUARES) - start
+    share = np.clip(squares * (SQUARES / VOXEL_M) + 1.0, 0, 1)
+    whole = perfect(np.full(2 * CELLS, density), 0)
+    cut = perfect(density * spheres_beyond(columns - start), 0, share)
+    rho = heard([cut, whole][:lines], across + start, axis=0)
+    return _draw(xyz, rho, core, np.digitize(across[core], edges_m) - 1)
+
+
+def spheres_beyond(centre_m: Floats) -> Floats:
+    """Share of a voxel's sphere on the positive side of zero, by its centre's coordinate."""
+    t = np.clip(centre_m / sphere_radius_m(VOXEL_M), -1, 1)
+    share: Floats = (2 + 3 * t - t**3) / 4
+    return share
+
+
+def heard(lines: Sequence[Listened], place_m: Floats, axis: int) -> Floats:
+    """Density that the chain makes at points of flightlines that change along an axis only.
 
     Parameters
     ----------
-    points : (n,) float64
-        Coordinate across the edges [m].
-    values : (2, k) float64
-        Where a step starts [m], and its value from there on [1/m3].
-    gate : bool
-        Whether the axis is the vertical one.
-    cells : int
-        Cubes on either side of zero.
+    lines : sequence of Listened
+        From :func:`perfect`.
+    place_m : (n,) float64
+        Coordinate of the points, between -CELLS and CELLS voxels [m].
+    axis : int
+        0 or 2.
     """
-    fine = (np.arange(-cells * 100, cells * 100) + 0.5) * (VOXEL_M / 100)
-    step = values[1][np.maximum(np.searchsorted(values[0], fine, side="right") - 1, 0)]
-    mean = step.reshape(-1, 100).mean(axis=1)
-    if gate:
-        mean = within_gate(mean[None, None])[0, 0]
-    found: Places = mean[np.floor(points / VOXEL_M).astype(int) + cells]
+    n, parts = len(place_m), SQUARES if axis == 0 else 1
+    voxel, square = [np.full(n, 2) for _ in range(3)], [np.full(n, 2 * SQUARES) for _ in range(2)]
+    voxel[axis] = np.floor(place_m / VOXEL_M).astype(np.int64) + CELLS
+    if axis == 0:
+        square[0] = np.floor(place_m * (SQUARES / VOXEL_M)).astype(np.int64) + CELLS * SQUARES
+    offset = [np.zeros(n) for _ in range(3)]
+    offset[axis] = place_m * (parts / VOXEL_M) % 1.0 - 0.5
+    return around(lines, tuple(voxel), tuple(square), tuple(offset))
+
+
+def perfect(amount: Floats, axis: int, share: Floats | None = None) -> Listened:
+    """One flightline by a perfect voxel model.
+
+    Parameters
+    ----------
+    amount : (2 * CELLS,) float64
+        Mean density in the sphere of each voxel along the axis [1/m3].
+    axis : int
+        0 or 2.
+    share : (8 * CELLS,) float64, optional
+        Covered part of each square along the first axis; all of it where not given.
+    """
+    shape, along = [5, 5, 5], [1, 1, 1]
+    shape[axis] = along[axis] = 2 * CELLS
+    fixed = np.rint(amount * VOXEL_M**3 * VOXEL_FIXED_POINT).astype(np.int64).reshape(along)
+    counts = np.full((*shape, SQUARES, SQUARES), BEAMLETS, dtype=np.uint32)
+    if share is None:
+        counts *= (fixed > 0)[..., None, None]
+    else:
+        counts[:] = np.rint(share * BEAMLETS).reshape(2 * CELLS, 1, 1, SQUARES, 1)
+    found = listened(
+        np.ascontiguousarray(np.broadcast_to(fixed, shape)),
+        counts.reshape(*shape, SQUARES**2), VOXEL_M,
+    )  # fmt: skip
+    assert found is not None
     return found
 
 
-def along_gate(points: int, draws: int, density: float) -> None:
-    """Noise between the ends of a gate that cut cubes anywhere."""
-    length, names = 90.0, ("0-2 m", "2-5 m", "5-10 m", "10-45 m")
-    edges = (0.0, 2.0, 5.0, 10.0, 45.0)
-    print(f"\nalong a gate, {density:g} per m3, by distance from its nearer end")
-    tally: list[list[list[float]]] = [[[] for _ in ALPHAS] for _ in names]
-    for k in range(draws):
-        rng = np.random.default_rng([2, k])
-        margin, start = reach_m(FilterSettings()), rng.uniform(0, VOXEL_M)
-        side = np.sqrt(points / density / length)
-        low = np.array([-margin, -margin, start])
-        cloud = draw(rng, density, low, np.array([side + margin, side + margin, start + length]))
-        steps = np.array([[-1e9, start, start + length], [0.0, density, 0.0]])
-        rho = cubed(cloud[:, 2], steps, gate=True)
-        asked = np.all((cloud[:, :2] >= 0) & (cloud[:, :2] < side), axis=1)
-        end = np.minimum(cloud[asked, 2] - start, start + length - cloud[asked, 2])
-        _by_bins(cloud, rho, asked, np.digitize(end, edges) - 1, tally)
-    for name, shares in zip(names, tally, strict=True):
-        line(name, shares)
+def bins(edges_m: Sequence[float]) -> list[str]:
+    """Names of bins of a distance."""
+    return [f"{low:g} to {high:g} m" for low, high in pairwise(edges_m)]
 
 
-def across_overlap(points: int, draws: int, density: float) -> None:
-    """Noise of twice the density from a plane on."""
-    names = ("single, 10-30 m", "single, 3-10 m", "single, 0-3 m", "overlap, 0-3 m",
-             "overlap, 3-10 m", "overlap, 10-30 m")  # fmt: skip
-    edges = (-30.0, -10.0, -3.0, 0.0, 3.0, 10.0, 30.0)
-    print(f"\nacross an overlap's edge, {density:g} and {2 * density:g} per m3")
-    tally: list[list[list[float]]] = [[[] for _ in ALPHAS] for _ in names]
-    for k in range(draws):
-        rng = np.random.default_rng([3, k])
-        margin, start = reach_m(FilterSettings()), rng.uniform(0, VOXEL_M)
-        side = np.sqrt(points / density / 90.0)
-        low = np.array([-margin, -margin, start - 30.0 - margin])
-        high = np.array([side + margin, side + margin, start])
-        cloud = draw(rng, density, low, high)
-        low[2], high[2] = start, start + 30.0 + margin
-        cloud = np.concatenate([cloud, draw(rng, 2 * density, low, high)])
-        cloud = cloud[np.lexsort(cloud.T[::-1])]
-        rho = cubed(cloud[:, 2], np.array([[-1e9, start], [density, 2 * density]]), gate=False)
-        asked = np.all((cloud[:, :2] >= 0) & (cloud[:, :2] < side), axis=1)
-        asked &= np.abs(cloud[:, 2] - start) < 30.0
-        place = np.digitize(cloud[asked, 2] - start, edges) - 1
-        _by_bins(cloud, rho, asked, place, tally)
-    for name, shares in zip(names, tally, strict=True):
-        line(name, shares)
+def _draw(
+    xyz: NDArray[np.int32], rho: Floats, core: NDArray[np.bool_], place: NDArray[np.int64]
+) -> Draw:
+    return Draw(Cloud(xyz, (0, 0, 0), rho, core, np.zeros(len(xyz), np.bool_)), place)
 
 
-def _by_bins(
-    cloud: Places,
-    rho: Places,
-    asked: NDArray[np.bool_],
-    place: NDArray[np.int64],
-    tally: list[list[list[float]]],
-) -> None:
-    for column, alpha in enumerate(ALPHAS):
-        kept = decide(cloud, rho, asked, FilterSettings(alpha=alpha))
-        for row, cell in enumerate(tally):
-            cell[column].append(float(kept[place == row].mean()))
+PARTS: Mapping[str, tuple[Callable[[int, float, int], Draw], tuple[float, ...]]] = {
+    "interior": (interior, ()),
+    "gate": (along_gate, GATE_BINS_M),
+    "swath": (swath_edge, GATE_BINS_M),
+    "overlap": (across_overlap, OVERLAP_BINS_M),
+}
+"""How to draw each part, and the bins of its distance [m]."""
 
 
 def high_gate(folder: Path) -> None:
@@ -221,15 +289,19 @@ def high_gate(folder: Path) -> None:
 def main() -> None:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--points", type=int, default=100_000)
-    parser.add_argument("--draws", type=int, default=8)
-    parser.add_argument("--only", choices=("density",))
+    parser.add_argument("--points", type=int, default=200_000)
+    parser.add_argument("--draws", type=int, default=24)
+    parser.add_argument("--densities", type=float, nargs="+", default=DENSITIES)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--survey", type=Path)
     options = parser.parse_args()
-    by_density(options.points, options.draws)
-    if options.only is None:
-        along_gate(options.points, options.draws, 0.1)
-        across_overlap(options.points, options.draws, 0.1)
+    points, draws = options.points, options.draws
+    for part in options.only:
+        make, edges = PARTS[part]
+        for density in options.densities:
+            title = f"{part}, {density:g} per m3"
+            names = bins(edges) if edges else ("",)
+            measure(title, lambda k: make(k, density, points), draws, names)  # noqa: B023
     if options.survey:
         high_gate(options.survey)
 

@@ -1,12 +1,13 @@
 """Is pure noise kept evenly along edges? ``python -m benchmarks.null_edges [SEED ...]``.
 
-Simulates two flightlines that overlap in part, runs the chain up to the shuffle, and tests the
-true background that is far from every true signal, by its distance from the gate's ends, from
-the edge of what is covered, and from the edge of the other flightline. Printed is the share kept
-over alpha, with the density that the test is given (:mod:`~spl_batch.runner.expected`) and, for
-comparison, with the mean of the whole voxel [W18 Eq. 2]. Noise is kept in groups, strong points
-and what is linked to them, so the last column says how many groups the share at the least alpha
-comes from: its relative error is no less than one over the root of that.
+Simulates two flightlines that overlap in part, runs the chain up to the shuffle, and decides about
+the true background that is far from every true signal by the whole filter as shipped, its links
+and the scan for conductors, by distance from the gate's ends, from the edge of what is covered,
+and from the edge of the other flightline. Printed is the share kept over alpha with its standard
+error, with the density that the test is given (:mod:`~spl_batch.runner.expected`), and for
+comparison, without error, with the mean of the whole voxel [W18 Eq. 2]. Noise is kept in groups,
+strong points and what is linked to them, so the error is that of cubes of 25 m: the root of the
+sum of squares of what each keeps more or less than the mean.
 """
 
 import itertools
@@ -19,11 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from benchmarks.methods import AFTERPULSE, BACKGROUND, load_truth
+from benchmarks.null_calibration import keeps
 from spl_batch import api
 from spl_batch.io.store import Store
 from spl_batch.io.trajectory import read_trajectory
@@ -31,7 +31,6 @@ from spl_batch.runner.expected import expected_noise
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import parse_scene
 from spl_batch.stages.cloud import Cloud
-from spl_batch.stages.ellipsoid_test import judge
 from spl_batch.workflow import FilterSettings, load_workflow
 
 ALPHAS = (0.05, 0.01, 0.001)
@@ -40,6 +39,8 @@ PURE_M = 15.0
 """Noise this far from every true signal is pure [m]; reaches of test and links add up."""
 WINDOW_S = 0.004
 """The ends of a gate are the extreme ranges of the noise of so long [s]."""
+CUBE_M = 25.0
+"""Edge of the cubes whose differences tell the error [m]."""
 CELL_M, LAYER_M = 2.0, 10.0
 """Lattice on which a flightline's own noise shows what it covers."""
 
@@ -57,11 +58,11 @@ Floats = NDArray[np.float64]
 
 
 class Noise(NamedTuple):
-    """Pure noise: kept at each alpha, by density used; distances [m]; group at the least alpha."""
+    """Pure noise: kept at each alpha, by density used; distances [m]; number of the cube."""
 
     kept: dict[str, list[NDArray[np.bool_]]]
     distance: dict[str, Floats]
-    group: NDArray[np.int64]
+    cube: NDArray[np.int64]
 
 
 def main(seeds: list[int]) -> None:
@@ -72,18 +73,16 @@ def main(seeds: list[int]) -> None:
             folder = Path(temporary)
             simulate(parse_scene({**SCENE, "seed": seed}, "edges"), folder)
             found.append(survey(folder))
-    columns = "".join(f"{f'{name} {alpha:g}':>16s}" for name in found[0].kept for alpha in ALPHAS)
-    print(f"{'kept / alpha':36s}{'noise':>8s}{columns}{'groups':>8s}")
+    columns = "".join(f"{f'alpha {alpha:g}':>18s}" for alpha in ALPHAS)
+    means = "".join(f"{f'mean, {alpha:g}':>14s}" for alpha in ALPHAS)
+    print(f"{'kept / alpha':36s}{'noise':>9s}{columns}{means}")
     for name in found[0].distance:
         distance = np.concatenate([f.distance[name] for f in found])
         for low, high in _bins(name):
             mine = (distance >= low) & (distance < high)
             text = f"{name}, {low:g} to {high:g} m"
             if mine.any():
-                group = np.concatenate([f.group + k * 10**6 for k, f in enumerate(found)])
-                kept = np.concatenate([f.kept["local"][-1] for f in found])
-                groups = len(np.unique(group[mine & kept]))
-                print(f"{text:36s}{mine.sum():8d}{_row(found, mine)}{groups:8d}")
+                print(f"{text:36s}{mine.sum():9d}{_row(found, mine)}")
 
 
 def _bins(name: str) -> list[tuple[float, float]]:
@@ -94,12 +93,18 @@ def _bins(name: str) -> list[tuple[float, float]]:
 
 
 def _row(found: list[Noise], mine: NDArray[np.bool_]) -> str:
-    shares = [
-        np.concatenate([f.kept[name][k] for f in found])[mine].mean() / alpha
-        for name in found[0].kept
-        for k, alpha in enumerate(ALPHAS)
-    ]
-    return "".join(f"{share:16.2f}" for share in shares)
+    """Share kept over alpha, with its error; then with the voxels' means."""
+    text = ""
+    cube = np.concatenate([f.cube + n * 10**6 for n, f in enumerate(found)])[mine]
+    for k, alpha in enumerate(ALPHAS):
+        kept = np.concatenate([f.kept["local"][k] for f in found])[mine]
+        number, size = np.bincount(cube), np.bincount(cube, weights=kept)
+        error = np.sqrt(((size - kept.mean() * number) ** 2).sum()) / len(kept)
+        text += f"{kept.mean() / alpha:10.2f} +-{error / alpha:5.2f}"
+    for k, alpha in enumerate(ALPHAS):
+        kept = np.concatenate([f.kept["voxel"][k] for f in found])
+        text += f"{kept[mine].mean() / alpha:14.2f}"
+    return text
 
 
 def survey(folder: Path) -> Noise:
@@ -128,18 +133,9 @@ def survey(folder: Path) -> Noise:
             kept[name].append(_kept(mm, density, pure, order, alpha))
     distance = _distances(folder, truth, xyz, background)
     rows = np.flatnonzero(pure)
-    group = _groups(xyz[rows], kept["local"][-1])
-    return Noise(kept, {name: values[rows] for name, values in distance.items()}, group)
-
-
-def _groups(xyz: Floats, kept: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Number of the group of each kept point, those within a link of each other together."""
-    rows = np.flatnonzero(kept)
-    pairs = cKDTree(xyz[rows]).query_pairs(FilterSettings().link_m, output_type="ndarray")
-    near = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(rows), len(rows)))
-    out = np.full(len(xyz), -1)
-    out[rows] = connected_components(near, directed=False)[1]
-    return out
+    cell = np.floor(xyz[rows] / CUBE_M).astype(np.int64)
+    cube = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    return Noise(kept, {name: values[rows] for name, values in distance.items()}, cube)
 
 
 def _kept(
@@ -149,7 +145,7 @@ def _kept(
     order: NDArray[np.int64],
     alpha: float,
 ) -> NDArray[np.bool_]:
-    """Of the pure noise, in the order of the files: what the test keeps."""
+    """Of the pure noise, in the order of the files: what the filter keeps."""
     points = np.stack(mm, axis=1)[order]
     low = points.min(axis=0)
     cloud = Cloud(
@@ -157,7 +153,7 @@ def _kept(
         density[order], pure[order], np.zeros(len(points), dtype=np.bool_),
     )  # fmt: skip
     out = np.zeros(len(pure), dtype=np.bool_)
-    out[order[pure[order]]] = judge(cloud, FilterSettings(alpha=alpha)).signal
+    out[order[pure[order]]] = keeps(cloud, FilterSettings(alpha=alpha)).whole
     return out[pure]
 
 
