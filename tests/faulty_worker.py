@@ -30,7 +30,7 @@ def dask_setup(_worker: object) -> None:
     """Put the faults around every kind of task."""
     plan = Path(os.environ[VARIABLE])
     runner.KINDS = {  # type: ignore[misc]
-        kind: dataclasses.replace(entry, function=_faulty(kind, entry.do, plan))
+        kind: dataclasses.replace(entry, function=_faulty(kind, entry.loaded(), plan))
         for kind, entry in runner.KINDS.items()
     }
 
