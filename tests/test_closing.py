@@ -16,6 +16,9 @@ class Heard:
     def __init__(self) -> None:
         self.notes: list[str] = []
 
+    def ready(self, scheduler: str, dashboard: str) -> None:
+        self.notes.append(f"ready: {scheduler or 'here'} {dashboard or 'without a dashboard'}")
+
     def started(self, task: Any, worker: str) -> None:
         """Nothing begins here."""
 
@@ -65,13 +68,28 @@ def enter(heard: Heard) -> Any:
     )
 
 
+READY = "ready: here without a dashboard"
+
+
 def test_what_is_done_stays_done(heard: Heard) -> None:
-    with enter(heard) as (pool, _):
-        assert isinstance(pool, graph.OnDask)
-    assert heard.notes == ["the workers did not end in time; they end with this process"]
+    with enter(heard) as pool:
+        pool.make_ready()
+    said = "the workers did not end in time; they end with this process"
+    assert heard.notes == [READY, said]
+
+
+def test_where_nothing_is_to_be_done_no_worker_is_started(heard: Heard) -> None:
+    with enter(heard):
+        pass
+    assert heard.notes == []
+
+
+def fail(pool: Any) -> None:
+    pool.make_ready()
+    raise TimeoutError("of the task")
 
 
 def test_a_task_that_has_no_answer_is_still_heard_of(heard: Heard) -> None:
-    with pytest.raises(TimeoutError, match="of the task"), enter(heard):
-        raise TimeoutError("of the task")
-    assert heard.notes == []
+    with pytest.raises(TimeoutError, match="of the task"), enter(heard) as pool:
+        fail(pool)
+    assert heard.notes == [READY]

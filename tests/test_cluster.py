@@ -84,6 +84,9 @@ class Watcher:
         self.looks: list[WorkersSeen] = []
         self.notes: list[str] = []
 
+    def ready(self, scheduler: str, dashboard: str) -> None:
+        """Workers are there before the test begins."""
+
     def started(self, task: Task, worker: str) -> None:
         self.began.append((task.name, worker))
 

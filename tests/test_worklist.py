@@ -15,7 +15,7 @@ from spl_batch.plan.phases import PHASES, Phase
 from spl_batch.plan.places import build
 from spl_batch.plan.shelf import Shelf
 from spl_batch.plan.survey import Survey
-from spl_batch.plan.worklist import Worklist
+from spl_batch.plan.worklist import SORTED, Worklist
 from spl_batch.runner.context import Context
 from spl_batch.runner.remember import RunFacts, StageCost, performance
 from spl_batch.task import Receipt, Task
@@ -61,6 +61,16 @@ def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> Non
     assert list(known.of("ground")) == ["b", "a"], "a failed task is not finished"
     known.of("ground").sort()
     assert list(known.of("ground")) == ["a", "b"]
+
+
+def test_of_some_tasks_the_largest_is_done_first(tmp_path: Path) -> None:
+    def growing(_: Survey) -> Iterator[Task]:
+        for number in range(SORTED + 2):
+            yield Task("ground", str(number), {}, (), number)
+
+    work = Worklist(Phase("ground", growing), survey(), context(tmp_path))
+    order = [int(task.name) for task, _ in work.jobs()]
+    assert order == [*range(SORTED - 1, -1, -1), SORTED + 1, SORTED]
 
 
 def test_another_need_is_another_key(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from spl_batch.api.events import (
     ReportStarted,
     RunEnded,
     RunStarted,
-    WorkersReady,
     ignore,
 )
 from spl_batch.api.failures import Invocation, failures
@@ -143,8 +142,7 @@ def run(
                 observer=progress,
                 footing=Footing(code, str(lock_file(output)), mark),
                 ahead=compiles and Ahead(compiles, COMPILING),
-            ) as (pool, dashboard):
-                progress.tell(WorkersReady(scheduler or "", dashboard))
+            ) as pool:
                 _process(prepared, pool, progress, until, verify=verify)
             result = _conclude(prepared, progress, until, start)
         progress.tell(RunEnded(result.exit_status))
@@ -277,7 +275,8 @@ def _run_phase(
 
     for receipt in work.refused:
         on_receipt(receipt)
-    pool.run(work.jobs(), prepared.context, on_receipt)
+    if work.left:
+        pool.run(work.jobs(), prepared.context, on_receipt)
     ledger.of(kind).sort()
 
 

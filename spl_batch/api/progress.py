@@ -14,6 +14,7 @@ from spl_batch.api.events import (
     Note,
     TaskEnded,
     TaskStarted,
+    WorkersReady,
     as_record,
 )
 from spl_batch.api.failures import Failed, Invocation
@@ -117,6 +118,10 @@ class Progress:
                 receipt.facts.get("traceback", ""),
             )
         )
+
+    def ready(self, scheduler: str, dashboard: str) -> None:
+        """Tell of workers to run tasks on."""
+        self.tell(WorkersReady(scheduler, dashboard))
 
     def started(self, task: Task, worker: str) -> None:
         """Tell of a task that a worker has begun."""

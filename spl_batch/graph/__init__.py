@@ -5,7 +5,8 @@ time, and nothing but names and small facts travels in a message.
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
@@ -13,7 +14,8 @@ from spl_batch.errors import StoppedError
 from spl_batch.graph.ahead import Ahead
 from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster, silent
 from spl_batch.graph.flow import OUT_OF_MEMORY, OnDask
-from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer
+from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer, OnReceipt
+from spl_batch.runner.context import RunContext
 
 __all__ = [
     "OUT_OF_MEMORY",
@@ -37,8 +39,8 @@ def executor(
     observer: Observer,
     footing: Footing,
     ahead: Ahead | None = None,
-) -> Iterator[tuple[Executor, str]]:
-    """Give somewhere to run tasks.
+) -> Iterator[Executor]:
+    """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
 
     Parameters
     ----------
@@ -57,10 +59,8 @@ def executor(
 
     Yields
     ------
-    executor : Executor
-        Where to run tasks.
-    dashboard : str
-        Link to dask's dashboard; empty where there is none.
+    Executor
+        Where to run tasks; before the first one it raises what follows.
 
     Raises
     ------
@@ -70,28 +70,66 @@ def executor(
         If the scheduler cannot be reached.
     """
     if scheduler is None and workers == 0:
-        yield InProcess(observer), ""
+        yield InProcess(observer)
         return
+    with _closing_calmly(observer) as stack:
+
+        def begin() -> Executor:
+            client, dashboard = _client(stack, footing, workers, memory_bytes, scheduler)
+            observer.ready(scheduler or "", dashboard)
+            return OnDask(client, observer, footing, scheduler is None, ahead)
+
+        yield _WhenNeeded(begin)
+
+
+@dataclass(slots=True)
+class _WhenNeeded:
+    """An executor that is begun before its first job: a run may find all its tasks finished."""
+
+    begin: Callable[[], Executor]
+    begun: Executor | None = None
+
+    def make_ready(self) -> None:
+        """Begin, and do what comes before the first job."""
+        self._executor().make_ready()
+
+    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
+        """Do jobs in any order and report each receipt as it comes."""
+        self._executor().run(jobs, context, on_receipt)
+
+    def _executor(self) -> Executor:
+        if self.begun is None:
+            self.begun = self.begin()
+        return self.begun
+
+
+def _client(
+    stack: contextlib.ExitStack,
+    footing: Footing,
+    workers: int,
+    memory_bytes: int,
+    scheduler: str | None,
+) -> tuple[Any, str]:
+    """Client of a scheduler, and the link to its dashboard or ""; ended by a stack."""
     import dask  # noqa: PLC0415 - slow import, only when used
     from distributed import Client  # noqa: PLC0415
 
-    with _closing_calmly(observer) as stack:
-        stack.enter_context(dask.config.set(SETTINGS))
-        stack.enter_context(silent())
-        address: Any = scheduler
-        if scheduler is None:
-            address = stack.enter_context(local_cluster(workers, memory_bytes))
-        try:
-            client = stack.enter_context(Client(address))
-        except (OSError, TimeoutError, ValueError) as error:
-            raise StoppedError(
-                f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
-            ) from error
-        if scheduler is not None:
-            check_workers(client, footing, memory_bytes)
-        shown = scheduler is not None or find_spec("bokeh") is not None
-        dashboard = str(client.dashboard_link or "") if shown else ""
-        yield OnDask(client, observer, footing, scheduler is None, ahead), dashboard
+    stack.enter_context(dask.config.set(SETTINGS))
+    stack.enter_context(silent())
+    address: Any = scheduler
+    if scheduler is None:
+        address = stack.enter_context(local_cluster(workers, memory_bytes))
+    try:
+        client = stack.enter_context(Client(address))
+    except (OSError, TimeoutError, ValueError) as error:
+        raise StoppedError(
+            f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
+        ) from error
+    if scheduler is not None:
+        check_workers(client, footing, memory_bytes)
+    shown = scheduler is not None or find_spec("bokeh") is not None
+    dashboard = str(client.dashboard_link or "") if shown else ""
+    return client, dashboard
 
 
 @contextlib.contextmanager

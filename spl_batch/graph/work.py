@@ -23,6 +23,9 @@ OnReceipt = Callable[[Receipt], None]
 class Observer(Protocol):
     """Someone who is told what happens to tasks and workers."""
 
+    def ready(self, scheduler: str, dashboard: str) -> None:
+        """Tell of workers: a scheduler elsewhere or "", the link to a dashboard or ""."""
+
     def started(self, task: Task, worker: str) -> None:
         """Tell of a task that a worker has begun."""
 

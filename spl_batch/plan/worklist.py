@@ -2,16 +2,21 @@
 
 A survey has as many tasks of a kind as it has tiles, and a task with its arguments takes
 kilobytes. They are made twice instead: once to see which are finished, once to be done,
-and only those on their way to a worker exist.
+and only those on their way to a worker, or about to be, exist.
 """
 
 from collections.abc import Iterator
-from typing import Any
+from itertools import islice
+from typing import Any, Final
 
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.runner import failure, finished, task_key
 from spl_batch.runner.context import RunContext
 from spl_batch.task import Receipt, Task
+
+SORTED: Final = 64
+"""Tasks of which the largest is handed out first [count]: in a small survey, where the last ones
+decide when a phase ends, these are small."""
 
 
 class Worklist:
@@ -72,9 +77,11 @@ class Worklist:
             yield task, receipt
 
     def jobs(self) -> Iterator[tuple[Task, str]]:
-        """Tasks to do, and their keys, made when they are asked for."""
-        for task in self._phase.tasks(self._ledger):
-            if not task.refused and task.name not in self._done:
+        """Tasks to do, and their keys, made when they are asked for; of some the largest first."""
+        made = self._phase.tasks(self._ledger)
+        left = (task for task in made if not task.refused and task.name not in self._done)
+        while some := list(islice(left, SORTED)):
+            for task in sorted(some, key=lambda task: -task.points):
                 self._out[task.name] = task
                 yield task, self.key(task)
 
