@@ -1,5 +1,6 @@
 """Lines of sight beside plain numpy."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.kernels.beams import in_voxels, meet_planes, reach
+from spl_batch.kernels.shot_pattern import motion
 from spl_batch.kernels.shots import offsets
 
 STEP_M = 0.001
@@ -57,17 +59,36 @@ def test_voxel_and_place_in_it_add_up_to_the_point(seed: int, edge: int) -> None
 @given(seeds)
 def test_beams_meet_the_plane_of_their_block(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    _, origin, direction = scene(seed)
+    returns, origin, direction = scene(seed)
     start = starts_of(rng, len(origin))
     size = np.diff(start)
-    level = rng.uniform(-50, 50, len(size))
     place, anchor = np.empty((len(origin), 2)), np.empty((len(size), 3))
-    meet_planes(start, level, origin, direction, place, anchor)
+    meet_planes(start, returns[2], STEP_M, origin, direction, place, anchor)
+    level = [np.median(z * STEP_M) for z in np.split(returns[2], start[1:-1])]
     away = (np.repeat(level, size) - origin[:, 2]) / direction[:, 2]
     met = origin[:, :2] + away[:, None] * direction[:, :2]
     np.testing.assert_array_equal(anchor[:, :2], np.rint(met[start[:-1]]))
     np.testing.assert_array_equal(anchor[:, 2], level)
     np.testing.assert_array_equal(place, met - np.repeat(anchor[:, :2], size, axis=0))
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_the_sensor_flies_straight_during_a_block(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    _, origin, _ = scene(seed)
+    start = starts_of(rng, len(origin))
+    tau = rng.choice(np.linspace(-1, 1, 9), len(origin))
+    anchor = np.rint(origin[start[:-1]])
+    found = np.empty((len(start) - 1, 2, 3))
+    motion(start, tau, origin, anchor, found)
+    for b, (low, high) in enumerate(pairwise(start)):
+        t, at = tau[low:high], origin[low:high] - anchor[b]
+        still = np.ptp(t) == 0.0
+        line = np.polyfit(t, at, 0 if still else 1)[::-1]
+        scale = np.abs(at).max() / (1.0 if still else np.ptp(t))
+        np.testing.assert_allclose(found[b, 0], line[0], atol=1e-9 * scale)
+        np.testing.assert_allclose(found[b, 1], 0.0 if still else line[1], atol=1e-9 * scale)
 
 
 @settings(deadline=None)

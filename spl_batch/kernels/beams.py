@@ -115,31 +115,35 @@ def in_voxels(
 @njit(nogil=True, cache=True)
 def meet_planes(
     start: NDArray[np.int64],
-    level: NDArray[np.float64],
+    z: NDArray[np.int32],
+    step_m: float,
     origin: NDArray[np.float64],
     direction: NDArray[np.float64],
     place: NDArray[np.float64],
     anchor: NDArray[np.float64],
 ) -> None:
-    """Where beams meet the reference plane of their block.
+    """Where beams meet the plane at the median height of their block's returns.
 
     Parameters
     ----------
     start : (m + 1,) int64
         First row of each block, none empty, and the number of rows.
-    level : (m,) float64
-        Height of each block's plane [m].
+    z : (n,) int32
+        Heights of the returns [steps].
+    step_m : float
+        A step [m].
     origin, direction : (n, 3) float64
         Beams; none is horizontal.
     place : (n, 2) float64
         Filled with easting and northing relative to the block's anchor [m].
     anchor : (m, 3) float64
-        Filled with the place of the block's first beam in whole metres, and the level [m].
+        Filled with the place of the block's first beam in whole metres, and of the plane [m].
     """
     for b in range(len(start) - 1):
-        anchor[b, 2] = level[b]
+        level = np.median(z[start[b] : start[b + 1]] * step_m)
+        anchor[b, 2] = level
         for row in range(start[b], start[b + 1]):
-            away = (level[b] - origin[row, 2]) / direction[row, 2]
+            away = (level - origin[row, 2]) / direction[row, 2]
             for axis in range(2):
                 met = origin[row, axis] + away * direction[row, axis]
                 if row == start[b]:

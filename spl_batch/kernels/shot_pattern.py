@@ -190,3 +190,48 @@ def learn_pattern(
                 pattern[b, c, 1] /= count[c]
             else:
                 pattern[b, c] = np.nan
+
+
+@njit(nogil=True, cache=True)
+def motion(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    anchor: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Straight lines that the sensor flies during the blocks, by least squares.
+
+    Parameters
+    ----------
+    start : (m + 1,) int64
+        First row of each block, none empty, and the number of rows.
+    tau : (n,) float64
+        Time of each row within its block, -1 to 1.
+    origin : (n, 3) float64
+        Sensor [m].
+    anchor : (m, 3) float64
+        Place that the block's numbers are relative to [m].
+    out : (m, 2, 3) float64
+        Filled with the sensor at the middle of each block, from its anchor, and its motion [m]; it
+        rests where all rows are of one time.
+    """
+    mean = np.empty(3)
+    for b in range(len(start) - 1):
+        rows = range(start[b], start[b + 1])
+        mean_t, mean[:] = 0.0, 0.0
+        for row in rows:
+            mean_t += tau[row]
+            for axis in range(3):
+                mean[axis] += origin[row, axis] - anchor[b, axis]
+        mean_t /= len(rows)
+        mean /= len(rows)
+        spread, out[b] = 0.0, 0.0
+        for row in rows:
+            t = tau[row] - mean_t
+            spread += t * t
+            for axis in range(3):
+                out[b, 1, axis] += t * (origin[row, axis] - anchor[b, axis] - mean[axis])
+        for axis in range(3):
+            out[b, 1, axis] = out[b, 1, axis] / spread if spread > 0.0 else 0.0
+            out[b, 0, axis] = mean[axis] - mean_t * out[b, 1, axis]

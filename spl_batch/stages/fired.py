@@ -16,7 +16,6 @@ counts as not fired. A block that neither describes is left out.
 """
 
 from dataclasses import dataclass, fields
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +27,7 @@ from spl_batch.kernels.shot_pattern import (
     TERMS,
     learn_pattern,
     misfit,
+    motion,
     normal_equations,
 )
 from spl_batch.kernels.sim_link import signal_constant
@@ -50,6 +50,10 @@ LEARNING_ROUNDS: Final = 4
 
 _RIDGE: Final = 1e-7
 """Weight of "zero" for coefficients that a block's few shots do not determine."""
+
+
+_WHICH: Final = "which"
+"""Which of the patterns on disk each block has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +99,17 @@ class FiredPart:
     dropped: int
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays without Python objects, as npz files hold them."""
-        return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+        """Arrays without Python objects, as npz files hold them; of equal patterns one is kept."""
+        arrays = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+        rows = np.ascontiguousarray(self.pattern).reshape(len(self.pattern), -1)
+        whole = rows.view(np.dtype((np.void, rows.shape[1] * rows.itemsize))).ravel()
+        _, first, which = np.unique(whole, return_index=True, return_inverse=True)
+        return {**arrays, "pattern": self.pattern[first], _WHICH: which}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "FiredPart":
         """Part that :meth:`to_arrays` gave."""
+        arrays = {**arrays, "pattern": arrays["pattern"][arrays[_WHICH]]}
         content: dict[str, Any] = {
             f.name: arrays[f.name] if arrays[f.name].ndim else arrays[f.name].item()
             for f in fields(cls)
@@ -146,11 +155,9 @@ def aim(
     if not usable.all():
         table, origin, direction = table.take(usable), origin[usable], direction[usable]
     start, first, last = _blocks(table["shot"], model)
-    z = table["z"] * QUANTUM_M
-    level = np.array([np.median(z[a:b]) for a, b in pairwise(start)])
     size = np.diff(start)
     place, anchor = np.empty((len(table), 2)), np.empty((len(size), 3))
-    meet_planes(start, level, origin, direction, place, anchor)
+    meet_planes(start, table["z"], QUANTUM_M, origin, direction, place, anchor)
     middle: NDArray[np.float64] = (first + last).astype(np.float64) / 2
     half = np.maximum(0.5 * (last - first), 0.5)
     tau = (table["shot"] - np.repeat(middle, size)) / np.repeat(half, size)
@@ -163,7 +170,8 @@ def aim(
         learnt = _learn(_only(data, wrong), channels)
         pattern[wrong], coefficient[wrong], rms[wrong] = learnt
     good = rms <= MISFIT_MAX_M
-    moving = _motion(origin, anchor, tau, start)
+    moving = np.empty((len(size), 2, 3))
+    motion(start, tau, origin, anchor, moving)
     return FiredPart(
         first[good], last[good], middle[good], half[good], anchor[good], coefficient[good],
         moving[good], pattern[good], _sensitivity(model, channels), link_constant(sensor),
@@ -255,24 +263,6 @@ def _only(
     size = np.diff(start)[blocks]
     begin = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
     return begin, tau[rows], channel[rows], place[rows]
-
-
-def _motion(
-    origin: NDArray[np.float64],
-    anchor: NDArray[np.float64],
-    tau: NDArray[np.float64],
-    start: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Sensor at the middle of each block, from its anchor, and its motion: (m, 2, 3) [m]."""
-    out = np.zeros((len(start) - 1, 2, 3))
-    for b, (low, high) in enumerate(pairwise(start)):
-        t, o = tau[low:high], origin[low:high] - anchor[b]
-        mean_t, mean_o = t.mean(), o.mean(axis=0)
-        spread = float(((t - mean_t) ** 2).sum())
-        if spread > 0.0:
-            out[b, 1] = ((t - mean_t)[:, None] * (o - mean_o)).sum(axis=0) / spread
-        out[b, 0] = mean_o - mean_t * out[b, 1]
-    return out
 
 
 def _sensitivity(model: LineModel, channels: int) -> NDArray[np.float64]:
