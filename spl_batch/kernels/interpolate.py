@@ -4,12 +4,18 @@ The evaluation walks triangles, not queries, because a raster asks for every cen
 every triangle once. Rows count from the south.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from spl_batch.kernels.delaunay import triangles
+
+RIM = 1.5
+"""So far from the centre of a cell outside the triangles a vertex lends its height [cells]."""
 
 
 @njit(nogil=True, cache=True)
@@ -77,26 +83,51 @@ def tin_raster(
     -------
     (rows, cols) float64
         Linear interpolation at cell centres. Outside the triangles (the rim of the survey,
-        vertices on one line) the nearest vertex within 1.5 cells lends its height. NaN
+        vertices on one line) the nearest vertex within :data:`RIM` cells lends its height. NaN
         elsewhere and beyond ``reach``.
     """
     out = np.full(shape, np.nan)
     if len(vertices) == 0:
         return out
     paint_triangles(vertices, triangles(vertices[:, :2])[0], size, out)
-    occupied = np.zeros(shape, dtype=np.bool_)
     place = np.floor(vertices[:, :2] / size).astype(np.int64)
-    col, row = place[:, 0], place[:, 1]
-    held = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    occupied[row[held], col[held]] = True
-    # A cell with its own vertex is near enough; only the others are searched for.
-    asked = np.argwhere(np.isnan(out) | ~occupied)
+    occupied = _held_near(place, shape, 0)
+    # Only where it may lie too far, or near enough to lend its height, a vertex is searched for.
+    surely_near = int(min(max(reach / (math.sqrt(2.0) * size) - 0.5, 0.0), max(shape)))
+    rim = np.isnan(out) & _held_near(place, shape, math.floor(RIM + 0.5))
+    asked = np.argwhere(rim | ~(np.isnan(out) | occupied | _held_near(place, shape, surely_near)))
+    if not len(asked):
+        return out
     centres = (asked[:, ::-1] + 0.5) * size
     distance, found = cKDTree(vertices[:, :2]).query(centres)
     nearest = np.asarray(found, dtype=np.intp)
     r, c = asked[:, 0], asked[:, 1]
-    rim = np.isnan(out[r, c]) & (distance <= 1.5 * size)
-    out[r[rim], c[rim]] = vertices[nearest[rim], 2]
+    lent = np.isnan(out[r, c]) & (distance <= RIM * size)
+    out[r[lent], c[lent]] = vertices[nearest[lent], 2]
     far = (distance > reach) & ~occupied[r, c]
     out[r[far], c[far]] = np.nan
     return out
+
+
+def _held_near(place: NDArray[np.int64], shape: tuple[int, int], reach: int) -> NDArray[np.bool_]:
+    """Cells with a vertex in themselves or up to ``reach`` cells away along both axes.
+
+    Parameters
+    ----------
+    place : (m, 2) int64
+        Column and row of each vertex's cell; may lie outside the raster.
+    shape : (int, int)
+        Rows and columns.
+    reach : int
+        How far is near [cells].
+    """
+    col, row = (place + reach).T
+    rows, cols = (side + 2 * reach for side in shape)
+    held = np.zeros((rows, cols), np.uint8)
+    within = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    held[row[within], col[within]] = 1
+    if reach:
+        for axis in (0, 1):
+            held = ndimage.maximum_filter1d(held, 2 * reach + 1, axis=axis, mode="constant")
+        held = held[reach : rows - reach, reach : cols - reach]
+    return held.astype(np.bool_)
