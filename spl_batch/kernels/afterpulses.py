@@ -47,9 +47,9 @@ def soft_probability(
     """
     lag = max(lag - rules.dead_m, 0.0)
     afterpulse = rules.probability * math.exp(-lag / rules.scale_m) / rules.scale_m
-    others = 0
+    others, at = 0, w[i]
     for j in range(len(w)):
-        others += first[j] and abs(w[j] - w[i]) <= 1.5
+        others += first[j] & (abs(w[j] - at) <= 1.5)
     real = (others + 0.5) / (3.0 * rules.beamlets)
     return SOFT_CAP * afterpulse / (afterpulse + real)
 
@@ -69,22 +69,22 @@ def plane_probability(
 
 @njit(nogil=True, cache=True)
 def follows_surface(
-    i: int, behind: NDArray[np.float64], spreads: NDArray[np.float64], depths: NDArray[np.float64],
-    w: NDArray[np.float64], channel: NDArray[np.uint8], rules: Rules,
+    i: int, own: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
+    depths: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
     """Whether a return lies on no surface and behind one that its own beamlet hit.
 
-    ``depths`` (found,) holds what :func:`returns_behind` gives, NaN for penetrable surfaces.
-    A beamlet's second return cannot be of the surface that gave the first: the dead time
-    is longer than a hard surface is thick. So half of it is distance enough here.
+    ``own`` is :func:`beamlet_of` it; ``depths`` (found,) holds what :func:`returns_behind` gives,
+    NaN for penetrable surfaces. A beamlet's second return cannot be of the surface that gave the
+    first: the dead time is longer than a hard surface is thick. So half of it is distance enough.
     """
     for s in range(len(behind)):
         if abs(behind[s, i]) <= max(0.5 * rules.dead_m, 2.5 * spreads[s]):
             return False
         if depths[s] <= behind[s, i] <= depths[s] + 2.0 * rules.below_m:
             return False
-    for j in range(len(w)):
-        if channel[j] != channel[i] or not 0.0 < w[i] - w[j] <= rules.lag_max_m:
+    for j in range(own[0], own[1]):
+        if not 0.0 < w[i] - w[j] <= rules.lag_max_m:
             continue
         for s in range(len(behind)):
             if (
@@ -97,11 +97,22 @@ def follows_surface(
 
 
 @njit(nogil=True, cache=True)
-def nearest_parent(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8], rules: Rules) -> int:
+def beamlet_of(i: int, channel: NDArray[np.uint8]) -> tuple[int, int]:
+    """First row of a return's beamlet, and the row after its last."""
+    begin = end = i
+    while begin > 0 and channel[begin - 1] == channel[i]:
+        begin -= 1
+    while end < len(channel) and channel[end] == channel[i]:
+        end += 1
+    return begin, end
+
+
+@njit(nogil=True, cache=True)
+def nearest_parent(i: int, own: tuple[int, int], w: NDArray[np.float64], rules: Rules) -> int:
     """The nearest earlier return of the beamlet within ``lag_max_m``; -1 for none."""
     parent = -1
-    for j in range(len(w)):
-        behind = channel[j] == channel[i] and 0.0 < w[i] - w[j] <= rules.lag_max_m
+    for j in range(own[0], own[1]):
+        behind = 0.0 < w[i] - w[j] <= rules.lag_max_m
         if behind and (parent < 0 or w[j] > w[parent]):
             parent = j
     return parent
@@ -112,28 +123,38 @@ def neighbours(
     at: int, u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
     first: NDArray[np.bool_], rules: Rules,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """First returns around one of the shot, across the beam and in range: (k,) int64."""
-    near = np.empty(len(w), dtype=np.int64)
+    """First returns around one of the shot, across the beam and in range: (k,) int64.
+
+    Where they are fewer than :data:`RETURNS_MIN` only their number is right.
+    """
     u_at, v_at, w_at, reach = u[at], v[at], w[at], rules.lag_max_m
+    enough = 0
+    for j in range(len(w)):
+        du, dv = u[j] - u_at, v[j] - v_at
+        # No branch, so that the compiler makes vector instructions of it.
+        enough += first[j] & (du * du + dv * dv <= NEAR_M**2) & (abs(w[j] - w_at) <= reach)
+    near = np.empty(enough, dtype=np.int64)
+    if enough < RETURNS_MIN:
+        return near
     count = 0
     for j in range(len(w)):
         du, dv = u[j] - u_at, v[j] - v_at
-        # No branch, which would be guessed wrong as often as right.
-        near[count] = j
-        count += first[j] & (du * du + dv * dv <= NEAR_M**2) & (abs(w[j] - w_at) <= reach)
-    return near[:count]
+        if first[j] & (du * du + dv * dv <= NEAR_M**2) & (abs(w[j] - w_at) <= reach):
+            near[count] = j
+            count += 1
+    return near
 
 
 @njit(nogil=True, cache=True)
 def follows_hard_place(
-    i: int, u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64],
-    channel: NDArray[np.uint8], first: NDArray[np.bool_], rules: Rules,
+    i: int, own_rows: tuple[int, int], u: NDArray[np.float64], v: NDArray[np.float64],
+    w: NDArray[np.float64], first: NDArray[np.bool_], rules: Rules,
 ) -> bool:  # fmt: skip
     """Whether a return lies behind a parent whose neighbourhood is a piece of hard surface.
 
     For what no plane of the whole shot fits: ridges, steps, rough ground.
     """
-    parent = nearest_parent(i, w, channel, rules)
+    parent = nearest_parent(i, own_rows, w, rules)
     if parent < 0:
         return False
     at = neighbours(parent, u, v, w, first, rules)
@@ -177,7 +198,7 @@ def shot_probability(
     u, v, w : (n,) float64
         Returns across and along the beam [m].
     channel : (n,) uint8
-        Beamlet of each return.
+        Beamlet of each return; those of one beamlet follow each other.
     lag : (n,) float32
         Distance behind the nearest earlier return of the beamlet [m]; 0 for none.
     rules : Rules
@@ -210,9 +231,10 @@ def shot_probability(
         if not with_channels:
             out[i] = plane_probability(i, behind, spreads, rules)
         elif lag[i] > 0:
-            follows = follows_surface(i, behind, spreads, depths, w, channel, rules)
+            own = beamlet_of(i, channel)
+            follows = follows_surface(i, own, behind, spreads, depths, w, rules)
             if not follows:
-                follows = follows_hard_place(i, u, v, w, channel, first, rules)
+                follows = follows_hard_place(i, own, u, v, w, first, rules)
             out[i] = HARD if follows else soft_probability(i, lag[i], w, first, rules)
 
 
