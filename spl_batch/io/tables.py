@@ -1,8 +1,10 @@
 """Point tables as Parquet, and small arrays as NPZ; both tell when a byte of them is damaged.
 
 Numbers are stored byte by byte (byte-stream split): neighbouring points share their high bytes,
-which then cost next to nothing. What takes few values is stored by their numbers in a dictionary.
-Over both goes LZ4, which writes and reads twice as fast as zstd; the files are as large.
+which then cost next to nothing. Parquet has no numbers of one byte, and what it makes of them is
+written twice as fast this way as with a dictionary. A dictionary is for long numbers that take few
+values; what is mostly zero is stored as it is. Over all goes LZ4, which writes and reads twice as
+fast as zstd; the files are as large.
 
 Parquet has checksums for pages but none for its footer, which says where they are and what
 lies in them. A checksum of it is put before it, where the format leaves bytes unread, so any
@@ -30,9 +32,11 @@ from spl_batch.io.atomic import read_bytes, replacing, write_bytes
 from spl_batch.io.remote import RemoteFile, is_remote
 from spl_batch.model import COLUMNS, PointTable
 
-_SPLIT_SIZES = {2, 4, 8}
 _FEW_VALUES: Final = {"source", "afterpulse_share"}
-"""Columns of few values, beside those of one byte."""
+"""Columns of long numbers that take few values."""
+
+_MOSTLY_ZERO: Final = {"afterpulse", "afterpulse_rate"}
+"""Columns of numbers most of which are zero."""
 
 _SEAL: Final = struct.Struct("<4sI")
 _SEAL_MARK: Final = b"SPLB"
@@ -48,15 +52,14 @@ class GroupWriter:
     """Appends row groups to one Parquet file; see :func:`writing`."""
 
     def __init__(self, path: Path, schema: pa.Schema, sought: Sequence[str] | None) -> None:
-        few = [f.name for f in schema if f.type.bit_width == 8 or f.name in _FEW_VALUES]
-        split = [f.name for f in schema if f.type.bit_width // 8 in _SPLIT_SIZES]
+        split = {f.name for f in schema if not pa.types.is_boolean(f.type)}
         self._schema = schema
         self._file = pq.ParquetWriter(
             path,
             schema,
             compression="lz4",
-            use_dictionary=few,
-            use_byte_stream_split=[name for name in split if name not in few],
+            use_dictionary=sorted(_FEW_VALUES & split),
+            use_byte_stream_split=sorted(split - _FEW_VALUES - _MOSTLY_ZERO),
             write_page_checksum=True,
             write_statistics=True if sought is None else list(sought),
         )
