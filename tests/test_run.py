@@ -160,7 +160,7 @@ def test_the_log_is_one_event_a_line(tiny_output: Path) -> None:
 
 def test_the_report_can_be_written_again(small_lines: Path, tmp_path: Path) -> None:
     workflow = surveys.copy_of(small_lines, tmp_path)
-    surveys.run(workflow)
+    (surveys.run(workflow).output / "report.html").unlink()
     output = surveys.run(workflow).output
     before = json.loads((output / "report.json").read_text())
     assert 0 < before["performance"]["earlier_wall_s"] < before["performance"]["wall_s"]
@@ -190,6 +190,26 @@ def test_a_second_run_does_nothing(small: Path) -> None:
     assert second.report is not None
     assert first.report is not None
     assert second.report.counts == first.report.counts
+
+
+def test_a_report_stands_until_it_would_say_something_else(small: Path) -> None:
+    output = surveys.run(small).output
+
+    def written() -> tuple[int, bytes]:
+        page = output / "report.html"
+        return page.stat().st_mtime_ns, page.read_bytes()
+
+    first = written()
+    again = surveys.run(small)
+    assert written() == first
+    assert again.screen == surveys.run(small).screen != ()
+    (output / "report.html").unlink()
+    surveys.run(small)
+    second = written()
+    (output / "report.json").write_text("{}")
+    surveys.run(small)
+    assert written()[0] > second[0]
+    assert json.loads((output / "report.json").read_text())["counts"]["points_in"] > 0
 
 
 def test_fresh_does_everything_again_and_gives_the_same_bytes(small: Path) -> None:

@@ -148,6 +148,10 @@ class Imaging(Receiver[Survey, Context]):
         sources = ledger.inputs.sources
         return sum(s.facts.n_points for s in sources if str(s.key) not in indexed)
 
+    def load_report(self) -> None:
+        """Import what a report is drawn with."""
+        import spl_batch.runner.summary  # noqa: F401, PLC0415 - a plan draws nothing
+
     def report(self, done: Receipts, context: Context, facts: RunFacts) -> Report:
         """Write ``report.json`` and ``report.html``."""
         from spl_batch.runner.summary import summarise  # noqa: PLC0415 - a plan draws nothing

@@ -1,10 +1,12 @@
 """Run a workflow: phase after phase, skipping what is finished, isolating what fails."""
 
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +25,7 @@ from spl_batch.api.lock import lock_file, locked
 from spl_batch.api.planning import fitting_cost
 from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
 from spl_batch.api.progress import Progress
-from spl_batch.api.receiver import Prepared
+from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
@@ -31,8 +33,9 @@ from spl_batch.errors import SplBatchError, StoppedError, StoreError, WorkflowEr
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.worklist import Worklist
+from spl_batch.receivers import report_model
 from spl_batch.runner import kinds, stages
-from spl_batch.runner.remember import RunFacts, StageCost, recall
+from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, recall, stands
 from spl_batch.task import Receipt
 
 COMPILING: Final = "compiling for this machine; later runs find it done"
@@ -181,10 +184,21 @@ def _conclude(
         receiver.not_read(ledger),
         earlier_s,
     )
-    progress.tell(ReportStarted())
-    written = receiver.report(ledger.done, context, facts)
+    written = _standing(prepared, facts) if progress.idle else None
+    if written is None:
+        progress.tell(ReportStarted())
+        written = receiver.report(ledger.done, context, facts)
     screen = (*receiver.screen(written),)
     return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))
+
+
+def _standing(prepared: Prepared[Any, Any], facts: RunFacts) -> Any:
+    """The report that is there; None where it would say something else now."""
+    context = prepared.context
+    if not stands(prepared.ledger.done, context, facts):
+        return None
+    model = report_model(_kind(prepared))
+    return model.model_validate_json((context.output / REPORT_FILES[0]).read_bytes())
 
 
 def _shown(prepared: Prepared[Any, Any]) -> tuple[tuple[str, list[Path]], ...]:
@@ -265,6 +279,8 @@ def _run_phase(
         return
     if work.left:
         pool.make_ready()
+        if progress.invocation.workers:
+            _load_meanwhile(prepared.receiver)
     tiles = _tile_map(prepared.receiver.edge_m(kind, ledger), left, ready)
     left.clear()
     ready.clear()
@@ -278,6 +294,12 @@ def _run_phase(
     if work.left:
         pool.run(work.jobs(), prepared.context, on_receipt)
     ledger.of(kind).sort()
+
+
+@cache
+def _load_meanwhile(receiver: Receiver[Any, Any]) -> None:
+    """Once, load what is needed in the end, as long as workers do the work."""
+    threading.Thread(target=receiver.load_report, name="load report", daemon=True).start()
 
 
 def _tile_map(edge_m: float, left: Sequence[str], ready: Sequence[str]) -> dict[str, object]:

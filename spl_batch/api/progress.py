@@ -88,6 +88,11 @@ class Progress:
         """Receipts of tasks that did not do their work."""
         return [failure.receipt for failure in self.failures]
 
+    @property
+    def idle(self) -> bool:
+        """Whether everything was found finished so far."""
+        return not any(cost.tasks for cost in self.costs.values())
+
     def repair(self, ledger: Ledger[Any, Any]) -> bool:
         """Begin again where files of the store are to be made again."""
         damaged = self.repairs.begin(self.failed, ledger)

@@ -159,6 +159,9 @@ class Receiver(ABC, Generic[L, C]):
         del ledger
         return 0
 
+    def load_report(self) -> None:
+        """Import what a report is drawn with: while workers are busy it costs no time."""
+
     @abstractmethod
     def report(self, done: Receipts, context: C, facts: RunFacts) -> Any:
         """Write ``report.json`` and ``report.html``; the model of what they say."""

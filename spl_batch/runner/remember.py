@@ -1,10 +1,12 @@
 """What a run keeps beside its receipts, and the parts that every receiver's report has."""
 
+import hashlib
 import json
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +22,14 @@ from spl_batch.report.model import (
     StagePerformance,
 )
 from spl_batch.runner.context import RunContext
+from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Receipt
+
+REPORT_FILES: Final = ("report.json", "report.html")
+"""Files of a report, below the output."""
+
+_POLYGONS: Final = ("aoi", "water")
+"""Keys of a workflow that name files whose hash a report gives."""
 
 Receipts = Mapping[str, Mapping[str, Receipt]]
 """Finished tasks by kind and name."""
@@ -106,8 +115,56 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "not_read": facts.not_read,
         "earlier_s": facts.earlier_s,
         "done": {kind: list(names) for kind, names in done.items()},
+        "report": _standing(done, context, facts),
     }
     write_bytes(context.store.local / "run.json", json.dumps(content).encode())
+
+
+def stands(done: Receipts, context: RunContext[Any], facts: RunFacts) -> bool:
+    """Whether the report that is there says what it would say now, the cost of the run left aside.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : RunContext
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    """
+    try:
+        kept = recall(context.output)
+    except StoreError:
+        return False
+    return bool(kept.get("report") == _standing(done, context, facts))
+
+
+def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict[str, Any]:
+    """Hash of what decides a report, and stamps of its files."""
+    workflow = context.workflow.model_dump(mode="json")
+    polygons = [workflow[key] for key in _POLYGONS if workflow.get(key)]
+    beside = [*map(Path, facts.reference), *map(context.resolve, polygons)]
+    says = [
+        *(workflow, context.crs_wkt, context.code, _report_code()),
+        *(list(facts.notes), list(facts.reference), facts.not_read),
+        [failure.model_dump() for failure in facts.failures],
+        [stamp_if_there(path) for path in beside],
+        {kind: [[name, r.digest] for name, r in found.items()] for kind, found in done.items()},
+    ]
+    text = json.dumps(says, sort_keys=True)
+    files = {name: stamp_if_there(context.output / name) for name in REPORT_FILES}
+    return {"hash": hashlib.blake2b(text.encode(), digest_size=16).hexdigest(), "files": files}
+
+
+@cache
+def _report_code() -> str:
+    """Hash of what draws reports and compares, which decides no result."""
+    digest = hashlib.blake2b(version("matplotlib").encode(), digest_size=8)
+    root = Path(__file__).parent.parent
+    folders = [root / "accuracy", *sorted(root.rglob("report"))]
+    for path in sorted(path for folder in folders for path in folder.glob("*.*")):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def recall(output: Path) -> dict[str, Any]:
