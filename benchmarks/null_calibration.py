@@ -289,8 +289,8 @@ def high_gate(folder: Path) -> None:
 def main() -> None:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--points", type=int, default=200_000)
-    parser.add_argument("--draws", type=int, default=24)
+    parser.add_argument("--points", type=int, default=400_000)
+    parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--densities", type=float, nargs="+", default=DENSITIES)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--survey", type=Path)

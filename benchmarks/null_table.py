@@ -61,11 +61,11 @@ def wires(points: int) -> None:
     """Table of the scan for conductors."""
     settings = FilterSettings().wires
     stricter = settings.model_copy(update={"alpha": settings.alpha * wire_null.STRICTER})
-    share = wire_null.draw_shares(settings, points, tell=tell, workers=2)
+    share = wire_null.draw_shares(settings, points, tell=tell, workers=2).round(6)
     # for one number, all densities together
-    less = wire_null.draw_shares(stricter, points // 3, tell=tell, workers=2)
+    less = wire_null.draw_shares(stricter, points // 8, tell=tell, workers=2)
     power = float(np.log(share.sum() / less.sum()) / -np.log(wire_null.STRICTER))
-    smooth = wire_null.smoothed(share)
+    smooth = wire_null.smoothed_between_steps(share)
     print(
         f"the scan keeps of pure noise, at its alpha of {settings.alpha:g} and {stricter.alpha:g}"
     )

@@ -73,11 +73,26 @@ def test_smoothing_keeps_what_is_even() -> None:
     np.testing.assert_allclose(wire_null.smoothed(np.array([9, 0, 0, 0, 0.0])), [6, 3, 1, 0, 0])
 
 
+def test_smoothing_between_steps_leaves_the_steps() -> None:
+    share = np.array([1, 1.2, 1.4, 1.5, 0.3, 0.36, 0, 0.5, 0.9])
+    found = wire_null.smoothed_between_steps(share)
+    np.testing.assert_allclose(
+        found, [1.2, 1.275, 1.275, 4.1 / 3, 0.33, 1.16 / 3, 0, 0.43 + 0.47 / 3, 0.7], atol=0.01
+    )
+
+
+def test_the_shipped_table_has_the_steps_of_whole_counts() -> None:
+    """The critical count of a tube goes up by one, and what is kept falls to less than half."""
+    table = wire_null.wire_null(DEFAULT.wires)
+    falls = table.share[2:] < 0.5 * table.share[:-2]
+    assert falls.sum() > 4
+
+
 def test_other_settings_are_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wire_null, "POINTS", 500)
     wire_null._table.cache_clear()
     odd = WireSettings(half_length_m=7)
     first = wire_null.wire_null(odd)
-    assert len(first.share) == len(DENSITIES[::2])
+    assert len(first.share) == len(wire_null.COARSE)
     assert wire_null.wire_null(odd) is first
     wire_null._table.cache_clear()

@@ -35,13 +35,17 @@ DOMAIN: Final = "space"
 
 FILE: Final = "wire_null.json"
 
-DENSITIES: Final = 10.0 ** np.linspace(-2, 0, 9)
-"""Noise densities of the table [1/m3]; its first and last shares hold beyond."""
+DENSITIES: Final = 10.0 ** np.linspace(-2, 0, 51)
+"""Noise densities of the table [1/m3]; its first and last shares hold beyond. A tube is significant
+from a whole number of returns on, so the share goes up and down with the density, by a factor of
+four from one number to the next: a step must be small against those 0.15 powers of ten."""
 
+COARSE: Final = DENSITIES[::10]
 POINTS: Final = 100_000
-"""Noise points drawn per density where no shipped table fits [count]."""
+"""Noise densities that are drawn where no shipped table fits, and points for each [count]: too few
+for ups and downs."""
 
-HEIGHT_M: Final = 60.0
+HEIGHT_M: Final = 120.0
 """Height of the box of noise [m]."""
 
 SLACK_M: Final = 4.0
@@ -51,7 +55,10 @@ STRICTER: Final = 0.1
 """Part of the scan's alpha at which a second share is drawn, for the power of alpha."""
 
 SMOOTH: Final = (1 / 9, 2 / 9, 3 / 9, 2 / 9, 1 / 9)
-"""Weights of neighbouring densities."""
+"""Weights of neighbouring densities, where these are few."""
+
+ALIKE: Final = 2.0
+"""Shares of the shipped table that differ by more have a step between them [ratio]."""
 
 MOST: Final = 0.5
 """Largest part of the filter's alpha that the scan gets."""
@@ -126,9 +133,8 @@ def _table(key: str) -> WireNull:
     table = parse_table(shipped)
     if shipped["settings"] == json.loads(key):
         return table
-    densities = DENSITIES[::2]
-    share = draw_shares(WireSettings(**json.loads(key)), POINTS, densities)
-    return WireNull(np.log(densities), smoothed(share), table.power)
+    share = draw_shares(WireSettings(**json.loads(key)), POINTS, COARSE)
+    return WireNull(np.log(COARSE), smoothed(share), table.power)
 
 
 def parse_table(content: Mapping[str, Any]) -> WireNull:
@@ -145,6 +151,15 @@ def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     padded = np.pad(share, len(SMOOTH) // 2, mode="edge")
     smooth: NDArray[np.float64] = np.convolve(padded, SMOOTH, mode="valid")
+    return smooth
+
+
+def smoothed_between_steps(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of each share and of those beside it, up to two, that are :data:`ALIKE`."""
+    padded = np.pad(share, 2, constant_values=np.nan)
+    near = np.lib.stride_tricks.sliding_window_view(padded, 5)
+    alike = (near <= ALIKE * share[:, None]) & (ALIKE * near >= share[:, None])
+    smooth: NDArray[np.float64] = np.where(alike, near, 0.0).sum(axis=1) / alike.sum(axis=1)
     return smooth
 
 
