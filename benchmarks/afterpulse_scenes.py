@@ -47,20 +47,20 @@ CANOPIES = (
     scene("dim leaves", 12, (0.15, 0.7), trees=trees(reflectance=0.12)),
     scene("dark ground", 15, (0.15, 0.7), trees=trees(), terrain={"reflectance": 0.08}),
     scene("one flightline", 13, (0.15, 0.7), trees=trees(), flights=FLIGHTS[:1]),
-    scene("clumps of leaves", 16, (0.15, 0.7), trees=clumps(), extent_m=[50, 50]),
-    scene("clumps, p 0.2, 0.3 m", 17, (0.2, 0.3), trees=clumps(), extent_m=[50, 50]),
-    scene("clumps, one flightline", 18, (0.15, 0.7), trees=clumps(), extent_m=[50, 50],
+    scene("clumps of leaves", 16, (0.15, 0.7), trees=clumps(), extent_m=[45, 45]),
+    scene("clumps, p 0.2, 0.3 m", 17, (0.2, 0.3), trees=clumps(), extent_m=[45, 45]),
+    scene("clumps, one flightline", 18, (0.15, 0.7), trees=clumps(), extent_m=[45, 45],
           flights=FLIGHTS[:1]),
-    scene("clumps, two flightlines", 41, (0.15, 0.7), trees=clumps(), extent_m=[50, 50],
+    scene("clumps, two flightlines", 41, (0.15, 0.7), trees=clumps(), extent_m=[45, 45],
           flights=FLIGHTS[:2]),
-    scene("clumps, four flightlines", 42, (0.15, 0.7), trees=clumps(), extent_m=[50, 50],
+    scene("clumps, four flightlines", 42, (0.15, 0.7), trees=clumps(), extent_m=[45, 45],
           flights=[*FLIGHTS, {"heading_deg": 290, "offset_m": -250, "speed_m_s": 110}]),
-    scene("clumps of 0.4 m", 43, (0.15, 0.7), trees=clumps(0.4), extent_m=[50, 50]),
-    scene("clumps of 1.5 m", 44, (0.15, 0.7), trees=clumps(1.5), extent_m=[50, 50]),
+    scene("clumps of 0.4 m", 43, (0.15, 0.7), trees=clumps(0.4), extent_m=[45, 45]),
+    scene("clumps of 1.5 m", 44, (0.15, 0.7), trees=clumps(1.5), extent_m=[45, 45]),
     scene("clumps, extinction 1 /m", 45, (0.15, 0.7), trees=clumps(extinction_per_m=1.0),
-          extent_m=[50, 50]),
+          extent_m=[45, 45]),
     scene("clumps, extinction 4 /m", 46, (0.15, 0.7), trees=clumps(extinction_per_m=4.0),
-          extent_m=[50, 50]),
+          extent_m=[45, 45]),
 )  # fmt: skip
 
 CLUMP_EXTINCTION = 2.0
@@ -103,13 +103,25 @@ def lufkin(name: str, seed: int, trees: dict[str, Any], side: float) -> dict[str
     return content
 
 
+def campus(name: str, seed: int, trees: dict[str, Any], side: float) -> dict[str, Any]:
+    """A canopy in the light of [W17] 7.5, where 80-100 of 100 beamlets return, as in the twin."""
+    content = scene(f"{name}, campus", seed, (0.15, 0.7), trees=trees, extent_m=[side, side],
+                    acquisition={"prf_hz": 60_000, "gate_m": 250})  # fmt: skip
+    content["flights"] = [{**f, "altitude_agl_m": 4200.0, "speed_m_s": 90.0} for f in FLIGHTS]
+    content["sensor_overrides"]["pulse_energy_uj"] = 1500.0
+    return content
+
+
 LIGHTS = (
-    *(lit("clumps", 71 + k, light, clumps(), 50) for k, light in enumerate((1, 0.5, 0.25, 0.125))),
+    *(lit("clumps", 71 + k, light, clumps(), 45) for k, light in enumerate((1, 0.5, 0.25, 0.125))),
+    lit("round clumps", 90, 1, clumps(height_m=[10, 23], crown_share=0.05), 45),
     *(lit("turbid", 81 + k, light, trees(), 70) for k, light in enumerate((1, 0.5, 0.25, 0.125))),
-    *(easton("clumps", 75 + k, p, clumps(), 40) for k, p in enumerate((0.1, 0.15, 0.2))),
-    *(easton("turbid", 85 + k, p, trees(), 60) for k, p in enumerate((0.1, 0.15, 0.2))),
-    lufkin("clumps", 78, clumps(), 40),
-    lufkin("turbid", 88, trees(), 60),
+    *(easton("clumps", 75 + k, p, clumps(), 35) for k, p in ((1, 0.15), (2, 0.2))),
+    *(easton("turbid", 85 + k, p, trees(), 50) for k, p in ((1, 0.15), (2, 0.2))),
+    lufkin("clumps", 78, clumps(), 35),
+    lufkin("turbid", 88, trees(), 50),
+    campus("clumps", 79, clumps(), 35),
+    campus("turbid", 89, trees(), 50),
 )
 """Canopies by light: the share of the preset's pulse energy, and that of published surveys
 (:mod:`benchmarks.twins`)."""

@@ -5,8 +5,9 @@ from importlib import resources
 from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import WorkflowError
 
 Positive = Annotated[float, Field(gt=0)]
@@ -58,6 +59,20 @@ class Sensor(BaseModel):
     afterpulse_lag_max_m: Positive = Field(
         3.0, description="Longest lag of an afterpulse behind its parent [m]; W17 7.2: 2-3 m."
     )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Sensor":
+        if self.afterpulse_lag_max_m <= self.dead_m:
+            raise ValueError(
+                f"afterpulse_lag_max_m {self.afterpulse_lag_max_m} must exceed the dead time, "
+                f"{self.dead_m:.3f} m"
+            )
+        return self
+
+    @property
+    def dead_m(self) -> float:
+        """Dead time as range [m]."""
+        return 0.5e-9 * SPEED_OF_LIGHT_M_S * self.dead_time_ns
 
 
 def preset_names() -> list[str]:

@@ -209,12 +209,12 @@ def test_the_budget_holds_in_any_foliage_and_is_reached_in_some(budget: float) -
 
 
 @given(st.floats(0, 1), st.floats(0, 1))
-def test_in_clumps_lower_odds_are_enough_and_half_as_large_at_least(a: float, b: float) -> None:
+def test_the_more_leaves_hang_in_clumps_the_lower_odds_are_enough(a: float, b: float) -> None:
     table, _ = survey(plate(1, 5.0, 0.0, 1))
     clumped = np.array([0.0, a, b, 1.0])
     enough = echoes._enough(table, np.zeros(4, np.intp), clumped, AfterpulseSettings())
     odds = enough / (1 - enough)
-    assert odds[3] == pytest.approx(odds[0] / 2)
+    assert odds[3] == pytest.approx(odds[0] * echoes.CLUMPED_ODDS)
     assert (a <= b) == (odds[1] >= odds[2]) or odds[1] == pytest.approx(odds[2])
 
 

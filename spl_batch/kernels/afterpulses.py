@@ -45,8 +45,11 @@ def soft_probability(
     Density of afterpulses at this lag against that of real returns there, the latter
     from the other beamlets' first returns within 1.5 m.
     """
-    lag = max(lag - rules.dead_m, 0.0)
+    if lag > rules.longest_m:
+        return 0.0
+    lag, window = max(lag - rules.dead_m, 0.0), rules.longest_m - rules.dead_m
     afterpulse = rules.probability * math.exp(-lag / rules.scale_m) / rules.scale_m
+    afterpulse /= -math.expm1(-window / rules.scale_m)
     others, at = 0, w[i]
     for j in range(len(w)):
         others += first[j] & (abs(w[j] - at) <= 1.5)

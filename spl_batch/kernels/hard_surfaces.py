@@ -46,8 +46,8 @@ class Rules(NamedTuple):
         Threshold behind the plane, longest lag, dead time.
     sigma_m : float
         Ranging spread.
-    probability, scale_m : float
-        Afterpulses per detection, and their mean lag behind the dead time.
+    probability, scale_m, longest_m : float
+        Afterpulses per detection, the scale of their lag behind the dead time, the longest lag.
     beamlets : float
         Beamlets fired per shot.
     """
@@ -63,6 +63,7 @@ class Rules(NamedTuple):
     sigma_m: float
     probability: float
     scale_m: float
+    longest_m: float
     beamlets: float
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import WorkflowError
 from spl_batch.kernels.scene_trace import SceneArrays, lit_share
 from spl_batch.kernels.sim_detect import Receiver
@@ -77,14 +76,11 @@ def make_optics(scene: Scene) -> Optics:
 def make_receiver(scene: Scene) -> Receiver:
     """Dead time and afterpulses of a scene's instrument, as range."""
     sensor = scene.instrument
-    dead = sensor.dead_time_ns * 1e-9 * SPEED_OF_LIGHT_M_S / 2
-    if sensor.afterpulse_lag_max_m <= dead:
-        raise WorkflowError(
-            f"sensor: afterpulse_lag_max_m {sensor.afterpulse_lag_max_m} must exceed the dead "
-            f"time, {dead:.3f} m"
-        )
     return Receiver(
-        dead, sensor.afterpulse_probability, sensor.afterpulse_scale_m, sensor.afterpulse_lag_max_m
+        sensor.dead_m,
+        sensor.afterpulse_probability,
+        sensor.afterpulse_scale_m,
+        sensor.afterpulse_lag_max_m,
     )
 
 

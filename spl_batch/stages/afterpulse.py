@@ -112,5 +112,6 @@ def hard_rules(
         sigma_m=sensor.range_sigma_m,
         probability=law.probability,
         scale_m=law.scale_m,
+        longest_m=law.longest_m,
         beamlets=float(sensor.beamlets),
     )

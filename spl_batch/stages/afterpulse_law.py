@@ -6,20 +6,22 @@ Domain: time. [W17] 7.5 finds 10-20 afterpulses for 80-100 signal returns of a s
 
 .. math:: f(l) = \frac{e^{-(l - d) / s}}{s\,(1 - e^{-(L - d) / s})}, \quad d \le l \le L,
 
-:math:`d` the dead time as range, :math:`L` the longest lag looked at; p and s are fitted. Only
-shots of one hard plane and nothing else tell them: whatever follows a return there can be an
-afterpulse only, or background, whose rate is known. One shot in :data:`EVERY` is enough.
+:math:`d` the dead time as range, :math:`L` the sensor's longest lag; the simulator draws from the
+same law. p and s are fitted. Only shots of one hard plane and nothing else tell them: whatever
+follows a return there can be an afterpulse only, or background, whose rate is known. One shot in
+:data:`EVERY` is enough.
 The sensor's own p and s count as :data:`PRIOR` afterpulses that were seen, so a flightline
 without hard surfaces has those of its sensor.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.constants import QUANTUM_M, SPEED_OF_LIGHT_M_S
+from spl_batch.constants import QUANTUM_M
 from spl_batch.kernels.afterpulse_law import observe_lags, rate_behind
 from spl_batch.kernels.hard_surfaces import Rules
 from spl_batch.kernels.shots import lag_behind, offsets, run_starts
@@ -27,9 +29,6 @@ from spl_batch.model import BeamTable, PointTable, rows_of
 from spl_batch.sensor import Sensor
 
 DOMAIN: Final = "time"
-
-LAG_MAX_M: Final = 5.0
-"""Longest lag that is looked at [m]; [W17] 7.2 takes 5 m to hold all afterpulses."""
 
 BIN_M: Final = 0.05
 """Bins of the observed lags [m]."""
@@ -53,8 +52,8 @@ class AfterpulseLaw(NamedTuple):
         Afterpulses per detection.
     scale_m : float
         Scale of the exponential lag behind the dead time [m].
-    dead_m : float
-        Dead time as range [m].
+    dead_m, longest_m : float
+        Dead time as range, and the longest lag [m].
     sigma_m : float
         Ranging spread [m].
     """
@@ -62,6 +61,7 @@ class AfterpulseLaw(NamedTuple):
     probability: float
     scale_m: float
     dead_m: float
+    longest_m: float
     sigma_m: float
 
     @property
@@ -72,10 +72,10 @@ class AfterpulseLaw(NamedTuple):
 
 def sensor_law(sensor: Sensor) -> AfterpulseLaw:
     """The law that the sensor's facts give."""
-    dead_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * sensor.dead_time_ns
     return AfterpulseLaw(
-        sensor.afterpulse_probability, sensor.afterpulse_scale_m, dead_m, sensor.range_sigma_m
-    )
+        sensor.afterpulse_probability, sensor.afterpulse_scale_m, sensor.dead_m,
+        sensor.afterpulse_lag_max_m, sensor.range_sigma_m,
+    )  # fmt: skip
 
 
 def observe(
@@ -97,9 +97,10 @@ def observe(
     Returns
     -------
     dict
-        ``afterpulse_parents`` (1,) and ``afterpulse_lags`` (100,) int64 [count].
+        ``afterpulse_parents`` (1,) and ``afterpulse_lags`` (b,) int64 [count], in bins of
+        :data:`BIN_M` up to the longest lag.
     """
-    lags = np.zeros(round(LAG_MAX_M / BIN_M), dtype=np.int64)
+    lags = _no_lags(rules.longest_m)
     rows = np.flatnonzero(beams.known & (table["shot"] % EVERY == 0))
     parents = 0
     if len(rows):
@@ -107,7 +108,7 @@ def observe(
         range_m = beams.range_m[rows]
         shots = run_starts(time)
         lag = np.empty(len(rows), dtype=np.float32)
-        lag_behind(run_starts(time, channel), range_m, least_m, LAG_MAX_M, lag)
+        lag_behind(run_starts(time, channel), range_m, least_m, rules.longest_m, lag)
         parents = observe_lags(
             shots, np.flatnonzero(_several(channel, shots)), shot_offsets(table.take(rows), shots),
             np.ascontiguousarray(beams.direction[rows]), range_m, channel, lag, rules, BIN_M, lags,
@@ -120,6 +121,11 @@ def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.floa
     offset = np.empty((len(table), 3))
     offsets(shots, (table["x"], table["y"], table["z"]), QUANTUM_M, offset)
     return offset
+
+
+def _no_lags(longest_m: float) -> NDArray[np.int64]:
+    """Counts of lags up to a longest one, before any is seen."""
+    return np.zeros(math.ceil(longest_m / BIN_M - 1e-9), dtype=np.int64)
 
 
 def _several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -145,14 +151,14 @@ def fit(
     """
     prior = sensor_law(sensor)
     parents = sum(int(p["afterpulse_parents"][0]) for p in parts)
-    lags = sum((p["afterpulse_lags"] for p in parts), np.zeros(round(LAG_MAX_M / BIN_M), np.int64))
+    lags = sum((p["afterpulse_lags"] for p in parts), _no_lags(prior.longest_m))
     middle = (np.arange(len(lags)) + 0.5) * BIN_M
     late = middle > prior.dead_m
     count = lags.sum() - noise_per_m * BIN_M * parents * np.count_nonzero(late)
     excess = np.dot(lags, middle) - noise_per_m * BIN_M * parents * middle[late].sum()
     count = max(float(count), 0.0)
     excess = max(float(excess) - count * prior.dead_m, 0.0)
-    window = LAG_MAX_M - prior.dead_m
+    window = prior.longest_m - prior.dead_m
     total = count + PRIOR
     mean = (excess + PRIOR * truncated_mean(prior.scale_m, window)) / total
     probability = total / (parents + PRIOR / max(prior.probability, 1e-6))
@@ -200,7 +206,7 @@ def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.
     time, channel = table["gps_time"][rows], table["channel"][rows]
     found = np.empty(len(time), dtype=np.float32)
     rate_behind(
-        run_starts(time, channel), beams.range_m[rows], law.least_m, LAG_MAX_M, law.dead_m,
+        run_starts(time, channel), beams.range_m[rows], law.least_m, law.longest_m, law.dead_m,
         law.probability, law.scale_m, found,
     )  # fmt: skip
     shots = run_starts(time)

@@ -31,8 +31,8 @@ are constant, odds of at least :math:`\theta` mean lags up to
 :math:`\lambda_t` times that. The share is largest where
 :math:`s \lambda_t / p = 1 / (e \theta)`, and is :math:`p / (e \theta)` there, whatever the
 scale. So :math:`\theta = p / (e B)` keeps the budget in any foliage, by the fitted law alone.
-In clumps rates are far from constant, and few places have the one at which most is lost: odds half
-as large keep it there.
+In clumps rates are far from constant, and few places have the one at which most is lost: smaller
+odds keep it there.
 
 What can be had is bounded: in crowns the two rates are of one size. ``benchmarks/afterpulses.py``
 prints the curve of removed against lost beside the best that the simulation's laws allow.
@@ -88,7 +88,7 @@ PLANE_LEAST: Final = 8
 SHARE: Final = 0.15
 """Afterpulses per detection where the flightline's own are not known [W17 7.5]."""
 
-CLUMPED_ODDS: Final = 0.5
+CLUMPED_ODDS: Final = 0.4
 """Odds that keep the budget where leaves hang in clumps, over those at constant rates: with them
 about as much is lost of a budget there as in evenly turbid crowns."""
 
