@@ -346,7 +346,9 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     """
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
-    trusted = _first_true((~nodes.doubtful & ~_sunk(nodes, cells, settings.cell_m),))
+    sunk = _sunk(nodes, cells, settings.cell_m)
+    sure = ~nodes.doubtful | (_support(nodes, cells, settings.cell_m) >= _STRONG_SUPPORT)
+    trusted = _first_true((sure & ~sunk,))
     lowest = _lowest_grid(nodes, trusted, cells)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
     column = asked.x / settings.cell_m - np.floor(own.x.min() / settings.cell_m) - 0.5
