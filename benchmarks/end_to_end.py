@@ -8,7 +8,8 @@ highest memory of a worker, and
 
 - ``workers``: how much faster two workers are than one, and the ratios of
   :mod:`benchmarks.peers`;
-- ``area``: squares whose sides double, at a quarter of the density, one worker;
+- ``area``: squares whose sides double, at a quarter of the density, one worker; and what each
+  further million of a square costs beside the next smaller one;
 - ``noise``: squares of 200 m from little background to more than half of all returns, one worker.
 
 All three by default. A first run compiles kernels and is not counted.
@@ -97,6 +98,7 @@ def by_workers(folder: Path) -> None:
 
 def by_area(folder: Path) -> None:
     """Squares whose sides double."""
+    before = 0.0, 0.0
     for side_m in SIDES_M:
         content = scene(float(side_m))
         content["acquisition"]["prf_hz"] /= 4
@@ -104,6 +106,11 @@ def by_area(folder: Path) -> None:
         if side_m == SIDES_M[0]:
             head("side [m]", costs)
         print_run(str(side_m), costs, report, wall_s)
+        millions = report["counts"]["points_in"] / 1e6
+        work_s = millions * sum(costs.values())
+        more_s = (work_s - before[1]) / (millions - before[0])
+        print(f"{'':10s}each further million {more_s:.2f} s", flush=True)
+        before = millions, work_s
 
 
 def by_noise(folder: Path) -> None:
