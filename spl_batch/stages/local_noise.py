@@ -16,9 +16,9 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   linear between their centres: the test of single points looks so far, a metre or two. Where
   beamlets are too few to tell the edge, it counts within a square of those that are covered, in
   the layers around;
-- where surely more beamlets cross a square within one of a point's than are usual around its
-  voxel, the amount goes with them: at the edge of a swath a turning scan runs along the edge,
-  and what it listens to there makes a ridge narrower than a voxel.
+- where surely more beamlets cross the squares around a point, linear between their centres, than
+  are usual around its voxel, the amount goes with them: at the edge of a swath a turning scan runs
+  along the edge, and what it listens to there makes a ridge narrower than a voxel.
 
 The flightlines add up, to no less than :data:`BESIDE_NOTHING` of those that cover the point for
 the larger part: of the largest, where none does. Ellipsoids lean into what is denser, so beside
@@ -68,7 +68,9 @@ class Listened(NamedTuple):
     each : (nx, ny, nz) float64
         What one beamlet stands for there [1/m3].
     surely : (4 nx, 4 ny, nz) float32
-        Beamlets that surely cross the fullest square within one of each [count].
+        Beamlets that surely cross each square [count].
+    fullest : (4 nx, 4 ny, nz) float32
+        The largest of that among the squares within one.
     near : (4 nx, 4 ny, nz) bool
         Squares where the flightline counts as a whole, and those of the rim.
     covered : (4 nx, 4 ny, nz) float32
@@ -83,6 +85,7 @@ class Listened(NamedTuple):
     per_m3: NDArray[np.float64]
     each: NDArray[np.float64]
     surely: NDArray[np.float32]
+    fullest: NDArray[np.float32]
     near: NDArray[np.bool_]
     covered: NDArray[np.float32]
     rim: NDArray[np.bool_]
@@ -113,34 +116,42 @@ class Listened(NamedTuple):
             Covered part around the points [0..1].
         """
         place = square[0], square[1], voxel[2]
-        ridge = self.each[voxel] * self.surely[place]
-        density = np.where(self.near[place], np.maximum(self.per_m3[voxel], ridge), 0.0)
+        density = np.where(self.near[place], self.per_m3[voxel], 0.0)
+        ridge = self.near[place] & (self.each[voxel] * self.fullest[place] > density)
         part = np.ones(len(density))
-        rim = np.flatnonzero(self.rim[place])
-        part[rim] = self._part(
-            tuple(axis[rim] for axis in place), tuple(axis[rim] for axis in offset)
+        rows = np.flatnonzero(self.rim[place] | ridge)
+        found, surely = self._between(
+            tuple(axis[rows] for axis in place), tuple(axis[rows] for axis in offset)
         )
+        rim = self.rim[tuple(axis[rows] for axis in place)]
+        part[rows[rim]] = found[rim]
+        peak = self.each[tuple(axis[rows] for axis in voxel)] * surely
+        density[rows] = np.where(ridge[rows], np.maximum(density[rows], peak), density[rows])
         density[part == 0.0] = 0.0
         return density, part
 
-    def _part(
+    def _between(
         self, place: tuple[NDArray[np.int64], ...], offset: tuple[NDArray[np.float64], ...]
-    ) -> NDArray[np.float64]:
-        """Covered part around points, linear between the centres of eight squares: (n,) float64."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Covered part around points, and beamlets there, linear between eight squares: (n,)."""
         beside = [
             np.clip(index + np.where(part < 0.0, -1, 1), 0, size - 1)
             for index, part, size in zip(place, offset, self.covered.shape, strict=True)
         ]
         far = [np.abs(part) for part in offset]
-        found = np.zeros(len(far[0]))
+        covered, beamlets = np.zeros(len(far[0])), np.zeros(len(far[0]))
         for i in (0, 1):
             x, across = (beside[0], far[0]) if i else (place[0], 1.0 - far[0])
             for j in (0, 1):
                 y, along = (beside[1], far[1]) if j else (place[1], 1.0 - far[1])
-                own, other = self.covered[x, y, place[2]], self.covered[x, y, beside[2]]
-                other = np.where(self.reached[x, y, beside[2]], other, own)
-                found += across * along * ((1.0 - far[2]) * own + far[2] * other)
-        return found
+                there = self.reached[x, y, beside[2]]
+                for k in (0, 1):
+                    z, up = (beside[2], far[2]) if k else (place[2], 1.0 - far[2])
+                    z = np.where(there, z, place[2])
+                    weight = across * along * up * self.covered[x, y, z]
+                    covered += weight
+                    beamlets += weight * self.surely[x, y, z]
+        return covered, beamlets / np.where(covered > 0.0, covered, 1.0)
 
 
 def listened(
@@ -173,7 +184,7 @@ def listened(
     _vertically(np.logical_or, near)
     near = np.where(clear, closed, near) | rim
     reached = _across(np.logical_or, _across(np.logical_or, closed))
-    return Listened(per_m3, each, surely, near, covered, rim, reached)
+    return Listened(per_m3, each, surely, _largest(surely), near, covered, rim, reached)
 
 
 def around(
@@ -295,7 +306,7 @@ def _of_beamlets(
     weight: NDArray[np.float32],
     voxel_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """What one beamlet stands for [1/m3], and how many surely cross the fullest square near.
+    """What one beamlet stands for [1/m3], and how many surely cross each square.
 
     What one beamlet stands for is the mean of nine voxels: it changes slowly.
     """
@@ -307,7 +318,7 @@ def _of_beamlets(
     error = np.sqrt(_blurred(beamlets, tuple(w * w for w in BLUR)))
     surely = np.maximum(found - np.float32(SURE) * error, np.float32(0.0))
     surely /= np.where(area > 0.0, area, np.float32(1.0))
-    return each, _largest(surely)
+    return each, surely
 
 
 def _largest(values: NDArray[np.float32]) -> NDArray[np.float32]:
