@@ -139,17 +139,17 @@ def test_cells_agree_where_their_buffers_overlap() -> None:
     assert np.mean(mask[0, middle] != mask[1, middle]) < 0.001
 
 
-@pytest.mark.parametrize(("method", "seed"), [("ptd", 3), ("ptd", 4), ("smrf", 0)])
+@pytest.mark.parametrize(("method", "seed"), [("ptd", 0), ("ptd", 1), ("smrf", 0)])
 def test_single_returns_under_wide_crowns_are_ground(
     method: Literal["ptd", "smrf"], seed: int
 ) -> None:
-    """0.6 ground returns per m2 beneath 25 of leaves, on a slope: crown bottoms are no ground."""
+    """1.2 ground returns per m2 beneath 25 of leaves, on a slope: crown bottoms are no ground."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(0, 40, (2, 25 * 40 * 40))
     crown = np.hypot(x - 20, y - 20) < 12
-    leaf = crown & (rng.random(len(x)) > 0.6 / 25)
+    leaf = crown & (rng.random(len(x)) > 1.2 / 25)
     height = rng.normal(0, RANGING_SD_M, len(x)) + np.where(leaf, rng.uniform(3, 15, len(x)), 0)
-    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, 0.2 * x + height))
+    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, 0.5 * x + height))
     table = PointTable(dict(zip("xyz", xyz, strict=True)))
     found = ground_mask(table, np.ones(len(x), np.bool_), GroundSettings(method=method))
     assert height[found].max() < 1

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from spl_batch.kernels.layers import count_support, group_by_cell, lowest_layers
+from spl_batch.kernels.layers import count_below, count_support, group_by_cell, lowest_layers
 from spl_batch.kernels.ptd import Limits, densify, facet_fit, heights_above
 from spl_batch.kernels.tin import OUTSIDE, interpolate, locate, triangulate
 
@@ -160,4 +160,19 @@ def test_support_agrees_with_all_pairs() -> None:
     near = (d <= 2.0) & (np.abs(offset[..., 2]) <= 0.25 + 0.35 * d)
     near &= nodes.cell[:, None] != nodes.cell[None]
     assert np.array_equal(found, near.sum(axis=1))
+    assert found.max() > 2
+
+
+def test_what_lies_below_agrees_with_all_pairs() -> None:
+    xyz = cloud(200) * [0.2, 0.2, 0.3]
+    cells = group_by_cell(xyz[:, 0], xyz[:, 1], 1.0)
+    nodes = lowest_layers(*xyz.T, cells, 0.3)
+    chosen = np.random.default_rng(8).random(len(nodes.cell)) < 0.7
+    found = np.empty(len(nodes.cell), dtype=np.int64)
+    shape = (cells.rows, cells.columns)
+    count_below(nodes.xyz, nodes.cell, chosen, *shape, 2, 2.0, 0.5, 0.5, found)
+    offset = nodes.xyz[:, None] - nodes.xyz[None]
+    d = np.hypot(offset[..., 0], offset[..., 1])
+    below = (d <= 2.0) & (offset[..., 2] > 0.5 + 0.5 * d) & chosen[None]
+    assert np.array_equal(found, below.sum(axis=1))
     assert found.max() > 2

@@ -303,3 +303,54 @@ def count_support(
                         n += 1
                     j += 1
         out[i] = n
+
+
+@njit(nogil=True, cache=True)
+def count_below(
+    xyz: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    chosen: NDArray[np.bool_],
+    rows: int,
+    columns: int,
+    reach: int,
+    reach_m: float,
+    step_m: float,
+    slope: float,
+    out: NDArray[np.int64],
+) -> None:
+    """Chosen nodes near each node, and in its own cell, that lie clearly below it.
+
+    Parameters
+    ----------
+    xyz : (m, 3) float64
+        Nodes [m], in order of their cells.
+    cell : (m,) int64
+        Cell of each node.
+    chosen : (m,) bool
+        Nodes that count.
+    rows, columns : int
+        Shape of the grid.
+    reach : int
+        Cells to look at on each side [count].
+    reach_m : float
+        Farthest neighbour [m].
+    step_m, slope : float
+        A neighbour at distance d lies below by more than step_m + slope d [m, rise/run].
+    out : (m,) int64, written
+        Such nodes [count].
+    """
+    first = np.full(rows * columns + 1, -1, dtype=np.int64)
+    for i in range(len(cell) - 1, -1, -1):
+        first[cell[i]] = i
+    for i in range(len(cell)):
+        r, c = cell[i] // columns, cell[i] % columns
+        n = 0
+        for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
+            for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
+                j = first[rr * columns + cc]
+                while 0 <= j < len(cell) and cell[j] == rr * columns + cc:
+                    d = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
+                    below = xyz[j, 2] < xyz[i, 2] - step_m - slope * d
+                    n += chosen[j] and below and d <= reach_m
+                    j += 1
+        out[i] = n

@@ -17,6 +17,7 @@ from spl_batch.kernels.layers import (
     SUPPORTED,
     Cells,
     Nodes,
+    count_below,
     count_squares,
     count_support,
     group_by_cell,
@@ -49,13 +50,20 @@ _GAP_SPACINGS = 10.0
 """Edges longer than this many mean spacings of the points around cross a gap of the ground
 [count]."""
 
+_REACH = 2
+"""Cells around a node in which others speak for it or against it [count]."""
+
 _SUPPORT = 2
-_STRONG_SUPPORT = 8
 _SUPPORT_STEP_M = 0.25
 _SUPPORT_SLOPE = 0.35
-"""A node is believed below the surface, and as a seed, with two nodes within two cells
-that continue it; on a slope of any steepness those along the contour do. A doubtful one needs
-more: ground under crowns has them where every cell has a return or two of it, noise has not."""
+"""A node is believed below the surface, and as a seed, with two nodes around that continue it;
+on a slope of any steepness those along the contour do."""
+
+_BELOW = 3
+_BELOW_STEP_M = 0.5
+_BELOW_SLOPE = 0.5
+"""No seed is taken above three believed nodes, be they of one return each: ground that is seen
+through a crown, whose lowest leaves fill a layer better than the ground does."""
 
 Float = NDArray[np.float64]
 
@@ -142,9 +150,10 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     """
     nodes, cells, cell_m = _candidates(own, settings)
     sunk = _sunk(nodes, cells, cell_m)
-    support = _support(nodes, cells, cell_m)
-    trusted = (support >= np.where(nodes.doubtful, _STRONG_SUPPORT, _SUPPORT)) & ~sunk
+    supported = _supported(nodes, cells, cell_m)
+    trusted = supported & ~nodes.doubtful & ~sunk
     eligible = trusted & ~_on_objects(nodes, trusted, cells, cell_m, settings)
+    eligible &= ~_seen_through(nodes, supported & ~sunk, cells, cell_m)
     seed = _seeds(nodes.xyz, _first_true((eligible, trusted)), settings.seed_cell_m)
     others = np.flatnonzero(~seed & ~sunk)
     tin, _ = densify(
@@ -264,21 +273,26 @@ def _sunk(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
     return sunk | nodes.buried
 
 
-def _support(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.int64]:
-    """Nodes near each node that continue it [count]."""
+def _supported(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
+    """Nodes that others continue."""
     support = np.empty(len(nodes.cell), dtype=np.int64)
     count_support(
-        nodes.xyz,
-        nodes.cell,
-        cells.rows,
-        cells.columns,
-        2,
-        2 * cell_m,
-        _SUPPORT_STEP_M,
-        _SUPPORT_SLOPE,
-        support,
-    )
-    return support
+        nodes.xyz, nodes.cell, cells.rows, cells.columns, _REACH, _REACH * cell_m,
+        _SUPPORT_STEP_M, _SUPPORT_SLOPE, support,
+    )  # fmt: skip
+    return support >= _SUPPORT
+
+
+def _seen_through(
+    nodes: Nodes, believed: NDArray[np.bool_], cells: Cells, cell_m: float
+) -> NDArray[np.bool_]:
+    """Nodes below which a surface goes on: the lowest leaves of a crown."""
+    below = np.empty(len(nodes.cell), dtype=np.int64)
+    count_below(
+        nodes.xyz, nodes.cell, believed, cells.rows, cells.columns, _REACH, _REACH * cell_m,
+        _BELOW_STEP_M, _BELOW_SLOPE, below,
+    )  # fmt: skip
+    return below >= _BELOW
 
 
 def _on_objects(
@@ -347,8 +361,9 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
     sunk = _sunk(nodes, cells, settings.cell_m)
-    sure = ~nodes.doubtful | (_support(nodes, cells, settings.cell_m) >= _STRONG_SUPPORT)
-    trusted = _first_true((sure & ~sunk,))
+    believed = _supported(nodes, cells, settings.cell_m) & ~sunk
+    leaves = _seen_through(nodes, believed, cells, settings.cell_m)
+    trusted = _first_true((~nodes.doubtful & ~sunk & ~leaves,))
     lowest = _lowest_grid(nodes, trusted, cells)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
     column = asked.x / settings.cell_m - np.floor(own.x.min() / settings.cell_m) - 0.5
