@@ -24,9 +24,9 @@ from spl_batch.io.tables import (
     reading,
     writing,
 )
-from spl_batch.model import COLUMNS, PointTable, empty_table
+from spl_batch.model import COLUMNS, PointTable, empty_table, rows_of
 from spl_batch.order import in_order, lexicographic_order
-from spl_batch.tiling import Bounds, CellId, inside
+from spl_batch.tiling import Bounds, CellId
 
 DEFAULTS: dict[str, float] = {
     "noise_class": 255,
@@ -221,29 +221,41 @@ def read_labelled_tile(
     """
     table = read_table(store.tile(str(tile)), columns)
     with LabelFiles(store) if files is None else nullcontext(files) as opened:
-        return table.with_columns(**_labels_of(opened, tile, (0, len(table)), labels))
+        return table.with_columns(**_labels_of(opened, tile, np.arange(len(table)), labels))
 
 
 def _labels_of(
     files: LabelFiles,
     tile: CellId,
-    rows: tuple[int, int],
+    rows: NDArray[np.int64],
     labels: Mapping[str, Sequence[tuple[str, str]]],
 ) -> dict[str, NDArray[Any]]:
-    """Labels of the rows ``[first, end)`` of a tile."""
-    first, end = rows
-    filled = {name: np.full(end - first, DEFAULTS[name], COLUMNS[name].dtype) for name in labels}
+    """Labels of some rows of a tile, which increase."""
+    filled = {name: np.full(len(rows), DEFAULTS[name], COLUMNS[name].dtype) for name in labels}
     wanted: dict[tuple[str, str], list[str]] = {}
+    if not len(rows):
+        return filled
     for name, units in labels.items():
         for unit in units:
             wanted.setdefault(unit, []).append(name)
     for unit, names in wanted.items():
-        part = files.read(unit, tile, names, (first, end - 1))
-        mine = slice(*np.searchsorted(part["row"], rows))
-        at = part["row"][mine].astype(np.intp) - first
+        part = files.read(unit, tile, names, (int(rows[0]), int(rows[-1])))
+        mine, at = _met(rows, part["row"])
         for name in names:
-            filled[name][at] = part[name][mine]
+            filled[name][mine] = part[name].take(at)
     return filled
+
+
+def _met(
+    rows: NDArray[np.int64], held: NDArray[np.int64]
+) -> tuple[slice | NDArray[np.intp], NDArray[np.intp]]:
+    """Which of some rows are held, and where among those that are; both increase."""
+    if len(held) and held[-1] - held[0] + 1 == len(held):  # no row is left out
+        mine = slice(*np.searchsorted(rows, (held[0], held[-1] + 1)).tolist())
+        return mine, rows[mine] - int(held[0])
+    at = np.searchsorted(held, rows)
+    found = np.flatnonzero(held.take(at, mode="clip") == rows) if len(held) else at[:0]
+    return found, at[found]
 
 
 def read_region(
@@ -287,16 +299,14 @@ def read_region(
     with LabelFiles(store) as files:
         for tile in held:
             values, row = read_between(store.tile(str(tile)), columns, span)
-            chosen = np.flatnonzero(inside(values["x"], values["y"], bounds))
+            chosen = _within(values["x"], values["y"], bounds)
             for name in columns:
-                parts[name].append(values.pop(name)[chosen])
-            row = row[chosen]
+                parts[name].append(_of(values.pop(name), chosen))
+            row = _of(row, chosen)
             parts["row"].append(row.astype(np.uint32))
             of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
-            first, end = (int(row[0]), int(row[-1]) + 1) if len(row) else (0, 0)
-            found = _labels_of(files, tile, (first, end), of_tile)
-            for name in labels:
-                parts[name].append(found[name][row - first])
+            for name, found in _labels_of(files, tile, row, of_tile).items():
+                parts[name].append(found)
     cells = np.array(held, dtype=np.int32).reshape(-1, 2)
     if not held:
         nothing = np.empty(0, np.uint32)
@@ -314,3 +324,20 @@ def read_region(
     merged = {name: np.concatenate(parts.pop(name))[order] for name in (*names, "row")}
     in_file = merged.pop("row")
     return PointTable(merged), Origin(cells, owner[order], in_file)
+
+
+def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.intp] | slice:
+    """Rows of a tile within bounds; a slice, which copies nothing, where they adjoin.
+
+    A tile lies in canonical order, so x increases.
+    """
+    first, end = np.searchsorted(x, (bounds.xmin, bounds.xmax)).tolist()
+    rows = rows_of((y[first:end] >= bounds.ymin) & (y[first:end] < bounds.ymax))
+    if isinstance(rows, slice):
+        return slice(first + rows.start, first + rows.stop)
+    found: NDArray[np.intp] = rows + first
+    return found
+
+
+def _of(values: NDArray[Any], chosen: NDArray[np.intp] | slice) -> NDArray[Any]:
+    return values[chosen] if isinstance(chosen, slice) else values.take(chosen)
