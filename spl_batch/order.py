@@ -2,10 +2,12 @@
 
 Sorting key after key moves every row once per key. Most rows differ in the first keys
 already: these are packed into one 64-bit word with the row's number below them, and words
-are sorted. Rows that are still equal, few, are put in order by all keys.
+are sorted, many of them digit by digit [Knuth, vol. 3, 5.2.5]. Rows that are still equal, few,
+are put in order by all keys.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,9 @@ from numpy.typing import NDArray
 _WORD = 64
 _BLOCK = 1 << 14
 _DIGIT = 16
+_MANY = 1 << 12
+_PLACES = 12
+"""From so many words on digits of at most so many bits are quicker than comparing."""
 
 
 def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
@@ -32,14 +37,17 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
     """
     n = len(keys[0])
     row_bits = n.bit_length()
-    packed, complete = _pack(keys, _WORD - row_bits)
+    packed, width, complete = _pack(keys, _WORD - row_bits)
     if packed is None:
         return np.lexsort(keys[::-1])
     if complete and packed.max(initial=0) < 1 << _DIGIT:
         # Numbers this short are put in order digit by digit, without comparing them.
         return np.argsort(packed.astype(np.uint16), kind="stable")
     word = (packed << np.uint64(row_bits)) | np.arange(n, dtype=np.uint64)
-    word.sort()
+    if n < _MANY:
+        word.sort()
+    else:
+        word = sorted_by_digits(word, row_bits, width)
     order = (word & np.uint64((1 << row_bits) - 1)).astype(np.intp)
     if complete:
         return order
@@ -78,19 +86,68 @@ def _block_in_order(keys: Sequence[NDArray[Any]]) -> bool:
     return True
 
 
-def _pack(keys: Sequence[NDArray[Any]], room: int) -> tuple[NDArray[np.uint64] | None, bool]:
-    """As many leading keys as fit into ``room`` bits, and whether these are all."""
+def sorted_by_digits(word: NDArray[np.uint64], first: int, width: int) -> NDArray[np.uint64]:
+    """Words by the number in some of their bits; equal ones keep their order.
+
+    Parameters
+    ----------
+    word : (n,) uint64
+        Words; overwritten.
+    first, width : int
+        Lowest of the bits, and how many they are.
+
+    Returns
+    -------
+    (n,) uint64
+        The words; their own array or another one.
+    """
+    passes = -(-width // _PLACES)
+    bits = -(-width // max(passes, 1))
+    other = np.empty_like(word)
+    deal = _compiled()
+    for number in range(passes):
+        deal(word, first + number * bits, min(bits, width - number * bits), other)
+        word, other = other, word
+    return word
+
+
+@cache
+def _compiled() -> Callable[..., None]:
+    """:func:`_deal` compiled; who sorts nothing does without numba."""
+    from numba import njit  # noqa: PLC0415 - slow import, only when used
+
+    compiled: Callable[..., None] = njit(nogil=True, cache=True)(_deal)
+    return compiled
+
+
+def _deal(word: NDArray[np.uint64], first: int, bits: int, out: NDArray[np.uint64]) -> None:
+    """Put words in the order of a digit, those of the same one as they came."""
+    low, mask = np.uint64(first), np.uint64((1 << bits) - 1)
+    place = np.zeros((1 << bits) + 1, np.int64)
+    for i in range(len(word)):
+        place[np.int64((word[i] >> low) & mask) + 1] += 1
+    for digit in range(1 << bits):
+        place[digit + 1] += place[digit]
+    for i in range(len(word)):
+        own = np.int64((word[i] >> low) & mask)
+        out[place[own]] = word[i]
+        place[own] += 1
+
+
+def _pack(keys: Sequence[NDArray[Any]], room: int) -> tuple[NDArray[np.uint64] | None, int, bool]:
+    """As many leading keys as fit into ``room`` bits, their bits, and whether these are all."""
     packed: NDArray[np.uint64] | None = None
+    used = 0
     for number, key in enumerate(keys):
         if key.dtype.kind == "f" and number:
-            return packed, False
+            return packed, used, False
         digits = _ranks(key) if key.dtype.kind == "f" else _offsets(key)
         width = int(digits.max(initial=0)).bit_length()
-        if width > room:
-            return packed, False
-        room -= width
+        if width > room - used:
+            return packed, used, False
+        used += width
         packed = digits if packed is None else (packed << np.uint64(width)) | digits
-    return packed, True
+    return packed, used, True
 
 
 def _offsets(key: NDArray[Any]) -> NDArray[np.uint64]:

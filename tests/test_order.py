@@ -33,6 +33,17 @@ def test_order_is_that_of_lexsort(keys):
     assert np.array_equal(lexicographic_order(keys), np.lexsort(keys[::-1]))
 
 
+@pytest.mark.parametrize("width", [0, 1, 12, 13, 25, 40])
+@pytest.mark.parametrize("signed", [False, True])
+def test_many_rows_are_sorted_digit_by_digit(width, signed):
+    rng = np.random.default_rng(width)
+    n = 6000
+    first = rng.integers(0, 1 << width, n) - (1 << width - 1 if signed and width else 0)
+    keys = [first, rng.integers(0, 3, n), rng.random(n)]
+    for some in (keys[:1], keys[:2], keys):
+        assert np.array_equal(lexicographic_order(some), np.lexsort(some[::-1]))
+
+
 @given(_keys(), st.booleans())
 def test_in_order_where_sorting_changes_nothing(keys, sort):
     if sort:
