@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.io.las import iter_points
 from spl_batch.io.polygons import contains, read_polygons
@@ -135,9 +136,17 @@ def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
         "z": [int(table["z"].min()), int(table["z"].max())] if len(table) else None,
         "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
         "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
-        "sources": sorted({str(s) for s in np.unique(table["source"]).tolist()}),
+        "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
     }
     return Produced([path], facts, len(table))
+
+
+def _different(values: NDArray[np.uint64]) -> list[int]:
+    """Different values; mostly there is one."""
+    if not len(values) or (values == values[0]).all():
+        return [int(value) for value in values[:1]]
+    found: list[int] = np.unique(values).tolist()
+    return found
 
 
 def _assess(

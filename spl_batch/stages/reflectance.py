@@ -259,9 +259,10 @@ def _centre(blocks: Blocks) -> _Centres:
     block = np.repeat(np.arange(len(size)), size)
     shot = np.arange(len(block)) - blocks.offset[block] + blocks.first[block]
     tau = (shot - blocks.middle[block]) / blocks.half[block]
-    power = tau[:, None] ** np.arange(4)
-    xy = np.stack([(power * blocks.coefficient[block, :4, k]).sum(axis=1) for k in (0, 1)], axis=1)
-    return _Centres(block, tau, xy + blocks.anchor[block, :2])
+    path = np.zeros((len(block), 2))
+    for term in range(3, -1, -1):
+        path = path * tau[:, None] + blocks.coefficient[block, term]
+    return _Centres(block, tau, path + blocks.anchor[block, :2])
 
 
 def _near(
