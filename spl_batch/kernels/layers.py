@@ -17,6 +17,9 @@ from spl_batch.constants import QUANTA_PER_M
 SUPPORTED = 3
 """Points that make a layer trustworthy by itself [count]."""
 
+_FEW = 64
+"""Points of a cell that are sorted by inserting one after the other [count]."""
+
 _CROWDED = 10
 """Points in a cell above which a layer of one or two is doubtful [count]."""
 
@@ -178,23 +181,46 @@ def _lowest_layers(
     doubtful: NDArray[np.bool_],
     buried: NDArray[np.bool_],
 ) -> int:
-    used = 0
+    used = most = 0
     for c in range(len(start) - 1):
-        members = order[start[c] : start[c + 1]]
-        if len(members) == 0:
+        most = max(most, start[c + 1] - start[c])
+    # A cell's points lie far apart in memory, and are looked at several times.
+    room, sorted_z = np.empty((3, most)), np.empty(most)
+    for c in range(len(start) - 1):
+        n = start[c + 1] - start[c]
+        if n == 0:
             continue
-        heights = np.sort(z[members])
+        own, heights = room[:, :n], sorted_z[:n]
+        for k in range(n):
+            i = order[start[c] + k]
+            own[0, k], own[1, k], own[2, k] = x[i], y[i], z[i]
+        _sort_heights(own[2], heights)
         first, filled = _two_layers(heights, thickness)
         for bottom in (first, filled):
             if bottom < 0:
                 continue
             low = heights[bottom]
-            count[used] = _layer_mean(x, y, z, members, low, thickness, xyz[used])
+            count[used] = _layer_mean(own, low, thickness, xyz[used])
             cell[used] = c
-            doubtful[used] = len(members) >= _CROWDED and count[used] < SUPPORTED
+            doubtful[used] = n >= _CROWDED and count[used] < SUPPORTED
             buried[used] = count[used] < SUPPORTED and _below_sheet(heights, bottom + count[used])
             used += 1
     return used
+
+
+@njit(nogil=True, cache=True)
+def _sort_heights(z: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill with increasing heights; few are put in one after the other."""
+    if len(z) > _FEW:
+        out[:] = z
+        out.sort()
+        return
+    for k in range(len(z)):
+        height, at = z[k], k
+        while at > 0 and out[at - 1] > height:
+            out[at] = out[at - 1]
+            at -= 1
+        out[at] = height
 
 
 @njit(nogil=True, cache=True)
@@ -226,13 +252,7 @@ def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
 
 @njit(nogil=True, cache=True)
 def _layer_mean(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    z: NDArray[np.float64],
-    members: NDArray[np.int64],
-    low: float,
-    thickness: float,
-    out: NDArray[np.float64],
+    own: NDArray[np.float64], low: float, thickness: float, out: NDArray[np.float64]
 ) -> int:
     """Mean of the layer above ``low``, then of the layer around that mean; its count.
 
@@ -242,11 +262,11 @@ def _layer_mean(
     n = 0
     for _ in range(2):
         sx, sy, sz, n = 0.0, 0.0, 0.0, 0
-        for i in members:
-            if bottom <= z[i] <= bottom + thickness:
-                sx += np.rint(x[i] * QUANTA_PER_M)
-                sy += np.rint(y[i] * QUANTA_PER_M)
-                sz += np.rint(z[i] * QUANTA_PER_M)
+        for k in range(own.shape[1]):
+            if bottom <= own[2, k] <= bottom + thickness:
+                sx += np.rint(own[0, k] * QUANTA_PER_M)
+                sy += np.rint(own[1, k] * QUANTA_PER_M)
+                sz += np.rint(own[2, k] * QUANTA_PER_M)
                 n += 1
         per_m = n * QUANTA_PER_M
         out[0], out[1], out[2] = sx / per_m, sy / per_m, sz / per_m
