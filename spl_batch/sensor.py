@@ -5,7 +5,7 @@ from importlib import resources
 from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import WorkflowError
@@ -57,22 +57,27 @@ class Sensor(BaseModel):
         0.7, description="Mean lag of an afterpulse behind the end of the dead time [m]."
     )
     afterpulse_lag_max_m: Positive = Field(
-        3.0, description="Longest lag of an afterpulse behind its parent [m]; W17 7.2: 2-3 m."
+        3.0,
+        description="Longest lag of an afterpulse behind its parent [m]; W17 7.2: 2-3 m.",
+        validate_default=True,
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "Sensor":
-        if self.afterpulse_lag_max_m <= self.dead_m:
-            raise ValueError(
-                f"afterpulse_lag_max_m {self.afterpulse_lag_max_m} must exceed the dead time, "
-                f"{self.dead_m:.3f} m"
-            )
-        return self
+    @field_validator("afterpulse_lag_max_m")
+    @classmethod
+    def _behind_the_dead_time(cls, lag_m: float, given: ValidationInfo) -> float:
+        dead_m = _range_m(given.data.get("dead_time_ns", 0.0))
+        if lag_m <= dead_m:
+            raise ValueError(f"must exceed the dead time, {dead_m:.3f} m")
+        return lag_m
 
     @property
     def dead_m(self) -> float:
         """Dead time as range [m]."""
-        return 0.5e-9 * SPEED_OF_LIGHT_M_S * self.dead_time_ns
+        return _range_m(self.dead_time_ns)
+
+
+def _range_m(time_ns: float) -> float:
+    return time_ns * 1e-9 * SPEED_OF_LIGHT_M_S / 2
 
 
 def preset_names() -> list[str]:

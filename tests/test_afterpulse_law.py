@@ -72,8 +72,10 @@ def test_what_the_simulator_draws_is_what_the_fit_finds(scale: float, longest: f
 
 
 def test_a_longest_lag_within_the_dead_time_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"afterpulse_lag_max_m 0\.2 must exceed .* 0\.240 m"):
+    with pytest.raises(ValueError, match=r"(?s)afterpulse_lag_max_m.*must exceed .* 0\.240 m"):
         Sensor.model_validate({**SENSOR.model_dump(), "afterpulse_lag_max_m": 0.2})
+    with pytest.raises(ValueError, match=r"must exceed the dead time, 4\.497 m"):
+        Sensor.model_validate({"name": "slow", "dead_time_ns": 30.0})
 
 
 @given(st.floats(0.06, 4.0), st.floats(1.0, 6.0))
