@@ -15,7 +15,10 @@ with it; else it is learnt from the block's own returns, and a channel that has 
 counts as not fired. A block that neither describes is left out.
 """
 
-from dataclasses import dataclass, fields
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -52,8 +55,18 @@ _RIDGE: Final = 1e-7
 """Weight of "zero" for coefficients that a block's few shots do not determine."""
 
 
-_WHICH: Final = "which"
-"""Which of the patterns on disk each block has."""
+_BY_BLOCK: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
+    {
+        **dict.fromkeys(("first", "last", "middle", "half"), ()),
+        "anchor": (3,),
+        "coefficient": (TERMS, 2),
+        "origin": (2, 3),
+    }
+)
+"""What a part has for each block, and its shape; on disk one table, which is read at once."""
+
+_NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped")
+"""What it has once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,22 +112,38 @@ class FiredPart:
     dropped: int
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays without Python objects, as npz files hold them; of equal patterns one is kept."""
-        arrays = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-        rows = np.ascontiguousarray(self.pattern).reshape(len(self.pattern), -1)
+        """Few arrays, of numbers only, as an npz file holds them; of equal patterns one is kept."""
+        m, channels, axes = self.pattern.shape
+        rows = np.ascontiguousarray(self.pattern).reshape(m, channels * axes)
         whole = rows.view(np.dtype((np.void, rows.shape[1] * rows.itemsize))).ravel()
         _, first, which = np.unique(whole, return_index=True, return_inverse=True)
-        return {**arrays, "pattern": self.pattern[first], _WHICH: which}
+        # Whole numbers below 2**53 are exact.
+        columns = [
+            np.reshape(getattr(self, name), (m, math.prod(shape)))
+            for name, shape in _BY_BLOCK.items()
+        ]
+        return {
+            "blocks": np.column_stack([which, *columns]),
+            "pattern": self.pattern[first],
+            "gain": self.gain,
+            "numbers": np.array([float(getattr(self, name)) for name in _NUMBERS]),
+        }
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "FiredPart":
         """Part that :meth:`to_arrays` gave."""
-        arrays = {**arrays, "pattern": arrays["pattern"][arrays[_WHICH]]}
+        widths = [math.prod(shape) for shape in _BY_BLOCK.values()]
+        which, *columns = np.split(arrays["blocks"], np.cumsum([1, *widths[:-1]]), axis=1)
         content: dict[str, Any] = {
-            f.name: arrays[f.name] if arrays[f.name].ndim else arrays[f.name].item()
-            for f in fields(cls)
+            name: np.ascontiguousarray(column).reshape(len(which), *shape)
+            for (name, shape), column in zip(_BY_BLOCK.items(), columns, strict=True)
         }
-        return cls(**content)
+        numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
+        content |= {name: content[name].astype(np.int64) for name in ("first", "last")}
+        content["pattern"] = arrays["pattern"][which.ravel().astype(np.intp)]
+        return cls(
+            **{**content, **numbers, "gain": arrays["gain"], "dropped": int(numbers["dropped"])}
+        )
 
     def reach(self) -> list[int]:
         """Rectangle that the beamlets can meet near their reference planes [m]."""
