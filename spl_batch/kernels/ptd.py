@@ -294,14 +294,24 @@ def _heights_above(
     distance: NDArray[np.float64],
     edge: NDArray[np.float64],
 ) -> None:
+    # Many points share a facet: what is its own is reckoned once.
+    norm, shortest = np.empty(len(facets)), np.empty(len(facets))
+    for t in range(len(facets)):
+        norm[t] = np.sqrt(1.0 + planes[t, 0] * planes[t, 0] + planes[t, 1] * planes[t, 1])
+        shortest[t] = np.inf
+        for k in range(3):
+            a, b = facets[t, k], facets[t, (k + 1) % 3]
+            length = np.hypot(xyz[a, 0] - xyz[b, 0], xyz[a, 1] - xyz[b, 1])
+            shortest[t] = min(shortest[t], length)
     last = 0
     for i in range(len(x)):
         found, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
         if found < 0:
             distance[i], edge[i] = np.nan, np.nan
             continue
-        distance[i] = facet_fit(xyz, facets[found], planes[found], x[i], y[i], z[i])[0]
-        edge[i] = np.inf
-        for k in range(3):
-            a, b = facets[found, k], facets[found, (k + 1) % 3]
-            edge[i] = min(edge[i], np.hypot(xyz[a, 0] - xyz[b, 0], xyz[a, 1] - xyz[b, 1]))
+        first = facets[found, 0]
+        east, north = planes[found, 0], planes[found, 1]
+        rise = east * (x[i] - xyz[first, 0])
+        below = planes[found, 2] + rise + north * (y[i] - xyz[first, 1])
+        distance[i] = (z[i] - below) / norm[found]
+        edge[i] = shortest[found]
