@@ -63,16 +63,14 @@ class Listened(NamedTuple):
 
     Parameters
     ----------
-    per_m3 : (nx, ny, nz) float64
-        Density of the covered part of each voxel [1/m3].
+    density : (4 nx, 4 ny, nz) float64
+        Density of the covered part of a square's voxel [1/m3]; 0 where the line does not count.
     each : (nx, ny, nz) float64
         What one beamlet stands for there [1/m3].
     surely : (4 nx, 4 ny, nz) float32
         Beamlets that surely cross each square [count].
-    fullest : (4 nx, 4 ny, nz) float32
-        The largest of that among the squares within one.
-    near : (4 nx, 4 ny, nz) bool
-        Squares where the flightline counts as a whole, and those of the rim.
+    ridge : (4 nx, 4 ny, nz) bool
+        Squares within one of those where such beamlets may stand for more than the density.
     covered : (4 nx, 4 ny, nz) float32
         Part of each square that is covered [0..1].
     rim : (4 nx, 4 ny, nz) bool
@@ -82,11 +80,10 @@ class Listened(NamedTuple):
         layer may be silent as a whole, where a gate ends.
     """
 
-    per_m3: NDArray[np.float64]
+    density: NDArray[np.float64]
     each: NDArray[np.float64]
     surely: NDArray[np.float32]
-    fullest: NDArray[np.float32]
-    near: NDArray[np.bool_]
+    ridge: NDArray[np.bool_]
     covered: NDArray[np.float32]
     rim: NDArray[np.bool_]
     reached: NDArray[np.bool_]
@@ -116,18 +113,16 @@ class Listened(NamedTuple):
             Covered part around the points [0..1].
         """
         place = square[0], square[1], voxel[2]
-        density = np.where(self.near[place], self.per_m3[voxel], 0.0)
-        ridge = self.near[place] & (self.each[voxel] * self.fullest[place] > density)
-        part = np.ones(len(density))
-        rows = np.flatnonzero(self.rim[place] | ridge)
-        found, surely = self._between(
-            tuple(axis[rows] for axis in place), tuple(axis[rows] for axis in offset)
-        )
-        rim = self.rim[tuple(axis[rows] for axis in place)]
-        part[rows[rim]] = found[rim]
+        density, part = self.density[place], np.ones(len(voxel[0]))
+        rows = np.flatnonzero((self.rim | self.ridge)[place])
+        if not len(rows):
+            return density, part
+        place = square[0][rows], square[1][rows], voxel[2][rows]
+        found, surely = self._between(place, tuple(axis[rows] for axis in offset))
+        part[rows] = np.where(self.rim[place], found, 1.0)
         peak = self.each[tuple(axis[rows] for axis in voxel)] * surely
-        density[rows] = np.where(ridge[rows], np.maximum(density[rows], peak), density[rows])
-        density[part == 0.0] = 0.0
+        some = np.where(self.ridge[place], np.maximum(density[rows], peak), density[rows])
+        density[rows] = np.where(part[rows] == 0.0, 0.0, some)
         return density, part
 
     def _between(
@@ -184,7 +179,9 @@ def listened(
     _vertically(np.logical_or, near)
     near = np.where(clear, closed, near) | rim
     reached = _across(np.logical_or, _across(np.logical_or, closed))
-    return Listened(per_m3, each, surely, _largest(surely), near, covered, rim, reached)
+    density = np.where(near, _to_squares(per_m3), 0.0)
+    ridge = near & (_to_squares(each) * _largest(surely) > density)
+    return Listened(density, each, surely, ridge, covered, rim, reached)
 
 
 def around(
@@ -235,6 +232,11 @@ def square_shares() -> NDArray[np.float64]:
     np.add.at(shares, (index[:, None], index[None]), height)
     normal: NDArray[np.float64] = shares / shares.sum()
     return normal
+
+
+def _to_squares(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The value of each voxel at its squares: (4 nx, 4 ny, nz)."""
+    return values.repeat(SQUARES, axis=0).repeat(SQUARES, axis=1)
 
 
 def _inner(squares: NDArray[np.bool_]) -> NDArray[np.bool_]:
