@@ -131,21 +131,21 @@ def neighbours(
     Where they are fewer than :data:`RETURNS_MIN` only their number is right.
     """
     u_at, v_at, w_at, reach = u[at], v[at], w[at], rules.lag_max_m
+    # No branch, which would be guessed wrong as often as right.
     enough = 0
     for j in range(len(w)):
         du, dv = u[j] - u_at, v[j] - v_at
-        # No branch, so that the compiler makes vector instructions of it.
         enough += first[j] & (du * du + dv * dv <= NEAR_M**2) & (abs(w[j] - w_at) <= reach)
-    near = np.empty(enough, dtype=np.int64)
+    # What is not near is written over, but for what comes after the last that is.
+    near = np.empty(enough + 1, dtype=np.int64)
     if enough < RETURNS_MIN:
-        return near
+        return near[:enough]
     count = 0
     for j in range(len(w)):
         du, dv = u[j] - u_at, v[j] - v_at
-        if first[j] & (du * du + dv * dv <= NEAR_M**2) & (abs(w[j] - w_at) <= reach):
-            near[count] = j
-            count += 1
-    return near
+        near[count] = j
+        count += first[j] & (du * du + dv * dv <= NEAR_M**2) & (abs(w[j] - w_at) <= reach)
+    return near[:enough]
 
 
 @njit(nogil=True, cache=True)
