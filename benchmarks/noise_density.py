@@ -150,7 +150,8 @@ def main(seeds: list[int]) -> None:
         with tempfile.TemporaryDirectory() as temporary:
             for name, sums in strata(seed, Path(temporary)):
                 found.setdefault(name, []).append(sums)
-                print(f"seed {seed}, {name}: {sums.expected / sums.true:.4f}", flush=True)
+                ratio = sums.expected / sums.true
+                print(f"seed {seed}, {name}: {ratio:.4f} of {sums.true:.0f}", flush=True)
             print_settings(seed, Path(temporary))
     print(
         f"{'stratum':32s}{'noise returns':>14s}{'expected/true':>15s}{'+-':>8s}{'published':>11s}"
