@@ -91,9 +91,18 @@ class Counts(NamedTuple):
 
 
 def scene(seed: int, extent_m: tuple[float, float]) -> Scene:
-    """Ordinary wires with more roofs and trees."""
+    """Ordinary wires with more trees, and roofs flat, gabled and shed between the lines."""
     content = ordinary_wires(seed, extent_m).model_dump(mode="json", by_alias=True)
-    content |= {"name": "near surfaces", "buildings": {"count": 6}, "trees": {"cover": 0.2}}
+    rng = np.random.default_rng([seed, 1])
+    roofs = [
+        {
+            "centre_m": [east * extent_m[0], north * extent_m[1]], "size_m": [14.0, 10.0],
+            "heading_deg": float(rng.uniform(0, 180)), "eave_m": float(rng.uniform(4, 8)),
+            "roof": roof,
+        }
+        for east, north, roof in ((0.2, 0.36, "flat"), (0.5, 0.62, "gable"), (0.8, 0.36, "shed"))
+    ]  # fmt: skip
+    content |= {"name": "near surfaces", "buildings": {"list": roofs}, "trees": {"cover": 0.2}}
     return parse_scene(content, "near surfaces")
 
 

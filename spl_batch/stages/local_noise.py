@@ -51,7 +51,7 @@ BLUR: Final = (1.0, 4.0, 1.0)
 FEW: Final = 8.0
 """Beamlets over a covered square that tell where within a square an edge lies [count]."""
 
-BESIDE_NOTHING: Final = 0.85
+BESIDE_NOTHING: Final = 0.9
 """Part of the density at which alpha is kept within a metre of where all noise ends."""
 
 SURE: Final = 3.0
