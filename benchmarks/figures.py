@@ -66,9 +66,9 @@ DRAWS: Final = 3
 NULL_DENSITIES: Final = null_calibration.DENSITIES
 """[1/m3]"""
 
-NEAR_SEEDS: Final = (1, 2)
-NEAR_M: Final = (90.0, 70.0)
-FEWEST: Final = 30
+NEAR_SEEDS: Final = (1,)
+NEAR_M: Final = (60.0, 50.0)
+FEWEST: Final = 20
 LEAST: Final = 0.01
 """Scenes near surfaces, their extent [m]; bins with fewer returns are left out [count], and shares
 are drawn from here on [%]."""
