@@ -1,6 +1,6 @@
 """Point-wise test of the adaptive ellipsoid [W18 2.2.3; W17 5.2.2, 6.2.3].
 
-Three tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 13-26 %
+Three tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 11-26 %
 of pure noise. ``tail`` deviates in four points:
 
 - it uses P(K >= k), the probability of a count at least as large as the one found;
