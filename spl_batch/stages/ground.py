@@ -62,8 +62,9 @@ on a slope of any steepness those along the contour do."""
 _BELOW = 3
 _BELOW_STEP_M = 0.5
 _BELOW_SLOPE = 0.5
-"""No seed is taken above three believed nodes, be they of one return each: ground that is seen
-through a crown, whose lowest leaves fill a layer better than the ground does."""
+"""No seed is taken above three believed nodes of one or two returns below many others: that is
+ground seen through a crown, whose lowest leaves fill a layer better than the ground does. The foot
+of a cliff or wall has nodes of its own weight, and takes no seed from its top."""
 
 Float = NDArray[np.float64]
 
@@ -286,10 +287,11 @@ def _supported(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
 def _seen_through(
     nodes: Nodes, believed: NDArray[np.bool_], cells: Cells, cell_m: float
 ) -> NDArray[np.bool_]:
-    """Nodes below which a surface goes on: the lowest leaves of a crown."""
+    """Nodes below which single returns go on: the lowest leaves of a crown."""
     below = np.empty(len(nodes.cell), dtype=np.int64)
+    alone = believed & nodes.doubtful
     count_below(
-        nodes.xyz, nodes.cell, believed, cells.rows, cells.columns, _REACH, _REACH * cell_m,
+        nodes.xyz, nodes.cell, alone, cells.rows, cells.columns, _REACH, _REACH * cell_m,
         _BELOW_STEP_M, _BELOW_SLOPE, below,
     )  # fmt: skip
     return below >= _BELOW
