@@ -154,3 +154,13 @@ def test_single_returns_under_wide_crowns_are_ground(
     found = ground_mask(table, np.ones(len(x), np.bool_), GroundSettings(method=method))
     assert height[found].max() < 1
     assert found[crown & ~leaf].mean() > 0.99
+
+
+@pytest.mark.parametrize(("per_m2", "share"), [(1, 0.91), (8, 0.88)])
+def test_terraces_are_ground_to_their_edges(per_m2: int, share: float) -> None:
+    """Steps of 4 m every 8 m: ground below an edge says nothing against that on it."""
+    x, y = np.random.default_rng(1).uniform(0, 60, (2, per_m2 * 60 * 60))
+    z = 4 * np.floor(x / 8) + np.random.default_rng(2).normal(0, RANGING_SD_M, len(x))
+    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, z))
+    table = PointTable(dict(zip("xyz", xyz, strict=True)))
+    assert ground_mask(table, np.ones(len(x), np.bool_), GroundSettings()).mean() > share
