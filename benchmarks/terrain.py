@@ -29,6 +29,7 @@ from scipy import ndimage
 
 from benchmarks.quality import KINDS
 from spl_batch import api
+from spl_batch.constants import CLASS_GROUND, CLASS_WATER
 from spl_batch.settings import GroundSettings, ProductSettings
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import parse_scene
@@ -245,7 +246,8 @@ def load_truth(survey: Path) -> Truth:
         for name in ("roof", "water"):
             chosen = inside & (kind == KINDS.index(name))
             held[name][row[chosen], col[chosen]] = True
-        chosen = inside & (np.asarray(las.classification) == 2)
+        # Water is ground to the terrain, by another class.
+        chosen = inside & np.isin(np.asarray(las.classification), (CLASS_GROUND, CLASS_WATER))
         held["ground"][row[chosen], col[chosen]] = True
     return Truth(terrain, surface, top, held["roof"], held["water"], held["ground"])
 
