@@ -35,8 +35,8 @@ from spl_batch.simulate.layout import lay_out
 from spl_batch.simulate.scene import Scene
 
 PATHS: Final = 21
-"""Paths of the light within a footprint that are summed over [count]; 61 change no bound by more
-than 0.2 points."""
+"""Paths of the light within a footprint that are summed over [count]; with 15, 31 and 61 the bound
+of a canopy of clumps is the same within 0.2 points."""
 
 CLUSTER_MAX: Final = 9
 """Longest chain of returns whose sources are all tried; in longer ones each counts for itself."""
