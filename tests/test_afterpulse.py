@@ -18,7 +18,7 @@ from spl_batch.kernels.robust_plane import (
 from spl_batch.model import COLUMNS, PointTable, Trajectory
 from spl_batch.sensor import load_preset
 from spl_batch.settings import AfterpulseSettings
-from spl_batch.stages import afterpulse, geometry
+from spl_batch.stages import afterpulse, afterpulse_law, geometry
 
 SETTINGS = AfterpulseSettings()
 SENSOR = load_preset("spl100")
@@ -201,6 +201,20 @@ def test_vegetation_is_left_to_the_space_domain() -> None:
     followers = p[(kind == 1) & (p > 0)]
     assert followers.max() < 0.5
     assert followers.mean() > p[kind == 0].mean()
+
+
+@pytest.mark.parametrize("longest", [0.8, 3.0])
+def test_no_return_is_an_afterpulse_farther_behind_than_the_longest_lag(longest: float) -> None:
+    # The bottom of water would be, as far as settings look behind a hard surface.
+    sensor = SENSOR.model_copy(update={"afterpulse_lag_max_m": longest})
+    table, track, _ = shots(level, noise_per_m=2e-3, number=20)
+    beams = geometry.beams(table, track)
+    due = afterpulse_law.rate(table, beams, afterpulse_law.sensor_law(sensor)) > 0
+    p = afterpulse.probability(table, beams, SETTINGS, sensor)
+    assert (p[~due] == 0).all()
+    assert (p[due] > 0).all()
+    assert (p[due] >= 0.5).mean() > 0.5
+    assert (found(table, track)[~due] > 0).any() == (longest < 3)
 
 
 def test_a_car_beside_its_ground_costs_no_ground() -> None:

@@ -45,8 +45,6 @@ def soft_probability(
     Density of afterpulses at this lag against that of real returns there, the latter
     from the other beamlets' first returns within 1.5 m.
     """
-    if lag > rules.longest_m:
-        return 0.0
     lag, window = max(lag - rules.dead_m, 0.0), rules.longest_m - rules.dead_m
     afterpulse = rules.probability * math.exp(-lag / rules.scale_m) / rules.scale_m
     afterpulse /= -math.expm1(-window / rules.scale_m)
@@ -233,7 +231,8 @@ def shot_probability(
     for i in range(n):
         if not with_channels:
             out[i] = plane_probability(i, behind, spreads, rules)
-        elif lag[i] > 0:
+        elif 0.0 < lag[i] <= rules.longest_m:
+            # One farther behind its nearest parent cannot have been started by any.
             own = beamlet_of(i, channel)
             follows = follows_surface(i, own, behind, spreads, depths, w, rules)
             if not follows:
