@@ -359,18 +359,19 @@ def count_below(
     out : (m,) int64, written
         Such nodes [count].
     """
-    first = np.full(rows * columns + 1, -1, dtype=np.int64)
-    for i in range(len(cell) - 1, -1, -1):
-        first[cell[i]] = i
+    picked = np.flatnonzero(chosen)  # few: looked for by themselves
+    first = np.full(rows * columns, -1, dtype=np.int64)
+    for k in range(len(picked) - 1, -1, -1):
+        first[cell[picked[k]]] = k
     for i in range(len(cell)):
         r, c = cell[i] // columns, cell[i] % columns
         n = 0
         for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
             for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
-                j = first[rr * columns + cc]
-                while 0 <= j < len(cell) and cell[j] == rr * columns + cc:
+                k = first[rr * columns + cc]
+                while 0 <= k < len(picked) and cell[picked[k]] == rr * columns + cc:
+                    j = picked[k]
                     d = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
-                    below = xyz[j, 2] < xyz[i, 2] - step_m - slope * d
-                    n += chosen[j] and below and d <= reach_m
-                    j += 1
+                    n += xyz[j, 2] < xyz[i, 2] - step_m - slope * d and d <= reach_m
+                    k += 1
         out[i] = n
