@@ -25,12 +25,12 @@ BARS: dict[str, Bar] = {
     "ground kept %": (">=", 99.5),
     "roof kept %": (">=", 99.0),
     "vegetation kept %": (">=", 98.0),
-    "wire kept %": (">=", 95.0),
+    "wire kept %": (">=", 98.0),
     "background removed %": (">=", 95.0),
     "afterpulses under ground and roofs removed %": (">=", 97.0),
-    "DTM RMSE on open ground cm": ("<=", 10.0),
+    "DTM RMSE on open ground cm": ("<=", 5.0),
     "DSM cells set by noise per 10 000": ("<=", 1.0),
-    "expected / true noise density": ("~", 0.05),
+    "expected / true noise density": ("~", 0.03),
 }
 
 

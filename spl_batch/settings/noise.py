@@ -35,7 +35,11 @@ class AfterpulseSettings(Section):
     below_plane_m: Positive = Field(
         0.3, description="Returns farther below the plane are flagged [m]."
     )
-    lag_max_m: Positive = Field(5.0, description="Longest lag behind a parent or plane [m].")
+    lag_max_m: Positive = Field(
+        5.0,
+        description="Greatest depth behind a hard surface [m]; one step is no longer than the "
+        "sensor's afterpulse_lag_max_m.",
+    )
     vegetation_loss: Share = Field(
         0.0125,
         description="Share of the true returns of vegetation that may go with its afterpulses.",
