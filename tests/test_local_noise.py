@@ -215,10 +215,7 @@ def test_a_ridge_of_beamlets_is_a_ridge_of_noise() -> None:
     top = true > 2 * PER_M3
     assert found[top].min() > 0.8 * 3.0 * PER_M3
     assert found.max() < 1.05 * 3.0 * PER_M3
-    # in the voxel beside it what the blur leaves, and beyond nothing
-    beside = found[20 - 8]
-    assert beside.max() < 1.6 * PER_M3
-    assert beside.min() > PER_M3
+    # no farther than a square and its blur
     flat = np.ones(true.shape, dtype=bool)
     flat[18 - 8 - 6 : 20 - 8 + 6] = False
     assert found[flat].max() < 1.05 * PER_M3

@@ -16,9 +16,10 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   linear between their centres: the test of single points looks so far, a metre or two. Where
   beamlets are too few to tell the edge, it counts within a square of those that are covered, in
   the layers around;
-- where surely more beamlets cross the squares around a point, linear between their centres, than
-  are usual around its voxel, the amount goes with them: at the edge of a swath a turning scan runs
-  along the edge, and what it listens to there makes a ridge narrower than a voxel.
+- where surely more beamlets cross a square within one of a point's than are usual around its
+  voxel, the amount goes with them: a turning scan makes ridges narrower than a voxel, the highest
+  along the edge of a swath, and ellipsoids lean into them. Interpolated between squares instead,
+  twice alpha was kept of noise within a swath (``benchmarks/null_edges.py``).
 
 The flightlines add up, to no less than :data:`BESIDE_NOTHING` of those that cover the point for
 the larger part: of the largest, where none does. Ellipsoids lean into what is denser, so beside
@@ -64,13 +65,8 @@ class Listened(NamedTuple):
     Parameters
     ----------
     density : (4 nx, 4 ny, nz) float64
-        Density of the covered part of a square's voxel [1/m3]; 0 where the line does not count.
-    each : (nx, ny, nz) float64
-        What one beamlet stands for there [1/m3].
-    surely : (4 nx, 4 ny, nz) float32
-        Beamlets that surely cross each square [count].
-    ridge : (4 nx, 4 ny, nz) bool
-        Squares within one of those where such beamlets may stand for more than the density.
+        Density of the covered part of a square's voxel, or of the fullest square within one if
+        that is surely denser [1/m3]; 0 where the line does not count.
     covered : (4 nx, 4 ny, nz) float32
         Part of each square that is covered [0..1].
     rim : (4 nx, 4 ny, nz) bool
@@ -81,9 +77,6 @@ class Listened(NamedTuple):
     """
 
     density: NDArray[np.float64]
-    each: NDArray[np.float64]
-    surely: NDArray[np.float32]
-    ridge: NDArray[np.bool_]
     covered: NDArray[np.float32]
     rim: NDArray[np.bool_]
     reached: NDArray[np.bool_]
@@ -114,39 +107,31 @@ class Listened(NamedTuple):
         """
         place = square[0], square[1], voxel[2]
         density, part = self.density[place], np.ones(len(voxel[0]))
-        rows = np.flatnonzero((self.rim | self.ridge)[place])
-        if not len(rows):
-            return density, part
-        place = square[0][rows], square[1][rows], voxel[2][rows]
-        found, surely = self._between(place, tuple(axis[rows] for axis in offset))
-        part[rows] = np.where(self.rim[place], found, 1.0)
-        peak = self.each[tuple(axis[rows] for axis in voxel)] * surely
-        some = np.where(self.ridge[place], np.maximum(density[rows], peak), density[rows])
-        density[rows] = np.where(part[rows] == 0.0, 0.0, some)
+        rim = np.flatnonzero(self.rim[place])
+        part[rim] = self._part(
+            (square[0][rim], square[1][rim], voxel[2][rim]), tuple(axis[rim] for axis in offset)
+        )
+        density[part == 0.0] = 0.0
         return density, part
 
-    def _between(
+    def _part(
         self, place: tuple[NDArray[np.int64], ...], offset: tuple[NDArray[np.float64], ...]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Covered part around points, and beamlets there, linear between eight squares: (n,)."""
+    ) -> NDArray[np.float64]:
+        """Covered part around points, linear between the centres of eight squares: (n,) float64."""
         beside = [
             np.clip(index + np.where(part < 0.0, -1, 1), 0, size - 1)
             for index, part, size in zip(place, offset, self.covered.shape, strict=True)
         ]
         far = [np.abs(part) for part in offset]
-        covered, beamlets = np.zeros(len(far[0])), np.zeros(len(far[0]))
+        found = np.zeros(len(far[0]))
         for i in (0, 1):
             x, across = (beside[0], far[0]) if i else (place[0], 1.0 - far[0])
             for j in (0, 1):
                 y, along = (beside[1], far[1]) if j else (place[1], 1.0 - far[1])
-                there = self.reached[x, y, beside[2]]
-                for k in (0, 1):
-                    z, up = (beside[2], far[2]) if k else (place[2], 1.0 - far[2])
-                    z = np.where(there, z, place[2])
-                    weight = across * along * up * self.covered[x, y, z]
-                    covered += weight
-                    beamlets += weight * self.surely[x, y, z]
-        return covered, beamlets / np.where(covered > 0.0, covered, 1.0)
+                own, other = self.covered[x, y, place[2]], self.covered[x, y, beside[2]]
+                other = np.where(self.reached[x, y, beside[2]], other, own)
+                found += across * along * ((1.0 - far[2]) * own + far[2] * other)
+        return found
 
 
 def listened(
@@ -179,9 +164,9 @@ def listened(
     _vertically(np.logical_or, near)
     near = np.where(clear, closed, near) | rim
     reached = _across(np.logical_or, _across(np.logical_or, closed))
-    density = np.where(near, _to_squares(per_m3), 0.0)
-    ridge = near & (_to_squares(each) * _largest(surely) > density)
-    return Listened(density, each, surely, ridge, covered, rim, reached)
+    ridge = _to_squares(each) * _largest(surely)
+    density = np.where(near, np.maximum(_to_squares(per_m3), ridge), 0.0)
+    return Listened(density, covered, rim, reached)
 
 
 def around(
