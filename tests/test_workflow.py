@@ -133,6 +133,7 @@ def test_an_unknown_section_names_the_nearest() -> None:
     sensor = {"name": "mine", "prf": 5}
     own = complaint(merged(survey={"flightlines": "a", "sensor": sensor}))
     assert "'survey.sensor.prf_hz'" in own
+    assert "valid string" not in own, "a mapping is meant, not a name"
 
 
 def test_every_fault_in_one_line() -> None:

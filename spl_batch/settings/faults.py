@@ -31,15 +31,23 @@ def validated(model: type[M], content: Mapping[str, Any], where: str) -> M:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        faults = "; ".join(_fault(e, model) for e in error.errors(include_url=False))
+        found = [e for e in error.errors(include_url=False) if not _of_another_member(e)]
+        faults = "; ".join(_fault(e, model) for e in found)
         raise WorkflowError(f"{where}: {faults}") from None
 
 
+def _of_another_member(error: Any) -> bool:
+    """Whether it only says that a mapping is no name, where either may stand."""
+    given = isinstance(error.get("input"), Mapping)
+    return given and error["type"] == "string_type" and error["loc"][-1] == "str"
+
+
 def _fault(error: Any, model: type[BaseModel]) -> str:
-    place = ".".join(str(part) for part in error["loc"])
+    # pydantic names the member of a union on the way, as in survey.sensor.Sensor.prf.
+    parts = [str(part) for part in error["loc"] if not str(part)[:1].isupper()]
+    place = ".".join(parts[:-1] if parts[-1:] == ["str"] else parts)
     if error["type"] == "extra_forbidden":
-        # pydantic names the member of a union on the way, as in survey.sensor.Sensor.prf.
-        near = _nearest([str(p) for p in error["loc"] if not str(p)[:1].isupper()], model)
+        near = _nearest(parts, model)
         return f"{place}: no such key; the nearest known key is {near!r}"
     message = error["msg"].removeprefix("Value error, ")
     given = error.get("input")
