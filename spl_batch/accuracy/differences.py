@@ -111,10 +111,9 @@ def _near(
         return np.zeros(len(points), np.bool_)
     low_m, high_m = _by_cells(points, others, radius_m / CELLS)
     near = high_m < radius_m
-    open_m = np.flatnonzero(~near & (low_m <= radius_m))
-    asked = points[open_m, :2]
-    found, _ = _tree(others).query(asked, distance_upper_bound=radius_m)
-    near[open_m] = np.isfinite(found)
+    unsure = np.flatnonzero(~near & (low_m <= radius_m))
+    found, _ = _tree(others).query(points[unsure, :2], distance_upper_bound=radius_m)
+    near[unsure] = np.isfinite(found)
     return near
 
 

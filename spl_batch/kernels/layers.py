@@ -275,6 +275,15 @@ def _layer_mean(
 
 
 @njit(nogil=True, cache=True)
+def _first_rows(cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
+    """First row of each cell, -1 for those without any; rows are in order of their cells."""
+    first = np.full(cells, -1, dtype=np.int64)
+    for i in range(len(cell) - 1, -1, -1):
+        first[cell[i]] = i
+    return first
+
+
+@njit(nogil=True, cache=True)
 def count_support(
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
@@ -305,9 +314,7 @@ def count_support(
     out : (m,) int64
         Supporting nodes of other cells [count].
     """
-    first = np.full(rows * columns + 1, -1, dtype=np.int64)
-    for i in range(len(cell) - 1, -1, -1):
-        first[cell[i]] = i
+    first = _first_rows(cell, rows * columns)
     for i in range(len(cell)):
         r, c = cell[i] // columns, cell[i] % columns
         n = 0
@@ -360,9 +367,7 @@ def count_below(
         Such nodes [count].
     """
     picked = np.flatnonzero(chosen)  # few: looked for by themselves
-    first = np.full(rows * columns, -1, dtype=np.int64)
-    for k in range(len(picked) - 1, -1, -1):
-        first[cell[picked[k]]] = k
+    first = _first_rows(cell[picked], rows * columns)
     for i in range(len(cell)):
         r, c = cell[i] // columns, cell[i] % columns
         n = 0

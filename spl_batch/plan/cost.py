@@ -36,7 +36,7 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     }
 )
 """Points per second and worker until a store has measured its own, those of ``denoise`` with the
-halos that blocks read; ``benchmarks/end_to_end.py``, two workers and 62 % noise."""
+halos that blocks read; ``benchmarks/end_to_end.py``, two workers, 83 % noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
