@@ -11,11 +11,8 @@ from spl_batch.errors import WorkflowError
 from spl_batch.graph.flow import PATIENCE_S, lost, workers_of
 from spl_batch.graph.work import Footing, misfit
 
-KEPT_BYTES: Final = 1 << 28
-"""Freed memory that a worker keeps for what it allocates next [byte]."""
-
-LARGE_BYTES: Final = 1 << 25
-"""Arrays from this size on are given back to the system when they are freed [byte]."""
+KEPT_BYTES: Final = 1 << 40
+"""Freed memory that a worker keeps for what it allocates next [byte]: all of it."""
 
 SETTINGS: Final[Mapping[str, Any]] = {
     # What waits on a worker is blamed with it when it dies, so the rest waits at the scheduler.
@@ -34,11 +31,13 @@ SETTINGS: Final[Mapping[str, Any]] = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
     # dask has workers give back each freed page at once. Tables of points come and go by the
-    # hundred: faults of pages that were just given back were a sixth of the processor's time.
-    # So all that a worker allocates, Arrow's memory too, lies in one place and is used again.
+    # hundred, arrays of a region by the dozen: faults of pages that were just given back took a
+    # tenth to a sixth of the processor's time. So all that a worker allocates, Arrow's memory
+    # too, lies in one place, in large pages where the system has them, and is used again.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEPT_BYTES,
-    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": LARGE_BYTES,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_MAX_": 0,
     "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": 1,
+    "distributed.nanny.pre-spawn-environ.GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
     "distributed.nanny.pre-spawn-environ.ARROW_DEFAULT_MEMORY_POOL": "system",
     "distributed.admin.log-format": "%(name)s - %(levelname)s - %(message)s",
     "logging.distributed": "critical",
