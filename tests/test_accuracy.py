@@ -12,14 +12,18 @@ from scipy.stats import median_abs_deviation
 
 from spl_batch.accuracy import (
     STATISTICS,
+    STEPS_PER_M,
+    Grid,
     Raster,
     Reference,
+    Tally,
     accuracy_report,
-    difference_raster,
+    add_up,
+    difference_sums,
     differences,
-    merge,
     statistics,
     surface_differences,
+    tallies,
     terrain_differences,
 )
 from spl_batch.constants import NODATA
@@ -158,6 +162,37 @@ def test_points_of_the_margin_only_tell_what_stands_nearby():
     assert all(len(values) == 0 for values in none.values())
 
 
+def same(one, other):
+    """Whether two tallies count the same."""
+    return (
+        one.steps.tolist() == other.steps.tolist() and one.counts.tolist() == other.counts.tolist()
+    )
+
+
+@given(st.lists(errors, min_size=1, max_size=4))
+def test_a_tally_says_what_its_errors_say(parts):
+    total = add_up({"all": Tally.of(part)} for part in parts)["all"]
+    every = np.concatenate(parts)
+    assert same(total, Tally.of(every))
+    said, exact = statistics(total.errors_m, total.counts), statistics(every)
+    assert said["n"] == exact["n"] == total.n
+    for key in ("mean", "median", "rmse", "min", "max", "p95"):
+        assert said[key] == pytest.approx(exact[key], abs=0.6 / STEPS_PER_M)
+    assert said["nmad"] == pytest.approx(exact["nmad"], abs=1.2 * 1.4826 / STEPS_PER_M)
+    rounded = np.sort(np.rint(every * STEPS_PER_M)) / STEPS_PER_M
+    np.testing.assert_array_equal(total.sample_m(100_000), rounded.astype(np.float32))
+    few = total.sample_m(7)
+    assert len(few) <= 7
+    assert few[0] == np.float32(rounded[0])
+
+
+def test_many_places_are_added_up_in_turns():
+    places = [{"all": Tally.of(np.full(k % 5, k / 100.0))} for k in range(250)]
+    total = add_up(places)["all"]
+    assert total.n == sum(k % 5 for k in range(250))
+    assert dict(zip(total.steps.tolist(), total.counts.tolist(), strict=True))[24900] == 4
+
+
 def test_differences_of_chunks_with_margins_merge_into_those_of_the_whole():
     rng = np.random.default_rng(6)
     xyz = np.stack([rng.uniform(1, 39, 800), rng.uniform(1, 39, 800), rng.normal(5, 2, 800)], 1)
@@ -169,10 +204,10 @@ def test_differences_of_chunks_with_margins_merge_into_those_of_the_whole():
         near = (xyz[:, 0] > low - 8) & (xyz[:, 0] < high + 8)
         own = (xyz[:, 0] >= low) & (xyz[:, 0] < high)
         parts.append(terrain_differences(flat(5.0), Reference(xyz[near], kinds[near], own[near])))
-    merged = merge(parts)
+    merged = add_up(map(tallies, parts))
     assert set(merged) == set(whole)
     for name, values in whole.items():
-        np.testing.assert_array_equal(np.sort(merged[name]), np.sort(values))
+        assert same(merged[name], Tally.of(values))
     assert 0 < len(whole["open_ground"]) < len(whole["all"])
 
 
@@ -203,7 +238,8 @@ def test_surface_differences_use_the_highest_reference_point_of_each_cell():
 def test_nothing_to_compare_gives_nulls_that_json_can_hold():
     empty = Reference(np.empty((0, 3)), np.empty(0, np.uint8))
     report = accuracy_report(
-        terrain_differences(flat(1.0), empty), surface_differences(flat(1.0), empty)
+        tallies(terrain_differences(flat(1.0), empty)),
+        tallies(surface_differences(flat(1.0), empty)),
     )
     json.dumps(report, allow_nan=False)
     assert report["dtm"]["all"]["n"] == 0
@@ -223,11 +259,8 @@ def test_void_rasters_are_not_compared():
 )
 def test_the_bias_is_reported_and_removed_on_request_only(spread, level):
     rng = np.random.default_rng(2)
-    dtm = {
-        k: (1.5 + spread * rng.standard_normal(4000)).astype(np.float32)
-        for k in ("all", "open_ground")
-    }
-    dsm = {"all": np.full(3, 2.0, np.float32)}
+    dtm = {k: Tally.of(1.5 + spread * rng.standard_normal(4000)) for k in ("all", "open_ground")}
+    dsm = {"all": Tally.of(np.full(3, 2.0))}
     kept = accuracy_report(dtm, dsm)
     assert kept["bias_removed_m"] == 0
     assert kept["dtm"]["all"]["mean"] == pytest.approx(1.5, abs=0.02)
@@ -239,16 +272,18 @@ def test_the_bias_is_reported_and_removed_on_request_only(spread, level):
     assert removed["usgs_quality_level"] == level
 
 
-def test_the_difference_raster_is_the_mean_of_each_cell_and_free_of_slope():
+def test_sums_of_differences_are_those_of_each_cell_and_free_of_slope():
     y, x = np.mgrid[0:20, 0:20]
     plane = (2 * (x + 0.5) - (y + 0.5)).astype(np.float32)
     dtm = Raster(plane, 0.0, 20.0, 1.0)
     rng = np.random.default_rng(3)
     e, n = rng.uniform(1, 19, 500), rng.uniform(1, 19, 500)
     ref = reference((2, np.stack([e, n, 2 * e - (20 - n) - 0.25], axis=1)), (5, [[3, 3, 99]]))
-    raster = difference_raster(dtm, ref)
-    held = raster.values != NODATA
-    np.testing.assert_allclose(raster.values[held], 0.25, atol=1e-4)
-    row, col, _ = dtm.place(ref.xyz_m[:500, :2])
-    assert set(zip(row, col, strict=True)) == set(zip(*np.nonzero(held), strict=True))
-    assert (raster.left_m, raster.top_m, raster.cell_m) == (0.0, 20.0, 1.0)
+    grid = Grid(10, 10, 0.0, 20.0, 2.0)
+    cell, total, count = difference_sums(dtm, ref, grid)
+    np.testing.assert_allclose(total / count / STEPS_PER_M, 0.25, atol=1e-4)
+    row, col, _ = grid.place(ref.xyz_m[:500, :2])
+    assert cell.tolist() == sorted({10 * r + c for r, c in zip(row, col, strict=True)})
+    assert count.sum() == 500
+    half = Reference(ref.xyz_m, ref.classification, np.arange(501) < 250)
+    assert difference_sums(dtm, half, grid)[2].sum() == 250

@@ -1,59 +1,151 @@
-"""Reference points in parts: what is said of a point does not depend on the cutting."""
+"""Reference points by square: what is said of a point does not depend on the cutting."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from spl_batch.accuracy import Raster, merge, surface_differences, terrain_differences
+from spl_batch import api
+from spl_batch.accuracy import (
+    Raster,
+    Reference,
+    Tallies,
+    accuracy_report,
+    surface_differences,
+    tallies,
+    terrain_differences,
+)
+from spl_batch.api.preparing import prepare
 from spl_batch.constants import NODATA
-from spl_batch.runner import reference
-from spl_batch.runner.reference import read_reference
+from spl_batch.io.rasters import write_cog
+from spl_batch.io.tables import read_arrays
+from spl_batch.plan import reference as planned
+from spl_batch.runner import run_task
+from spl_batch.runner.accuracy import compared
+from spl_batch.task import Receipt
 from tests import surveys
 
 SIDE_M = 120
 
+Columns = dict[str, np.ndarray[Any, Any]]
+
 
 @pytest.fixture(scope="module")
-def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def points() -> Columns:
     """Ground with plants and roofs on it, in no order: 4 000 points on 120 m."""
     rng = np.random.default_rng(5)
     n = 4000
     kind = rng.choice([2, 5, 6, 9, 7], n, p=[0.6, 0.2, 0.12, 0.06, 0.02])
-    columns = {
+    return {
         "x": np.round(1000.0 + rng.uniform(0, SIDE_M, n), 3),
         "y": np.round(2000.0 + rng.uniform(0, SIDE_M, n), 3),
         "z": np.round(10 + rng.normal(0, 0.2, n) + np.where(kind == 2, 0, 4), 3),
         "classification": kind.astype(np.uint8),
     }
-    return surveys.write_cloud(tmp_path_factory.mktemp("ref") / "r.laz", columns, channel=False)
 
 
-def test_parts_say_what_the_whole_file_says(
-    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture(scope="module")
+def rasters() -> dict[str, Raster]:
+    """Rough rasters with voids."""
     rng = np.random.default_rng(6)
-    values = rng.normal(10, 1, (140, 140)).astype(np.float32)
-    values[rng.random(values.shape) < 0.05] = NODATA
-    raster = Raster(values, 990.0, 2130.0, 1.0)
-    (whole,) = read_reference(cloud, tmp_path, 1.0)
-    monkeypatch.setattr(reference, "SQUARE_POINTS", 300)
-    parts = list(read_reference(cloud, tmp_path, 1.0))
-    assert len(parts) > 9
-    assert sum(np.count_nonzero(p.counts) for p in parts) == len(whole.xyz_m)
-    assert max(len(p.xyz_m) for p in parts) < 1500, "parts are small"
-    assert not list(tmp_path.iterdir()), "nothing is left behind"
-    for compare in (terrain_differences, surface_differences):
-        expected = compare(raster, whole)
-        found = merge(compare(raster, part) for part in parts)
-        assert found.keys() == expected.keys()
-        assert len(expected["all"]) > 100
-        for name, values_m in expected.items():
-            np.testing.assert_array_equal(np.sort(found[name]), np.sort(values_m), err_msg=name)
+    found = {}
+    for name, mean_m, spread_m in (("dtm", 10, 1), ("dsm", 11, 1), ("chm", 0.2, 0.2)):
+        values = rng.normal(mean_m, spread_m, (140, 140)).astype(np.float32)
+        values[rng.random(values.shape) < 0.05] = NODATA
+        found[name] = Raster(values, 990.0, 2130.0, 1.0)
+    return found
 
 
-def test_an_empty_reference_is_one_empty_part(tmp_path: Path) -> None:
+def whole(points: Columns, rasters: dict[str, Raster]) -> tuple[Tallies, Tallies]:
+    """What all points at once say: the oracle."""
+    xyz = np.column_stack([points[axis] for axis in "xyz"])
+    known = Reference(xyz, points["classification"])
+    terrain = terrain_differences(rasters["dtm"], known, chm=rasters["chm"])
+    return tallies(terrain), tallies(surface_differences(rasters["dsm"], known))
+
+
+@pytest.mark.parametrize("files", [1, 3])
+def test_squares_say_what_all_points_at_once_say(
+    files: int,
+    points: Columns,
+    rasters: dict[str, Raster],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(planned, "SQUARE_POINTS", 300)
+    for k in range(files):
+        part = surveys.take(points, slice(k, None, files))
+        surveys.write_cloud(tmp_path / f"ref_{k}.laz", part, channel=False)
+    surveys.small_survey(tmp_path, reference={"points": "ref_*.laz"})
+    prepared = prepare(tmp_path / "workflow.yaml", [])
+    survey, context = prepared.ledger, prepared.context
+    for name, raster in rasters.items():
+        write_cog(
+            context.output / f"{name}.tif",
+            raster.values,
+            shape=raster.values.shape,
+            origin_xy_m=(raster.left_m, raster.top_m),
+            cell_m=raster.cell_m,
+            crs=None,
+            description=name,
+        )
+        mosaic = Receipt("mosaic", name, "", "d", "", {}, {}, 0, 0.0, 0.0)
+        survey.of("mosaic").put(mosaic)
+    for kind in ("reference", "accuracy"):
+        for task in list(getattr(planned, kind)(survey)):
+            receipt = run_task(task, "", context)
+            assert not receipt.failed, receipt.reason
+            survey.of(kind).put(receipt)
+    assert len(survey.of("reference")) == files
+    assert len(survey.of("accuracy")) > 9
+    assert sum(r.points for r in survey.of("accuracy").values()) == len(points["x"])
+    assert max(sum(read_arrays(path)["count"]) for path in squares(context.output)) < 800
+    found = compared(survey.done, context)
+    assert found is not None
+    assert found.points == len(points["x"])
+    expected = accuracy_report(*whole(points, rasters))
+    assert expected["dtm"]["open_ground"]["n"] > 10
+    for product in ("dtm", "dsm"):
+        assert found.statistics[product].keys() == expected[product].keys()
+        for name, values in expected[product].items():
+            assert found.statistics[product][name] == pytest.approx(values), (product, name)
+    seen = found.difference.values != NODATA
+    ground = points["classification"] == 2
+    assert 500 < np.count_nonzero(seen) <= np.count_nonzero(ground)
+
+
+def squares(output: Path) -> list[Path]:
+    return sorted((output / "store" / "accuracy").glob("*.npz"))
+
+
+def test_an_empty_reference_says_nothing(tmp_path: Path) -> None:
     none = {k: np.empty(0) for k in ("x", "y", "z")}
-    path = surveys.write_cloud(tmp_path / "e.laz", none, channel=False)
-    (part,) = read_reference(path, tmp_path, 1.0)
-    assert part.xyz_m.shape == (0, 3)
+    surveys.write_cloud(tmp_path / "e.laz", none, channel=False)
+    survey = surveys.small_survey(tmp_path, reference={"points": "e.laz"})
+    result = api.run(survey, workers=0)
+    assert result.report is not None
+    assert result.report.accuracy is not None
+    assert result.report.accuracy.reference_points == 0
+    assert result.report.accuracy.dtm["all"].n == 0
+    assert result.exit_status == 0
+
+
+def test_a_reference_that_changes_is_compared_anew_and_nothing_else(tmp_path: Path) -> None:
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    found = []
+    for raised_m in (0.0, 2.5):
+        cloud = {**surveys.flightline(shots=60), "classification": np.full(1, 2, np.uint8)}
+        n = len(cloud["x"])
+        cloud |= {"z": cloud["z"] + raised_m, "classification": np.full(n, 2, np.uint8)}
+        surveys.write_cloud(tmp_path / "ref.laz", cloud)
+        result = api.run(survey, workers=0)
+        assert result.report is not None
+        assert result.report.accuracy is not None
+        found.append((result.report.accuracy.dtm["all"], result.report.performance.stages))
+    (first, _), (second, stages) = found
+    assert first.n == second.n
+    assert first.n > 100
+    assert first.mean is not None
+    assert second.mean == pytest.approx(first.mean - 2.5)
+    assert {name for name, stage in stages.items() if stage.tasks} == {"report"}

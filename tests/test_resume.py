@@ -15,7 +15,8 @@ import shapely.geometry
 from spl_batch import api
 from spl_batch.errors import InputError, SplBatchError
 from spl_batch.model import PointTable
-from spl_batch.runner import accuracy, index, space_domain
+from spl_batch.runner import index, space_domain
+from spl_batch.runner import reference as reference_squares
 from tests import surveys
 
 
@@ -130,13 +131,15 @@ def test_a_damaged_reference_costs_neither_the_report_nor_the_rest(survey: Path)
     assert intact.exit_status == 0
     os.utime(reference, (0, 0))  # what is as it was is not read again
 
-    def broken(path: Path, *_: Any) -> None:
+    def broken(path: Path, **_: Any) -> None:
         raise InputError(str(path), "point 17 cannot be decoded: copy the file again")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accuracy, "read_reference", broken)
+        patch.setattr(reference_squares, "iter_points", broken)
         result = api.run(survey, workers=0, overrides=["reference.points=reference.laz"])
     assert result.exit_status == 1
     assert result.report is not None
-    assert [f.stage for f in result.report.failures] == ["report"]
+    (failure,) = result.report.failures
+    assert (failure.stage, failure.place) == ("report", str(reference))
+    assert "point 17" in failure.reason
     assert (result.output / "report.html").exists()

@@ -1,29 +1,35 @@
 """Rasters against reference linear-mode lidar: differences by class of surface, statistics.
 
-Differences are raster minus reference [m]. They are gathered over any number of chunks of
-reference points (:func:`terrain_differences`, :func:`surface_differences`, :func:`merge`)
-and summed up once (:func:`accuracy_report`): medians cannot be merged, differences can.
+Differences are raster minus reference [m]. Each place finds its own
+(:func:`terrain_differences`, :func:`surface_differences`) and counts them by size
+(:class:`Tally`); counts are added up (:func:`add_up`) and summed up once
+(:func:`accuracy_report`): medians cannot be merged, counts can.
 """
 
 from spl_batch.accuracy.differences import (
     Differences,
-    difference_raster,
-    merge,
+    difference_sums,
     surface_differences,
     terrain_differences,
 )
-from spl_batch.accuracy.located import Raster, Reference
+from spl_batch.accuracy.located import Grid, Raster, Reference
 from spl_batch.accuracy.summary import STATISTICS, accuracy_report, statistics
+from spl_batch.accuracy.tally import STEPS_PER_M, Tallies, Tally, add_up, tallies
 
 __all__ = [
     "STATISTICS",
+    "STEPS_PER_M",
     "Differences",
+    "Grid",
     "Raster",
     "Reference",
+    "Tallies",
+    "Tally",
     "accuracy_report",
-    "difference_raster",
-    "merge",
+    "add_up",
+    "difference_sums",
     "statistics",
     "surface_differences",
+    "tallies",
     "terrain_differences",
 ]

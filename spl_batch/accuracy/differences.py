@@ -7,7 +7,7 @@ per cell is what it is.
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from spl_batch.accuracy.located import Raster, Reference, known
-from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER, NODATA
+from spl_batch.accuracy.located import Grid, Raster, Reference, known
+from spl_batch.accuracy.tally import STEPS_PER_M
+from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
 
 OPEN_M: Final = 2.0
 """Open ground has nothing tall within this distance [m]."""
@@ -200,39 +201,34 @@ def _by_class(
     return {name: difference[mask & used].astype(np.float32) for name, mask in classes.items()}
 
 
-def merge(parts: Iterable[Differences]) -> Differences:
-    """Differences of several chunks together; a class that one chunk lacks is empty there."""
-    gathered: dict[str, list[NDArray[np.float32]]] = {}
-    for part in parts:
-        for name, values in part.items():
-            gathered.setdefault(name, []).append(values)
-    return {name: np.concatenate(values) for name, values in gathered.items()}
-
-
-def difference_raster(dtm: Raster, reference: Reference) -> Raster:
-    """DTM minus reference ground, averaged over the points of each cell.
+def difference_sums(
+    dtm: Raster, reference: Reference, grid: Grid
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """DTM minus reference ground, added up over the points of each cell of a map.
 
     Parameters
     ----------
     dtm : Raster
         Terrain [m].
     reference : Reference
-        Points; only ground is looked at.
+        Points; only ground that counts is looked at.
+    grid : Grid
+        Cells of the map.
 
     Returns
     -------
-    Raster
-        Mean difference [m] on the DTM's cells; nodata where no point can be compared. The
-        DTM is taken at each point, so slopes leave no trace.
+    cell, total, count : (n,) int64
+        Cells that hold a point, counted row by row; sum of the differences [0.1 mm], so that
+        sums of several places do not depend on their order; points [count]. The DTM is taken
+        at each point, so slopes leave no trace.
     """
     ground = reference.without_noise()
     points = ground.xyz_m[(ground.classification == CLASS_GROUND) & ground.counts]
     difference = dtm.bilinear(points[:, :2]) - points[:, 2]
-    row, col, held = dtm.place(points[:, :2])
+    row, col, held = grid.place(points[:, :2])
     used = held & np.isfinite(difference)
-    rows, cols = dtm.values.shape
-    cell = row[used] * cols + col[used]
-    total = np.bincount(cell, weights=difference[used], minlength=rows * cols)
-    count = np.bincount(cell, minlength=rows * cols)
-    mean = np.divide(total, count, out=np.full(rows * cols, NODATA), where=count > 0)
-    return Raster(mean.reshape(rows, cols).astype(np.float32), dtm.left_m, dtm.top_m, dtm.cell_m)
+    steps = np.rint(difference[used] * STEPS_PER_M).astype(np.int64)
+    cell, place = np.unique(row[used] * grid.columns + col[used], return_inverse=True)
+    total = np.zeros(len(cell), np.int64)
+    np.add.at(total, place, steps)
+    return cell, total, np.bincount(place, minlength=len(cell)).astype(np.int64)

@@ -9,6 +9,36 @@ from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, NODATA
 
 
 @dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells of a raster where they lie.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Cells along each side [count].
+    left_m, top_m : float
+        Easting and northing of the upper left corner [m].
+    cell_m : float
+        Edge of a cell [m].
+    """
+
+    rows: int
+    columns: int
+    left_m: float
+    top_m: float
+    cell_m: float
+
+    def place(
+        self, xy_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        """Row and column of each point, and whether the raster reaches there."""
+        # A northing on a cell's lower edge belongs to that cell: cells are half-open upward.
+        row = -np.floor((xy_m[:, 1] - self.top_m) / self.cell_m).astype(np.int64) - 1
+        col = np.floor((xy_m[:, 0] - self.left_m) / self.cell_m).astype(np.int64)
+        return row, col, (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.columns)
+
+
+@dataclass(frozen=True, slots=True)
 class Raster:
     """A raster where it lies.
 
@@ -27,15 +57,17 @@ class Raster:
     top_m: float
     cell_m: float
 
+    @property
+    def grid(self) -> Grid:
+        """Its cells."""
+        rows, columns = self.values.shape
+        return Grid(rows, columns, self.left_m, self.top_m, self.cell_m)
+
     def place(
         self, xy_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Row and column of each point, and whether the raster reaches there."""
-        # A northing on a cell's lower edge belongs to that cell: cells are half-open upward.
-        row = -np.floor((xy_m[:, 1] - self.top_m) / self.cell_m).astype(np.int64) - 1
-        col = np.floor((xy_m[:, 0] - self.left_m) / self.cell_m).astype(np.int64)
-        rows, cols = self.values.shape
-        return row, col, (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        return self.grid.place(xy_m)
 
     def at(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Value of the cell that each point lies in: (n,) float64; NaN where there is none."""

@@ -1,11 +1,13 @@
 """Statistics of differences, as the report holds them."""
 
+import math
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.accuracy.differences import Differences
+from spl_batch.accuracy.tally import Tally
 
 STATISTICS: Final = ("n", "mean", "median", "rmse", "sd", "nmad", "p95", "min", "max")
 """Keys of :func:`statistics`."""
@@ -17,13 +19,17 @@ USGS_LEVELS: Final = ((0.05, "QL0"), (0.10, "QL1/QL2"), (0.20, "QL3"))
 """Largest non-vegetated RMSEz of each quality level [m]; USGS Lidar Base Specification."""
 
 
-def statistics(difference: NDArray[np.floating[Any]]) -> dict[str, float | int | None]:
+def statistics(
+    difference: NDArray[np.floating[Any]], counts: NDArray[np.integer[Any]] | None = None
+) -> dict[str, float | int | None]:
     """Summary of errors.
 
     Parameters
     ----------
     difference : (n,) float
         Errors [m]; those that are not finite are left out.
+    counts : (n,) int, optional
+        How often each of them occurs, by default once [count].
 
     Returns
     -------
@@ -33,32 +39,45 @@ def statistics(difference: NDArray[np.floating[Any]]) -> dict[str, float | int |
         ``min, max`` [m]; None where there are too few for a number.
     """
     d = np.asarray(difference, dtype=np.float64)
-    d = d[np.isfinite(d)]
-    if len(d) == 0:
+    often = np.ones(len(d), np.int64) if counts is None else np.asarray(counts, np.int64)
+    d, often = d[np.isfinite(d)], often[np.isfinite(d)]
+    n = int(often.sum())
+    if n == 0:
         return {key: 0 if key == "n" else None for key in STATISTICS}
-    median = float(np.median(d))
+    mean, median = float(d @ often) / n, _quantile(d, often, 0.5)
     return {
-        "n": len(d),
-        "mean": float(d.mean()),
+        "n": n,
+        "mean": mean,
         "median": median,
-        "rmse": float(np.sqrt(np.mean(d * d))),
-        "sd": float(d.std(ddof=1)) if len(d) > 1 else None,
-        "nmad": NMAD_FACTOR * float(np.median(np.abs(d - median))),
-        "p95": float(np.percentile(np.abs(d), 95)),
+        "rmse": float(np.sqrt((d * d) @ often / n)),
+        "sd": float(np.sqrt((d - mean) ** 2 @ often / (n - 1))) if n > 1 else None,
+        "nmad": NMAD_FACTOR * _quantile(np.abs(d - median), often, 0.5),
+        "p95": _quantile(np.abs(d), often, 0.95),
         "min": float(d.min()),
         "max": float(d.max()),
     }
 
 
+def _quantile(values: NDArray[np.float64], often: NDArray[np.int64], share: float) -> float:
+    """Quantile of values that occur so often, linear between neighbours as numpy has it."""
+    order = np.argsort(values, kind="stable")
+    upto = np.cumsum(often[order])
+    rank = share * float(upto[-1] - 1)
+    below = math.floor(rank)
+    ranks = [below, min(below + 1, int(upto[-1]) - 1)]
+    low, high = values[order[np.searchsorted(upto, ranks, side="right")]].tolist()
+    return float(low + (high - low) * (rank - below))
+
+
 def accuracy_report(
-    dtm: Differences, dsm: Differences, *, remove_bias: bool = False
+    dtm: Mapping[str, Tally], dsm: Mapping[str, Tally], *, remove_bias: bool = False
 ) -> dict[str, Any]:
     """Accuracy as ``report.json`` holds it.
 
     Parameters
     ----------
-    dtm, dsm : Differences
-        Merged; may be empty.
+    dtm, dsm : mapping of str to Tally
+        By class of surface, of all places together; may be empty.
     remove_bias : bool
         Subtract the vertical bias between the sensors from every difference first.
 
@@ -74,10 +93,10 @@ def accuracy_report(
     removed = bias if remove_bias and bias is not None else 0.0
     report: dict[str, Any] = {
         product: {
-            name: statistics(values.astype(np.float64) - removed)
-            for name, values in {"all": np.empty(0, np.float32), **differences}.items()
+            name: statistics(found.errors_m - removed, found.counts)
+            for name, found in {"all": Tally(), **counted}.items()
         }
-        for product, differences in (("dtm", dtm), ("dsm", dsm))
+        for product, counted in (("dtm", dtm), ("dsm", dsm))
     }
     rmse = report["dtm"].get("open_ground", report["dtm"]["all"])["rmse"]
     report["vertical_bias_m"] = bias
@@ -86,10 +105,10 @@ def accuracy_report(
     return report
 
 
-def _bias(dtm: Differences, dsm: Differences) -> float | None:
-    for values in (dtm.get("open_ground"), dtm.get("all"), dsm.get("ground")):
-        if values is not None and len(values):
-            return float(np.median(values.astype(np.float64)))
+def _bias(dtm: Mapping[str, Tally], dsm: Mapping[str, Tally]) -> float | None:
+    for found in (dtm.get("open_ground"), dtm.get("all"), dsm.get("ground")):
+        if found is not None and found.n:
+            return _quantile(found.errors_m, found.counts, 0.5)
     return None
 
 

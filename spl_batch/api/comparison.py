@@ -208,13 +208,13 @@ def _known() -> str:
 
 def _share(source: Store, target: Store, settings: Workflow, variant: Variant) -> None:
     """Link what the workflow's own run has finished and the variant can use."""
-    stages = {"index"}
+    stages, kinds = {"index"}, ["reference"]
     if variant.method != PUBLISHED:
         stages.add("shots")
         # The points of a tile carry the verdict of single shots, which one method alone asks for.
         if (settings.filter.method == "dcc") == (variant.method == "dcc"):
             stages.add("shuffle")
-    kinds = [name for name, kind in KINDS.items() if kind.stage in stages]
+    kinds += [name for name, kind in KINDS.items() if kind.stage in stages]
     share_finished(source, target, kinds)
 
 

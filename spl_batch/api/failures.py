@@ -81,7 +81,7 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
         task = one.task
         yield Failure(
             stage=one.stage,
-            place=names.get(task.name, task.name),
+            place=names.get(task.name) or str(task.args.get("path", task.name)),
             reason=one.receipt.reason,
             remedy=_remedy(one, receiver.remedies),
             task=f"{task.kind} {task.name}",
@@ -104,6 +104,8 @@ def inputs(task: Task, names: Mapping[str, str], words: Mapping[str, str]) -> li
     """
     found = [names[str(task.args["source"])]] if task.args.get("source") in names else []
     found += [str(path) for path in task.args.get("paths", ())]
+    if task.kind == "reference":
+        found.append(str(task.args["path"]))
     for kind, name in task.needs:
         word = words.get(kind)
         if word == "file":

@@ -40,6 +40,7 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "denoise": "block",
         "ground": "ground cell",
         "surface": "ground cell",
+        "accuracy": "square of the reference",
     }
 )
 
@@ -140,7 +141,7 @@ class Imaging(Receiver[Survey, Context]):
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
-        return [str(path) for path in ledger.inputs.reference]
+        return [str(facts.path) for facts in ledger.inputs.reference]
 
     def not_read(self, ledger: Survey) -> int:
         """Points that the headers of files promise which could not be read to their end [count]."""

@@ -150,6 +150,8 @@ class RunStatus:
         Names of the stages, in order.
     waiting : mapping or None
         Fields of a :class:`~spl_batch.api.events.RunStarted` whose work has not begun.
+    reporting : bool
+        Whether the report is being written, or was.
     """
 
     stages: dict[str, StageStatus] = field(default_factory=dict)
@@ -164,6 +166,7 @@ class RunStatus:
     kinds: set[str] = field(default_factory=set)
     order: Sequence[str] = STAGES
     waiting: Mapping[str, Any] | None = None
+    reporting: bool = False
 
     def __post_init__(self) -> None:
         self.stages = {name: StageStatus(name) for name in self.order}
@@ -263,14 +266,16 @@ class RunStatus:
 
     def _report_started(self, record: Mapping[str, Any]) -> None:
         stage = self.stages["report"]
-        stage.total = 1
-        stage.began_s = stage.latest_s = _seconds(record)
+        self.reporting = True
+        stage.total += 1
+        stage.latest_s = _seconds(record)
+        stage.began_s = stage.began_s or stage.latest_s
 
     def _run_ended(self, record: Mapping[str, Any]) -> None:
         self.ended = record
         report = self.stages["report"]
-        if report.total and not record["reason"]:
-            report.done, report.latest_s = 1, _seconds(record)
+        if self.reporting and not record["reason"]:
+            report.done, report.latest_s = report.done + 1, _seconds(record)
         self.dashboard = ""
         self.nothing_runs()
 

@@ -90,7 +90,7 @@ class View:
         quiet_s = time.time() - self._heard_s
         if quiet_s < QUIET_S:
             return Text("")
-        word = "writing the report" if self._status.stages["report"].total else "getting ready"
+        word = "writing the report" if self._status.reporting else "getting ready"
         return Text(f"  {word}, {duration(quiet_s)}", style="dim")
 
     def _print(self, text: str, style: str) -> None:

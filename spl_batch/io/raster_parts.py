@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -51,8 +52,7 @@ def read_overview(path: Path, largest: int = 1200) -> Part:
     """
     try:
         with rasterio.open(path) as source:
-            step = max(1, math.ceil(max(source.shape) / largest))
-            shape = tuple(math.ceil(side / step) for side in source.shape)
+            step, shape = _reduced(source, largest)
             # A window beyond the edge keeps cells square where the step does not divide it.
             window = Window(0, 0, shape[1] * step, shape[0] * step)
             values = source.read(
@@ -67,6 +67,30 @@ def read_overview(path: Path, largest: int = 1200) -> Part:
             return Part(values.astype(np.float32), left, top, source.transform.a * step)
     except RasterioError as error:
         raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
+
+
+def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, float, float]:
+    """Rows, columns, left and upper edge and edge of a cell of :func:`read_overview` [count, m].
+
+    Raises
+    ------
+    StoreError
+        If the raster cannot be read.
+    """
+    try:
+        with rasterio.open(path) as source:
+            step, shape = _reduced(source, largest)
+            transform = source.transform
+            return (*shape, transform.c, transform.f, transform.a * step)
+    except RasterioError as error:
+        raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
+
+
+def _reduced(source: Any, largest: int) -> tuple[int, tuple[int, int]]:
+    """Cells that make one along a side, and shape, of an overview."""
+    step = max(1, math.ceil(max(source.shape) / largest))
+    rows, columns = (math.ceil(side / step) for side in source.shape)
+    return step, (rows, columns)
 
 
 def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part | None:

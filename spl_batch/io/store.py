@@ -18,6 +18,8 @@
     store/blocks.json                  tiles along a side of the largest denoise blocks
     store/{noise,ground,classes}/      labels by work unit, a row group for each tile
     store/rasters_G_P.zarr             raster cells, for edges of ground and raster cells
+    store/reference/FILE/I_J.parquet   reference points of a square and around it
+    store/accuracy/I_J.npz             how far the rasters are off there, by size of the error
 
 Always on the file system, wherever the store lies::
 

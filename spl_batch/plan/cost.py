@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Final
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.plan import density
+from spl_batch.plan import density, reference
 from spl_batch.plan.blocks import choose_sizes, count_blocks
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
@@ -24,6 +24,9 @@ STORE_BYTES_PER_POINT: Final = 60
 DELIVERED_BYTES_PER_POINT: Final = 12
 """Classified LAZ [byte]."""
 
+REFERENCE_BYTES_PER_POINT: Final = 12
+"""A point of the reference, and what it says, in the working store [byte]."""
+
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
         "index": 1.2e6,
@@ -33,10 +36,12 @@ RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
         "ground": 0.75e6,
         "surfaces": 0.65e6,
         "deliver": 2.5e6,
+        "report": 0.25e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``denoise`` with the
-halos that blocks read; ``benchmarks/end_to_end.py``, two workers, 83 % noise."""
+halos that blocks read, those of ``report`` of the reference; ``benchmarks/end_to_end.py``, two
+workers, 83 % noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +96,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         "denoise": RATES_POINTS_PER_S["denoise"] / max(blocks.read, 1.0),
     }
     rates, measured = measured_rates(typical, context)
+    compared = sum(facts.n_points for facts in survey.inputs.reference)
+    work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     # every file is indexed and most likely is a flightline of its own; each stretch is
     # gathered and scattered; the noise map is a mosaic too
     mosaics = len(PRODUCTS) + 1
     tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered + mosaics
+    tasks += len(survey.inputs.reference) + reference.squares(survey)
     return SurveyCost(
         points=points,
         stretches=stretches,
@@ -106,11 +114,12 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         block_reads=blocks.read,
         halo_m=halo_m(workflow),
         tasks=tasks,
-        disk_bytes=points * (STORE_BYTES_PER_POINT + DELIVERED_BYTES_PER_POINT),
+        disk_bytes=points * (STORE_BYTES_PER_POINT + DELIVERED_BYTES_PER_POINT)
+        + compared * REFERENCE_BYTES_PER_POINT,
         memory_bytes=heaviest.memory_bytes,
         heaviest=heaviest.task,
         remedy=heaviest.remedy,
-        stages_s={stage: points / rate for stage, rate in rates.items()},
+        stages_s={stage: work[stage] / rate for stage, rate in rates.items()},
         workers=survey.workers,
         measured=measured,
     )

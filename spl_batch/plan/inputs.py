@@ -56,8 +56,10 @@ class Inputs:
         Point files that can be used, by name.
     bad : tuple of InputError
         Point files that cannot.
-    trajectory, reference : tuple of Path
+    trajectory : tuple of Path
         Files that exist.
+    reference : tuple of LasFacts
+        Files of reference points.
     crs : CRS or None
         The survey's CRS.
     warnings : tuple of str
@@ -69,7 +71,7 @@ class Inputs:
     sources: tuple[Source, ...]
     bad: tuple[InputError, ...]
     trajectory: tuple[Path, ...]
-    reference: tuple[Path, ...]
+    reference: tuple[LasFacts, ...]
     crs: CRS | None
     warnings: tuple[str, ...]
     polygons: tuple[tuple[str, str], ...] = ()
@@ -117,12 +119,11 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         for f, name in zip(good, names, strict=True)
     )
     check_keys(sources)
-    _check_reference(reference, workflow, crs)
     return Inputs(
         tuple(sorted(sources, key=lambda s: s.name)),
         (*bad, *without_channel, *mismatched),
         trajectory,
-        reference,
+        _checked_reference(reference, workflow, crs),
         crs,
         tuple(warnings),
         tuple(_polygon_checksums(workflow, base)),
@@ -306,16 +307,20 @@ def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
     return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
 
 
-def _check_reference(paths: Iterable[Path], workflow: Workflow, crs: CRS | None) -> None:
+def _checked_reference(
+    paths: Iterable[Path], workflow: Workflow, crs: CRS | None
+) -> tuple[LasFacts, ...]:
+    """Facts of reference files, all of which are in the survey's CRS."""
     named = workflow.reference.crs if workflow.reference else None
     given = None if named is None else parse_crs(named, "reference.crs")
-    faults = []
+    faults, usable = [], []
     for path in paths:
         try:
-            found = inspect(path).crs or given
+            usable.append(inspect(path))
         except InputError as error:
             faults.append(f"reference.points: {error}")
             continue
+        found = usable[-1].crs or given
         if crs is not None and found is not None and not same_crs(found, crs):
             faults.append(
                 f"reference.points: {path}: CRS {found.name!r} is not the survey's {crs.name!r}; "
@@ -323,6 +328,7 @@ def _check_reference(paths: Iterable[Path], workflow: Workflow, crs: CRS | None)
             )
     if faults:
         raise WorkflowError("; ".join(faults))
+    return tuple(usable)
 
 
 def name_below(path: Path, base: Path) -> str:

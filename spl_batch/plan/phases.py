@@ -6,7 +6,7 @@ its points stay unlabelled, the rest goes on.
 
 from collections.abc import Iterator, Mapping
 
-from spl_batch.plan import places
+from spl_batch.plan import places, reference
 from spl_batch.plan.flightlines import Flightline
 from spl_batch.plan.inputs import source_args
 from spl_batch.plan.ledger import Phase
@@ -167,6 +167,8 @@ PHASES = (
     Phase("deliver_file", places.deliver),
     Phase("deliver_tile", places.deliver_tiles),
     Phase("mosaic", places.mosaic),
+    Phase("reference", reference.reference),
+    Phase("accuracy", reference.accuracy),
 )
 """Every phase of a run, in order."""
 

@@ -134,6 +134,8 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "mosaic": Kind(
             "deliver", "spl_batch.runner.delivery:mosaic", ("ground.cell_m", "products.cell_m")
         ),
+        "reference": Kind("report", "spl_batch.runner.reference:reference", ()),
+        "accuracy": Kind("report", "spl_batch.runner.accuracy:accuracy", ("products.cell_m",)),
     }
 )
 
@@ -152,7 +154,7 @@ def kinds(receiver: str) -> Mapping[str, Kind]:
 
 def stages(receiver: str) -> tuple[str, ...]:
     """Stages of a receiver's run, in order; the report comes last."""
-    return (*dict.fromkeys(kind.stage for kind in kinds(receiver).values()), "report")
+    return (*dict.fromkeys((*(kind.stage for kind in kinds(receiver).values()), "report")),)
 
 
 @cache
@@ -169,7 +171,7 @@ def code_version() -> str:
 
 def _code(root: Path) -> Iterable[Path]:
     """Files that decide results."""
-    for folder in (".", "io", "kernels", "plan", "runner", "stages", "sensors"):
+    for folder in (".", "accuracy", "io", "kernels", "plan", "runner", "stages", "sensors"):
         yield from _sources((root / folder).glob("*"))
     for folder in ("altimetry", "geiger"):
         yield from _sources((root / folder).rglob("*"))

@@ -1,35 +1,90 @@
-"""Compare the delivered rasters with reference points, part by part."""
+"""Compare the delivered rasters with reference points, square by square."""
 
-import os
-from collections import deque
-from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.accuracy import (
-    Differences,
+    STEPS_PER_M,
+    Grid,
     Raster,
     Reference,
+    Tallies,
+    Tally,
     accuracy_report,
-    difference_raster,
-    merge,
+    add_up,
+    difference_sums,
     surface_differences,
+    tallies,
     terrain_differences,
 )
-from spl_batch.errors import InputError
-from spl_batch.io.raster_parts import Part, read_overview, read_part
-from spl_batch.runner.context import Context
-from spl_batch.runner.reference import read_reference
+from spl_batch.constants import NODATA
+from spl_batch.io.raster_parts import overview_frame, read_part
+from spl_batch.io.tables import read_arrays, write_arrays
+from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.reference import read_square
+from spl_batch.runner.remember import Receipts
+from spl_batch.tiling import cell_bounds, parse_cell
 
-SAMPLE = 500_000
+SAMPLE: Final = 500_000
 """Differences that the histogram is drawn from, at most [count]."""
 
-THREADS = 4
-"""Parts of the reference that are compared side by side, at most [count]: memory grows with it."""
+_MAP: Final = ("cell", "total", "count")
+"""What a square says of the map of differences."""
+
+
+def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
+    """Compare the rasters with the reference points of a square."""
+    square = args["square"]
+    core = cell_bounds(parse_cell(square), args["edge"])
+    known = read_square(context, args["files"], square, core)
+    terrain, surface, height = (_near(context, name, known) for name in ("dtm", "dsm", "chm"))
+    arrays: dict[str, NDArray[Any]] = {}
+    if terrain is not None and surface is not None:
+        grid = Grid(*overview_frame(context.output / "dtm.tif"))
+        arrays = dict(zip(_MAP, difference_sums(terrain, known, grid), strict=True))
+        found = {
+            "dtm": tallies(terrain_differences(terrain, known, chm=height)),
+            "dsm": tallies(surface_differences(surface, known)),
+        }
+        for product, counted in found.items():
+            arrays |= _as_arrays(product, counted)
+    path = context.store.path("accuracy", f"{square}.npz")
+    write_arrays(path, arrays)
+    return Produced([path], {}, int(np.count_nonzero(known.counts)))
+
+
+def _near(context: Context, name: str, known: Reference) -> Raster | None:
+    """The part of a raster that reference points lie on; None where it does not reach them."""
+    if not len(known.xyz_m):
+        return None
+    (west, south, _), (east, north, _) = known.xyz_m.min(axis=0), known.xyz_m.max(axis=0)
+    bounds = float(west), float(south), float(east), float(north)
+    part = read_part(context.output / f"{name}.tif", bounds)
+    return None if part is None else Raster(part.values, part.left_m, part.top_m, part.cell_m)
+
+
+def _as_arrays(product: str, found: Tallies) -> dict[str, NDArray[Any]]:
+    """Counts as they are kept; 32 bits hold errors of up to 214 km."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, tally in found.items():
+        arrays[f"{product}.{name}.steps"] = tally.steps.astype(np.int32)
+        arrays[f"{product}.{name}.counts"] = tally.counts.astype(np.uint32)
+    return arrays
+
+
+def _as_tallies(arrays: Mapping[str, NDArray[Any]]) -> Tallies:
+    """Counts of a square, by ``PRODUCT.CLASS``."""
+    names = [name.removesuffix(".steps") for name in arrays if name.endswith(".steps")]
+    return {
+        name: Tally(
+            arrays[f"{name}.steps"].astype(np.int64), arrays[f"{name}.counts"].astype(np.int64)
+        )
+        for name in names
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,103 +96,64 @@ class Comparison:
     statistics : mapping
         As ``report.json`` holds them.
     differences_m : (n,) float32
-        An even sample of DTM minus reference [m].
+        Every so many-th DTM minus reference by size [m].
     difference : Raster
         Mean difference by cell [m].
     points : int
         Reference points read [count].
-    unreadable : list of InputError
-        Reference files that could not be read to their end.
     """
 
     statistics: dict[str, Any]
-    differences_m: np.ndarray[Any, np.dtype[np.float32]]
+    differences_m: NDArray[np.float32]
     difference: Raster
     points: int
-    unreadable: list[InputError]
 
 
-def compare(paths: Iterable[Path], context: Context) -> Comparison | None:
-    """Compare DTM and DSM with reference points; None without reference or rasters."""
-    dtm_path, dsm_path = context.output / "dtm.tif", context.output / "dsm.tif"
-    reference = context.workflow.reference
-    if reference is None or not dtm_path.exists() or not dsm_path.exists():
+def compared(done: Receipts, context: Context) -> Comparison | None:
+    """What all squares say together; None without reference or rasters.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+
+    Raises
+    ------
+    DamagedError
+        If what a square said is missing or damaged.
+    """
+    settings = context.workflow.reference
+    dtm, dsm = context.output / "dtm.tif", context.output / "dsm.tif"
+    if settings is None or not dtm.exists() or not dsm.exists():
         return None
-    overview = _raster(read_overview(dtm_path))
-    total = np.zeros(overview.values.shape)
-    count = np.zeros(overview.values.shape, np.int64)
-    dtm: list[Differences] = []
-    dsm: list[Differences] = []
-    points = 0
-    unreadable: list[InputError] = []
-    for path in paths:
-        try:
-            for part in _parts(path, overview, context):
-                points += part.points
-                dtm += part.terrain
-                dsm += part.surface
-                seen = part.difference.values > -9000
-                total[seen] += part.difference.values[seen]
-                count[seen] += 1
-        except InputError as error:
-            unreadable.append(error)
-    mean = np.where(count > 0, total / np.maximum(count, 1), -9999.0).astype(np.float32)
-    merged = merge(dtm)
-    every = merged.get("all", np.empty(0, np.float32))
+    grid = Grid(*overview_frame(dtm))
+    total, count = np.zeros((2, grid.rows * grid.columns), np.int64)
+    errors = add_up(_squares(done, context, total, count))
+    by_product = [
+        {k.removeprefix(p): tally for k, tally in errors.items() if k.startswith(p)}
+        for p in ("dtm.", "dsm.")
+    ]
+    mean = np.full(len(total), NODATA)
+    np.divide(total, count * STEPS_PER_M, out=mean, where=count > 0)
+    values = mean.reshape(grid.rows, grid.columns).astype(np.float32)
     return Comparison(
-        accuracy_report(merged, merge(dsm), remove_bias=reference.remove_bias),
-        every[:: max(1, len(every) // SAMPLE)],
-        Raster(mean, overview.left_m, overview.top_m, overview.cell_m),
-        points,
-        unreadable,
+        accuracy_report(*by_product, remove_bias=settings.remove_bias),
+        by_product[0].get("all", Tally()).sample_m(SAMPLE),
+        Raster(values, grid.left_m, grid.top_m, grid.cell_m),
+        sum(receipt.facts["points"] for receipt in done.get("reference", {}).values()),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """What one part of the reference says; no differences where the rasters do not reach it."""
-
-    points: int
-    terrain: tuple[Differences, ...]
-    surface: tuple[Differences, ...]
-    difference: Raster
-
-
-def _parts(path: Path, overview: Raster, context: Context) -> Iterator[_Part]:
-    """Parts of a reference file in their order, some of them compared side by side."""
-    threads = min(os.cpu_count() or 1, THREADS)
-    waiting: deque[Future[_Part]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
-        for known in read_reference(path, context.store.local, overview.cell_m):
-            waiting.append(pool.submit(_part, known, overview, context))
-            if len(waiting) > threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-
-
-def _part(known: Reference, overview: Raster, context: Context) -> _Part:
-    """Compare one part of the reference with the rasters."""
-    bounds = _bounds(known)
-    rasters = [read_part(context.output / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm")]
-    terrain, surface, height = (r if r is None else _raster(r) for r in rasters)
-    points, difference = int(np.count_nonzero(known.counts)), difference_raster(overview, known)
-    if terrain is None or surface is None:
-        return _Part(points, (), (), difference)
-    return _Part(
-        points,
-        (terrain_differences(terrain, known, chm=height),),
-        (surface_differences(surface, known),),
-        difference,
-    )
-
-
-def _bounds(reference: Reference) -> tuple[float, float, float, float]:
-    if not len(reference.xyz_m):
-        return (0.0, 0.0, -1.0, -1.0)
-    low, high = reference.xyz_m.min(axis=0), reference.xyz_m.max(axis=0)
-    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-
-
-def _raster(part: Part) -> Raster:
-    return Raster(part.values, part.left_m, part.top_m, part.cell_m)
+def _squares(
+    done: Receipts, context: Context, total: NDArray[np.int64], count: NDArray[np.int64]
+) -> Iterator[Tallies]:
+    """Errors that each square has found; what it says of the map is added to ``total, count``."""
+    for square in done.get("accuracy", {}):
+        arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
+        if "cell" in arrays:
+            # No cell is named twice by one square.
+            total[arrays["cell"]] += arrays["total"]
+            count[arrays["cell"]] += arrays["count"]
+        yield _as_tallies(arrays)

@@ -1,8 +1,8 @@
-"""Reference points a square at a time: a file may hold more than memory does."""
+"""Reference points by square: a file may hold more than memory does, and a survey many files."""
 
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,60 +10,68 @@ from numpy.typing import NDArray
 from spl_batch.accuracy import Reference
 from spl_batch.constants import QUANTUM_M
 from spl_batch.io.atomic import scratch_folder
-from spl_batch.io.las import inspect, iter_points
+from spl_batch.io.las import iter_points
+from spl_batch.io.tables import read_columns, writing
 from spl_batch.model import PointTable
-from spl_batch.tiling import Bounds, CellId, cell_bounds, inside, quanta
+from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.unchanged import unchanged
+from spl_batch.tiling import Bounds, inside
 
-SQUARE_POINTS: Final = 2_000_000
-"""Points that a square holds on average, and of a file that is read whole [count]."""
+_COLUMNS: Final = {"x": np.int64, "y": np.int64, "z": np.int32, "class": np.uint8}
+"""What a square keeps of a point [quanta]."""
 
-MARGIN_M: Final = 4.0
-"""What stands within 2 m of a point, above ground that is again within 2 m of it [m]."""
-
-MARGIN_CELLS: Final = 2
-"""Raster cells whose tops tell whether their neighbour is a roof's edge [count]."""
-
-_RECORD: Final = np.dtype([("x", "<i8"), ("y", "<i8"), ("z", "<i4"), ("class", "u1")])
+_RECORD: Final = np.dtype(list(_COLUMNS.items()))
 
 
-def read_reference(path: Path, folder: Path, cell_m: float) -> Iterator[Reference]:
-    """Points of a reference file in parts that fit into memory.
+def reference(args: Mapping[str, Any], context: Context) -> Produced:
+    """Put down the points of a reference file by squares of the survey's lattice.
 
-    A large file is read once and put down by squares of the raster's lattice, each with a
-    margin, whose points do not count but tell what stands nearby: what is said of a point
-    does not depend on the cutting.
+    Each square has a margin, whose points do not count but tell what stands nearby: what is
+    said of a point depends neither on the cutting nor on the file that it came in.
+    """
+    path, edge, margin = Path(args["path"]), args["edge"], args["margin"]
+    points, written, squares = 0, [], {}
+    with unchanged(path, args["stamp"]), scratch_folder(context.store.local / "squares") as folder:
+        for table in iter_points(path, channel_dimension=None, source=0):
+            points += len(table)
+            _put_down(_records(table), folder, edge, margin)
+        for square in sorted(folder.iterdir()):
+            records = np.fromfile(square, _RECORD)
+            target = _file(context, args["file"], square.name)
+            with writing(target, _COLUMNS, sought=()) as file:
+                file.write({name: np.ascontiguousarray(records[name]) for name in _COLUMNS})
+            written.append(target)
+            squares[square.name] = len(records)
+    return Produced(written, {"points": points, "squares": squares}, points)
+
+
+def read_square(context: Context, files: Sequence[str], square: str, core: Bounds) -> Reference:
+    """Points of a square and its margin, those of all files.
 
     Parameters
     ----------
-    path : Path
-        LAS or LAZ.
-    folder : Path
-        Where squares are put down meanwhile.
-    cell_m : float
-        Edge of a raster cell [m].
+    context : Context
+        The run.
+    files : sequence of str
+        Reference files that have points there, as tasks call them.
+    square : str
+        Column and row, as ``I_J``.
+    core : Bounds
+        The square itself, whose points count [quanta].
 
     Raises
     ------
-    InputError
-        If the file cannot be read to its end.
+    DamagedError
+        If a file of the store is missing or damaged.
     """
-    facts = inspect(path)
-    if facts.n_points <= SQUARE_POINTS:
-        records = [_records(t) for t in iter_points(path, channel_dimension=None, source=0)]
-        yield _reference(np.concatenate(records) if records else np.empty(0, _RECORD), None)
-        return
-    width, height = (b - a for a, b in zip(facts.mins_m[:2], facts.maxs_m[:2], strict=True))
-    cell = quanta(cell_m)
-    margin = max(quanta(MARGIN_M), MARGIN_CELLS * cell)
-    wanted = quanta((width * height * SQUARE_POINTS / facts.n_points) ** 0.5)
-    edge = max(wanted // cell, 1 + 2 * margin // cell) * cell
-    with scratch_folder(folder / "reference") as squares:
-        for table in iter_points(path, channel_dimension=None, source=0):
-            _put_down(_records(table), squares, edge, margin)
-        for square in sorted(squares.iterdir()):
-            i, j = map(int, square.name.split("_"))
-            core = cell_bounds(CellId(i, j), edge)
-            yield _reference(np.fromfile(square, _RECORD), core)
+    parts = [read_columns(_file(context, name, square), tuple(_COLUMNS)) for name in files]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in _COLUMNS}
+    xyz = np.column_stack([columns[axis] * QUANTUM_M for axis in "xyz"])
+    return Reference(xyz, columns["class"], inside(columns["x"], columns["y"], core))
+
+
+def _file(context: Context, name: str, square: str) -> Path:
+    return context.store.path("reference", name, f"{square}.parquet")
 
 
 def _records(table: PointTable) -> NDArray[np.void]:
@@ -99,9 +107,3 @@ def _by_square(i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.intp]:
     square = column * (int(row.max()) + 1) + row
     # numpy counts numbers of up to 16 bits where it compares longer ones
     return np.argsort(square.astype(np.min_scalar_type(int(square.max()))), kind="stable")
-
-
-def _reference(records: NDArray[np.void], core: Bounds | None) -> Reference:
-    xyz = np.column_stack([records[axis] * QUANTUM_M for axis in "xyz"])
-    counted = None if core is None else inside(records["x"], records["y"], core)
-    return Reference(xyz, records["class"].copy(), counted)

@@ -6,14 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import InputError
 from spl_batch.io.raster_parts import Part, read_overview
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import (
     Accuracy,
     Counts,
     Density,
-    Failure,
     Flightline,
     InputFile,
     Noise,
@@ -24,7 +22,7 @@ from spl_batch.report.model import (
 )
 from spl_batch.report.pictures import PictureInputs, make_pictures
 from spl_batch.report.write import write_report
-from spl_batch.runner.accuracy import Comparison, compare
+from spl_batch.runner.accuracy import Comparison, compared
 from spl_batch.runner.context import Context
 from spl_batch.runner.profile import cut_profile
 from spl_batch.runner.remember import (
@@ -49,28 +47,21 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     facts : RunFacts
         What the receipts do not say.
     """
-    compared = compare([Path(p) for p in facts.reference], context)
-    unreadable = [] if compared is None else compared.unreadable
-    failures = (*facts.failures, *(_reference_failure(error) for error in unreadable))
+    found = compared(done, context)
     report = Report(
         survey=_survey(done, context),
         counts=_counts(done, facts),
-        accuracy=_accuracy(compared),
+        accuracy=_accuracy(found),
         density=_density(context),
         noise=_noise(context),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
-        failures=failures,
+        failures=tuple(facts.failures),
         warnings=(*facts.notes, *_uncovered(done)),
         provenance=_provenance(done, context, facts.reference),
     )
-    write_report(context.output, report, make_pictures(_pictures(done, context, compared), report))
+    write_report(context.output, report, make_pictures(_pictures(done, context, found), report))
     remember(done, context, facts)
     return report
-
-
-def _reference_failure(error: InputError) -> Failure:
-    reason = "; ".join(error.faults)
-    return Failure(stage="report", place=error.path, reason=reason, remedy="mend or remove it")
 
 
 def _survey(done: Receipts, context: Context) -> Survey:
@@ -134,16 +125,16 @@ def _counts(done: Receipts, facts: RunFacts) -> Counts:
     )
 
 
-def _accuracy(compared: Comparison | None) -> Accuracy | None:
-    if compared is None:
+def _accuracy(found: Comparison | None) -> Accuracy | None:
+    if found is None:
         return None
-    found = compared.statistics
-    removed = bool(found["bias_removed_m"])
+    said = found.statistics
+    removed = bool(said["bias_removed_m"])
     return Accuracy(
-        dtm={k: Statistics(**v) for k, v in found["dtm"].items()},
-        dsm={k: Statistics(**v) for k, v in found["dsm"].items()},
-        reference_points=compared.points,
-        bias_m=found["vertical_bias_m"],
+        dtm={k: Statistics(**v) for k, v in said["dtm"].items()},
+        dsm={k: Statistics(**v) for k, v in said["dsm"].items()},
+        reference_points=found.points,
+        bias_m=said["vertical_bias_m"],
         bias_removed=removed,
     )
 
@@ -219,19 +210,19 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     return provenance(context, inputs)
 
 
-def _pictures(done: Receipts, context: Context, compared: Comparison | None) -> PictureInputs:
+def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
     parts = {n: _overview(context.output / f"{n}.tif") for n in ("dtm", "dsm", "chm", "density")}
     rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
     noise = _overview(context.store.local / "noise.tif")
     difference = None
-    if compared is not None:
-        d = compared.difference
+    if found is not None:
+        d = found.difference
         difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
     return PictureInputs(
         **rasters,
         noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
         difference=difference,
-        differences_m=None if compared is None else compared.differences_m,
+        differences_m=None if found is None else found.differences_m,
         profile=cut_profile(parts["chm"], done, context),
     )
 

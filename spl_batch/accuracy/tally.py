@@ -1,0 +1,88 @@
+"""Errors counted by size: what any number of places find, in little memory.
+
+Medians cannot be merged, counts can: a survey may have more reference points than memory holds
+errors.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+STEPS_PER_M: Final = 10_000
+"""Errors are counted by tenths of a millimetre [1/m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """How often errors of each size occur.
+
+    Parameters
+    ----------
+    steps : (n,) int64
+        Sizes that occur, increasing [0.1 mm].
+    counts : (n,) int64
+        How often.
+    """
+
+    steps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+
+    @classmethod
+    def of(cls, errors_m: NDArray[np.floating[Any]]) -> "Tally":
+        """Count errors, (n,) float [m]; those that are not finite are left out."""
+        finite = np.asarray(errors_m, np.float64)
+        finite = finite[np.isfinite(finite)]
+        steps, counts = np.unique(
+            np.rint(finite * STEPS_PER_M).astype(np.int64), return_counts=True
+        )
+        return cls(steps, counts.astype(np.int64))
+
+    @property
+    def errors_m(self) -> NDArray[np.float64]:
+        """Sizes that occur, (n,) float64 [m]."""
+        return self.steps / STEPS_PER_M
+
+    @property
+    def n(self) -> int:
+        """Errors counted [count]."""
+        return int(self.counts.sum())
+
+    def sample_m(self, most: int) -> NDArray[np.float32]:
+        """Every so many-th error by size, no more than ``most``: (n,) float32 [m]."""
+        ranks = np.arange(0, self.n, max(1, -(-self.n // most)))
+        place = np.searchsorted(np.cumsum(self.counts), ranks, side="right")
+        return self.errors_m[place].astype(np.float32)
+
+
+TOGETHER: Final = 100
+"""Places whose errors are added up at once [count]."""
+
+Tallies = dict[str, Tally]
+"""Errors by class of surface; ``all`` holds every one."""
+
+
+def tallies(differences: Mapping[str, NDArray[np.floating[Any]]]) -> Tallies:
+    """Count the differences of each class of surface [m]."""
+    return {name: Tally.of(values) for name, values in differences.items()}
+
+
+def add_up(parts: Iterable[Mapping[str, Tally]]) -> Tallies:
+    """Errors of several places together; a class that one place lacks is empty there."""
+    waiting: dict[str, list[Tally]] = {}
+    for part in parts:
+        for name, found in part.items():
+            listed = waiting.setdefault(name, [])
+            listed.append(found)
+            if len(listed) == TOGETHER:
+                listed[:] = [_together(listed)]
+    return {name: _together(listed) for name, listed in waiting.items()}
+
+
+def _together(listed: Sequence[Tally]) -> Tally:
+    steps, place = np.unique(np.concatenate([t.steps for t in listed]), return_inverse=True)
+    counts = np.zeros(len(steps), np.int64)
+    np.add.at(counts, place, np.concatenate([t.counts for t in listed]))
+    return Tally(steps, counts)
