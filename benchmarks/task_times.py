@@ -1,9 +1,9 @@
 """Processor time of each kind of task: ``python -m benchmarks.task_times WORKFLOW [ROUNDS]``.
 
-Runs a workflow in this process up to its tiles, into a folder of its own, and prints for each kind
-of task seconds of a processor per million input returns, how much of them the kernel took, and
-page faults: the least of all rounds but the first, which compiles. Wall time tells little where
-other work comes and goes, and two workers share what memory gives.
+Runs a workflow in this process, into a folder of its own, and prints for each kind of task seconds
+of a processor per million input returns, how much of them the kernel took, and page faults: the
+least of all rounds but the first, which compiles. Wall time tells little where other work comes
+and goes, and two workers share what memory gives.
 
 Workers are started with settings for malloc and Arrow (``spl_batch.graph.cluster.SETTINGS``); give
 them to this process too, to see what a worker takes.
@@ -16,11 +16,7 @@ import tempfile
 from pathlib import Path
 
 from spl_batch.api.preparing import prepare
-from spl_batch.plan.phases import PHASES
 from spl_batch.runner import run_task
-
-LAST = "build_tile"
-"""Kind of task that ends a round."""
 
 Cost = tuple[float, float, float]
 
@@ -37,7 +33,8 @@ def round_of(workflow: Path, output: Path) -> tuple[dict[str, Cost], int]:
     survey, context = prepared.ledger, prepared.context
     context.store.local.mkdir(parents=True)
     cost: dict[str, Cost] = {}
-    for phase in PHASES:
+    for phase in prepared.receiver.phases:
+        prepared.receiver.before(phase, prepared)
         before = used()
         for task in list(phase.tasks(survey)):
             receipt = run_task(task, "", context)
@@ -45,8 +42,6 @@ def round_of(workflow: Path, output: Path) -> tuple[dict[str, Cost], int]:
                 sys.exit(f"{task.kind} {task.name}: {receipt.reason}")
             survey.of(task.kind).put(receipt)
         cost[phase.kind] = tuple(b - a for a, b in zip(before, used(), strict=True))  # type: ignore[assignment]
-        if phase.kind == LAST:
-            break
     return cost, sum(source.facts.n_points for source in survey.inputs.sources)
 
 
