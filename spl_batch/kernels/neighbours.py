@@ -1,8 +1,9 @@
 """Nearest neighbours on the integer lattice, exact and in no particular order.
 
 1. The points of a leaf of the tree are taken one after the other. Within which distance one has
-   enough follows from one beside it: its neighbours, and how far it is. The first of a table look
-   among the points of an ancestor of their leaf, which lie side by side.
+   enough follows from one beside it: its neighbours, and how far it is. Nearly always less is
+   enough, and is tried first. The first of a table look among the points of an ancestor of their
+   leaf, which lie side by side.
 2. The leaves within that distance of the whole leaf are listed once, and each point looks at
    those of the list that it reaches. One that is far from the others, such as noise above a
    surface, whose list would be long, walks the tree from its leaf upwards instead.
@@ -37,7 +38,7 @@ from spl_batch.kernels.kdtree import (
     leaf_slots,
     search,
 )
-from spl_batch.kernels.search_bounds import BESIDE, bound_above, bound_beside
+from spl_batch.kernels.search_bounds import BESIDE, first_limits
 from spl_batch.kernels.selection import distance_to, keep_nearest, largest
 
 CROWD: Final = 96
@@ -46,7 +47,7 @@ CROWD: Final = 96
 LISTED: Final = 128
 """Most leaves in a list; where there are more, points walk the tree [count]."""
 
-MARGIN: Final = 1.5
+MARGIN: Final = 1.25
 """Squared distance of a list over that of the point for which it is made: for those after it."""
 
 CHUNK: Final = 64
@@ -152,18 +153,22 @@ def _add(points, low, high, slot, x, y, z, limit, distance, near, kept, size):  
 
 @njit(nogil=True, cache=True)
 def _from_list(  # type: ignore[no-untyped-def]
-    points, slot, k, limit, x, y, z, slots, sides, listed, apart, distance, near, kept
-):
+    points, slot, k, limit, x, y, z, slots, sides, listed, apart, reached, distance, near, kept,
+):  # fmt: skip
     """Neighbours of a slot among the leaves of a list: number, squared distance of the last."""
     for i in range(listed):
         dx = max(sides[U0, i] - x, x - sides[U3, i], 0.0)
         dy = max(sides[U1, i] - y, y - sides[U4, i], 0.0)
         dz = max(sides[U2, i] - z, z - sides[U5, i], 0.0)
         apart[i] = dx * dx + dy * dy + dz * dz
-    size, full = U0, np.uint64(k + CROWD)
+    # Without a branch, of which the processor would guess many wrong: one of four is reached.
+    reach = U0
     for i in range(listed):
-        if apart[i] > limit:
-            continue
+        reached[reach] = i
+        reach += np.uint64(apart[i] <= limit)
+    size, full = U0, np.uint64(k + CROWD)
+    for j in range(reach):
+        i = reached[j]
         size = _add(
             points, slots[U0, i], slots[U1, i], slot, x, y, z, limit, distance, near, kept, size
         )
@@ -211,7 +216,7 @@ def _from_tree(  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def neighbours_of_leaves(  # type: ignore[no-untyped-def]
+def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
     points, boxes, depth, leaves, asked, k, cap, wanted, others, found, last, few
 ):
     """Nearest neighbours of the points asked for of some leaves.
@@ -250,6 +255,7 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]
     )
     slots, sides, apart = np.empty((2, LISTED), np.uint64), np.empty((6, LISTED)), np.empty(LISTED)
     stack, beside = np.empty(64, np.uint64), np.zeros((4, BESIDE))
+    reached = np.empty(LISTED, np.uint64)
     beside[3] = FAR
     start, _ = leaf_slots(leaves[0], depth, n)
     turn = U0
@@ -265,25 +271,26 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]
                 np.float64(points[U1, slot]),
                 np.float64(points[U2, slot]),
             )
-            bound = bound_beside(beside, apart, x, y, z)
-            if bound < cap:
-                limit = math.floor(bound * bound) + 1.0
-            else:
-                limit = bound_above(points, depth, leaf, slot, k, cap, distance)
-            if reach2 < limit < too_far:
-                reach2 = MARGIN * limit
-                listed = _list_leaves(points, boxes, depth, leaf, reach2, stack, slots, sides)
-                if listed == U0:
-                    reach2, too_far = -1.0, limit
-            if limit <= reach2:
-                found[at], last[at] = _from_list(
-                    points, slot, k, limit, x, y, z, slots, sides, listed, apart, distance, near,
-                    kept,
-                )  # fmt: skip
-            else:
-                found[at], last[at] = _from_tree(
-                    points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, distance, near, kept
-                )
+            limit, most = first_limits(points, depth, leaf, slot, k, cap, beside, apart, distance)
+            while True:
+                if reach2 < limit < too_far:
+                    reach2 = MARGIN * limit
+                    listed = _list_leaves(points, boxes, depth, leaf, reach2, stack, slots, sides)
+                    if listed == U0:
+                        reach2, too_far = -1.0, limit
+                if limit <= reach2:
+                    found[at], last[at] = _from_list(
+                        points, slot, k, limit, x, y, z, slots, sides, listed, apart, reached,
+                        distance, near, kept,
+                    )  # fmt: skip
+                else:
+                    found[at], last[at] = _from_tree(
+                        points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, distance, near,
+                        kept,
+                    )  # fmt: skip
+                if found[at] == k or limit == most:
+                    break
+                limit = most
             for i in range(found[at]):
                 others[at, i] = kept[i]
             few[at] = -1.0

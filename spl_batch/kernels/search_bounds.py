@@ -15,9 +15,12 @@ SPARE: Final = 6
 BESIDE: Final = 16
 """Latest points from whose neighbours a distance for the next follows [count]."""
 
+LIKELY: Final = 0.5
+"""Part of the way from one of them that is added to its distance: nearly always that is enough."""
+
 
 @njit(nogil=True, cache=True)
-def bound_above(points, depth, leaf, slot, k, cap, distance):  # type: ignore[no-untyped-def]
+def _bound_above(points, depth, leaf, slot, k, cap, distance):  # type: ignore[no-untyped-def]
     """Squared distance, at most the cap's, within which a slot has k others if it has them.
 
     It is found among the points of an ancestor of its leaf.
@@ -48,15 +51,44 @@ def bound_above(points, depth, leaf, slot, k, cap, distance):  # type: ignore[no
 
 
 @njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
-def bound_beside(beside, apart, x, y, z):  # type: ignore[no-untyped-def]
-    """Distance within which a place has as many as those beside it have within theirs.
+def _bounds_beside(beside, apart, x, y, z):  # type: ignore[no-untyped-def]
+    """Distances within which a place likely, and surely, has as many as those beside it.
 
-    ``beside`` (4, m) holds their places and distances; ``apart`` (m,) is scratch.
+    ``beside`` (4, m) holds their places, and within which distance they have them; ``apart`` (m,)
+    is scratch.
     """
     for i in range(BESIDE):
         dx, dy, dz = beside[U0, i] - x, beside[U1, i] - y, beside[U2, i] - z
-        apart[i] = math.sqrt(dx * dx + dy * dy + dz * dz) + beside[U3, i]
-    least = apart[U0]
+        apart[i] = math.sqrt(dx * dx + dy * dy + dz * dz)
+    sure = apart[U0] + beside[U3, U0]
+    likely = LIKELY * apart[U0] + beside[U3, U0]
     for i in range(BESIDE):
-        least = min(least, apart[i])
-    return least
+        sure = min(sure, apart[i] + beside[U3, i])
+        likely = min(likely, LIKELY * apart[i] + beside[U3, i])
+    return likely, sure
+
+
+@njit(nogil=True, cache=True)
+def first_limits(points, depth, leaf, slot, k, cap, beside, apart, distance):  # type: ignore[no-untyped-def]
+    """Squared distances within which a slot likely, and surely, has k others if the cap's has them.
+
+    Parameters
+    ----------
+    points, depth, leaf, slot, k, cap
+        The tree's points, the depth of its leaves, the slot's leaf, the slot, neighbours wanted
+        and the farthest that counts [quanta].
+    beside : (4, BESIDE) float64
+        Places of slots that were searched, and the distances of their last neighbours.
+    apart, distance : (BESIDE,) and (8 k + 16 + 2 LEAF,) float64
+        Scratch.
+    """
+    x, y, z = (
+        np.float64(points[U0, slot]),
+        np.float64(points[U1, slot]),
+        np.float64(points[U2, slot]),
+    )
+    likely, sure = _bounds_beside(beside, apart, x, y, z)
+    if sure < cap:
+        return math.floor(likely * likely) + 1.0, math.floor(sure * sure) + 1.0
+    found = _bound_above(points, depth, leaf, slot, k, cap, distance)
+    return found, found
