@@ -84,14 +84,14 @@ def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
     time, channel = rng.integers(0, 4, n).astype(np.float64), rng.integers(0, 3, n).astype(np.uint8)
     weight = rng.integers(0, UNIT + 1, n)
     radii = np.array([[1500, 1000], [700, 300]])
-    listed = columns(xyz, 1500)
+    listed = columns(xyz.T, 1500)
     o = listed.order
     out = np.empty((n, 2), np.int64)
     tilt = np.where(rng.random((n, 1)) < 0.5, rng.uniform(-1.5, 1.5, (n, 2)), 0.0)
     own = int(rng.choice([0, UNIT, 1741]))
     weigh_around(
-        xyz[o], time[o], channel[o], weight[o], listed.starts, listed.shape, listed.edge,
-        np.arange(n), radii, tilt, own, out,
+        xyz.T.take(o, axis=1), time[o], channel[o], weight[o], listed.starts, listed.shape,
+        listed.edge, np.arange(n), radii, tilt, own, out,
     )  # fmt: skip
     for q, row in enumerate(o):
         d = (xyz - xyz[row]).astype(np.float64)
@@ -118,15 +118,15 @@ def test_a_plane_is_found_whatever_its_tilt_and_only_where_it_is_alone() -> None
         rows = inner(first[: len(surface)], 15)
         table, _ = survey(first, followers(first, rows, 0.9))
         xyz = np.stack([table[a].astype(np.int64) for a in "xyz"], axis=1)
-        listed = columns(xyz, 1500)
+        listed = columns(xyz.T, 1500)
         o, place = listed.order, np.empty(len(xyz), np.int64)
         place[o] = np.arange(len(o))
         out, tilt = np.empty(len(rows), np.bool_), np.empty((len(rows), 2))
         parents = np.empty(len(rows), np.int32)
         behind_plane(
-            xyz[o], table["gps_time"][o], table["channel"][o], (table["afterpulse"] == 0)[o],
-            listed.starts, listed.shape, 1500, place[len(first) :], 5000, 800, 1000, 150, 0.7, 8,
-            out, tilt, parents,
+            xyz.T.take(o, axis=1), table["gps_time"][o], table["channel"][o],
+            (table["afterpulse"] == 0)[o], listed.starts, listed.shape, 1500,
+            place[len(first) :], 5000, 800, 1000, 150, 0.7, 8, out, tilt, parents,
         )  # fmt: skip
         np.testing.assert_array_equal(o[parents], rows)
         assert out.mean() > 0.9 if expected else out.mean() < 0.1

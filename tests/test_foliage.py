@@ -18,13 +18,14 @@ VOLUME_M3 = [8 / 35 * 4 / 3 * math.pi * across**2 * up for across, up in foliage
 def counts_around(xyz: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.int64]:
     """Kernel sums around some points, each of its own beamlet."""
     n = len(xyz)
-    listed = columns((xyz - xyz.min(axis=0)).astype(np.int32), 1500)
+    places = np.ascontiguousarray((xyz - xyz.min(axis=0)).astype(np.int32).T)
+    listed = columns(places, 1500)
     order, place = listed.order, np.empty(n, np.int32)
     place[order] = np.arange(n)
     radii = np.array([[round(1000 * r) for r in pair] for pair in foliage.KERNELS_M])
     out = np.empty((len(rows), KERNELS), np.int64)
     weigh_around(
-        (xyz - xyz.min(axis=0)).astype(np.int32)[order], np.arange(float(n))[order],
+        places.take(order, axis=1), np.arange(float(n))[order],
         np.zeros(n, np.uint8), np.full(n, UNIT, np.int16), listed.starts, listed.shape, listed.edge,
         place[rows], radii, np.zeros((len(rows), 2)), 0, out,
     )  # fmt: skip

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.kernels.kdtree import U0, U1, U2, U3
 from spl_batch.kernels.robust_plane import plane_of_moments
 
 UNIT: Final = 1024
@@ -47,18 +48,18 @@ def columns(xyz: NDArray[np.int32], edge: int) -> Columns:
 
     Parameters
     ----------
-    xyz : (n, 3) int32
+    xyz : (3, n) int32
         Coordinates >= 0 [quanta], 1 <= n < 2**31.
     edge : int
         Edge of a column [quanta].
     """
-    i, j = xyz[:, 0] // edge, xyz[:, 1] // edge
+    i, j = xyz[0] // edge, xyz[1] // edge
     nx, ny = int(i.max()) + 1, int(j.max()) + 1
     column = i.astype(np.int64) * ny + j
     count = np.bincount(column, minlength=nx * ny)
-    height = int(xyz[:, 2].max()) + 1
+    height = int(xyz[2].max()) + 1
     column *= height
-    column += xyz[:, 2]
+    column += xyz[2]
     order = np.argsort(column).astype(np.int32)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     return Columns(order, starts, (nx, ny), edge)
@@ -74,6 +75,49 @@ def _first_from(z: NDArray[np.int32], low: int, high: int, level: int) -> int:
         else:
             high = middle
     return low
+
+
+@njit(nogil=True, cache=True)
+def _most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
+    """Most points in a column and the eight around it."""
+    nx, ny = shape
+    most = 0
+    for i in range(nx):
+        for j in range(ny):
+            held = 0
+            for k in range(max(i - 1, 0), min(i + 2, nx)):
+                held += starts[k * ny + min(j + 2, ny)] - starts[k * ny + max(j - 1, 0)]
+            most = max(most, held)
+    return most
+
+
+@njit(nogil=True, cache=True)
+def _near(
+    xyz: NDArray[np.int32], counts: NDArray[np.bool_], starts: NDArray[np.int64],
+    shape: tuple[int, int], edge: int, row: int, wide: int, limit: int, span: int,
+    near: NDArray[np.int32],
+) -> int:  # fmt: skip
+    """List what counts in an upright cylinder around a point: how many they are.
+
+    ``near`` (4, m) int32 is filled with their differences in x, y and z [quanta], none beyond
+    ``span`` in z, and their rows. Aside, squared distances are below ``limit``, none of which is
+    beyond ``wide`` <= ``edge``.
+    """
+    nx, ny = shape
+    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
+    heights, size = xyz[2], U0
+    for i in range(max((x - wide) // edge, 0), min((x + wide) // edge + 1, nx)):
+        for j in range(max((y - wide) // edge, 0), min((y + wide) // edge + 1, ny)):
+            low, stop = starts[i * ny + j], starts[i * ny + j + 1]
+            low = _first_from(heights, low, stop, z - span)
+            high = _first_from(heights, low, stop, z + span + 1)
+            # Without a branch: about half of them are in it.
+            for p in range(np.uint64(low), np.uint64(high)):
+                dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
+                near[U0, size], near[U1, size], near[U2, size] = dx, dy, xyz[U2, p] - z
+                near[U3, size] = p
+                size += np.uint64((dx * dx + dy * dy < limit) & counts[p])
+    return np.int64(size)
 
 
 @njit(nogil=True, cache=True)
@@ -95,7 +139,7 @@ def weigh_around(
 
     Parameters
     ----------
-    xyz : (n, 3) int32
+    xyz : (3, n) int32
         Points in the order of :class:`Columns` [quanta].
     time, channel : (n,) float64, uint8
         Their beamlets.
@@ -104,7 +148,7 @@ def weigh_around(
     starts, shape, edge
         As in :class:`Columns`.
     rows : (m,) int32
-        Points to count around.
+        Points to count around; quickest in ascending order.
     radii : (k, 2) int64
         Horizontal and vertical radius of each kernel [quanta]; the first one contains the
         others, and its horizontal radius is at most ``edge``.
@@ -116,35 +160,41 @@ def weigh_around(
     out : (m, k) int64
         Filled with the sums of weight x (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
     """
-    z = xyz[:, 2]
-    nx, ny = shape
-    wide, high = float(radii[0, 0]) ** 2, radii[0, 1]
+    wide, high = radii[0, 0], radii[0, 1]
     across, up = 1.0 / radii[:, 0].astype(np.float64) ** 2, 1.0 / radii[:, 1] ** 2.0
+    room = _most_around(starts, shape) + 1
+    near, some = np.empty((4, room), np.int32), weight != 0
+    flat, square, worth = np.empty(room), np.empty(room), np.empty(room, np.int32)
     for q in range(len(rows)):
         row = rows[q]
-        x0, y0, z0 = xyz[row]
-        t0, c0 = time[row], channel[row]
-        bx, by = tilt[q]
-        span = high + math.ceil(math.hypot(bx, by) * radii[0, 0])
-        out[q] = 0
-        for i in range(max(x0 // edge - 1, 0), min(x0 // edge + 2, nx)):
-            for j in range(max(y0 // edge - 1, 0), min(y0 // edge + 2, ny)):
-                stop = starts[i * ny + j + 1]
-                for p in range(_first_from(z, starts[i * ny + j], stop, z0 - span), stop):
-                    if z[p] > z0 + span:
-                        break
-                    dx, dy = float(xyz[p, 0] - x0), float(xyz[p, 1] - y0)
-                    flat = dx * dx + dy * dy
-                    if flat >= wide or weight[p] == 0:
-                        continue
-                    worth = int(weight[p])
-                    if time[p] == t0 and channel[p] == c0:
-                        worth = worth * own // UNIT if z[p] > z0 else 0
-                    square = (float(z[p] - z0) - bx * dx - by * dy) ** 2
-                    for k in range(len(radii)):
-                        left = 1.0 - flat * across[k] - square * up[k]
-                        if left > 0.0:
-                            out[q, k] += worth * int(left * left * UNIT)
+        bx, by = tilt[q, 0], tilt[q, 1]
+        span = high + math.ceil(math.hypot(bx, by) * wide)
+        size = np.uint64(_near(xyz, some, starts, shape, edge, row, wide, wide * wide, span, near))
+        for i in range(size):
+            dx, dy = np.float64(near[U0, i]), np.float64(near[U1, i])
+            flat[i] = dx * dx + dy * dy
+            square[i] = (np.float64(near[U2, i]) - bx * dx - by * dy) ** 2
+        for i in range(size):
+            p = near[U3, i]
+            worth[i] = weight[p]
+            if time[p] == time[row] and channel[p] == channel[row]:
+                worth[i] = worth[i] * own // UNIT if near[U2, i] > 0 else 0
+        for k in range(len(radii)):
+            out[q, k] = _weighed(flat, square, worth, size, across[k], up[k])
+
+
+@njit(nogil=True, cache=True)
+def _weighed(
+    flat: NDArray[np.float64], square: NDArray[np.float64], worth: NDArray[np.int32],
+    size: int, across: float, up: float,
+) -> int:  # fmt: skip
+    """Sum of weights times a kernel."""
+    total = np.int64(0)
+    for i in range(np.uint64(size)):
+        left = 1.0 - flat[i] * across - square[i] * up
+        left = max(left, 0.0)
+        total += np.int64(worth[i]) * np.int64(np.int32(left * left * UNIT))
+    return total
 
 
 @njit(nogil=True, cache=True)
@@ -157,58 +207,54 @@ def _parent(
     It is at most ``lag`` higher and ``aside`` <= ``edge`` away.
     """
     nx, ny = shape
-    x0, y0, z0 = xyz[row]
-    found = -1
-    for i in range(max((x0 - aside) // edge, 0), min((x0 + aside) // edge + 1, nx)):
-        for j in range(max((y0 - aside) // edge, 0), min((y0 + aside) // edge + 1, ny)):
+    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
+    heights, found, top = xyz[2], -1, z + lag
+    for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
+        for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
             stop = starts[i * ny + j + 1]
-            for p in range(_first_from(xyz[:, 2], starts[i * ny + j], stop, z0 + 1), stop):
-                if xyz[p, 2] > z0 + lag or (found >= 0 and xyz[p, 2] >= xyz[found, 2]):
+            for p in range(_first_from(heights, starts[i * ny + j], stop, z + 1), stop):
+                if heights[p] > top:
                     break
-                flat = (xyz[p, 0] - x0) ** 2 + (xyz[p, 1] - y0) ** 2
-                if time[p] == time[row] and channel[p] == channel[row] and flat <= aside * aside:
-                    found = p
+                if time[p] == time[row] and channel[p] == channel[row]:
+                    dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
+                    if dx * dx + dy * dy <= aside * aside:
+                        found, top = p, heights[p] - 1
+                        break
     return found
 
 
 @njit(nogil=True, cache=True)
-def _sum_around(
-    row: int, xyz: NDArray[np.int32], true: NDArray[np.bool_], starts: NDArray[np.int64],
-    shape: tuple[int, int], edge: int, wide: int, high: int, plane: NDArray[np.float64],
-    levels: NDArray[np.float64], thick: float, sums: NDArray[np.int64],
-) -> None:  # fmt: skip
-    """Sums over the true returns in an upright cylinder around one of them.
+def _moments(near: NDArray[np.int32], size: int, sums: NDArray[np.int64]) -> None:
+    """Sums of 1, u, v, w, uu, uv, vv, uw and vw of what is listed."""
+    u1 = v1 = w1 = np.int64(0)
+    uu = uv = vv = uw = vw = np.int64(0)
+    for i in range(np.uint64(size)):
+        u, v, w = near[U0, i], near[U1, i], near[U2, i]
+        u1 += u
+        v1 += v
+        w1 += w
+        uu += u * u
+        uv += u * v
+        vv += v * v
+        uw += u * w
+        vw += v * w
+    sums[0], sums[1], sums[2], sums[3] = size, u1, v1, w1
+    sums[4], sums[5], sums[6], sums[7], sums[8] = uu, uv, vv, uw, vw
 
-    ``sums`` (10,) int64 is filled with their number, the sums of u, v, w, uu, uv, vv, uw and
-    vw, and how many are within ``thick`` of the plane; ``sums`` (10 + k,) counts those
-    within it of parallel planes, off by ``levels`` (k,), as well. All are integers, so the
-    order in which points are met is of no matter.
-    """
-    nx, ny = shape
-    x0, y0, z0 = xyz[row]
-    sums[:] = 0
-    for i in range(max((x0 - wide) // edge, 0), min((x0 + wide) // edge + 1, nx)):
-        for j in range(max((y0 - wide) // edge, 0), min((y0 + wide) // edge + 1, ny)):
-            stop = starts[i * ny + j + 1]
-            for p in range(_first_from(xyz[:, 2], starts[i * ny + j], stop, z0 - high), stop):
-                u, v, w = xyz[p, 0] - x0, xyz[p, 1] - y0, xyz[p, 2] - z0
-                if w > high:
-                    break
-                if not true[p] or u * u + v * v > wide * wide:
-                    continue
-                sums[0] += 1
-                sums[1] += u
-                sums[2] += v
-                sums[3] += w
-                sums[4] += u * u
-                sums[5] += u * v
-                sums[6] += v * v
-                sums[7] += u * w
-                sums[8] += v * w
-                distance = w - (plane[0] + plane[1] * u + plane[2] * v)
-                sums[9] += abs(distance) <= thick
-                for k in range(len(levels)):
-                    sums[10 + k] += abs(distance - levels[k]) <= thick < abs(distance)
+
+@njit(nogil=True, cache=True)
+def _on_planes(
+    near: NDArray[np.int32], size: int, plane: NDArray[np.float64], level: float, thick: float
+) -> tuple[int, int]:
+    """How many are within ``thick`` of a plane, and of one off by ``level`` but not of it."""
+    here = there = np.int64(0)
+    a, b, c = plane[0], plane[1], plane[2]
+    for i in range(np.uint64(size)):
+        distance = near[U2, i] - (a + b * near[U0, i] + c * near[U1, i])
+        beside = abs(distance) > thick
+        here += not beside
+        there += (abs(distance - level) <= thick) & beside
+    return here, there
 
 
 @njit(nogil=True, cache=True)
@@ -255,31 +301,30 @@ def behind_plane(
     parents : (m,) int32
         Filled with the points' parents, -1 for none.
     """
-    sums, plane = np.empty(11, dtype=np.int64), np.zeros(3)
-    level = np.zeros(1)
+    sums, plane = np.empty(9, dtype=np.int64), np.zeros(3)
+    near = np.empty((4, _most_around(starts, shape) + 1), np.int32)
     for q in range(len(rows)):
-        out[q], tilt[q] = False, 0.0
+        row = rows[q]
+        out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0
         # Most parents are near; a short search first spares a long one in crowns.
-        near = min(lag // 10, edge)
-        parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag // 5, near)
+        close = min(lag // 10, edge)
+        parent = _parent(row, xyz, time, channel, starts, shape, edge, lag // 5, close)
         if parent < 0:
-            parent = _parent(rows[q], xyz, time, channel, starts, shape, edge, lag, edge)
+            parent = _parent(row, xyz, time, channel, starts, shape, edge, lag, edge)
         parents[q] = parent
         if parent < 0:
             continue
-        for step in range(2):
-            _sum_around(
-                parent, xyz, true, starts, shape, edge, wide, high, plane, level, thick, sums
-            )
-            if sums[0] < least or (step == 1 and sums[9] < share * sums[0]):
-                break
-            if step == 1:
-                tilt[q] = plane[1:]
-                out[q] = 20 * sums[10] <= sums[0]
-            elif _plane_of(sums, plane):
-                x, y, z = xyz[rows[q]] - xyz[parent]
-                level[0] = z - (plane[0] + plane[1] * x + plane[2] * y)
-                if abs(plane[0]) > thick or level[0] >= -thick:
-                    break
-            else:
-                break
+        size = _near(xyz, true, starts, shape, edge, parent, wide, wide * wide + 1, high, near)
+        if size < least:
+            continue
+        _moments(near, size, sums)
+        if not _plane_of(sums, plane):
+            continue
+        x, y = xyz[U0, row] - xyz[U0, parent], xyz[U1, row] - xyz[U1, parent]
+        level = xyz[U2, row] - xyz[U2, parent] - (plane[0] + plane[1] * x + plane[2] * y)
+        if abs(plane[0]) > thick or level >= -thick:
+            continue
+        here, there = _on_planes(near, size, plane, level, thick)
+        if here >= share * size:
+            tilt[q, 0], tilt[q, 1] = plane[1], plane[2]
+            out[q] = 20 * there <= size

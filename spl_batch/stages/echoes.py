@@ -224,13 +224,13 @@ class _Places:
 
     def __init__(self, table: PointTable) -> None:
         self._table = table
-        xyz = np.empty((len(table), 3), dtype=np.int32)
+        xyz = np.empty((3, len(table)), dtype=np.int32)
         for axis, name in enumerate("xyz"):
-            xyz[:, axis] = table[name] - table[name].min()
+            xyz[axis] = table[name] - table[name].min()
         self._listed = columns(xyz, quanta(WIDE_M))
         order = self._listed.order
         self._xyz, self._time, self._channel = (
-            xyz[order], table["gps_time"][order], table["channel"][order],
+            xyz.take(order, axis=1), table["gps_time"][order], table["channel"][order],
         )  # fmt: skip
         self._place = np.empty(len(order), np.int32)
         self._place[order] = np.arange(len(order), dtype=np.int32)
@@ -248,14 +248,23 @@ class _Places:
         One of the same beamlet above the row counts for ``own``; those below do not.
         """
         listed = self._listed
+        place, turn = self._in_turn(rows)
         sums = np.empty((len(rows), len(radii_m)), dtype=np.int64)
         weigh_around(
             self._xyz, self._time, self._channel,
-            true[listed.order], listed.starts, listed.shape, listed.edge, self._place[rows],
+            true[listed.order], listed.starts, listed.shape, listed.edge, place,
             np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64),
-            np.zeros((len(rows), 2)) if tilt is None else tilt, round(own * UNIT), sums,
+            np.zeros((len(rows), 2)) if tilt is None else tilt[turn], round(own * UNIT), sums,
         )  # fmt: skip
-        return sums
+        out = np.empty_like(sums)
+        out[turn] = sums
+        return out
+
+    def _in_turn(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+        """Places of rows in ascending order, as neighbours then share memory; which is which."""
+        place = self._place[rows]
+        turn = np.argsort(place)
+        return place[turn], turn
 
     def clumping(
         self, rows: NDArray[np.intp], parents: NDArray[np.intp], true: NDArray[np.int16]
@@ -277,12 +286,16 @@ class _Places:
         out, tilt = np.empty(len(rows), dtype=np.bool_), np.empty((len(rows), 2))
         parents = np.empty(len(rows), dtype=np.int32)
         wide, high, thick = (quanta(m) for m in PLANE_M)
+        place, turn = self._in_turn(rows)
         behind_plane(
             self._xyz, self._time, self._channel, alone[listed.order], listed.starts,
-            listed.shape, listed.edge, self._place[rows], quanta(LAG_M), wide, high, thick,
+            listed.shape, listed.edge, place, quanta(LAG_M), wide, high, thick,
             PLANE_SHARE, PLANE_LEAST, out, tilt, parents,
         )  # fmt: skip
-        return out, tilt, np.where(parents < 0, -1, listed.order[parents]).astype(np.intp)
+        back = np.empty_like(turn)
+        back[turn] = np.arange(len(turn))
+        named = np.where(parents < 0, -1, listed.order[parents]).astype(np.intp)
+        return out[back], tilt[back], named[back]
 
 
 def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:
