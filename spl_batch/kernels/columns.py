@@ -57,7 +57,8 @@ def columns(
     -------
     Columns
     """
-    points = np.empty((4, len(rows)), dtype=np.int32)
+    # Searches look at whole vectors: some more lies behind the last point.
+    points = np.empty(4 * len(rows) + 8, dtype=np.int32)[:-8].reshape(4, -1)
     if not len(rows):
         return Columns(points, np.zeros(2, np.int64), np.zeros(2, np.int64), (1, 1), edge)
     taken = xyz[rows]

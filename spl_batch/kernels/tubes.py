@@ -27,7 +27,7 @@ import numpy as np
 from numba import njit
 
 from spl_batch.kernels.columns import columns_around, first_above
-from spl_batch.kernels.kdtree import U0, U1, U2
+from spl_batch.kernels.kdtree import U0, U1, U2, U3
 
 CELL: Final = 0.83
 """Edge of a cell of direction [r / L]: windows are 2 r wide, each weighted by its volume."""
@@ -38,8 +38,13 @@ TURNS, LEVELS = 400, 160
 PAD: Final = 8
 """Cells beyond the steepest slope at either side [count]."""
 
+STRETCH: Final = np.uint64(256)
+"""Cells that are looked through at once for a count [count]."""
+
 WORDS: Final = 5
 """Words of four cells that the widest window may touch [count]."""
+
+UW, U7 = np.uint64(WORDS), np.uint64(7)
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -90,20 +95,33 @@ def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
+def _first_with(cells, size, most):  # type: ignore[no-untyped-def]
+    """First cell with a count, of those that have it; stretches without are passed in vectors."""
+    for begin in range(U0, size, STRETCH):
+        end = min(begin + STRETCH, size)
+        equal = np.uint16(0)
+        for i in range(begin, end):
+            equal += np.uint16(cells[i] == most)
+        if equal > 0:
+            for i in range(begin, end):
+                if cells[i] == most:
+                    return i
+    return size
+
+
+@njit(nogil=True, cache=True)
 def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
     """Centre of the first cell with the largest count and of its equals beside it [cells]."""
-    for a in range(turns):
-        for b in range(rows):
-            if cells[a * lanes + b] == most:
-                total_a = total_b = equal = 0
-                for i in range(a, min(a + 3, turns)):
-                    for j in range(max(b - 2, 0), min(b + 3, rows)):
-                        if cells[i * lanes + j] == most:
-                            total_a += i
-                            total_b += j
-                            equal += 1
-                return total_a / equal + 0.5, total_b / equal + 0.5
-    return 0.5, 0.5
+    first = np.int64(_first_with(cells, np.uint64(turns * lanes), np.uint16(most)))
+    a, b = first // lanes, first % lanes
+    total_a = total_b = equal = 0
+    for i in range(a, min(a + 3, turns)):
+        for j in range(max(b - 2, 0), min(b + 3, rows)):
+            if cells[i * lanes + j] == most:
+                total_a += i
+                total_b += j
+                equal += 1
+    return total_a / equal + 0.5, total_b / equal + 0.5
 
 
 @njit(nogil=True, cache=True)
@@ -146,14 +164,19 @@ def _vote(words, masks, turn, level, size, near, turns, levels, stride):  # type
                 words[at + U1] += high
                 at += np.uint64(stride)
             continue
+        wide = np.uint64(size[k])
         for i in range(a - half, a + half + 1):
             row, left = i, b - half + PAD
             if i < 0 or i >= turns:
                 row = i + turns if i < 0 else i - turns
                 left = levels - 1 - b - half + PAD
-            at, lane = row * stride + (left >> 2), left & 3
-            for j in range((lane + 2 * half) // 4 + 1):
-                words[at + j] += masks[size[k], lane, j]
+            at, lane = np.uint64(row * stride + (left >> 2)), np.uint64(left & 3)
+            # As many words as it may touch: what is added to the others is 0.
+            for j in range(U3):
+                words[at + j] += masks[wide, lane, j]
+            if wide > U1:
+                for j in range(U3, UW):
+                    words[at + j] += masks[wide, lane, j]
 
 
 @njit(nogil=True, cache=True)
@@ -178,6 +201,31 @@ def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
                 held += start[i * ny + j1] - start[i * ny + j0]
             most = max(most, held)
     return most
+
+
+@njit(nogil=True, cache=True)
+def _offsets(points, low, begin, end, x, y, z, bend, dx, dy, flat, rise):  # type: ignore[no-untyped-def]
+    """Offsets of the points from slot ``low`` on to a place, without the parabola.
+
+    Whole vectors: up to seven more are written, and read, than are wanted.
+    """
+    for i in range((end - begin + U7) >> U3 << U3):
+        j, k = low + i, begin + i
+        across, up = np.float64(points[U0, j]) - x, np.float64(points[U1, j]) - y
+        apart = across * across + up * up
+        dx[k], dy[k], flat[k] = across, up, apart
+        rise[k] = np.float64(points[U2, j]) - z - bend * apart
+
+
+@njit(nogil=True, cache=True)
+def _within(dx, dy, flat, rise, size, steep, outer, inner):  # type: ignore[no-untyped-def]
+    """Keep those in the double cone, four of ten, without a branch: their number."""
+    near = U0
+    for k in range(size):
+        apart, up = flat[k], rise[k]
+        dx[near], dy[near], flat[near], rise[near] = dx[k], dy[k], apart, up
+        near += np.uint64((up * up <= steep * apart) & (apart <= outer) & (apart >= inner))
+    return near
 
 
 @njit(nogil=True, cache=True)
@@ -218,14 +266,14 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
     # Arrays that stay as they are: numba counts the references to each view of one.
     room = _fullest_window(start, nx, ny, span)
     dx, dy, flat, rise = (
-        np.empty(room + 1),
-        np.empty(room + 1),
-        np.empty(room + 1),
-        np.empty(room + 1),
+        np.empty(room + 8),
+        np.empty(room + 8),
+        np.empty(room + 8),
+        np.empty(room + 8),
     )
     turn, level = np.empty(room, np.int32), np.empty(room, np.int32)
     size, masks = np.empty(room, np.int32), _masks()
-    words = np.zeros(TURNS * LEVELS // 4, np.uint64)
+    words = np.zeros((TURNS + 1) * (LEVELS // 4 + 1), np.uint64)
     cells = words.view(np.uint16)
     for a in range(nx):
         for b in range(ny):
@@ -245,7 +293,7 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                         for j in range(j0, j1):
                             gap = math.hypot(max(abs(i - a) - 1, 0), max(abs(j - b) - 1, 0))
                             column = i * ny + j
-                            if gap * edge > longest or start[column] == start[column + 1]:
+                            if gap * edge >= longest or start[column] == start[column + 1]:
                                 continue
                             floor[beside], stop[beside] = start[column], start[column + 1]
                             first[beside] = first_above(
@@ -280,16 +328,13 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                     while high > low and points[2, high - 1] > top:
                         high -= 1
                     first[k], last[k] = low, high
-                    # Without a branch: four candidates of ten are neighbours.
-                    for j in range(np.uint64(low), np.uint64(high)):
-                        across = np.float64(points[U0, j] - x)
-                        up = np.float64(points[U1, j] - y)
-                        apart = across * across + up * up
-                        dz = np.float64(points[U2, j] - z) - bend * apart
-                        dx[near], dy[near], flat[near], rise[near] = across, up, apart, dz
-                        near += np.uint64(
-                            (dz * dz <= steep * apart) & (apart <= outer) & (apart >= inner)
-                        )
+                    beyond = near + np.uint64(high - low)
+                    _offsets(
+                        points, np.uint64(low), near, beyond, np.float64(x), np.float64(y),
+                        np.float64(z), bend, dx, dy, flat, rise,
+                    )  # fmt: skip
+                    near = beyond
+                near = _within(dx, dy, flat, rise, near, steep, outer, inner)
                 step, turns, levels = grid(reach, radius, slope_max)
                 _directions(
                     dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level,
