@@ -118,7 +118,7 @@ def count_inside(
     return count, expected, tail
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def _flags(near, found, quadric, others, at, space):  # type: ignore[no-untyped-def]
     """Flags of the neighbours as the last row of ``near``; whether spacings inside are unknown."""
     unknown = False
@@ -136,7 +136,7 @@ def _learn(points, boxes, depth, near, found, others, at, space, rule, scratch):
             measure(points, boxes, depth, np.uint64(others[at, i]), space, rule, scratch)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def _among(near, found, others, at, space, least, ratio2, outer):  # type: ignore[no-untyped-def]
     """Peers inside among the neighbours that shaped the ellipsoid."""
     count, outermost = 0, 0.0

@@ -134,7 +134,7 @@ def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
         half[axis] = math.sqrt(total) + 1.0
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def fit(points, slot, others, at, found, near, shape, moments, values, vectors, axes):  # type: ignore[no-untyped-def]
     """Ellipsoid of a slot's neighbours; returns its volume and fills in their offsets.
 

@@ -151,7 +151,7 @@ def _add(points, low, high, slot, x, y, z, limit, distance, near, kept, size):  
     return size
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def _from_list(  # type: ignore[no-untyped-def]
     points, slot, k, limit, x, y, z, slots, sides, listed, apart, reached, distance, near, kept,
 ):  # fmt: skip
@@ -180,7 +180,7 @@ def _from_list(  # type: ignore[no-untyped-def]
     return np.int64(size), largest(near, size)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def _from_tree(  # type: ignore[no-untyped-def]
     points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, distance, near, kept
 ):
