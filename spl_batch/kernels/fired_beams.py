@@ -7,6 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.constants import QUANTUM_M
+
 COARSE = 8
 """Cells along one side of the coarse squares that bound heights [count]."""
 
@@ -18,6 +20,13 @@ MAX_STEPS = 400
 
 COSINE_MIN = 0.2
 """Incidence is not corrected for beyond this [1]."""
+
+SILENT = -(1 << 63)
+"""First return of a beamlet that has none. Others are a word: the height [quanta] in the upper
+half, in the lower the number of the cell, ``row * cols + col``."""
+
+CELL_BITS = 0xFFFF_FFFF
+"""Lower half of a first return."""
 
 
 class Blocks(NamedTuple):
@@ -115,11 +124,13 @@ def _miss2(
 def match_points(
     time_s: NDArray[np.float64],
     channel: NDArray[np.uint8],
-    xyz: NDArray[np.float64],
+    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    chosen: NDArray[np.bool_],
+    cells: tuple[int, int, int, int],
     blocks: Blocks,
     longest_s: float,
     number: NDArray[np.int64],
-    top: NDArray[np.int32],
+    top: NDArray[np.int64],
 ) -> None:
     """First return of each beamlet: the highest, for beams go down.
 
@@ -130,31 +141,37 @@ def match_points(
     ----------
     time_s, channel : (n,)
         Time and beamlet of each point.
-    xyz : (n, 3) float64
-        Relative to the grid's corner; z is a height [m].
+    place : three (n,) integer arrays
+        Easting, northing and height [quanta].
+    chosen : (n,) bool
+        Points that may be first returns; they lie in the grid.
+    cells : (int, int, int, int)
+        South-west corner of the grid (x, y) and edge of a cell [quanta], cells of a row.
     blocks : Blocks
         Shots fired.
     longest_s : float
         Longest block [s].
     number : (shots,) int64
         Row of each shot in ``top``; -1 for shots that do not matter.
-    top : (k, c) int32
-        Filled with the row of each beamlet's first return; -1 for silent ones.
+    top : (k, c) int64
+        Filled with the height and cell of each beamlet's first return, or :data:`SILENT`.
     """
-    top[:] = -1
+    top[:] = SILENT
     aim = np.empty(9)
+    west, south, size, cols = cells
     for p in range(len(time_s)):
         c = int(channel[p])
-        if c >= top.shape[1]:
+        if not chosen[p] or c >= top.shape[1]:
             continue
+        east, north = place[0][p] - west, place[1][p] - south
         b = np.searchsorted(blocks.begin_s, time_s[p], side="right") - 1
         best, least, taken = np.int64(-1), np.inf, np.int64(-1)
         while b >= 0 and blocks.begin_s[b] >= time_s[p] - longest_s:
             shot = np.int64(np.rint((time_s[p] - blocks.t0_s[b]) * blocks.prf_hz[b]))
             if blocks.first[b] <= shot <= blocks.last[b] and not np.isnan(blocks.pattern[b, c, 0]):
-                x, y, z = xyz[p, 0], xyz[p, 1], xyz[p, 2]
                 miss = 0.0
                 if taken >= 0:
+                    x, y, z = east * QUANTUM_M, north * QUANTUM_M, place[2][p] * QUANTUM_M
                     miss = _miss2(blocks, b, shot, c, x, y, z, aim)
                     if least == 0.0:
                         other = np.rint((time_s[p] - blocks.t0_s[taken]) * blocks.prf_hz[taken])
@@ -163,8 +180,12 @@ def match_points(
                     taken, least = b, miss
                     best = number[blocks.offset[b] + shot - blocks.first[b]]
             b -= 1
-        if best >= 0 and (top[best, c] < 0 or xyz[p, 2] > xyz[top[best, c], 2]):
-            top[best, c] = p
+        if best >= 0:
+            height = np.int64(place[2][p])
+            if height > top[best, c] >> np.int64(32):
+                # No quotient of whole numbers so small rounds up to the next whole one.
+                row, col = np.int64(north / size), np.int64(east / size)
+                top[best, c] = (height << np.int64(32)) | (row * cols + col)
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -255,8 +276,7 @@ def exposure(
 def expose_cells(
     shots: tuple[NDArray[np.int64], NDArray[np.float64]],
     blocks: Blocks,
-    top: NDArray[np.int32],
-    points: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]],
+    top: NDArray[np.int64],
     grid: Grid,
     core: tuple[int, int, int, int],
     level: float,
@@ -276,10 +296,8 @@ def expose_cells(
         Block of each shot, and its time within that.
     blocks : Blocks
         Shots fired.
-    top : (k, c) int32
+    top : (k, c) int64
         From :func:`match_points`.
-    points : ((n,) int32, (n,) int32, (n,) float64)
-        Row and column of each point's cell, and its height [m].
     grid : Grid
         The surface.
     core : (int, int, int, int)
@@ -308,6 +326,7 @@ def expose_cells(
     """
     sensor, lean, aim = np.empty(3), np.empty(2), np.empty(9)
     r0, r1, c0, c1 = core
+    cols = np.int64(grid.height.shape[1])
     count = 0
     for s in range(len(top)):
         b = shots[0][s]
@@ -320,17 +339,18 @@ def expose_cells(
                 continue
             lean[0] = aim[3] + aim[5] * gx + aim[7] * gy
             lean[1] = aim[4] + aim[6] * gx + aim[8] * gy
-            p = top[s, c]
-            if p >= 0:
-                row, col = int(points[0][p]), int(points[1][p])
+            first = top[s, c]
+            if first != SILENT:
+                cell = first & np.int64(CELL_BITS)
+                row, col = int(cell // cols), int(cell % cols)
             else:
                 row, col = trace(grid, sensor, lean, level)
             if row < r0 or row >= r1 or col < c0 or col >= c1:
                 continue
-            z = points[2][p] if p >= 0 else grid.height[row, col]
+            z = (first >> np.int64(32)) * QUANTUM_M if first != SILENT else grid.height[row, col]
             amount = exposure(grid, row, col, z, sensor, lean, constant, extinction, terms)
             fired[row - r0, col - c0] += 1
-            if p >= 0:
+            if first != SILENT:
                 seen_cell[count] = (row - r0) * (c1 - c0) + col - c0
                 seen_amount[count] = amount
                 count += 1

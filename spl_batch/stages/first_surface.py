@@ -25,9 +25,8 @@ NEAR_SURE_M: Final = 15.0
 
 
 def first_surface(
-    row: NDArray[np.int32],
-    col: NDArray[np.int32],
-    z: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    z: NDArray[np.int32],
     shape: tuple[int, int],
     settings: ProductSettings,
 ) -> Grid:
@@ -35,10 +34,10 @@ def first_surface(
 
     Parameters
     ----------
-    row, col : (n,) int32
-        Cell of each first return.
-    z : (n,) float64
-        Its height [m].
+    cell : (n,) int64
+        Cell of each first return, row by row.
+    z : (n,) int32
+        Its height [quanta].
     shape : (int, int)
         Rows and columns.
     settings : ProductSettings
@@ -49,12 +48,11 @@ def first_surface(
     Grid
     """
     rows, cols = shape
-    number = row.astype(np.int64) * cols + col
-    order, start = sort_into_cells(number, np.rint(z / QUANTUM_M).astype(np.int32), rows * cols)
+    order, start = sort_into_cells(cell, z, rows * cols)
     count = np.diff(start)
     median = np.full(rows * cols, np.nan)
     used = np.flatnonzero(count)
-    median[used] = z[order[start[used] + (count[used] - 1) // 2]]
+    median[used] = z[order[start[used] + (count[used] - 1) // 2]] * QUANTUM_M
     credible = credible_heights(median.reshape(shape), count.reshape(shape), settings.cell_m)
     height = np.empty(shape)
     reach = settings.dsm_void_max_m / settings.cell_m

@@ -41,7 +41,9 @@ from numpy.typing import NDArray
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.kernels.detection_rate import most_likely, sort_by_cell
 from spl_batch.kernels.fired_beams import (
+    CELL_BITS,
     COARSE,
+    SILENT,
     Blocks,
     expose_cells,
     match_points,
@@ -132,35 +134,34 @@ def detections(
     size = quanta(settings.cell_m)
     margin = _margin_cells(settings)
     wide = grow(cell, margin * size)
-    signal = table.select(COLUMNS_NEEDED).take(
-        (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], wide)
-    )
+    signal = (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], wide)
     shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     nothing = Detections(np.full(shape, np.nan), fired, fired.copy())
     parts = [p for p in parts if len(p.first)]
-    if not len(signal) or not parts:
+    z = table["z"][signal]
+    if not len(z) or not parts:
         return nothing
     blocks = _join(parts, wide)
-    xyz, row, col = _local(signal, wide, size)
     centre = _centre(blocks)
-    everything = np.arange(int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1))
-    level = float(np.median(xyz[:, 2]))
-    depth = float(np.ptp(xyz[:, 2]))
+    level, depth = _middle_m(z), float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
     near = _near(blocks, centre, level, depth, wide, cell)
-    number = np.full(len(everything), -1, dtype=np.int64)
+    number = np.full(len(centre.block), -1, dtype=np.int64)
     number[near] = np.arange(len(near))
-    top = np.empty((len(near), blocks.pattern.shape[1]), dtype=np.int32)
+    top = np.empty((len(near), blocks.pattern.shape[1]), dtype=np.int64)
     longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
-    match_points(signal["gps_time"], signal["channel"], xyz, blocks, longest, number, top)
-    first = top[top >= 0]
     cells = shape[0] + 2 * margin, shape[1] + 2 * margin
-    grid = first_surface(row[first], col[first], xyz[first, 2], cells, settings)
+    match_points(
+        table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]), signal,
+        (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number, top,
+    )  # fmt: skip
+    first = top[top != SILENT]
+    grid = first_surface(first & CELL_BITS, (first >> 32).astype(np.int32), cells, settings)
     seen_cell = np.empty(len(first), dtype=np.int64)
     amount = np.empty(len(first))
     inner = (margin, margin + shape[0], margin, margin + shape[1])
     count = expose_cells(
-        (centre.block[near], centre.tau[near]), blocks, top, (row, col, xyz[:, 2]), grid, inner,
+        (centre.block[near], centre.tau[near]), blocks, top, grid, inner,
         level, settings.extinction_per_m, (terms.range, terms.incidence), FIXED_POINT, silent,
         fired, seen_cell, amount,
     )  # fmt: skip
@@ -243,14 +244,11 @@ def _widen(values: NDArray[np.float64], channels: int, fill: float) -> NDArray[n
     return wider
 
 
-def _local(
-    signal: PointTable, wide: Bounds, size: int
-) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]:
-    """Places relative to the corner [m], and row and column of their cells."""
-    x, y = signal["x"] - wide.xmin, signal["y"] - wide.ymin
-    xyz = np.stack([x, y, signal["z"].astype(np.int64)], axis=1) * QUANTUM_M
-    # None is negative, and no quotient rounds up to the next whole number.
-    return xyz, (y / size).astype(np.int32), (x / size).astype(np.int32)
+def _middle_m(z: NDArray[np.int32]) -> float:
+    """Median height of at least one point [m]."""
+    half = len(z) // 2
+    middle = np.partition(z, (max(half - 1, 0), half))[half - 1 + len(z) % 2 : half + 1]
+    return float(np.mean(middle * QUANTUM_M))
 
 
 def _centre(blocks: Blocks) -> _Centres:
