@@ -96,7 +96,8 @@ def write_labels(
         columns = {name: values[order] for name, values in columns.items()}
     cuts = _tile_starts(columns).tolist()
     dtypes = {k: v.dtype for k, v in columns.items()}
-    with writing(path, dtypes, sought=("tile_i", "tile_j", "row")) as writer:
+    sought = ("tile_i", "tile_j", "row")
+    with writing(path, dtypes, sought=sought, sharing=True) as writer:
         for start, end in pairwise([0, *cuts, len(rows)]):
             for first in range(start, max(end, start + 1), GROUP_ROWS):
                 last = min(first + GROUP_ROWS, end)

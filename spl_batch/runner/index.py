@@ -109,7 +109,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     given = _Given(context.store.path("given", f"{args['source']}.parquet"))
     with ExitStack() as stack:
         stack.enter_context(unchanged(path, args["stamp"]))
-        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",)))
+        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",), sharing=True))
         digest = checksum(path)
         header = inspect(path)
         if header.layers_can_be_copied:
