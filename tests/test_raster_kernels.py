@@ -14,6 +14,7 @@ from spl_batch.kernels.raster import (
     _spread2,
     add_up_finite,
     fill_voids,
+    flown_over,
     number_cells,
     ring_offsets,
     robust_cell_means,
@@ -237,3 +238,17 @@ def test_sums_pass_over_what_is_no_number() -> None:
     add_up_finite(cell, value, total, count)
     assert total.tolist() == [4.0, 0.0, 3.75]
     assert count.tolist() == [1, 0, 2]
+
+
+@given(seed=st.integers(0, 50), n=st.integers(0, 200))
+def test_cells_flown_over_are_those_with_a_point_within_bounds(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(-30, 130, (2, n))
+    z = rng.integers(-50, 50, n).astype(np.int32)
+    kind = rng.integers(0, 3, n).astype(np.uint8)
+    flown, heights = np.zeros(8 * 10, np.bool_), np.empty(n, np.int32)
+    count = flown_over((x, y, z), (kind, 1), (0, 20, 100, 100), 10.0, flown, heights)
+    within = (x >= 0) & (x < 100) & (y >= 20) & (y < 100)
+    expected = {(b, a) for a, b in zip(x[within] // 10, (y[within] - 20) // 10, strict=True)}
+    assert {tuple(cell) for cell in np.argwhere(flown.reshape(8, 10))} == expected
+    assert heights[:count].tolist() == z[within & (kind == 1)].tolist()

@@ -109,6 +109,52 @@ def number_cells(
 
 
 @njit(nogil=True, cache=True)
+def flown_over(
+    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    picked: tuple[NDArray[np.uint8], int],
+    bounds: tuple[int, int, int, int],
+    size: float,
+    flown: NDArray[np.bool_],
+    heights: NDArray[np.int32],
+) -> int:
+    """Raster cells with any point, and the heights of the points of one kind.
+
+    Parameters
+    ----------
+    place : three (n,) integer arrays
+        Easting, northing, height [quanta].
+    picked : ((n,) uint8, int)
+        Kind of each point, and the kind whose heights are wanted.
+    bounds : (int, int, int, int)
+        West, south, east and north end of the raster; points beyond do not count [quanta].
+    size : float
+        Edge of a cell, a whole number [quanta].
+    flown : (rows * cols,) bool
+        Set where there is a point.
+    heights : (n,) int32
+        Filled from its start.
+
+    Returns
+    -------
+    int
+        Heights.
+    """
+    x, y, z = place
+    kind, wanted = picked
+    west, south, east, north = bounds
+    cols = np.int64((east - west) / size)
+    count = 0
+    for i in range(len(kind)):
+        if x[i] < west or x[i] >= east or y[i] < south or y[i] >= north:
+            continue
+        # A quotient of whole numbers below 2**53 never rounds up to the next whole one.
+        flown[np.int64((y[i] - south) / size) * cols + np.int64((x[i] - west) / size)] = True
+        heights[count] = z[i]
+        count += kind[i] == wanted
+    return count
+
+
+@njit(nogil=True, cache=True)
 def add_up_finite(
     cell: NDArray[np.int64],
     value: NDArray[np.float32],

@@ -42,6 +42,7 @@ from spl_batch.constants import (
 from spl_batch.kernels.interpolate import tin_raster
 from spl_batch.kernels.raster import (
     fill_voids,
+    flown_over,
     number_cells,
     ring_offsets,
     robust_cell_means,
@@ -222,14 +223,18 @@ def _noise_density(table: PointTable, cell: Bounds, settings: ProductSettings) -
     """
     size = quanta(settings.cell_m)
     wide = grow(cell, margin_cells(settings) * size)
-    around = np.flatnonzero(inside(table["x"], table["y"], wide))
-    z = table["z"][around[table["noise_class"][around] == NOISE_BACKGROUND]]
-    if len(z) < 2:
+    rows, cols = _shape(wide, size)
+    held, heights = np.zeros(rows * cols, np.bool_), np.empty(len(table), np.int32)
+    count = flown_over(
+        (table["x"], table["y"], table["z"]), (table["noise_class"], NOISE_BACKGROUND), (*wide,),
+        float(size), held, heights,
+    )  # fmt: skip
+    if count < 2:
         return 0.0
+    z = heights[:count]
     low, high = np.percentile(z, (2, 98))
     depth_m = max(float(high - low) * QUANTUM_M, 1.0)
-    places = table.select(("x", "y")).take(around)
-    flown = np.count_nonzero(np.bincount(cell_number(places, wide, size)))
+    flown = np.count_nonzero(held)
     return 0.96 * len(z) / (flown * (size * QUANTUM_M) ** 2 * depth_m)
 
 
