@@ -21,8 +21,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.kdtree import build
-from spl_batch.kernels.spacing import peers_within, spacings
+from spl_batch.kernels.kdtree import U0, U1, U3, box_distance, build, check_cap, leaf_of, leaf_slots
+from spl_batch.kernels.spacing import Spacing, spacing_at, spacing_scratch
 
 PIT_NEIGHBOURS = 6
 """Of eight cells around, those that have to stand above a pit [count]."""
@@ -76,34 +76,98 @@ def confirmed_tops(
     if not len(xyz):
         return
     tree = build(xyz)
-    spacing = spacings(tree, by.neighbours, int(by.radius.max()), ~ground)
-    wide = np.where(ground, -1.0, spacing * by.peer_ratio**2)[tree.points[3]]
+    rule = Spacing(by.neighbours, int(by.radius.max()))
+    check_cap(rule.cap)
     _tops(
-        tree.points, tree.boxes, tree.depth, wide, xyz, spacing, ground, start,
+        tree.points, tree.boxes, tree.depth, rule, by.peer_ratio**2, xyz, ground, start,
         by.radius.astype(np.float64) ** 2, by.needed, tops,
     )  # fmt: skip
 
 
 @njit(nogil=True, cache=True)
-def _tops(points, boxes, depth, wide, xyz, spacing, ground, start, limit, needed, tops):  # type: ignore[no-untyped-def]
-    """From the highest return of each cell down to the first that is confirmed."""
-    stack = np.empty(64, dtype=np.uint64)
+def _tops(  # type: ignore[no-untyped-def]
+    points, boxes, depth, rule, ratio2, xyz, ground, start, limit, needed, tops
+):
+    """From the highest return of each cell down to the first that is confirmed.
+
+    Few returns are asked about, so a spacing is found when it is needed, and kept.
+    """
+    stack, scratch = np.empty(64, dtype=np.uint64), spacing_scratch(rule)
     depth = np.uint64(depth)
+    spacing = np.full(len(xyz), np.nan)
+    slot_of = np.empty(len(xyz), dtype=np.uint32)
+    for slot in range(points.shape[1]):
+        slot_of[points[U3, slot]] = slot
+    tree = points, boxes, depth
     for cell in range(len(tops)):
         for p in range(start[cell], start[cell + 1]):
             accepted = ground[p]
-            x, y, z = np.float64(xyz[p, 0]), np.float64(xyz[p, 1]), np.float64(xyz[p, 2])
+            if not accepted:
+                _find_spacing(tree, np.uint64(slot_of[p]), rule, scratch, spacing)
             for scale in range(len(limit)):
                 if accepted:
                     break
                 wanted = needed[scale] + 1
-                found = peers_within(
-                    points, boxes, depth, wide, x, y, z, spacing[p], limit[scale], wanted, stack
-                )
+                found = _peers(
+                    tree, rule, scratch, ratio2, ground, spacing, xyz[p], spacing[p], limit[scale],
+                    wanted, stack,
+                )  # fmt: skip
                 accepted = found >= wanted
             if accepted:
                 tops[cell] = xyz[p, 2]
                 break
+
+
+@njit(nogil=True, cache=True)
+def _find_spacing(tree, slot, rule, scratch, spacing):  # type: ignore[no-untyped-def]
+    """Squared spacing of a slot, if it is not known yet [quanta2]."""
+    points, boxes, depth = tree
+    row = points[U3, slot]
+    if np.isnan(spacing[row]):
+        leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
+        keys, distance, fresh, stack, bound = scratch
+        spacing[row] = spacing_at(
+            points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
+        )
+
+
+@njit(nogil=True, cache=True)
+def _peers(  # type: ignore[no-untyped-def]
+    tree, rule, scratch, ratio2, ground, spacing, place, own, limit, wanted, stack
+):
+    """Peers within a distance of a return, itself among them; stops at ``wanted``.
+
+    As :func:`spl_batch.kernels.spacing.peers_within`, with spacings that are found on the way.
+    """
+    points, boxes, depth = tree
+    n, first = np.uint64(points.shape[1]), U1 << depth
+    x, y, z = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
+    count = 0
+    stack[0] = U1
+    top = U1
+    while top > U0 and count < wanted:
+        top -= U1
+        node = stack[top]
+        if box_distance(boxes, node, x, y, z) > limit:
+            continue
+        if node >= first:
+            low, high = leaf_slots(node, depth, n)
+            for slot in range(low, high):
+                dx, dy, dz = points[U0, slot] - x, points[1, slot] - y, points[2, slot] - z
+                row = points[U3, slot]
+                if dx * dx + dy * dy + dz * dz <= limit and not ground[row]:
+                    _find_spacing(tree, slot, rule, scratch, spacing)
+                    count += spacing[row] * ratio2 >= own
+                    if count >= wanted:
+                        return count
+            continue
+        near, far = node + node, node + node + U1
+        if box_distance(boxes, far, x, y, z) < box_distance(boxes, near, x, y, z):
+            near, far = far, near
+        stack[top] = far
+        stack[top + U1] = near
+        top += U1 + U1
+    return count
 
 
 @njit(nogil=True, cache=True)
