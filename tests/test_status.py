@@ -290,6 +290,41 @@ def test_a_run_that_never_began_its_work_hides_nothing(tmp_path: Path) -> None:
     assert api.status(tmp_path).stages["denoise"].done == 0, "a run that works speaks for itself"
 
 
+def test_a_run_with_nothing_to_do_leaves_the_times_of_those_that_worked(tmp_path: Path) -> None:
+    """As after ``compare``, which asks for the stages that its filters share."""
+    events = [*a_run(), ReportStarted(), RunEnded(0), RunStarted("w.yaml", 2, "code")]
+    events += [PhaseStarted("index", "index_file", 0, 4, 0), RunEnded(0)]
+    records = [as_record(event) for event in events]
+    for k, record in enumerate(records):
+        record["time"] = f"2026-01-01T00:00:{2 * k:02d}.000+00:00"
+    log = tmp_path / "log.jsonl"
+    log.write_text("".join(json.dumps(r) + "\n" for r in records))
+    shown = api.status(tmp_path)
+    assert (shown.stages["denoise"].elapsed_s, shown.stages["denoise"].total) == (12.0, 6)
+    report = shown.stages["report"]
+    assert (report.done, report.elapsed_s) == (1, 2.0), "not to the end of the idle run"
+    assert shown.ended is not None
+    assert shown.ended["exit_status"] == 0
+    assert shown.stages["index"].total == 0
+
+
+def test_a_stage_that_was_finished_before_says_so(tmp_path: Path) -> None:
+    events = [*a_run(), RunStarted("w.yaml", 2, "code")]
+    events += [PhaseStarted("index", "index_file", 0, 4, 0)]
+    events += [
+        PhaseStarted("shots", "gather", 2, 0, 10),
+        TaskEnded("shots", "gather", "1", 5, 2.0, ""),
+    ]
+    log = tmp_path / "log.jsonl"
+    log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in events))
+    shown = api.status(tmp_path)
+    assert (shown.stages["index"].done, shown.stages["denoise"].points) == (4, 0)
+    rows = {line.split()[0]: line for line in drawn(screen._whole(shown)).splitlines() if line}
+    assert "4/4" in rows["index"]
+    assert "done before" in rows["index"]
+    assert "done before" not in rows["shots"]
+
+
 # The screen
 
 

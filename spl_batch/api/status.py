@@ -20,8 +20,8 @@ from spl_batch.runner import STAGES
 _FIRST_EVENT: Final = b'"event": "RunStarted"'
 """What the log has in the first line of each run."""
 
-_WORK_EVENT: Final = b'"event": "PhaseStarted"'
-"""What it has where a run knows its first tasks, and those that are finished."""
+_WORK_EVENT: Final = b'"event": "Task'
+"""What it has where a run does something; one that finds everything finished has no such line."""
 
 TRUSTED_SHARE: Final = 0.2
 """Share of a stage's points from which on the time left follows from its own speed alone."""
@@ -40,6 +40,8 @@ class StageStatus:
         Its name.
     total, done, failed : int
         Tasks known, finished and failed [count].
+    found : int
+        Tasks that this run found finished, among those [count].
     points : int
         Points handled by tasks that this run finished [count].
     wall_s : float
@@ -60,6 +62,7 @@ class StageStatus:
     total: int = 0
     done: int = 0
     failed: int = 0
+    found: int = 0
     points: int = 0
     wall_s: float = 0.0
     left_points: int = 0
@@ -73,6 +76,11 @@ class StageStatus:
     def left(self) -> int:
         """Tasks that are still to do [count]."""
         return self.total - self.done - self.failed
+
+    @property
+    def of_earlier_runs(self) -> bool:
+        """Whether this run had nothing to do in it: earlier ones had done it all."""
+        return self.found == self.total > 0
 
     @property
     def elapsed_s(self) -> float:
@@ -148,10 +156,13 @@ class RunStatus:
         Kinds of task that have begun.
     order : sequence of str
         Names of the stages, in order.
-    waiting : mapping or None
-        Fields of a :class:`~spl_batch.api.events.RunStarted` whose work has not begun.
+    waiting : list of mapping
+        Fields of a :class:`~spl_batch.api.events.RunStarted` whose work has not begun, and of its
+        phases so far, in which everything was finished.
     reporting : bool
-        Whether the report is being written, or was.
+        Whether the latest run is writing the report, or has.
+    counted : bool
+        Whether the writing of it is among the tasks of its stage.
     """
 
     stages: dict[str, StageStatus] = field(default_factory=dict)
@@ -165,8 +176,9 @@ class RunStatus:
     holder: Mapping[str, Any] | None = None
     kinds: set[str] = field(default_factory=set)
     order: Sequence[str] = STAGES
-    waiting: Mapping[str, Any] | None = None
+    waiting: list[Mapping[str, Any]] = field(default_factory=list)
     reporting: bool = False
+    counted: bool = False
 
     def __post_init__(self) -> None:
         self.stages = {name: StageStatus(name) for name in self.order}
@@ -194,8 +206,8 @@ class RunStatus:
             take(record)
 
     def _run_started(self, record: Mapping[str, Any]) -> None:
-        if self.kinds:  # what earlier runs did stands until this one knows what is finished
-            self.ended, self.waiting = None, record
+        if self.kinds:  # what earlier runs did stands until this one has something to do
+            self.ended, self.waiting, self.reporting = None, [record], False
         else:
             self._start_over(record)
 
@@ -212,8 +224,17 @@ class RunStatus:
         self.dashboard = record.get("dashboard", "")
 
     def _phase_started(self, record: Mapping[str, Any]) -> None:
-        if self.waiting is not None:
-            self._start_over(self.waiting)
+        if self.waiting and not record["tasks"]:
+            self.waiting.append(record)
+            return
+        if self.waiting:
+            started, *finished = self.waiting
+            self._start_over(started)
+            for phase in finished:
+                self._begin(phase)
+        self._begin(record)
+
+    def _begin(self, record: Mapping[str, Any]) -> None:
         if record["kind"] in self.kinds:
             self._begin_again()
         self.kinds.add(record["kind"])
@@ -221,6 +242,7 @@ class RunStatus:
         stage.phases_left -= stage.phases_left > 0
         stage.total += record["tasks"] + record["skipped"]
         stage.done += record["skipped"]
+        stage.found += record["skipped"]
         stage.left_points += record["points"]
         stage.points_to_do += record["points"]
         stage.latest_s = _seconds(record)
@@ -266,9 +288,11 @@ class RunStatus:
 
     def _report_started(self, record: Mapping[str, Any]) -> None:
         stage = self.stages["report"]
-        self.reporting = True
-        stage.total += 1
-        stage.latest_s = _seconds(record)
+        self.reporting, stage.latest_s = True, _seconds(record)
+        if self.counted and self.waiting:  # written again after an earlier run's work
+            stage.done, stage.began_s = min(stage.done, stage.total - 1), stage.latest_s
+            return
+        self.counted, stage.total = True, stage.total + 1
         stage.began_s = stage.began_s or stage.latest_s
 
     def _run_ended(self, record: Mapping[str, Any]) -> None:

@@ -122,7 +122,7 @@ def bars(stages: Iterable[StageStatus]) -> Table:
             ProgressBar(total=stage.total or 1, completed=stage.total - stage.left, width=28),
             Text(f"{stage.total - stage.left}/{stage.total}", style="green"),
             Text(f"{short(rate)} pts/s" if rate else "", style="cyan"),
-            Text(duration(stage.elapsed_s) if stage.total else "", style="yellow"),
+            Text(taken(stage) if stage.total else "", style="yellow"),
             Text(f"{duration(stage.left_s)} left") if stage.left else failed,
         )
     return table
@@ -199,6 +199,11 @@ def duration(seconds: float) -> str:
     if hours:
         return f"{hours} h {minutes:02d} min"
     return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
+
+
+def taken(stage: StageStatus) -> str:
+    """How long a stage has taken in this run."""
+    return "done before" if stage.of_earlier_runs else duration(stage.elapsed_s)
 
 
 def expected(seconds: float) -> str:

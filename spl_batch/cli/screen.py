@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.cli.live import details, duration, expected, short, storage
+from spl_batch.cli.live import details, duration, expected, short, storage, taken
 from spl_batch.report.format import centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
@@ -110,7 +110,7 @@ def _whole(status: "RunStatus") -> RenderableType:
             str(stage.failed or ""),
             str(stage.left or ""),
             short(stage.points_per_s) if stage.points_per_s else "",
-            duration(stage.elapsed_s) if stage.elapsed_s > 0 else "",
+            taken(stage) if stage.elapsed_s > 0 or stage.of_earlier_runs else "",
             duration(stage.left_s) if stage.left else "",
         )
     killed = status.ended is None and status.holder is None
