@@ -26,6 +26,8 @@ class RunStarted:
         Names of all stages, in order.
     phases : mapping of str to int
         Phases of each stage [count].
+    anew : bool
+        Whether there is nothing that earlier runs have finished, or it was forgotten.
     """
 
     workflow: str
@@ -34,6 +36,7 @@ class RunStarted:
     expected_s: Mapping[str, float] = field(default_factory=dict)
     stages: Sequence[str] = ()
     phases: Mapping[str, int] = field(default_factory=dict)
+    anew: bool = False
 
 
 @dataclass(frozen=True, slots=True)

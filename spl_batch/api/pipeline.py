@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.api.claim import claim
+from spl_batch.api.earlier import earlier_wall_s, log_bytes
 from spl_batch.api.events import (
     Listener,
     Note,
@@ -29,13 +30,13 @@ from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
-from spl_batch.errors import SplBatchError, StoppedError, StoreError, WorkflowError
+from spl_batch.errors import SplBatchError, StoppedError, WorkflowError
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.worklist import Worklist
 from spl_batch.receivers import report_model
 from spl_batch.runner import kinds, stages
-from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, recall, stands
+from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, stands
 from spl_batch.task import Receipt
 
 COMPILING: Final = "compiling for this machine; later runs find it done"
@@ -130,7 +131,10 @@ def run(
         progress = Progress(output, listener, invocation, repairs, kinds(_kind(prepared)))
         code = prepared.context.code
         phases = Counter(progress.stage(phase.kind) for phase in prepared.receiver.phases)
-        progress.tell(RunStarted(str(workflow), workers, code, _expected_s(cost), order, phases))
+        anew = not prepared.context.store.path("receipts").exists()
+        progress.tell(
+            RunStarted(str(workflow), workers, code, _expected_s(cost), order, phases, anew)
+        )
         progress.tidy()
         compiles = prepared.receiver.compiles
         with _telling_the_end(progress):
@@ -173,9 +177,10 @@ def _conclude(
     if until is not None and until != "report":
         status = int(bool(progress.failures or ledger.inputs.bad))
         return RunResult(status, context.output, None)
-    earlier_s = _earlier_wall_s(context.output, progress)
+    found = any(cost.skipped for cost in progress.costs.values())
+    earlier_s = earlier_wall_s(context.output) if found else 0.0
     facts = RunFacts(
-        time.perf_counter() - start_s + earlier_s,
+        time.perf_counter() - start_s + (earlier_s or 0.0),
         progress.invocation.workers,
         progress.costs,
         tuple(failures(prepared, progress.failures)),
@@ -183,6 +188,7 @@ def _conclude(
         receiver.reference(ledger),
         receiver.not_read(ledger),
         earlier_s,
+        log_bytes(context.output),
     )
     written = _standing(prepared, facts) if progress.idle else None
     if written is None:
@@ -306,16 +312,6 @@ def _tile_map(edge_m: float, left: Sequence[str], ready: Sequence[str]) -> dict[
     """Map of a phase whose tasks are places, as it begins."""
     tiles = TileMap.of(left, ready, edge_m) if edge_m else None
     return tiles.record() if tiles is not None else {}
-
-
-def _earlier_wall_s(output: Path, progress: Progress) -> float:
-    """Time that earlier runs took for what this one found finished [s]."""
-    if not any(cost.skipped for cost in progress.costs.values()):
-        return 0.0
-    try:
-        return float(recall(output)["wall_s"])
-    except StoreError:
-        return 0.0  # the earlier run was stopped before its report
 
 
 def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:

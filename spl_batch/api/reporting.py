@@ -58,6 +58,7 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         kept["reference"],
         kept["not_read"],
         kept.get("earlier_s", 0.0),  # of a run before there was such a thing
+        kept.get("log_bytes", 0),
     )
     return _receipts(context.store, kept["done"]), context, facts
 

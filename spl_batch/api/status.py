@@ -12,16 +12,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.api.earlier import FIRST_EVENT, WORK_EVENT
 from spl_batch.api.lock import holder
 from spl_batch.api.tilemap import TileMap
 from spl_batch.errors import WorkflowError
 from spl_batch.runner import STAGES
-
-_FIRST_EVENT: Final = b'"event": "RunStarted"'
-"""What the log has in the first line of each run."""
-
-_WORK_EVENT: Final = b'"event": "Task'
-"""What it has where a run does something; one that finds everything finished has no such line."""
 
 TRUSTED_SHARE: Final = 0.2
 """Share of a stage's points from which on the time left follows from its own speed alone."""
@@ -384,8 +379,8 @@ def _latest_run(log: Path) -> int:
         return 0
     with log.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as whole:
         # A run that ended before its work began says nothing of what is done.
-        began = whole.rfind(_WORK_EVENT)
-        first = whole.rfind(_FIRST_EVENT, 0, began if began >= 0 else len(whole))
+        began = whole.rfind(WORK_EVENT)
+        first = whole.rfind(FIRST_EVENT, 0, began if began >= 0 else len(whole))
         return whole.rfind(b"\n", 0, max(first, 0)) + 1
 
 

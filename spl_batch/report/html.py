@@ -8,7 +8,7 @@ from spl_batch.report import format as text
 from spl_batch.report.model import Counts, Report, Survey
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
-from spl_batch.report.summary import noise_removed, terrain_statistics, verdicts
+from spl_batch.report.summary import noise_removed, speed_remark, terrain_statistics, verdicts
 
 SECTIONS: Final = (
     ("accuracy", "Accuracy"),
@@ -127,7 +127,7 @@ def _cards(report: Report) -> list[tuple[str, str, str]]:
             f"{text.significant(density.mean_per_m2)} /m\N{SUPERSCRIPT TWO}",
             f"median {text.significant(density.median_per_m2)}",
         ),
-        ("Time", text.duration(work.wall_s), f"{text.large(work.points_per_s)} points/s"),
+        ("Time", text.duration(work.wall_s), speed_remark(work)),
     ]
     return cards
 

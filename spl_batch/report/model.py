@@ -192,12 +192,22 @@ class Performance(Part):
 
     wall_s: Number = Field(None, description="From start to the report [s].")
     earlier_wall_s: Number = Field(
-        None, description="The part of it that earlier runs took, whose work was found [s]."
+        None,
+        description="The part of it that earlier runs took, whose work was found, those that were "
+        "stopped included; null where nothing tells it, and wall_s is this run's part alone [s].",
     )
-    points_per_s: Number = Field(None, description="Input points per second, end to end [1/s].")
+    points_per_s: Number = Field(
+        None, description="Input points per second, end to end; null where wall_s is a part [1/s]."
+    )
     peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
     workers: Count | None = Field(None, description="Workers [count].")
     stages: dict[str, StagePerformance] = Field({}, description="By stage, in order of work.")
+
+    @property
+    def part_alone(self) -> bool:
+        """Whether its duration leaves out that of work which it found finished."""
+        found = any(stage.skipped for stage in self.stages.values())
+        return found and self.earlier_wall_s is None
 
 
 class Failure(Part):

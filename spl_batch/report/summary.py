@@ -106,8 +106,7 @@ def ending_rows(
     warnings : sequence of str
         What a reader has to know.
     """
-    speed = f"{large(work.points_per_s)} points/s"
-    rows = [("time", f"{duration(work.wall_s)} ({speed}){_of_which(work)}")]
+    rows = [("time", f"{duration(work.wall_s)}{_of_which(work)}")]
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MB per worker"))
     rows.append(("failures", number(len(failures)) if failures else "none"))
@@ -117,10 +116,18 @@ def ending_rows(
 
 
 def _of_which(work: Performance) -> str:
-    """What a run took that went on with the work of others."""
+    """Speed of a run, and what it took itself where it went on with the work of others."""
+    if work.part_alone:
+        return " for this part alone; the rest was finished before"
+    speed = f" ({large(work.points_per_s)} points/s)"
     if not work.earlier_wall_s or work.wall_s is None:
-        return ""
-    return f", {duration(work.wall_s - work.earlier_wall_s)} of it in this run"
+        return speed
+    return f"{speed}, {duration(work.wall_s - work.earlier_wall_s)} of it in this run"
+
+
+def speed_remark(work: Performance, noun: str = "points") -> str:
+    """What a page says beside the duration of a run."""
+    return "this part alone" if work.part_alone else f"{large(work.points_per_s)} {noun}/s"
 
 
 def _accuracy_verdict(report: Report) -> Verdict:

@@ -72,7 +72,7 @@ class RunFacts:
     Parameters
     ----------
     wall_s : float
-        Duration of the run so far, that of finished runs whose work it found included [s].
+        Duration of the run so far, that of earlier runs whose work it found included [s].
     workers : int
         Worker processes [count].
     costs : mapping of str to StageCost
@@ -85,8 +85,11 @@ class RunFacts:
         Reference files.
     not_read : int
         Points that unreadable files promise [count].
-    earlier_s : float
-        The part of its duration that finished runs before it took [s].
+    earlier_s : float or None
+        The part of its duration that runs before it took; None where they did something and
+        nothing tells how long it took, as their log is gone or another output's [s].
+    log_bytes : int
+        Length of the log when this was known: later runs add to the duration [byte].
     """
 
     wall_s: float
@@ -96,7 +99,8 @@ class RunFacts:
     notes: Iterable[str] = ()
     reference: Iterable[str] = ()
     not_read: int = 0
-    earlier_s: float = 0.0
+    earlier_s: float | None = 0.0
+    log_bytes: int = 0
 
 
 def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
@@ -114,6 +118,7 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "reference": list(facts.reference),
         "not_read": facts.not_read,
         "earlier_s": facts.earlier_s,
+        "log_bytes": facts.log_bytes,
         "done": {kind: list(names) for kind, names in done.items()},
         "report": _standing(done, context, facts),
     }
@@ -216,10 +221,11 @@ def performance(facts: RunFacts, points: int) -> Performance:
     points : int
         Points of all inputs [count].
     """
+    whole = facts.wall_s > 0 and facts.earlier_s is not None
     return Performance(
         wall_s=facts.wall_s,
         earlier_wall_s=facts.earlier_s,
-        points_per_s=points / facts.wall_s if facts.wall_s > 0 else None,
+        points_per_s=points / facts.wall_s if whole else None,
         peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
         workers=facts.workers,
         stages={

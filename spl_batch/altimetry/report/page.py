@@ -8,7 +8,7 @@ from spl_batch.report import format as text
 from spl_batch.report.model import Statistics
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
-from spl_batch.report.summary import Verdict, ending_rows, failure_verdict
+from spl_batch.report.summary import Verdict, ending_rows, failure_verdict, speed_remark
 
 SECTIONS: Final = (("profiles", "Profiles"), ("accuracy", "Accuracy"), ("beams", "Beams"))
 
@@ -91,7 +91,7 @@ def _cards(report: TrackReport) -> list[tuple[str, str, str]]:
             f"{text.large(counts.signal)} photons",
         ),
         ("Ground cells", text.large(cells), f"{sum(b.canopy_cells for b in report.beams)} wooded"),
-        ("Time", text.duration(work.wall_s), f"{text.large(work.points_per_s)} photons/s"),
+        ("Time", text.duration(work.wall_s), speed_remark(work, "photons")),
     ]
 
 

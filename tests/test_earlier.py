@@ -1,0 +1,70 @@
+"""What a report says of the time that earlier runs took."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from spl_batch.api.earlier import earlier_wall_s, log_bytes
+from tests import surveys
+
+WORK = "TaskEnded"
+IDLE = "PhaseStarted"
+
+
+def log(output: Path, runs: Sequence[tuple[int, int, str, bool]], *, torn: str = "") -> None:
+    """Runs by first and last second, what they tell, and whether they began anew."""
+    with (output / "log.jsonl").open("a") as stream:
+        for first, last, event, anew in runs:
+            began = {"time": f"2026-01-01T00:00:{first:02d}.000+00:00", "event": "RunStarted"}
+            told = {"time": f"2026-01-01T00:00:{last:02d}.000+00:00", "event": event}
+            stream.write(json.dumps({**began, "anew": anew}) + "\n" + json.dumps(told) + "\n")
+        stream.write(torn)
+
+
+def finished(output: Path, wall_s: float) -> None:
+    (output / "store").mkdir(exist_ok=True)
+    kept = {"wall_s": wall_s, "log_bytes": log_bytes(output)}
+    (output / "store" / "run.json").write_text(json.dumps(kept))
+
+
+def test_every_part_of_an_interrupted_run_counts(tmp_path: Path) -> None:
+    assert earlier_wall_s(tmp_path) is None, "nothing tells"
+    now = (50, 51, WORK, False)
+    log(tmp_path, [(0, 9, WORK, True), (10, 12, IDLE, False), (20, 24, WORK, False), now])
+    assert earlier_wall_s(tmp_path) == 9 + 4, "neither idle ones nor the one at work"
+    finished(tmp_path, 20.0)
+    log(tmp_path, [(52, 55, WORK, False), now])
+    assert earlier_wall_s(tmp_path) == 20.0 + 3, "what a report has told is not counted twice"
+
+
+def test_what_was_forgotten_does_not_count(tmp_path: Path) -> None:
+    log(tmp_path, [(0, 9, WORK, True), (10, 12, WORK, False), (20, 24, WORK, True)])
+    log(tmp_path, [(30, 31, WORK, False), (40, 41, WORK, False)])
+    assert earlier_wall_s(tmp_path) == 4 + 1
+
+
+def test_a_killed_run_lasted_to_its_last_whole_line(tmp_path: Path) -> None:
+    log(tmp_path, [(0, 9, WORK, True)], torn='{"time": "2026-01-01T00:00:3\n')
+    log(tmp_path, [(20, 21, WORK, False)])
+    assert earlier_wall_s(tmp_path) == 9
+
+
+def test_a_resumed_run_tells_the_time_of_all_its_parts_or_that_it_is_one(tmp_path: Path) -> None:
+    surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=60))
+    workflow = surveys.write_workflow(tmp_path)
+    output = surveys.run(workflow, until="deliver").output
+    first = json.loads((output / "log.jsonl").read_text().splitlines()[0])
+    assert first["anew"] is True
+    result = surveys.run(workflow)
+    assert result.report is not None
+    work = result.report.performance
+    assert 0 < work.earlier_wall_s < work.wall_s
+    assert "of it in this run" in dict(result.screen)["time"]
+    assert "of it in earlier runs, stopped ones included" in (output / "report.html").read_text()
+    for name in ("log.jsonl", "store/run.json"):
+        (output / name).unlink()
+    result = surveys.run(workflow)
+    assert result.report is not None
+    assert result.report.performance.points_per_s is None
+    assert dict(result.screen)["time"].endswith("for this part alone; the rest was finished before")
+    assert "for this part alone" in (output / "report.html").read_text()
