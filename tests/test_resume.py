@@ -143,3 +143,33 @@ def test_a_damaged_reference_costs_neither_the_report_nor_the_rest(survey: Path)
     assert (failure.stage, failure.place) == ("report", str(reference))
     assert "point 17" in failure.reason
     assert (result.output / "report.html").exists()
+
+
+def test_a_plan_says_what_is_left(survey: Path) -> None:
+    def said(*options: object) -> str:
+        return " ".join(surveys.command("plan", survey, "--workers", 0, *options).out.split())
+
+    assert api.plan(survey).left is None
+    assert "finished" not in said()
+    surveys.run(survey, "tiling.block_tiles=1", until="denoise")
+    out = survey.parent / "out"
+    blocks = sorted((out / "store/receipts/denoise").glob("*.json"))
+    blocks[0].unlink()
+    before = sorted(out.rglob("*"))
+    left = api.plan(survey, workers=0, overrides=["tiling.block_tiles=1"]).left
+    assert left is not None
+    assert (left.stage, left.tasks, left.of) == ("denoise", 1, len(blocks))
+    assert left.time_s > 0
+    text = said("--set", "tiling.block_tiles=1")
+    assert f"left denoise: 1 of {len(blocks)} tasks, and what depends on it" in text
+    assert "for what is left" in text
+    assert sorted(out.rglob("*")) == before, "a plan writes nothing"
+    result = surveys.run(survey, "tiling.block_tiles=1")
+    total = result.report and sum(
+        s.tasks + s.skipped for s in result.report.performance.stages.values()
+    )
+    text = said("--set", "tiling.block_tiles=1")
+    assert f"finished all {total} tasks; nothing is left to do" in text
+    (out / "report.html").unlink()
+    assert "left report: 1 of 1 tasks" in said("--set", "tiling.block_tiles=1")
+    assert "left surfaces" in said("--set", "tiling.block_tiles=1", "--set", "products.cell_m=0.5")

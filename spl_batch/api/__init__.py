@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from spl_batch.api.alone import AloneResult, run_alone
     from spl_batch.api.comparison import ComparisonResult, compare
     from spl_batch.api.pipeline import RunResult, run
-    from spl_batch.api.planning import PlanSummary, plan
+    from spl_batch.api.planning import Left, PlanSummary, plan
     from spl_batch.api.reporting import report
     from spl_batch.api.simulation import quickstart, simulate
 
@@ -21,6 +21,7 @@ __all__ = [
     "AloneResult",
     "ComparisonResult",
     "Follower",
+    "Left",
     "PlanSummary",
     "RunResult",
     "RunStatus",
@@ -42,6 +43,7 @@ _HOMES = {
     "compare": "comparison",
     "RunResult": "pipeline",
     "run": "pipeline",
+    "Left": "planning",
     "PlanSummary": "planning",
     "plan": "planning",
     "report": "reporting",

@@ -1,5 +1,6 @@
 """What a run will do, from headers alone: points, tasks, disk, memory, time."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,32 @@ from typing import Any
 from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
 from spl_batch.api.receiver import Prepared
 from spl_batch.plan.budget import Cost, refuse_too_large
+from spl_batch.plan.worklist import Worklist
+from spl_batch.runner import kinds, stages
+from spl_batch.runner.remember import REPORT_FILES
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What earlier runs in the same output have left to do.
+
+    Parameters
+    ----------
+    finished : int
+        Tasks that they have finished, as far as can be told before others are done [count].
+    stage : str
+        First stage that has something to do; empty where nothing is left.
+    tasks, of : int
+        Tasks of its first unfinished kind that are left, and all of them [count].
+    time_s : float
+        Time that this stage and those behind it take at most, with the run's workers [s].
+    """
+
+    finished: int
+    stage: str = ""
+    tasks: int = 0
+    of: int = 0
+    time_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +52,8 @@ class PlanSummary:
         Label and value of what the receiver tells beside them.
     faults, warnings : tuple of str
         What is wrong with the inputs; what is odd about them.
+    left : Left or None
+        What is left to do; None where nothing of this work is finished.
     """
 
     files: int
@@ -32,6 +61,7 @@ class PlanSummary:
     rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
+    left: Left | None = None
 
     @property
     def points(self) -> int:
@@ -74,6 +104,7 @@ def plan(
         tuple(prepared.receiver.plan_rows(prepared, cost)),
         tuple(str(bad) for bad in inputs.bad),
         tuple(inputs.warnings),
+        _left(prepared, cost),
     )
 
 
@@ -88,3 +119,35 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
     cost = prepared.receiver.cost(prepared)
     refuse_too_large(cost, prepared.ledger.memory_bytes)
     return cost
+
+
+def _left(prepared: Prepared[Any, Any], cost: Cost) -> Left | None:
+    """What a run would find finished, phase after phase up to the first that has work to do."""
+    done = 0
+    for phase in prepared.receiver.phases:
+        work = Worklist(phase, prepared.ledger, prepared.context)
+        deque(work.look(), maxlen=0)
+        done += work.ready
+        if work.left and not done:
+            return None
+        if work.left:
+            return _left_from(phase.kind, work, done, prepared, cost)
+    if all((prepared.context.output / name).exists() for name in REPORT_FILES):
+        return Left(done)
+    return Left(done, "report", 1, 1)
+
+
+def _left_from(
+    kind: str, work: Worklist, done: int, prepared: Prepared[Any, Any], cost: Cost
+) -> Left:
+    """What is left where a kind of task is the first that is not finished."""
+    receiver = prepared.context.workflow.kind
+    known, order = kinds(receiver), stages(receiver)
+    stage, whole = known[kind].stage, work.left + work.ready
+    last = [phase.kind for phase in prepared.receiver.phases if known[phase.kind].stage == stage][
+        -1
+    ]
+    share = work.left / whole if kind == last else 1.0
+    after = order[order.index(stage) + 1 :]
+    left_s = share * cost.stages_s.get(stage, 0.0) + sum(cost.stages_s.get(s, 0.0) for s in after)
+    return Left(done, stage, work.left, whole, left_s / cost.workers)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # each command loads what it needs only
         AloneResult,
         ComparisonResult,
         Follower,
+        Left,
         PlanSummary,
         RunResult,
         RunStatus,
@@ -72,15 +73,37 @@ def print_plan(summary: "PlanSummary") -> None:
             ("points", f"{summary.points:,}"),
             *summary.rows,
             ("tasks", f"{cost.tasks:,}"),
+            *_finished(summary.left),
             ("disk", storage(cost.disk_bytes)),
             ("memory", f"{cost.memory_bytes / 2**20:,.0f} MiB a worker, for {cost.heaviest}"),
-            ("time", f"{expected(cost.time_s)} ({basis})"),
+            ("time", f"{expected(cost.time_s)} ({basis}){_time_left(summary.left)}"),
         ]
     )
     for text in summary.warnings:
         _OUT.print(Text(f"warning: {text}", style="yellow"), soft_wrap=True)
     for text in summary.faults:
         _OUT.print(Text(f"unusable: {text}", style="red"), soft_wrap=True)
+
+
+def _finished(left: "Left | None") -> list[tuple[str, str]]:
+    """What earlier runs have finished of a plan, if anything."""
+    if left is None:
+        return []
+    if not left.stage:
+        return [("finished", f"all {left.finished:,} tasks; nothing is left to do")]
+    behind = "" if left.stage == "report" else ", and what depends on it"
+    return [
+        ("finished", f"{left.finished:,} tasks"),
+        ("left", f"{left.stage}: {left.tasks:,} of {left.of:,} tasks{behind}"),
+    ]
+
+
+def _time_left(left: "Left | None") -> str:
+    if left is None:
+        return ""
+    if not left.time_s:
+        return " for all of it"
+    return f" for all of it; for what is left {expected(left.time_s)} at most"
 
 
 def print_status(status: "RunStatus") -> None:
