@@ -21,7 +21,7 @@ class Sensor(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    name: str = Field(description="Name shown in the report.")
+    name: str = Field("own sensor", description="Name shown in the report.")
     beamlets: int = Field(100, ge=1, le=255, description="Beamlets per shot [count].")
     array_columns: int = Field(
         10, ge=1, description="Beamlets along one side of the array [count]."

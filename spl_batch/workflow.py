@@ -6,7 +6,7 @@ here is that of an airborne survey; other receivers have their own (:mod:`spl_ba
 """
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,6 +28,7 @@ from spl_batch.settings import (
     ReferenceSettings,
     SurveySettings,
     TilingSettings,
+    WireSettings,
 )
 from spl_batch.settings.faults import validated
 
@@ -57,9 +58,44 @@ class Workflow(BaseWorkflow):
         given = self.acquisition.model_dump(exclude_none=True)
         return sensor.model_copy(update=given)
 
-    def check(self) -> None:
-        """Find faults that no single key shows: a preset that is not there."""
-        self.sensor  # noqa: B018
+    def faults(self) -> Iterator[str]:
+        """What is wrong that no single key shows."""
+        try:
+            dead_m = self.sensor.dead_m
+        except WorkflowError as unknown_preset:
+            yield str(unknown_preset)
+        else:
+            if self.afterpulse.enabled and self.afterpulse.lag_max_m <= dead_m:
+                yield (
+                    f"afterpulse.lag_max_m: {self.afterpulse.lag_max_m:g} m end within the "
+                    f"sensor's dead time, {dead_m:.3f} m: no afterpulse would be found; "
+                    f"write more, or afterpulse.enabled: false"
+                )
+        wires, given = self.filter.wires, WireSettings()
+        # The default gives way to a smaller filter.alpha.
+        if self._scans_lines and self.filter.alpha < wires.alpha != given.alpha:
+            yield (
+                f"filter.wires.alpha: {wires.alpha:g} exceeds filter.alpha, "
+                f"{self.filter.alpha:g}, of which it is a part; lower it, or raise filter.alpha"
+            )
+
+    def remarks(self) -> Iterator[str]:
+        """What has no effect with the filter that was chosen."""
+        method = self.filter.method
+        chosen = f"filter.method: {method}" + (
+            f" with test: {self.filter.test}" if method == "vsaes" else ""
+        )
+        if self.filter.wires.classify and not self._scans_lines:
+            off = "filter.wires.enabled: false" if not self.filter.wires.enabled else chosen
+            yield f"filter.wires.classify: no point gets class 14, as {off} looks for no conductors"
+        if self.outputs.diagnostics and method != "vsaes":
+            yield f"outputs.diagnostics: p_value is NaN everywhere, as {chosen} knows none"
+
+    @property
+    def _scans_lines(self) -> bool:
+        """Whether conductors are looked for."""
+        own = self.filter.method == "vsaes" and self.filter.test != "published"
+        return own and self.filter.wires.enabled
 
 
 def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
@@ -79,7 +115,9 @@ def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
     """
     model: type[BaseWorkflow] = workflow_model(known_kind(content, where))
     workflow = validated(model, content, where)
-    workflow.check()
+    faults = list(workflow.faults())
+    if faults:
+        raise WorkflowError(f"{where}: {'; '.join(faults)}")
     return workflow
 
 

@@ -173,3 +173,9 @@ def test_a_plan_says_what_is_left(survey: Path) -> None:
     (out / "report.html").unlink()
     assert "left report: 1 of 1 tasks" in said("--set", "tiling.block_tiles=1")
     assert "left surfaces" in said("--set", "tiling.block_tiles=1", "--set", "products.cell_m=0.5")
+
+
+def test_a_plan_warns_of_what_has_no_effect(survey: Path) -> None:
+    wanted = ["filter.method=aes", "filter.wires.classify=true"]
+    assert any("no point gets class 14" in w for w in api.plan(survey, overrides=wanted).warnings)
+    assert not any("class 14" in w for w in api.plan(survey, overrides=wanted[1:]).warnings)

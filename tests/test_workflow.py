@@ -238,6 +238,61 @@ def test_sensors_by_name_and_by_mapping() -> None:
         load_preset("nothing")
 
 
+def test_a_sensor_of_ones_own_needs_no_name() -> None:
+    workflow = parse_workflow(merged(survey={"flightlines": "a", "sensor": {"beamlets": 64}}), "w")
+    assert (workflow.sensor.name, workflow.sensor.beamlets) == ("own sensor", 64)
+
+
+def test_faults_between_keys_come_all_at_once_with_the_file() -> None:
+    content = merged(
+        survey={"flightlines": "a", "sensor": {"dead_time_ns": 8.0}},
+        afterpulse={"lag_max_m": 0.5},
+        filter={"alpha": 0.001, "wires": {"alpha": 0.01}},
+    )
+    message = complaint(content)
+    assert message.startswith("w.yaml: afterpulse.lag_max_m: 0.5 m end within")
+    assert "dead time, 1.199 m" in message
+    assert "filter.wires.alpha: 0.01 exceeds filter.alpha, 0.001" in message
+    preset = complaint({**content, "survey": {"flightlines": "a", "sensor": "spl99"}})
+    assert "w.yaml: survey.sensor: no preset 'spl99'" in preset
+    assert "filter.wires.alpha" in preset
+
+
+@pytest.mark.parametrize(
+    "fine",
+    [
+        {"filter": {"alpha": 1e-4}},
+        {"filter": {"wires": {"alpha": 0.01, "enabled": False}}},
+        {"filter": {"method": "aes", "wires": {"alpha": 0.01}}},
+        {"filter": {"test": "published", "wires": {"alpha": 0.01}}},
+        {"afterpulse": {"enabled": False, "lag_max_m": 0.1}},
+    ],
+)
+def test_what_does_not_matter_is_no_fault(fine: dict[str, Any]) -> None:
+    workflow = parse_workflow(merged(**fine), "w")
+    kept = workflow.model_dump(mode="json")
+    assert parse_workflow(kept, "w") == workflow, "as the store keeps it, with every key"
+
+
+@pytest.mark.parametrize(
+    ("filtering", "said"),
+    [
+        ({}, []),
+        ({"method": "aes"}, ["class 14, as filter.method: aes looks", "as filter.method: aes"]),
+        ({"test": "published"}, ["as filter.method: vsaes with test: published looks"]),
+        ({"wires": {"enabled": False}}, ["as filter.wires.enabled: false looks"]),
+    ],
+)
+def test_what_has_no_effect_is_said(filtering: dict[str, Any], said: list[str]) -> None:
+    wires = {**filtering.get("wires", {}), "classify": True}
+    content = merged(filter={**filtering, "wires": wires}, outputs={"diagnostics": True})
+    remarks = list(parse_workflow(content, "w").remarks())
+    assert len(remarks) == len(said)
+    for words, remark in zip(said, remarks, strict=True):
+        assert words in remark
+    assert not list(parse_workflow(merged(filter=filtering), "w").remarks())
+
+
 def _sensor_fault(name: str) -> str:
     with pytest.raises(WorkflowError) as caught:
         parse_workflow(merged(survey={"flightlines": "a", "sensor": name}), "w")

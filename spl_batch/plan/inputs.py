@@ -108,7 +108,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, bad = _inspect(paths)
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = _survey_crs(workflow, good)
-    warnings = [f"{facts.path}: {text}" for facts in good for text in facts.warnings]
+    warnings = [*workflow.remarks()]
+    warnings += [f"{facts.path}: {text}" for facts in good for text in facts.warnings]
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none"

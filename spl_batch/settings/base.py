@@ -1,5 +1,6 @@
 """Base of the workflow and of its sections, and the kinds of numbers in them."""
 
+from collections.abc import Iterable
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -32,11 +33,6 @@ class BaseWorkflow(Section):
     output: str = Field(description="Folder of the results, relative to this file.")
     outputs: StoreSettings = StoreSettings()
 
-    def check(self) -> None:
-        """Find faults that no single key shows.
-
-        Raises
-        ------
-        WorkflowError
-            If there are some.
-        """
+    def faults(self) -> Iterable[str]:
+        """What is wrong that no single key shows, each with key, value and remedy."""
+        return ()

@@ -1,12 +1,12 @@
 """Sections of a workflow of ``kind: coincidence``; what [M20] leaves open is ours and says so."""
 
 import math
+from collections.abc import Iterator
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
-from spl_batch.errors import WorkflowError
 from spl_batch.settings import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
@@ -175,19 +175,15 @@ class CoincidenceWorkflow(BaseWorkflow):
     tiling: TileSettings = TileSettings()
     outputs: PointSettings = PointSettings()
 
-    def check(self) -> None:
-        """Find faults that no single key shows: edges that are no whole millimetres."""
+    def faults(self) -> Iterator[str]:
+        """What is wrong that no single key shows: edges that are no whole millimetres."""
         edges = {
             "tiling.tile_m": self.tiling.tile_m,
             "coincidence.voxel_m": self.coincidence.voxel_m,
         }
-        faults = [
-            f"{key}: {edge:g} is not a whole number of millimetres"
-            for key, edge in edges.items()
-            if edge is not None and abs(edge * QUANTA_PER_M - round(edge * QUANTA_PER_M)) > 1e-6
-        ]
-        if faults:
-            raise WorkflowError("; ".join(faults))
+        for key, edge in edges.items():
+            if edge is not None and abs(edge * QUANTA_PER_M - round(edge * QUANTA_PER_M)) > 1e-6:
+                yield f"{key}: {edge:g} is not a whole number of millimetres"
 
     @property
     def tile_q(self) -> int:

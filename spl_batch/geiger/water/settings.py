@@ -4,12 +4,12 @@ Defaults are those of the source's instrument [G15 tables 3.1-3.3]. The local fr
 own: north, east, down [m].
 """
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from spl_batch.errors import WorkflowError
 from spl_batch.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
@@ -221,18 +221,15 @@ class WaterWorkflow(BaseWorkflow):
     level: LevelSettings | None = None
     outputs: WaterOutputs = WaterOutputs()
 
-    def check(self) -> None:
-        """Find faults that no single key shows: pixels that the camera has not."""
-        faults = [
-            f"pixels.dead: [{row}, {col}] is no pixel of {self.camera.rows} x {self.camera.cols}"
-            for row, col in self.pixels.dead
-            if not (0 <= row < self.camera.rows and 0 <= col < self.camera.cols)
-        ]
+    def faults(self) -> Iterator[str]:
+        """What is wrong that no single key shows: pixels that the camera has not."""
+        for row, col in self.pixels.dead:
+            if not (0 <= row < self.camera.rows and 0 <= col < self.camera.cols):
+                size = f"{self.camera.rows} x {self.camera.cols}"
+                yield f"pixels.dead: [{row}, {col}] is no pixel of {size}"
         if self.gate.width_bins > self.camera.bins:
-            faults.append(f"gate.width_bins: more than camera.bins, {self.camera.bins}")
+            yield f"gate.width_bins: more than camera.bins, {self.camera.bins}"
         if self.surface.method == "windowed" and self.surface.windowed.patch > min(
             self.camera.rows, self.camera.cols
         ):
-            faults.append("surface.windowed.patch: wider than the array")
-        if faults:
-            raise WorkflowError("; ".join(faults))
+            yield "surface.windowed.patch: wider than the array"
