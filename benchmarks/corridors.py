@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.methods import AFTERPULSE, BACKGROUND, WIRE, Columns
+from benchmarks.methods import WIRE, Columns, is_noise
 
 REGION_M = 7.0
 """Height and width of the region around a line [m]."""
@@ -160,7 +160,7 @@ def nearest_m(spans: list[Span], points: Columns) -> NDArray[np.float64]:
 def count(points: Columns, kept: NDArray[np.bool_], within: NDArray[np.bool_]) -> Counts:
     """Wire and noise returns of a region, all and kept."""
     wire = within & (points["kind"] == WIRE)
-    noise = within & np.isin(points["kind"], (BACKGROUND, AFTERPULSE))
+    noise = within & is_noise(points["kind"])
     return Counts(
         int(wire.sum()), int((wire & kept).sum()), int(noise.sum()), int((noise & kept).sum())
     )

@@ -34,11 +34,10 @@ from benchmarks import (
 from benchmarks.afterpulse_scenes import CANOPIES, LIGHTS
 from benchmarks.afterpulse_tables import Prepared, prepare
 from benchmarks.methods import (
-    AFTERPULSE,
-    BACKGROUND,
     GROUND,
     WIRE,
     Columns,
+    is_noise,
     known_methods,
 )
 from benchmarks.terrain import cut
@@ -161,7 +160,7 @@ def weak_wire(folder: Path) -> Figure:
               "ours": "With the scan along lines"}  # fmt: skip
     drawn = style.figure(10.5, 5.6)
     kind = points["kind"]
-    noise = np.isin(kind, (BACKGROUND, AFTERPULSE))
+    noise = is_noise(kind)
     layers = ((~noise & (kind != WIRE), style.RAW, 0.8), (noise, style.NOISE, 1.6),
               (kind == WIRE, OURS, 5.0))  # fmt: skip
     for axes, (name, title) in zip(drawn.subplots(2, 2, sharex=True, sharey=True).flat,

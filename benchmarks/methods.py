@@ -57,6 +57,11 @@ published gamma of [W18] Eq. 2 as well. AES draws the number of noise returns fr
 signal [W17 Eq. 4.1]; gamma's factor of two would make it throw half of the signal away."""
 
 
+def is_noise(kind: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+    """Which returns no surface reflected, by their true kind: (n,)."""
+    return np.isin(kind, (BACKGROUND, AFTERPULSE))
+
+
 def known_methods() -> dict[str, Method]:
     """Every filter of this installation by name; the sources' with the sources' steps before."""
     found = {"published": Method("VSAES, as published", PUBLISHED_FILTER, PUBLISHED_NOISE)}

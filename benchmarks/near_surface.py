@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks.methods import (
-    AFTERPULSE,
     BACKGROUND,
     GROUND,
     OTHER,
@@ -35,6 +34,7 @@ from benchmarks.methods import (
     WATER,
     WIRE,
     Columns,
+    is_noise,
     judge,
     known_methods,
     load_truth,
@@ -109,7 +109,7 @@ def scene(seed: int, extent_m: tuple[float, float]) -> Scene:
 def curves(points: Columns) -> dict[str, Curve]:
     """What is told by distance, from returns with their truth; names begin with what is told."""
     xyz, kind = _places(points), points["kind"]
-    true = ~np.isin(kind, (BACKGROUND, AFTERPULSE))
+    true = ~is_noise(kind)
     surface = np.isin(kind, (GROUND, ROOF))
     from_edge = _distance(xyz[:, :2], kind == ROOF, kind == GROUND)
     from_surface = _distance(xyz, true & ~surface, surface)

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.methods import AFTERPULSE, BACKGROUND, flightlines, load_truth
+from benchmarks.methods import BACKGROUND, flightlines, is_noise, load_truth
 from spl_batch.constants import NOISE_SIGNAL
 from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.settings import FilterSettings
@@ -265,7 +265,7 @@ def high_gate(folder: Path) -> None:
         np.concatenate([np.asarray(las[key]) for las in files])
         for key in ("p_value", "noise_class")
     )
-    noise = np.isin(truth["kind"], (BACKGROUND, AFTERPULSE))
+    noise = is_noise(truth["kind"])
     cell = [np.floor(truth[a] / VOXEL_M).astype(int) for a in "xy"]
     cell = [c - c.min() + 2 for c in cell]
     top = np.full([c.max() + 3 for c in cell], -np.inf)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from benchmarks.methods import AFTERPULSE, BACKGROUND, load_truth
+from benchmarks.methods import AFTERPULSE, BACKGROUND, is_noise, load_truth
 from benchmarks.null_calibration import keeps
 from spl_batch import api
 from spl_batch.io.store import Store
@@ -121,7 +121,7 @@ def survey(folder: Path) -> Noise:
     expected = expected_noise(mm, np.ones(len(mm[0]), np.bool_), parts, 100, store, settings.noise)
     xyz = np.stack([truth[axis] for axis in "xyz"], axis=1)
     background = truth["kind"] == BACKGROUND
-    signal = ~np.isin(truth["kind"], (BACKGROUND, AFTERPULSE))
+    signal = ~is_noise(truth["kind"])
     afar = cKDTree(xyz[signal]).query(xyz, distance_upper_bound=PURE_M)[0] > PURE_M
     pure = background & afar
     order = np.lexsort((mm[2], mm[1], mm[0]))

@@ -14,9 +14,9 @@ import pyarrow.parquet as pq
 import rasterio
 from numpy.typing import NDArray
 
-KINDS = (
-    "background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other", "bottom",
-)  # fmt: skip
+from benchmarks import methods
+
+KINDS = (*methods.KINDS, "bottom")
 SPIKE_M = 0.5
 """A DSM cell this much above every true return of it and its neighbours is set by noise [m]."""
 
@@ -114,7 +114,7 @@ def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, f
     """Share of the scene's DSM cells that lie above every true return within one cell."""
     with rasterio.open(folder / "out" / "dsm.tif") as source:
         dsm, at = source.read(1).astype(np.float64), source.transform
-    noise = np.isin(points["kind"], (KINDS.index("background"), KINDS.index("afterpulse")))
+    noise = methods.is_noise(points["kind"])
     row = np.floor((at.f - points["y"][~noise]) / -at.e).astype(int)
     col = np.floor((points["x"][~noise] - at.c) / at.a).astype(int)
     inside = (row >= 0) & (row < dsm.shape[0]) & (col >= 0) & (col < dsm.shape[1])

@@ -21,7 +21,7 @@ from scipy.interpolate import LinearNDInterpolator
 from shapely.affinity import scale
 
 from benchmarks import methods
-from benchmarks.methods import AFTERPULSE, BACKGROUND, ROOF, Columns, Method
+from benchmarks.methods import AFTERPULSE, BACKGROUND, ROOF, Columns, Method, is_noise
 from benchmarks.twins import canopy, houston
 from spl_batch.api.comparison import PUBLISHED_NOISE
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, QUANTUM_M
@@ -216,7 +216,7 @@ def _beneath(patch: Patch, points: Columns, kept: NDArray[np.bool_]) -> NDArray[
     kind = points["kind"][rows]
     beneath = (above <= -CLEAR_M) & (above >= -BENEATH_M)
     groups = (
-        beneath & np.isin(kind, (BACKGROUND, AFTERPULSE)),
+        beneath & is_noise(kind),
         (kind == AFTERPULSE) & (points["parent"][rows] == ROOF),
         kind == ROOF,
     )

@@ -27,6 +27,7 @@ import rasterio
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks.methods import is_noise
 from benchmarks.quality import KINDS
 from spl_batch import api
 from spl_batch.constants import CLASS_GROUND, CLASS_WATER
@@ -240,7 +241,7 @@ def load_truth(survey: Path) -> Truth:
         col = np.floor(np.asarray(las.x) - at.c).astype(int)
         row = np.ceil(at.f - np.asarray(las.y)).astype(int) - 1
         inside = (col >= 0) & (col < EDGE_M) & (row >= 0) & (row < EDGE_M)
-        noise = np.isin(kind, (KINDS.index("background"), KINDS.index("afterpulse")))
+        noise = is_noise(kind)
         real = inside & ~noise
         np.maximum.at(top, (row[real], col[real]), np.asarray(las.z)[real])
         for name in ("roof", "water"):

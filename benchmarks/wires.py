@@ -19,7 +19,6 @@ from scipy.spatial import cKDTree
 
 from benchmarks import corridors, methods
 from benchmarks.methods import (
-    AFTERPULSE,
     BACKGROUND,
     GROUND,
     OTHER,
@@ -28,6 +27,7 @@ from benchmarks.methods import (
     WIRE,
     Columns,
     Method,
+    is_noise,
 )
 from benchmarks.twins import TWINS
 
@@ -83,7 +83,7 @@ def _far(points: Columns) -> NDArray[np.bool_]:
     """Which returns are farther than :data:`FAR_M` from all true returns."""
     xyz = np.column_stack([points[axis] for axis in "xyz"])
     low = xyz.min(axis=0)
-    rest = xyz[~np.isin(points["kind"], (BACKGROUND, AFTERPULSE))] - low
+    rest = xyz[~is_noise(points["kind"])] - low
     _, first = np.unique(np.floor(rest / THIN_M).astype(np.int64), axis=0, return_index=True)
     noise = np.flatnonzero(points["kind"] == BACKGROUND)
     distance = cKDTree(rest[first]).query(xyz[noise] - low, distance_upper_bound=FAR_M)[0]
