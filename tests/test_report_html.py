@@ -15,7 +15,15 @@ from PIL import Image
 from spl_batch.errors import StoppedError
 from spl_batch.report import maps, plots, style
 from spl_batch.report.html import render
-from spl_batch.report.model import Counts, Noise, Performance, Report, Survey
+from spl_batch.report.model import (
+    Accuracy,
+    Counts,
+    Noise,
+    Performance,
+    Report,
+    Statistics,
+    Survey,
+)
 from spl_batch.report.pictures import Picture, PictureInputs, Profile, Raster, make_pictures
 from spl_batch.report.write import write_report
 from tests.report_data import EXTENT, make_failures, make_inputs, make_profile, make_report
@@ -146,6 +154,15 @@ class TestPage:
         assert "No points were read." in parsed.text
         assert "Failures: none. Warnings: none." in parsed.text
         assert "No reference was given." in parsed.text
+
+    def test_rows_of_the_surface_are_explained_where_they_are(self) -> None:
+        told = "every cell in which the reference met nothing above the ground"
+        for names, there in ((("all", "ground"), True), (("all", "water"), False)):
+            dsm = {name: Statistics(n=5, rmse=1.87, median=0.06) for name in names}
+            shown = Page(render(make_report(accuracy=Accuracy(dsm=dsm)), {})).text
+            assert (told in shown) == there
+            assert "whose class gives the row" in shown
+            assert "Building edge" not in shown
 
     def test_failures_are_named_with_what_to_do(self) -> None:
         parsed = Page(render(make_report(failures=make_failures()), {}))
