@@ -1,4 +1,4 @@
-"""Differential cell count of one shot [Degnan 2002, cited as [23] in W17 3.2.1; W17 Eq. 3.3].
+"""Differential cell count of one shot [Degnan 2002, cited as [23] in W17 3.2.3; W17 Eq. 3.3].
 
 Deviation: with W17's own N_s and N_b the logarithm of Eq. 3.3 is always -ln 2. The
 likelihood ratio of "signal and noise" against "noise" for a count K in a fine bin is

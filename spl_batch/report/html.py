@@ -31,15 +31,24 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
             "far fewer returns than a sphere."
         ),
         "dcc": (
-            "Each shot is then judged by itself: returns are kept in the range bins that hold "
-            "more of them than its background explains."
+            "Each shot is then judged by itself: its fullest long range bin and the two beside it "
+            "are taken for signal, what lies in the others tells its background, and of the short "
+            "bins those are kept that hold more returns than that background explains."
         ),
-        "voxel": "Returns are kept in flat voxels that hold at least the mean number of them.",
+        "voxel": (
+            "This filter makes no use of that: space is cut into flat voxels, and all returns of a "
+            "voxel are kept when it holds at least the mean number of those around it that are "
+            "not empty."
+        ),
         "multilevel": (
-            "Returns are kept near the fullest height of a place, where voxels and those around "
-            "them hold a fixed number, first in large voxels and then in small ones."
+            "This filter makes no use of that: returns are kept near the fullest height of a "
+            "place, where their voxel and the 26 around it hold a fixed number of them, first of "
+            "large voxels and then of small ones."
         ),
-        "cylinder": "Returns are kept that have enough others in an upright cylinder around them.",
+        "cylinder": (
+            "This filter makes no use of that: a return is kept when a fixed number of others lie "
+            "in an upright cylinder around it, however dense the background is there."
+        ),
     }
 )
 """What each noise filter does, for a reader of the report."""
@@ -74,7 +83,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         pictures=pictures,
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
-        survivors=_survivors(report),
+        kept_noise_share=_kept_noise_share(report),
         how=HOW,
     )
 
@@ -156,9 +165,9 @@ def _set_aside(counts: Counts) -> list[tuple[str, int]]:
     return [(reason, count) for reason, count in reasons if count]
 
 
-def _survivors(report: Report) -> float | None:
-    """Background returns that a test at alpha is expected to have let through [count]."""
-    alpha = report.noise.alpha
-    if alpha is None or not 0 < alpha < 1 or report.noise.test == "published":
+def _kept_noise_share(report: Report) -> float | None:
+    """Share of the kept returns that is expected to be background, 0..1."""
+    noise, signal = report.noise, report.counts.signal
+    if noise.kept_by_chance is None or noise.kept_within_signal is None or not signal:
         return None
-    return report.counts.background * alpha / (1 - alpha)
+    return (noise.kept_by_chance + noise.kept_within_signal) / signal

@@ -171,6 +171,16 @@ class Noise(Part):
     mean_per_m3: Number = Field(None, description="Mean expected noise density [1/m3].")
     p05_per_m3: Number = Field(None, description="5th percentile of it [1/m3].")
     p95_per_m3: Number = Field(None, description="95th percentile of it [1/m3].")
+    kept_by_chance: Number = Field(
+        None,
+        description="Background returns that the test is expected to have kept away from surfaces, "
+        "by alpha; by test tail at most; null where the filter fixes no share [count].",
+    )
+    kept_within_signal: Number = Field(
+        None,
+        description="Background returns expected in the cubes of 1 m that hold kept returns, where "
+        "nothing tells them apart: kept as well, and not among kept_by_chance [count].",
+    )
     dsm_support: Count | None = Field(
         None, description="Returns nearby that a highest return needs to set a DSM cell [count]."
     )

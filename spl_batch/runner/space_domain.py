@@ -21,6 +21,7 @@ from spl_batch.stages import denoise as denoising
 from spl_batch.stages import ground as grounding
 from spl_batch.stages import surface as surfacing
 from spl_batch.stages.fired import FiredPart
+from spl_batch.stages.kept_noise import within_signal
 from spl_batch.stages.stray import stray
 from spl_batch.stages.water import submerged
 from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, parse_cell, quanta
@@ -105,6 +106,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
         context.store, _cells(args["tiles"]), grow(core, reach), columns, labels, ordered=False
     )
     noise_m3 = _mean_noise(table, core, quanta(workflow.products.cell_m))
+    kept_noise = within_signal(table, core)
     reflected: dict[str, NDArray[np.float32]] = {}
     if args["fired"] is not None:
         paths = [context.store.path("fired", f"{name}.npz") for name in args["fired"]]
@@ -129,7 +131,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     found = classes.classify(mine, core, arrays["dtm"])
     write_labels(path, *place, {"classification": found})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
-    facts = {"core": list(core), "rasters": sums}
+    facts = {"core": list(core), "rasters": sums, "kept_noise": kept_noise}
     return Produced([path, *chunks], facts, len(mine))
 
 

@@ -33,6 +33,8 @@ from spl_batch.runner.remember import (
     provenance,
     remember,
 )
+from spl_batch.settings import FilterSettings
+from spl_batch.stages.kept_noise import PARTS
 
 
 def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
@@ -47,13 +49,13 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     facts : RunFacts
         What the receipts do not say.
     """
-    found = compared(done, context)
+    found, counts = compared(done, context), _counts(done, facts)
     report = Report(
         survey=_survey(done, context),
-        counts=_counts(done, facts),
+        counts=counts,
         accuracy=_accuracy(found),
         density=_density(context),
-        noise=_noise(context),
+        noise=_noise(done, context, counts.background),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
         warnings=(*facts.notes, *_uncovered(done)),
@@ -155,7 +157,7 @@ def _density(context: Context) -> Density:
     )
 
 
-def _noise(context: Context) -> Noise:
+def _noise(done: Receipts, context: Context, removed: int) -> Noise:
     settings = context.workflow.filter
     part = _overview(context.store.local / "noise.tif")
     values = part.values[part.values > NODATA] if part is not None else np.empty(0)
@@ -167,8 +169,25 @@ def _noise(context: Context) -> Noise:
         mean_per_m3=float(values.mean()) if some else None,
         p05_per_m3=float(np.percentile(values, 5)) if some else None,
         p95_per_m3=float(np.percentile(values, 95)) if some else None,
+        kept_by_chance=_kept_by_chance(settings, removed),
+        kept_within_signal=_kept_within_signal(done, settings),
         dsm_support=context.workflow.products.dsm_support,
     )
+
+
+def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:
+    """Background that a test at alpha is expected to have let through [count]."""
+    if settings.method != "vsaes" or settings.test == "published":
+        return None
+    return removed * settings.alpha / (1 - settings.alpha)
+
+
+def _kept_within_signal(done: Receipts, settings: FilterSettings) -> float | None:
+    """Background that lies among what any filter by neighbours keeps [count]."""
+    if settings.method == "none":
+        return None
+    parts = [int(r.facts["kept_noise"]) for r in done.get("surface", {}).values()]
+    return sum(parts) / PARTS
 
 
 def _uncovered(done: Receipts) -> Iterable[str]:
