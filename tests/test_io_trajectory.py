@@ -238,6 +238,18 @@ def test_header_bit_that_contradicts_the_values() -> None:
     assert bit_warning("none", adjusted_bit=False) is None
 
 
+def test_a_trajectory_of_another_day_is_refused(tmp_path: Path) -> None:
+    rows = flight()
+    path, place = write_csv(tmp_path / "a.csv", rows), (*rows[0, 1:3], 0.0, *rows[0, 1:3], 0.0)
+    first, last = rows[0, 0], rows[-1, 0]
+    options: Any = {"survey_crs": None, "trajectory_crs": None}
+    beside = read_trajectory([path], points=PointExtent((first - 5, first + 1), place), **options)
+    assert any("stay unfiltered" in text for text in beside.warnings)
+    for low, high, away in ((first - 50, first - 7, 7), (last + 400, last + 500, 400)):
+        with pytest.raises(InputError, match=rf"{away} s away: no point could be filtered; name"):
+            read_trajectory([path], points=PointExtent((low, high), place), **options)
+
+
 @given(
     start=st.integers(7 * 10**8, 15 * 10**8),
     length=st.integers(10, 80_000),

@@ -113,6 +113,7 @@ class Gathering:
         warnings += [self._converted] if self._converted else []
         if nearness is not None and self._points is not None:
             nearness.refuse_far(path)
+            _refuse_apart(path, self.span_s, self._points.time_s)
             warnings += _uncovered(self.span_s, self._points.time_s)
         self.warnings = tuple(warnings)
 
@@ -253,6 +254,18 @@ def _uncovered(span_s: tuple[float, float], points_s: tuple[float, float]) -> li
         f" {points_s[0]:.3f} to {points_s[1]:.3f} s: points outside stay unfiltered"
     )
     return [text]
+
+
+def _refuse_apart(path: str, span_s: tuple[float, float], points_s: tuple[float, float]) -> None:
+    """Raise :class:`InputError` where no point lies in the time of the trajectory."""
+    gap_s = max(span_s[0] - points_s[1], points_s[0] - span_s[1])
+    if gap_s > 0.0:
+        raise InputError(
+            path,
+            f"trajectory covers {span_s[0]:.3f} to {span_s[1]:.3f} s, the points span"
+            f" {points_s[0]:.3f} to {points_s[1]:.3f} s, {gap_s:.0f} s away: no point could be"
+            " filtered; name the trajectory of this flight, or none",
+        )
 
 
 class _Nearness:

@@ -287,6 +287,8 @@ def _survey_crs(
             agreeing.append(facts)
         else:
             text = f"CRS {facts.crs.name!r} is not the survey's {given.name!r}; reproject the file"
+            if named is not None:
+                text += ", or leave out survey.crs, which is for files that carry none"
             bad.append(InputError(str(facts.path), text))
     return horizontal(given), agreeing, bad
 
