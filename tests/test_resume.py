@@ -179,3 +179,19 @@ def test_a_plan_warns_of_what_has_no_effect(survey: Path) -> None:
     wanted = ["filter.method=aes", "filter.wires.classify=true"]
     assert any("no point gets class 14" in w for w in api.plan(survey, overrides=wanted).warnings)
     assert not any("class 14" in w for w in api.plan(survey, overrides=wanted[1:]).warnings)
+
+
+def test_a_plan_looks_at_the_place_of_the_output(
+    survey: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert api.plan(survey).faults == ()
+    (survey.parent / "file").touch()
+    for name in ("file", "file/deeper"):
+        (fault,) = api.plan(survey, overrides=[f"output={name}"]).faults
+        assert f"{name} cannot be written: look at {survey.parent / 'file'}" in fault
+    ended = surveys.command("plan", survey, "--set", "output=file")
+    assert ended.status == 1
+    usage = shutil.disk_usage(survey.parent)._replace(free=2**16)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    (warning,) = api.plan(survey).warnings
+    assert warning.endswith("MiB, 0.1 MiB are free on its disk")

@@ -1,5 +1,7 @@
 """What a run will do, from headers alone: points, tasks, disk, memory, time."""
 
+import os
+import shutil
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,7 +53,7 @@ class PlanSummary:
     rows : tuple of (str, str)
         Label and value of what the receiver tells beside them.
     faults, warnings : tuple of str
-        What is wrong with the inputs; what is odd about them.
+        What is wrong with the inputs and the output; what is odd about them.
     left : Left or None
         What is left to do; None where nothing of this work is finished.
     """
@@ -98,13 +100,15 @@ def plan(
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
+    output, left = prepared.context.output, _left(prepared, cost)
+    whole = left is None and prepared.context.store.url is None
     return PlanSummary(
         len(inputs.sources),
         cost,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
-        tuple(str(bad) for bad in inputs.bad),
-        tuple(inputs.warnings),
-        _left(prepared, cost),
+        (*(str(bad) for bad in inputs.bad), *_unwritable(output)),
+        (*inputs.warnings, *_too_full(output, cost.disk_bytes if whole else 0)),
+        left,
     )
 
 
@@ -119,6 +123,28 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
     cost = prepared.receiver.cost(prepared)
     refuse_too_large(cost, prepared.ledger.memory_bytes)
     return cost
+
+
+def _unwritable(output: Path) -> list[str]:
+    """What a run would be refused for before it begins."""
+    there = _existing(output)
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return []
+    return [f"output: {output} cannot be written: look at {there} and its rights"]
+
+
+def _too_full(output: Path, needed: int) -> list[str]:
+    """A warning where the file system of the output has less room than is expected to be taken."""
+    free = shutil.disk_usage(_existing(output)).free
+    if needed <= free:
+        return []
+    sizes = (f"{size / 2**20:,.1f} MiB" for size in (needed, free))
+    return ["output: a run takes about {}, {} are free on its disk".format(*sizes)]
+
+
+def _existing(path: Path) -> Path:
+    """The path, or the nearest one above it that exists."""
+    return next(place for place in (path, *path.parents) if place.exists())
 
 
 def _left(prepared: Prepared[Any, Any], cost: Cost) -> Left | None:

@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.cli.live import details, duration, expected, short, storage, taken
+from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, storage, taken
 from spl_batch.report.format import centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
@@ -103,7 +103,8 @@ def _time_left(left: "Left | None") -> str:
         return ""
     if not left.time_s:
         return " for all of it"
-    return f" for all of it; for what is left {expected(left.time_s)} at most"
+    most = " at most" if left.time_s >= TOLD_FROM_S else ""
+    return f" for all of it; for what is left {expected(left.time_s)}{most}"
 
 
 def print_status(status: "RunStatus") -> None:
