@@ -45,10 +45,10 @@ def table(rows: list[Row]) -> PointTable:
 def slowly(rows: list[Row], cell: Bounds) -> int:
     cubes: dict[tuple[int, int, int], int] = {}
     for x, y, z, kind, density in rows:
-        i, j, k = x // 1000, y // 1000, z // 1000
-        inside = cell.xmin <= i * 1000 < cell.xmax and cell.ymin <= j * 1000 < cell.ymax
+        i, j, k = x // 1200, y // 1200, z // 1200
+        inside = cell.xmin <= i * 1200 < cell.xmax and cell.ymin <= j * 1200 < cell.ymax
         if inside and kind == NOISE_SIGNAL and np.isfinite(density):
-            found = round(float(np.float32(density)) * PARTS)
+            found = round(float(np.float32(density)) * (1.2**3 * PARTS))
             cubes[i, j, k] = max(cubes.get((i, j, k), 0), found)
     return sum(cubes.values())
 

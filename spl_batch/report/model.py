@@ -178,8 +178,8 @@ class Noise(Part):
     )
     kept_within_signal: Number = Field(
         None,
-        description="Background returns expected in the cubes of 1 m that hold kept returns, where "
-        "nothing tells them apart: kept as well, and not among kept_by_chance [count].",
+        description="Background returns expected in the cubes of 1.2 m that hold kept returns, "
+        "where nothing tells them apart: kept as well, and not in kept_by_chance [count].",
     )
     dsm_support: Count | None = Field(
         None, description="Returns nearby that a highest return needs to set a DSM cell [count]."

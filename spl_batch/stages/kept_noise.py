@@ -4,9 +4,9 @@ Domain: space. Runs on the points that a ground cell owns, once the filter has j
 
 A source is silent on it. Among the returns of a surface the neighbours of a noise return are
 signal, and any filter by neighbours keeps it. Counted is what noise is expected to put into the
-cubes of :data:`EDGE_M` that hold a kept return: their volume by the density of noise there. A
-cube reaches half a metre to either side of a surface, about as far as half of the noise is kept
-(``benchmarks.near_surface``); what this misses of all that is kept ``benchmarks.quality`` prints.
+cubes of :data:`EDGE_M` that hold a kept return: their volume by the density of noise there. They
+are as thick as a surface's neighbourhood in which half of the noise is kept, by our own filter at
+its defaults (``benchmarks.near_surface``); how near that comes ``benchmarks.quality`` prints.
 """
 
 from typing import Final
@@ -22,8 +22,8 @@ DOMAIN: Final = "space"
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "noise_density")
 
-EDGE_M: Final = 1.0
-"""Edge of a cube [m]."""
+EDGE_M: Final = 1.2
+"""Edge of a cube: 0.6 m from a surface half of the noise is kept [m]."""
 
 PARTS: Final = 100_000
 """A noise return is counted in so many parts, so that sums are those of integers."""
@@ -54,7 +54,7 @@ def within_signal(table: PointTable, cell: Bounds) -> int:
         kept &= (corner >= low) & (corner < high)
     if not kept.any():
         return 0
-    parts = np.rint(table["noise_density"][kept] * (EDGE_M**3 * PARTS))
+    parts = np.rint(table["noise_density"][kept].astype(np.float64) * (EDGE_M**3 * PARTS))
     packed = _cubes(table, kept, edge) << _BITS
     packed |= np.minimum(parts, (1 << _BITS) - 1).astype(np.int64)
     packed.sort()
