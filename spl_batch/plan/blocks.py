@@ -187,9 +187,9 @@ def count_blocks(
         longest = max((max(block.columns, block.rows) for block in found), default=sizes.tiles)
         read = sum(layout.load(block).held for block in found)
         return Expected(len(found), longest, read / points)
-    sides = _sides(sizes.tiles, workflow)
+    shapes = _shapes(sizes.tiles, workflow)
     cuts = _cuts(pieces, workflow, memory_bytes, sizes.tiles)
-    there = [side for side, cut in zip(sides, cuts, strict=True) if cut.units]
+    there = [max(shape) for shape, cut in zip(shapes, cuts, strict=True) if cut.units]
     reading = math.fsum(cut.read for cut in cuts)
     longest = max(there, default=sizes.tiles)
     return Expected(sum(cut.units for cut in cuts), longest, reading / points)
@@ -236,27 +236,35 @@ def _choose_by_read(
     return best
 
 
-def _sides(largest: int, workflow: Workflow) -> tuple[int, ...]:
-    """Sides of squares that are cut into equal ones, the largest first [tiles]."""
-    if workflow.tiling.block_tiles is not None:
-        return (largest,)
-    sides = [largest]
-    while sides[-1] > 1:
-        sides.append(next(n for n in range(sides[-1] - 1, 0, -1) if sides[-1] % n == 0))
-    return tuple(sides)
+def _shapes(largest: int, workflow: Workflow) -> list[tuple[int, int]]:
+    """Columns and rows of squares, of their halves, of the halves of these, and so on [tiles].
+
+    Where a side cannot be halved it is cut into the fewest equal parts that it can.
+    """
+    wide = high = largest
+    shapes = [(wide, high)]
+    while high > 1 and workflow.tiling.block_tiles is None:
+        wide = _largest_part(wide)
+        shapes += [(wide, high), (wide, wide)]
+        high = wide
+    return shapes
+
+
+def _largest_part(side: int) -> int:
+    return next(n for n in range(side // 2, 0, -1) if side % n == 0)
 
 
 def _cuts(
     pieces: Sequence[Piece], workflow: Workflow, memory_bytes: int, largest: int
 ) -> list[Cut]:
-    """Blocks of each size, and what they read, about: halves are counted as squares."""
+    """Blocks of each shape, and what they read, about: none is joined to a neighbour."""
     tile_q, halo_q = quanta(workflow.tiling.tile_m), quanta(halo_m(workflow))
-    edges = [side * tile_q for side in _sides(largest, workflow)]
-    by_piece = [piece.cut(edges, halo_q, block_points(memory_bytes)) for piece in pieces]
+    shapes = [(wide * tile_q, high * tile_q) for wide, high in _shapes(largest, workflow)]
+    by_piece = [piece.cut(shapes, halo_q, block_points(memory_bytes)) for piece in pieces]
     return [
-        Cut(sum(cut.units for cut in by_size), sum(cut.read for cut in by_size))
-        for by_size in zip(*by_piece, strict=True)
-    ] or [Cut(0, 0.0)] * len(edges)
+        Cut(sum(cut.units for cut in by_shape), sum(cut.read for cut in by_shape))
+        for by_shape in zip(*by_piece, strict=True)
+    ] or [Cut(0, 0.0)] * len(shapes)
 
 
 def remembered_sizes(store: Store, workflow: Workflow) -> Sizes | None:

@@ -108,36 +108,38 @@ class Piece:
         south = (self.first.j * self.edge // step + int(row)) * step
         return Peak(float(read[row, column]), Bounds(west, south, west + unit_q, south + unit_q))
 
-    def cut(self, edges: Sequence[int], halo_q: int, most: float) -> list[Cut]:
-        """Units of several sizes: those of the largest, and of those too full their parts.
+    def cut(self, shapes: Sequence[tuple[int, int]], halo_q: int, most: float) -> list[Cut]:
+        """Units of several shapes: those of the first, and of those too full their parts.
 
         Parameters
         ----------
-        edges : sequence of int
-            Edges of units, the largest first; each divides the one before [quanta].
+        shapes : sequence of (int, int)
+            Width and height of units, the largest first; each divides the one before [quanta].
         halo_q : int
             Their halo [quanta].
         most : float
-            Points beyond which a unit is cut, unless it is of the last size [count].
+            Points beyond which a unit is cut, unless it is of the last shape [count].
         """
         found = []
-        above: tuple[NDArray[np.bool_], int] | None = None
-        for unit_q in edges:
-            step = max(unit_q, self.edge)
-            read = self._sums(self._total, step, (unit_q, halo_q))
-            there = self._sums(self._total_touched, step, (step, 0)) > _TOUCHED
+        above: tuple[NDArray[np.bool_], tuple[int, int]] | None = None
+        for shape in shapes:
+            steps = max(shape[0], self.edge), max(shape[1], self.edge)
+            read = self._shaped_sums(self._total, steps, shape, halo_q)
+            there = self._shaped_sums(self._total_touched, steps, steps, 0) > _TOUCHED
             if above is not None:
-                rows, columns = (
-                    (np.arange(n) + first * self.edge // step) * step // above[1]
-                    - first * self.edge // above[1]
-                    for n, first in zip(there.shape, self.first[::-1], strict=True)
+                columns, rows = (
+                    (np.arange(n) + first * self.edge // step) * step // larger
+                    - first * self.edge // larger
+                    for n, first, step, larger in zip(
+                        there.shape[::-1], self.first, steps, above[1], strict=True
+                    )
                 )
                 there &= above[0][np.ix_(rows, columns)]
-            full = there & (read > most) & (unit_q != edges[-1])
+            full = there & (read > most) & (shape != shapes[-1])
             there &= ~full
-            each = (step // unit_q) ** 2
+            each = (steps[0] // shape[0]) * (steps[1] // shape[1])
             found.append(Cut(int(np.count_nonzero(there)) * each, float(read[there].sum()) * each))
-            above = full, step
+            above = full, steps
         return found
 
     @cached_property
@@ -151,9 +153,15 @@ class Piece:
     def _sums(
         self, total: NDArray[np.float64], step: int, reach: tuple[int, int]
     ) -> NDArray[np.float64]:
-        """What units hold that begin every so often and are so wide, with a halo."""
-        along_y = self._between(total, 0, step, reach)
-        return self._between(along_y, 1, step, reach)
+        """What square units hold that begin every so often and are so wide, with a halo."""
+        return self._shaped_sums(total, (step, step), (reach[0], reach[0]), reach[1])
+
+    def _shaped_sums(
+        self, total: NDArray[np.float64], steps: tuple[int, int], shape: tuple[int, int], halo: int
+    ) -> NDArray[np.float64]:
+        """The same of units that are so wide and high and begin every so often along each axis."""
+        along_y = self._between(total, 0, steps[1], (shape[1], halo))
+        return self._between(along_y, 1, steps[0], (shape[0], halo))
 
     def _between(
         self, total: NDArray[np.float64], axis: int, step: int, reach: tuple[int, int]
