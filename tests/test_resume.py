@@ -168,6 +168,7 @@ def test_a_plan_says_what_is_left(survey: Path) -> None:
     total = result.report and sum(
         s.tasks + s.skipped for s in result.report.performance.stages.values()
     )
+    assert api.plan(survey, overrides=["tiling.block_tiles=1"]).cost.tasks == total
     text = said("--set", "tiling.block_tiles=1")
     assert f"finished all {total} tasks; nothing is left to do" in text
     (out / "report.html").unlink()

@@ -23,6 +23,7 @@ from spl_batch.errors import WorkflowError
 from spl_batch.io.links import share_finished
 from spl_batch.io.raster_parts import read_overview
 from spl_batch.io.store import Store
+from spl_batch.plan.blocks import Holders
 from spl_batch.report.comparison import ComparisonReport, MethodResult, write_comparison
 from spl_batch.report.model import Report
 from spl_batch.report.plots import Profile
@@ -32,7 +33,7 @@ from spl_batch.runner.comparison import FAR_M, Contrast, Outcome, contrast
 from spl_batch.runner.profile import read_strip, tallest_strip
 from spl_batch.settings import FilterSettings
 from spl_batch.stages.denoise import METHODS
-from spl_batch.tiling import Bounds
+from spl_batch.tiling import Bounds, quanta
 from spl_batch.workflow import Workflow, load_workflow
 
 FOLDER: Final = "compare"
@@ -225,7 +226,8 @@ def _write(
     runs = {}
     for variant in variants:
         done, context, _ = recalled(output / FOLDER / variant.folder)
-        runs[variant.name] = Outcome(done, context)
+        holders = Holders(done.get("denoise", {}), quanta(context.workflow.tiling.tile_m))
+        runs[variant.name] = Outcome(done, context, holders.of)
     found = contrast(list(runs.values()))
     first = reports[variants[0].name]
     results = tuple(

@@ -100,10 +100,13 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     # every file is indexed and most likely is a flightline of its own; each stretch is
-    # gathered and scattered; the noise map is a mosaic too
+    # gathered and scattered; the noise map is a mosaic too; without a trajectory flightlines have
+    # a heading and a path, and stretches are observed after that
     mosaics = len(PRODUCTS) + 1
     tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered + mosaics
     tasks += len(survey.inputs.reference) + reference.squares(survey)
+    if survey.filtering:
+        tasks += 1 if survey.inputs.trajectory else 2 * len(sources) + stretches
     return SurveyCost(
         points=points,
         stretches=stretches,

@@ -1,6 +1,6 @@
 """Several runs on the same points: where they differ, and what they keep where nothing is."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,7 +14,7 @@ from spl_batch.model import PointTable
 from spl_batch.runner.context import Context
 from spl_batch.runner.profile import LENGTH_M, WIDTH_M
 from spl_batch.task import Receipt
-from spl_batch.tiling import Bounds, BoxIndex, CellId, cell_bounds, parse_cell, quanta
+from spl_batch.tiling import Bounds, CellId, cell_bounds, parse_cell, quanta
 
 FAR_M: Final = 50.0
 """Farther from where most returns of its column lie, a point is taken for noise [m]."""
@@ -42,10 +42,13 @@ class Outcome:
         Finished tasks by kind and name.
     context : Context
         The run.
+    holders : callable
+        Finished blocks that hold labels of some tiles, by tile.
     """
 
     done: Mapping[str, Mapping[str, Receipt]]
     context: Context
+    holders: Callable[[Collection[CellId]], Mapping[CellId, Sequence[str]]]
 
 
 @dataclass
@@ -90,10 +93,9 @@ def contrast(runs: Sequence[Outcome]) -> Contrast:
     zeros = np.zeros((3, len(runs)), dtype=np.int64)
     found = Contrast(zeros[0], zeros[1], zeros[2], 0, 0.0, None, [])
     most = 0
-    places = [_places(run) for run in runs]
     everywhere = sorted({parse_cell(t) for run in runs for t in run.done.get("build_tile", {})})
     for tile in everywhere:
-        classes = list(_classes(runs, places, tile))
+        classes = list(_classes(runs, tile))
         if len(classes) < len(runs) or len({len(c) for c in classes}) > 1:
             found.left_out.append(str(tile))
             continue
@@ -110,20 +112,11 @@ def contrast(runs: Sequence[Outcome]) -> Contrast:
     return found
 
 
-def _places(run: Outcome) -> BoxIndex:
-    """Blocks of a run by the place that they label."""
-    blocks = run.done.get("denoise", {}).items()
-    return BoxIndex({name: Bounds(*receipt.facts["core"]) for name, receipt in blocks})
-
-
-def _classes(
-    runs: Sequence[Outcome], places: Sequence[BoxIndex], tile: CellId
-) -> Iterator[NDArray[np.uint8]]:
+def _classes(runs: Sequence[Outcome], tile: CellId) -> Iterator[NDArray[np.uint8]]:
     """What each run that has the tile took its points for."""
-    for run, blocks in zip(runs, places, strict=True):
+    for run in runs:
         if str(tile) in run.done.get("build_tile", {}):
-            bounds = cell_bounds(tile, quanta(run.context.workflow.tiling.tile_m))
-            holders = [("noise", name) for name in blocks.overlapping(bounds)]
+            holders = [("noise", name) for name in run.holders([tile])[tile]]
             table = read_labelled_tile(run.context.store, tile, ("x",), {"noise_class": holders})
             yield table["noise_class"]
 
