@@ -13,6 +13,7 @@ import shapely
 import shapely.geometry
 
 from spl_batch import api
+from spl_batch.api.events import Note
 from spl_batch.errors import InputError, SplBatchError
 from spl_batch.model import PointTable
 from spl_batch.runner import index, space_domain
@@ -196,3 +197,17 @@ def test_a_plan_looks_at_the_place_of_the_output(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     (warning,) = api.plan(survey).warnings
     assert warning.endswith("MiB, 0.1 MiB are free on its disk")
+
+
+def test_a_pulse_rate_that_times_contradict_is_told(survey: Path) -> None:
+    def warned(hz: int) -> list[str]:
+        events: list[Any] = []
+        rate = f"acquisition.prf_hz={hz}"
+        surveys.run(survey, rate, until="index", listener=events.append)
+        return [e.text for e in events if isinstance(e, Note) and "pulse rate" in e.text]
+
+    assert warned(round(surveys.PRF_HZ * 1.03)) == []
+    (text,) = warned(50_000)
+    assert "tells a pulse rate of about 1000 Hz, not the 50000 Hz stated" in text
+    assert "00001_" in text
+    assert "00002_" in text

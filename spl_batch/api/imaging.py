@@ -45,6 +45,10 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
+PRF_APART: Final = 0.05
+"""A stated pulse rate may differ by this part from the one that gps_time tells."""
+
+
 class Imaging(Receiver[Survey, Context]):
     """Flightlines to classified clouds, terrain and surface rasters."""
 
@@ -194,11 +198,32 @@ def _judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
             f"{', '.join(guessed[:5])}: gps_time does not tell the pulse rate; "
             f"{FALLBACK_PRF_HZ:.0f} Hz assumed; state acquisition.prf_hz"
         )
+    yield from _contradicted_rates(survey)
     if survey.filtering and not survey.flightlines:
         names = ", ".join(source.name for source in timeless[:5])
         raise WorkflowError(
             f"{names}: no point has a usable gps_time, so there are no shots to filter by; "
             "set filter.method: none and afterpulse.enabled: false for ground and surfaces"
+        )
+
+
+def _contradicted_rates(survey: Survey) -> Iterator[str]:
+    """Say where gps_time tells another pulse rate than the one that is stated."""
+    told = survey.of("index_file")
+    wrong: dict[str, float] = {}
+    for line in survey.flightlines:
+        seen = [told[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
+        far = [hz for hz in seen if hz and abs(hz / line.clock.prf_hz - 1.0) > PRF_APART]
+        if line.prf_basis == "given" and far and len(far) == sum(map(bool, seen)):
+            wrong[line.name] = float(far[0])
+    if wrong:
+        names = ", ".join(list(wrong)[:5]) + (
+            f" and {len(wrong) - 5} more" if len(wrong) > 5 else ""
+        )
+        yield (
+            f"{names}: gps_time tells a pulse rate of about {min(wrong.values()):.0f} Hz, not the "
+            f"{survey.workflow.sensor.prf_hz:.0f} Hz stated, by which noise is reckoned; leave "
+            "acquisition.prf_hz and the sensor's out, and what is told is taken"
         )
 
 
