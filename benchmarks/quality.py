@@ -2,7 +2,9 @@
 
 SURVEY is a folder that ``spl-batch simulate`` or ``spl-batch quickstart`` wrote and that
 ``spl-batch run`` has processed with ``outputs.diagnostics: true`` where the noise density
-is to be checked. Prints one line for each figure, with the bar that the project sets.
+is to be checked. Prints one line for each figure, with the bar that the project sets. Open ground
+is where the true surface is the ground, and no water: the terrain of water is its surface, and has
+figures of its own.
 """
 
 import json
@@ -13,7 +15,10 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import rasterio
+import shapely
+from affine import Affine
 from numpy.typing import NDArray
+from rasterio.features import rasterize
 
 from benchmarks import methods
 
@@ -74,6 +79,12 @@ def _kept(points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
     }
     background = kind == KINDS.index("background")
     afterpulse = kind == KINDS.index("afterpulse")
+    for name, given in (("water", 9), ("bottom", 1)):
+        of = kind == KINDS.index(name)
+        if of.any():
+            shares[f"{name} of class {given} %"] = 100 * float(
+                (points["classification"][of] == given).mean()
+            )
     hard = afterpulse & np.isin(points["parent"], (KINDS.index("ground"), KINDS.index("roof")))
     soft = afterpulse & (points["parent"] == KINDS.index("vegetation"))
     return {
@@ -92,6 +103,7 @@ def _terrain(folder: Path) -> dict[str, float]:
         terrain, origin = true.read(1), true.transform
     with rasterio.open(folder / "truth" / "dsm.tif") as true:
         top = true.read(1)
+    wet = _water(folder, origin, terrain.shape)
     row, col = round((origin.f - at.f) / at.e), round((origin.c - at.c) / at.a)
     r0, c0 = max(row, 0), max(col, 0)
     r1, c1 = (
@@ -101,15 +113,33 @@ def _terrain(folder: Path) -> dict[str, float]:
     got = height[r0:r1, c0:c1].astype(np.float64)
     want = terrain[r0 - row : r1 - row, c0 - col : c1 - col].astype(np.float64)
     above = top[r0 - row : r1 - row, c0 - col : c1 - col] - want
+    wet = wet[r0 - row : r1 - row, c0 - col : c1 - col]
     valid = (got > -9000) & (want > -9000)
-    open_ground = valid & (np.abs(above) < 0.2)
+    open_ground = valid & (np.abs(above) < 0.2) & ~wet
     difference = got - want
-    return {
+    figures = {
         "DTM RMSE on open ground cm": 100 * float(np.sqrt(np.mean(difference[open_ground] ** 2))),
         "DTM mean difference on open ground cm": 100 * float(difference[open_ground].mean()),
         "DTM mean |difference| everywhere cm": 100 * float(np.abs(difference[valid]).mean()),
         "DTM worst difference cm": 100 * float(np.abs(difference[valid]).max()),
     }
+    if (valid & wet).any():
+        off = difference[valid & wet]
+        figures["DTM RMSE on water cm"] = 100 * float(np.sqrt(np.mean(off**2)))
+        figures["DTM mean difference on water cm"] = 100 * float(off.mean())
+    return figures
+
+
+def _water(folder: Path, at: Affine, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Cells of the true rasters that water covers in part."""
+    truth = json.loads((folder / "truth" / "scene.json").read_text(encoding="utf-8"))["scene"]
+    east, north = truth["origin_m"][:2]
+    rings = [[(x + east, y + north) for x, y in water["ring_m"]] for water in truth["water"]]
+    polygons = [shapely.Polygon(ring) for ring in rings]
+    if not polygons:
+        return np.zeros(shape, np.bool_)
+    covered = rasterize(polygons, shape, transform=at, all_touched=True)
+    return covered.astype(np.bool_)
 
 
 def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:

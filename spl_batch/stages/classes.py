@@ -24,6 +24,7 @@ from spl_batch.constants import (
     QUANTUM_M,
 )
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.stages.water import BELOW_M
 from spl_batch.tiling import Bounds, inside
 
 DOMAIN: Final = "space"
@@ -57,7 +58,9 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     -------
     (n,) uint8
         2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
-        water polygon and not more than :data:`WATER_ABOVE_M` above the DTM, or above none; 6
+        water polygon from :data:`~spl_batch.stages.water.BELOW_M` below the DTM, which is the
+        water's surface there, to :data:`WATER_ABOVE_M` above it, or above none. The bottom is
+        1, as whatever else lies deeper; 6
         where the input says building; 14 where ``wire`` is given and 1, at least
         :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that nothing assessed keep
         the input's class, except that class 2 is this project's ground only.
@@ -71,7 +74,8 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     ground, assessed = table["ground"] == 1, noise_class != NOISE_NOT_ASSESSED
     surface, void = _surface_below(table, cell, dtm)
     height = table["z"] * QUANTUM_M - surface
-    water = table.has(PointFlag.WATER) & (void | (height <= WATER_ABOVE_M))
+    at_surface = (height <= WATER_ABOVE_M) & (height >= -BELOW_M)
+    water = table.has(PointFlag.WATER) & (void | at_surface)
     result = np.where(
         np.isin(given, (CLASS_BUILDING, CLASS_WATER)) | ~assessed, given, CLASS_UNCLASSIFIED
     )

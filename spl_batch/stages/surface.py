@@ -8,7 +8,8 @@ task they are computed in.
 DTM    TIN through one vertex per raster cell: the robust mean (x, y, z) of its
        ground returns, evaluated at cell centres. The spread of a single range
        (5 cm) stays in a TIN through single returns; averaging removes it, and
-       averaging positions too keeps slopes unbiased.
+       averaging positions too keeps slopes unbiased. In water polygons ground returns are
+       put on the water's level first (:mod:`~spl_batch.stages.water`).
 DSM    Highest return of the cell that is ground or that its peers confirm: more of
        them in a sphere than noise alone puts there, spheres from ``dsm_near_m`` to
        ``dsm_support_m`` being tried in turn (:mod:`spl_batch.kernels.tops`).
@@ -52,6 +53,7 @@ from spl_batch.kernels.tops import Support, confirmed_tops, lift_pits
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.settings import ProductSettings
 from spl_batch.stages.followers import dependents
+from spl_batch.stages.water import REACH_M, flattened
 from spl_batch.tiling import Bounds, grow, inside, quanta
 
 DOMAIN: Final = "space"
@@ -75,13 +77,15 @@ PIT_M: Final = 2.0
 
 def margin_cells(settings: ProductSettings) -> int:
     """Raster cells around a ground cell whose points decide its rasters [count]."""
-    return max(_cells(2.0 * settings.void_max_m, settings), _top_margin(settings))
+    ground_m = max(2.0 * settings.void_max_m, REACH_M)
+    return max(_cells(ground_m, settings), _top_margin(settings))
 
 
 def reach_m(settings: ProductSettings) -> float:
     """Width of the margin that :func:`surfaces` reads around a ground cell [m].
 
-    Twice the widest void that is interpolated over: the ground on its far side counts.
+    Twice the widest void that is interpolated over, as the ground on its far side counts, and no
+    less than what the level of water is taken from.
     """
     return margin_cells(settings) * quanta(settings.cell_m) * QUANTUM_M
 
@@ -154,9 +158,8 @@ def _terrain(table: PointTable, cell: Bounds, settings: ProductSettings) -> NDAr
     """DTM from the south [quanta]; NaN in voids."""
     size = quanta(settings.cell_m)
     wide = grow(cell, margin_cells(settings) * size)
-    ground = table.select(("x", "y", "z")).take(
-        (table["ground"] == 1) & inside(table["x"], table["y"], wide)
-    )
+    found = (table["ground"] == 1) & inside(table["x"], table["y"], wide)
+    ground = flattened(table.select(("x", "y", "z", "flags")).take(found))
     rows, cols = _shape(wide, size)
     order, start = sort_into_cells(cell_number(ground, wide, size), ground["z"], rows * cols)
     means = np.empty((rows * cols, 3))
