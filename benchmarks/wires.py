@@ -1,11 +1,15 @@
 """Weak and ordinary wires: what each filter keeps, against point truth.
 
 ``python -m benchmarks.wires [--folder FOLDER] [--seeds 1 2 3] [--scenes weak ordinary]
-[--methods published tail ours]`` simulates the scenes of :mod:`benchmarks.twins` for each seed
-(into FOLDER, where what is there is used again), runs each filter and prints percentages: wire
-returns kept, of each line and of all; background returns kept, all of them and those farther than
-5 m from every true return of anything else (the filter's false alarms where nothing vouches for
-them); roofs, ground, vegetation and poles kept. A last line of each method pools the seeds.
+[--methods published tail ours] [--classes]`` simulates the scenes of :mod:`benchmarks.twins` for
+each seed (into FOLDER, where what is there is used again), runs each filter and prints percentages:
+wire returns kept, of each line and of all; background returns kept, all of them and those farther
+than 5 m from every true return of anything else (the filter's false alarms where nothing vouches
+for them); roofs, ground, vegetation and poles kept. A last line of each method pools the seeds.
+
+With ``--classes`` it runs the whole chain with ``filter.wires.classify: true`` instead, on the same
+scenes and on one without wires, and prints for class 14 its precision (class 14 that is wire), its
+recall (wire that is class 14), and what the rest of it is.
 """
 
 import argparse
@@ -13,6 +17,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import laspy
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -21,6 +26,7 @@ from benchmarks import corridors, methods
 from benchmarks.methods import (
     BACKGROUND,
     GROUND,
+    KINDS,
     OTHER,
     ROOF,
     VEGETATION,
@@ -29,7 +35,10 @@ from benchmarks.methods import (
     Method,
     is_noise,
 )
-from benchmarks.twins import TWINS
+from benchmarks.twins import TWINS, ordinary_wires
+from spl_batch import api
+from spl_batch.constants import CLASS_WIRE
+from spl_batch.simulate.scene import Scene, parse_scene
 
 FAR_M = 5.0
 """Background farther than this from every true return is pure noise [m]. Afterpulses are none:
@@ -43,6 +52,9 @@ BARS = {"weak": (75.0, 0.5), "ordinary": (98.0, 0.5)}
 
 NEAR_M = 1.0
 """A wire return belongs to the line with a strand within this distance of it [m]."""
+
+CLASSED = ("weak", "ordinary", "none")
+"""Scenes for class 14; the last one has roofs, trees and a lake, and no wires."""
 
 Tally = dict[str, tuple[int, int]]
 
@@ -65,6 +77,50 @@ def main(folder: Path, scenes: Sequence[str], seeds: Sequence[int], names: Seque
         for name in names:
             if len(seeds) > 1:
                 _row(known[name], "pooled", tallies[name])
+
+
+def classes(folder: Path, scenes: Sequence[str], seeds: Sequence[int]) -> None:
+    """Print precision and recall of class 14."""
+    names = f"{'scene':12s}{'seed':>5s}{'wires':>8s}{'recall %':>10s}"
+    print(f"{names}{'class 14':>10s}{'precision %':>13s}  rest")
+    for scene in scenes:
+        counts = [_classed(scene, seed, folder) for seed in seeds]
+        named = [*zip(map(str, seeds), counts, strict=True)]
+        if len(seeds) > 1:
+            named.append(("all", np.sum(counts, axis=0)))
+        for name, (wires, *given) in named:
+            rest = {k: int(n) for k, n in zip(KINDS, given, strict=True) if n and k != "wire"}
+            recall = 100 * given[WIRE] / wires if wires else float("nan")
+            precision = 100 * given[WIRE] / sum(given) if sum(given) else float("nan")
+            print(
+                f"{scene:12s}{name:>5s}{wires:8d}{recall:10.1f}{sum(given):10d}{precision:13.1f}  ",
+                ", ".join(f"{k} {n}" for k, n in rest.items()),
+                flush=True,
+            )
+
+
+def _classed(scene: str, seed: int, folder: Path) -> NDArray[np.int64]:
+    """Wire returns, then the returns of class 14 by kind [count]."""
+    made = wireless(seed) if scene == "none" else TWINS[scene](seed)
+    survey = methods.make_survey(made, folder / f"{scene}_{seed}")
+    changed = ["filter.wires.classify=true", "output=classed"]
+    if api.run(survey / "workflow.yaml", overrides=changed, until="deliver", workers=0).exit_status:
+        raise SystemExit(f"{survey}: the run failed; see {survey}/classed/log.jsonl")
+    kind = methods.load_truth(survey)["kind"]
+    paths = (
+        survey / "classed" / "laz" / "flightlines" / p.name for p in methods.flightlines(survey)
+    )
+    given = np.concatenate([np.asarray(laspy.read(path).classification) for path in paths])
+    sure = np.bincount(kind[given == CLASS_WIRE], minlength=len(KINDS))[: len(KINDS)]
+    return np.array([np.count_nonzero(kind == WIRE), *sure], dtype=np.int64)
+
+
+def wireless(seed: int) -> Scene:
+    """Many roofs, trees and a lake in the light and noise of the ordinary wires' scene."""
+    content = ordinary_wires(seed).model_dump(mode="json", by_alias=True)
+    lake = [[10.0, 10.0], [35.0, 8.0], [38.0, 30.0], [12.0, 33.0]]
+    content |= {"wires": [], "buildings": {"count": 10}, "water": [{"ring_m": lake}]}
+    return parse_scene(content, "wireless")
 
 
 def strata(survey: Path, points: Columns) -> dict[str, NDArray[np.bool_]]:
@@ -127,7 +183,8 @@ def parse() -> argparse.Namespace:
     known = [name for name in ("published", "tail", "ours") if name in methods.known_methods()]
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
-    parser.add_argument("--scenes", nargs="+", choices=list(BARS), default=list(BARS))
+    parser.add_argument("--scenes", nargs="+", choices=CLASSED, help="all by default")
+    parser.add_argument("--classes", action="store_true", help="class 14 instead of what is kept")
     parser.add_argument("--methods", nargs="+", choices=list(methods.known_methods()),
                         default=known)  # fmt: skip
     return parser.parse_args()
@@ -136,4 +193,8 @@ def parse() -> argparse.Namespace:
 if __name__ == "__main__":
     given = parse()
     with tempfile.TemporaryDirectory() as temporary:
-        main(given.folder or Path(temporary), given.scenes, given.seeds, given.methods)
+        place = given.folder or Path(temporary)
+        if given.classes:
+            classes(place, given.scenes or CLASSED, given.seeds)
+        else:
+            main(place, given.scenes or list(BARS), given.seeds, given.methods)

@@ -25,7 +25,7 @@ from spl_batch.tiling import Bounds
 
 FAST = settings(max_examples=15, deadline=None)
 BEND = 0.5 / 700e3
-SETTINGS = WireSettings()
+SETTINGS = WireSettings(classify=True)
 
 
 def made_cloud(
@@ -301,7 +301,7 @@ def test_the_filter_keeps_what_the_scan_finds() -> None:
     table, every = PointTable(columns_of), np.ones(len(xyz), np.bool_)
     density = np.full(len(xyz), 0.12)
     alone = denoise(table, density, every, FilterSettings(wires=WireSettings(enabled=False)))
-    both = denoise(table, density, every, FilterSettings())
+    both = denoise(table, density, every, FilterSettings(wires=SETTINGS))
     found = scan(made_cloud(xyz, 0.12), SETTINGS)
     kept = both["noise_class"] == NOISE_SIGNAL
     assert kept[found.signal].all()

@@ -59,11 +59,10 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     (n,) uint8
         2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
         water polygon from :data:`~spl_batch.stages.water.BELOW_M` below the DTM, which is the
-        water's surface there, to :data:`WATER_ABOVE_M` above it, or above none. The bottom is
-        1, as whatever else lies deeper; 6
-        where the input says building; 14 where ``wire`` is given and 1, at least
-        :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that nothing assessed keep
-        the input's class, except that class 2 is this project's ground only.
+        water's surface there, to :data:`WATER_ABOVE_M` above it, or above none; its bottom, as
+        whatever else lies deeper, is 1; 6 where the input says building; 14 where ``wire`` is
+        given and 1, at least :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that
+        nothing assessed keep the input's class, except that class 2 is this project's ground only.
 
     Notes
     -----

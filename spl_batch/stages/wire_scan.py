@@ -13,7 +13,11 @@ its own: most of the 15 nearest neighbours are noise. What it has is length. The
    more piece of evidence, worth :data:`INLINE` or :data:`ABREAST` powers of ten;
 4. drops the tubes that cross others on their line, or lie in a sheet of returns;
 5. keeps the points that at least ``votes`` tubes hold that are significant with all of this.
-   A chance tube keeps :data:`MEMBERS` points at once, so alpha is divided by that.
+   A chance tube keeps :data:`MEMBERS` points at once, so alpha is divided by that;
+6. calls conductors, where that is asked for, what :data:`SURE_VOTES` tubes hold closely that are
+   more significant yet, filled from end to end, and free: among all returns, those of surfaces
+   too, there are next to none beside, above or below but noise and a few lines alongside. Edges
+   and ridges of roofs, walls, fences and rows of crowns have what they belong to beside them.
 
 Tubes and stretches shrink where noise is so dense that :data:`CROWD` noise points would be
 met, so the cost of a point and its chance alignments stay the same. Of the points to start
@@ -33,6 +37,7 @@ from scipy.special import gammaincinv
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.kernels.alignment import agreeing, refine, vote
+from spl_batch.kernels.clearance import PARTS, around_tubes
 from spl_batch.kernels.columns import Columns, columns, cube_counts
 from spl_batch.kernels.poisson import noise_tail_probability
 from spl_batch.kernels.tubes import fullest
@@ -80,9 +85,22 @@ SPREAD: Final = 0.01
 MEMBERS: Final = 8.0
 """Points that a chance tube keeps per point started from: divides alpha."""
 
-SURE: Final = 1e-3
+SURE: Final = 1e-2
 SURE_VOTES: Final = 3
-"""A class is given to what so many tubes hold that are significant at this part of alpha."""
+SURE_RADIUS: Final = 0.6
+"""A class is given to what so many free tubes hold within this part of their half-width that are
+significant at this part of alpha."""
+
+RINGS_M: Final = (0.4, 0.8, 2.0)
+"""Off the line of a tube: its own returns, its nearest surroundings, and all that must be free
+but for the conductors beside it [m]."""
+
+BESIDE_MOST: Final = (0.15, 2.0)
+"""Returns beyond noise from the first to the second, and to the third, of these distances, for
+each of the line's own, at most."""
+
+PARTS_LEAST: Final = 5
+"""Parts of a tube, of eight, that hold returns of the line, at least [count]."""
 
 
 class Found(NamedTuple):
@@ -93,7 +111,7 @@ class Found(NamedTuple):
     signal : (m,) bool
         Kept by the scan.
     wire : (m,) bool
-        Sure enough to be classified as a conductor.
+        Sure enough to be classified as a conductor; all False where that is not asked for.
     p_value : (m,) float32
         Of the point's own tube and its agreeing ones, alpha for points voted for; NaN
         where there is none.
@@ -163,13 +181,16 @@ def scan(cloud: Cloud, settings: WireSettings) -> Found:
         tubes = _tubes(cloud, made, free, settings)
         score = MEMBERS * _score(tubes, cloud.anchor, settings)
         strong = score <= settings.alpha
-        votes = _votes(made, tubes, strong, n, settings)
+        votes = _votes(made, tubes, strong, n, settings, 1.0)
         signal = votes >= settings.votes
         p_value[signal] = settings.alpha
         own = tubes.row[strong]
         p_value[own] = np.where(signal[own], score[strong], np.nan)
-        sure = _votes(made, tubes, score <= settings.alpha * SURE, n, settings)
-        wire = sure >= SURE_VOTES
+        if settings.classify:
+            sure = score <= settings.alpha * SURE
+            sure[sure] = _free(cloud, tubes, sure, settings)
+            wire = _votes(made, tubes, sure, n, settings, SURE_RADIUS) >= SURE_VOTES
+            wire &= signal
     return Found(signal[cloud.asked], wire[cloud.asked], p_value[cloud.asked])
 
 
@@ -249,15 +270,46 @@ def _score(
     return np.where(against > 0, 1.0, score)
 
 
+def _free(
+    cloud: Cloud, tubes: Tubes, chosen: NDArray[np.bool_], settings: WireSettings
+) -> NDArray[np.bool_]:
+    """Chosen tubes along whose line there is little but the line, from end to end: (m,) bool."""
+    m = int(np.count_nonzero(chosen))
+    count, held = np.zeros((m, len(RINGS_M)), np.int32), np.zeros((m, PARTS), np.bool_)
+    length = tubes.length[chosen]
+    if m:
+        made = columns(cloud.xyz, np.arange(len(cloud.xyz)), cloud.anchor, quanta(COLUMN_M))
+        around_tubes(
+            made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle[chosen],
+            tubes.azimuth[chosen], tubes.slope[chosen], length,
+            np.array(RINGS_M) * QUANTA_PER_M, _bend(settings), count, held,
+        )  # fmt: skip
+    area = (2.0 * np.array(RINGS_M)) ** 2
+    along = 2.0 * length / QUANTA_PER_M * cloud.density[tubes.row[chosen]]
+    noise = along[:, None] * area
+    own = np.maximum(count[:, 0] - noise[:, 0], 1.0)
+    free: NDArray[np.bool_] = held.sum(axis=1) >= PARTS_LEAST
+    for ring, most in enumerate(BESIDE_MOST, start=1):
+        expected = noise[:, ring] - noise[:, 0]
+        beside = count[:, ring] - count[:, 0]
+        free &= beside <= most * own + expected + np.sqrt(expected)
+    return free
+
+
 def _votes(
-    made: Columns, tubes: Tubes, chosen: NDArray[np.bool_], n: int, settings: WireSettings
+    made: Columns,
+    tubes: Tubes,
+    chosen: NDArray[np.bool_],
+    n: int,
+    settings: WireSettings,
+    part: float,
 ) -> NDArray[np.int32]:
-    """Chosen tubes that hold each point: (n,) int32."""
+    """Chosen tubes that hold each point within a part of their half-width: (n,) int32."""
     votes = np.zeros(n, np.int32)
     vote(
         made.points, made.start, *made.shape, made.edge, made.corner, tubes.middle[chosen],
         tubes.azimuth[chosen], tubes.slope[chosen], tubes.length[chosen],
-        settings.radius_m * QUANTA_PER_M, SPREAD, _bend(settings), votes,
+        part * settings.radius_m * QUANTA_PER_M, SPREAD, _bend(settings), votes,
     )  # fmt: skip
     return votes
 
