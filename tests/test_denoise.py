@@ -159,6 +159,33 @@ def test_exact_p_value_goes_below_the_decision() -> None:
     assert (exact.p_value <= quick.p_value).all()
 
 
+def test_p_is_exact_down_to_what_the_table_tells() -> None:
+    """Counting goes on beyond the decision, as far as p is tabulated."""
+    xyz, core = wide_noise(0.4, 20_000)
+    rng = np.random.default_rng(3)
+    crown, surface = (rng.uniform(0, (20_000, 20_000, z), (3000, 3)) for z in (8000, 300))
+    xyz = np.unique(np.concatenate([xyz[core], crown, surface]).astype(np.int32), axis=0)
+    n = len(xyz)
+    cloud = Cloud(xyz.astype(np.int32), (0, 0, 0), np.full(n, 0.4), everything(n), ~everything(n))
+    exact, quick = (judge(cloud, DEFAULT, exact=told).p_value for told in (True, False))
+    told = exact > 3e-5
+    assert 0.1 < told.mean() < 0.9
+    assert ((exact < DEFAULT.alpha / 2) & told).sum() > 30
+    np.testing.assert_array_equal(quick[told], exact[told])
+    assert (quick[~told] <= 3e-5).all()
+
+
+def test_p_is_uniform_under_noise_with_the_scan_on() -> None:
+    """Whatever the scan adds to small p: within four times what blocks differ by chance."""
+    xyz, core = wide_noise(0.1, 60_000)
+    p = denoise(as_table(xyz), np.full(len(xyz), 0.1), core, FilterSettings())["p_value"]
+    for level in (1e-4, 3e-4, 6e-4, 1e-3, 0.01, 0.1, 0.5):
+        low = p <= level
+        error = max(standard_error(xyz[core], low), np.sqrt(level / core.sum()))
+        assert low.mean() == pytest.approx(level, abs=4 * error)
+        assert error < max(0.5 * level, 5e-5)
+
+
 def test_pure_noise_is_kept_at_no_more_than_alpha() -> None:
     for density in (0.05, 0.4):
         table, inner = pure_noise(density)

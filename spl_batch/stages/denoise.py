@@ -165,7 +165,7 @@ def judge(
         cloud = _cloud(table, active, density, wanted & ~beamless)
         rows = active[cloud.asked]
         del active, wanted
-        verdict, wire[rows] = _judge(cloud, settings, exact=exact)
+        verdict, wire[rows] = verdict_on(cloud, settings, exact=exact)
         noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
@@ -183,12 +183,26 @@ def judge(
     return {"noise_class": noise_class[query], "p_value": p_value[query], "wire": wire[query]}
 
 
-def _judge(
-    cloud: Cloud, settings: FilterSettings, *, exact: bool
+def verdict_on(
+    cloud: Cloud, settings: FilterSettings, *, exact: bool = False
 ) -> tuple[Verdict, NDArray[np.bool_]]:
     """Verdict of the method, with what the scan for conductors keeps; the sure ones among that.
 
-    The two share alpha.
+    Parameters
+    ----------
+    cloud : Cloud
+        Independent returns of a block and its halo.
+    settings, exact
+        As for :func:`denoise`.
+
+    Returns
+    -------
+    Verdict
+        Of the points asked for. The two share alpha, and p: a share x of pure noise has p <= x
+        by either of them, so what the scan keeps of it is added to the p of the test, from the
+        scan's own alpha on.
+    (m,) bool
+        Points that are surely of a conductor.
     """
     nothing = np.zeros(int(np.count_nonzero(cloud.asked)), np.bool_)
     if settings.method != "vsaes":
@@ -197,9 +211,11 @@ def _judge(
         return ellipsoid_test.judge(cloud, settings, exact=exact), nothing
     spent = wire_null.spent(cloud.density, settings)
     verdict = ellipsoid_test.judge(cloud, settings, exact=exact, spent=spent)
-    found = wire_scan.scan(cloud, wire_null.fitted(settings))
-    p_value = np.fmin(verdict.p_value, found.p_value)
-    return Verdict(verdict.signal | found.signal, p_value), found.wire
+    wires = wire_null.fitted(settings)
+    found = wire_scan.scan(cloud, wires)
+    both = (verdict.p_value + spent[cloud.asked]).astype(np.float32)
+    both = np.where(both >= wires.alpha, np.minimum(both, 1.0), verdict.p_value)
+    return Verdict(verdict.signal | found.signal, np.fmin(both, found.p_value)), found.wire
 
 
 def resolve(

@@ -55,6 +55,10 @@ LEAST: Final = 0.5
 BATCH: Final = 1 << 17
 """Points that a table is looked up for at once [count]."""
 
+TOLD_TO: Final = 1e-6
+"""Score down to which the calibrated test counts on beyond its decision: at any density less than
+the 3e-5 that p is tabulated to."""
+
 PUBLISHED_ALPHA: Final = 0.05
 """[W18 2.2.3]: noise where the cumulative probability is below 95 %."""
 
@@ -84,8 +88,9 @@ def judge(
         Test and its parameters.
     exact : bool
         Count on until the score is below 1e-12, so that p is exact down to there. Without
-        it counting stops once the decision stands, and p of a signal is the p of the
-        critical count: an upper bound, the same whatever the tiling.
+        it counting stops once the decision stands and, calibrated, the score is below
+        :data:`TOLD_TO`: p of what lies farther down is that of the count where counting
+        stopped, an upper bound, the same whatever the tiling.
     spent : float or (n,) float64
         Share of pure noise that another test keeps at each point: what is left of alpha is
         spent here, at least half of it.
@@ -110,8 +115,9 @@ def judge(
     limit = _batched(
         lambda density, level: _limit(density, settings, level), cloud.density[rows], alpha
     )
+    told = np.minimum(limit, TOLD_TO) if settings.test == "calibrated" else limit
     stop = np.ones(len(asked))
-    stop[rows] = _stop(limit, exact)
+    stop[rows] = _stop(told, exact)
     found = evidence(cloud.xyz, cloud.density, assessed, settings, stop)
     strong = found.score[rows] <= limit
     signal = np.zeros(len(asked), np.bool_)
