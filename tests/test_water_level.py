@@ -26,6 +26,10 @@ def quantised(x: Float, y: Float, z: Float) -> tuple[NDArray[np.int64], ...]:
     return xq + ORIGIN[0], yq + ORIGIN[1], zq
 
 
+def differ(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
+    return a[0] - b[0], a[1] - b[1]
+
+
 def slow_level(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> list[int]:
     """Cell by cell, in words of the module's description."""
     cells: dict[tuple[int, int], list[int]] = {}
@@ -41,6 +45,12 @@ def slow_level(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64])
                 middle = np.median(layer)
                 tops[cell] = float(np.median([h for h in heights if abs(h - middle) <= 150]))
                 break
+    beside = {c: [tops[o] for o in tops if 0 < max(map(abs, differ(o, c))) <= 1] for c in tops}
+    agreed = {
+        c: top
+        for c, top in tops.items()
+        if 3 * sum(abs(other - top) <= 250 for other in beside[c]) >= len(beside[c])
+    }
     levels = {}
     for cell in cells:
         water, todo = {cell}, [cell]
@@ -50,8 +60,8 @@ def slow_level(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64])
             water |= beside
             todo += beside
         near = sorted(
-            tops[c]
-            for c in water & set(tops)
+            agreed[c]
+            for c in water & set(agreed)
             if abs(c[0] - cell[0]) <= 5 and abs(c[1] - cell[1]) <= 5
         )
         levels[cell] = int(near[(len(near) - 1) // 2]) if near else -(2**40)
@@ -100,6 +110,17 @@ def test_decks_crowns_and_noise_above_do_not_lift_the_level() -> None:
     z[stray] = level[stray] + rng.uniform(0, 100, int(stray.sum()))
     found = water_level(*quantised(x, y, z)) / 1000
     assert np.abs(found - level).max() < 0.03
+
+
+def test_crowns_over_most_of_a_creek_do_not_lift_its_level() -> None:
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(0, (EDGE_M, 8.0), (int(20 * EDGE_M * 8), 2)).T
+    level = 50 - 0.005 * x
+    z = level + rng.normal(0, RANGING_SD_M, len(x))
+    leaf = (np.sin(x / 6) > -0.5) & (rng.random(len(x)) < 0.9)
+    z[leaf] = level[leaf] + rng.uniform(1.5, 9, int(leaf.sum()))
+    found = water_level(*quantised(x, y, z)) / 1000
+    assert np.abs(found - level).max() < 0.25
 
 
 def test_a_pond_beside_a_lake_keeps_its_own_level() -> None:

@@ -6,13 +6,14 @@ points. Clear water may send back many more returns from its bottom than from it
 level is no mean and no median of what is there; it is the top layer:
 
 1. of each absolute cell of 5 m: the highest returns of which :data:`TOP_COUNT`, and
-   :data:`TOP_SHARE` of all, lie within :data:`LAYER_M`; their median height;
+   :data:`TOP_SHARE` of all, lie within :data:`LAYER_M`; their median height, if a third of the
+   tops of the eight cells around agree with it: those of crowns do not;
 2. of the cells within :data:`REACH_CELLS` that hang together with it: the median of these.
 
-What is assumed: polygons hold water. Decks, boats and crowns above it cover less than half of
-55 m x 55 m of it, and the surface itself sends back a twentieth of the returns in more than half
-of that. Nothing is assumed of slopes: a median of what lies around a cell of a river follows its
-fall, and is off by that over some metres where the polygon ends.
+What is assumed: polygons hold water. Of the tops of 55 m x 55 m of it, those of decks, boats and
+banks are less than half. Where none agree, as in a creek under trees, nothing is below the water.
+Nothing is assumed of slopes: a median of what lies around a cell of a river follows its fall, and
+is off by that over some metres where the polygon ends.
 """
 
 from typing import Final, NamedTuple
@@ -41,6 +42,9 @@ LAYER_M: Final = 0.3
 TOP_COUNT: Final = 3
 TOP_SHARE: Final = 0.05
 """Returns that make a layer: so many, and so much of the cell."""
+
+AGREE_M: Final = 0.25
+"""Tops of neighbouring cells of one water differ by no more: a fall of a twentieth [m]."""
 
 BELOW_M: Final = 0.25
 """Returns farther below the level are no surface: five ranging spreads [m]."""
@@ -172,16 +176,25 @@ def _tops(z: Heights, start: NDArray[np.intp]) -> NDArray[np.float64]:
 
 
 def _median_around(tops: NDArray[np.float64], place: tuple[Heights, Heights]) -> Heights:
-    """Median of the tops around each cell in its water, far below where there is none: (m,)."""
+    """Median of the tops that agree in the water around each cell, else far below: (m,)."""
     i, j = (along - int(along.min()) + REACH_CELLS for along in place)
-    grid = np.full((int(i.max()) + REACH_CELLS + 1, int(j.max()) + REACH_CELLS + 1), np.nan)
-    held = np.zeros(grid.shape, np.bool_)
-    grid[i, j], held[i, j] = tops, True
+    held = np.zeros((int(i.max()) + REACH_CELLS + 1, int(j.max()) + REACH_CELLS + 1), np.bool_)
+    held[i, j] = True
     water, _ = ndimage.label(held, np.ones((3, 3), np.int32))
-    steps = np.arange(-REACH_CELLS, REACH_CELLS + 1)
-    at = i[:, None, None] + steps[:, None], j[:, None, None] + steps
-    near = np.where(water[at] == water[i, j][:, None, None], grid[at], np.nan)
-    near = np.sort(near.reshape(len(tops), -1), axis=1)  # NaN comes last
-    known = np.count_nonzero(~np.isnan(near), axis=1)
+    own = water[i, j][:, None, None]
+
+    def around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+        """Values of the cells of the same water, row by row: (m, (2 reach + 1)^2)."""
+        grid = np.full(held.shape, np.nan)
+        grid[i, j] = values
+        steps = np.arange(-reach, reach + 1)
+        at = i[:, None, None] + steps[:, None], j[:, None, None] + steps
+        return np.where(water[at] == own, grid[at], np.nan).reshape(len(values), -1)
+
+    beside = around(tops, 1)
+    alike = np.count_nonzero(np.abs(beside - tops[:, None]) <= quanta(AGREE_M), axis=1) - 1
+    others = np.count_nonzero(~np.isnan(beside), axis=1) - 1
+    near = np.sort(around(np.where(3 * alike >= others, tops, np.nan), REACH_CELLS), axis=1)
+    known = np.count_nonzero(~np.isnan(near), axis=1)  # NaN comes last
     middle = near[np.arange(len(tops)), np.maximum(known - 1, 0) // 2]
     return np.where(known > 0, middle, _NOWHERE).astype(np.int64)
