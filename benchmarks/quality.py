@@ -19,6 +19,7 @@ import shapely
 from affine import Affine
 from numpy.typing import NDArray
 from rasterio.features import rasterize
+from scipy import ndimage
 
 from benchmarks import methods
 
@@ -43,7 +44,7 @@ BARS: dict[str, Bar] = {
 def main(folder: Path) -> dict[str, float]:
     """Measure one processed survey and print the figures."""
     points = _load(folder)
-    figures = {**_kept(points), **_terrain(folder), **_spikes(folder, points)}
+    figures = {**_kept(folder, points), **_terrain(folder), **_spikes(folder, points)}
     figures |= _noise_kept(folder, points)
     if "noise_density" in points:
         figures["expected / true noise density"] = _density_ratio(folder, points)
@@ -70,7 +71,7 @@ def _load(folder: Path) -> dict[str, NDArray[np.generic]]:
     return {name: np.concatenate(values) for name, values in parts.items()}
 
 
-def _kept(points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
+def _kept(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
     kind, signal = points["kind"], points["noise_class"] == 0
     shares = {
         f"{name} kept %": 100 * float(signal[kind == KINDS.index(name)].mean())
@@ -79,12 +80,12 @@ def _kept(points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
     }
     background = kind == KINDS.index("background")
     afterpulse = kind == KINDS.index("afterpulse")
+    in_water = _in_water(folder, points)
     for name, given in (("water", 9), ("bottom", 1)):
-        of = kind == KINDS.index(name)
+        of = in_water & (kind == KINDS.index(name))
         if of.any():
-            shares[f"{name} of class {given} %"] = 100 * float(
-                (points["classification"][of] == given).mean()
-            )
+            share = float((points["classification"][of] == given).mean())
+            shares[f"{name} in its polygon of class {given} %"] = 100 * share
     hard = afterpulse & np.isin(points["parent"], (KINDS.index("ground"), KINDS.index("roof")))
     soft = afterpulse & (points["parent"] == KINDS.index("vegetation"))
     return {
@@ -123,23 +124,38 @@ def _terrain(folder: Path) -> dict[str, float]:
         "DTM mean |difference| everywhere cm": 100 * float(np.abs(difference[valid]).mean()),
         "DTM worst difference cm": 100 * float(np.abs(difference[valid]).max()),
     }
-    if (valid & wet).any():
-        off = difference[valid & wet]
-        figures["DTM RMSE on water cm"] = 100 * float(np.sqrt(np.mean(off**2)))
-        figures["DTM mean difference on water cm"] = 100 * float(off.mean())
+    inner = valid & ndimage.binary_erosion(wet, np.ones((3, 3)))
+    if inner.any():
+        off = difference[inner]
+        figures["DTM RMSE within water cm"] = 100 * float(np.sqrt(np.mean(off**2)))
+        figures["DTM mean difference within water cm"] = 100 * float(off.mean())
     return figures
+
+
+def _polygons(folder: Path) -> list[shapely.Polygon]:
+    """Water of the scene."""
+    truth = json.loads((folder / "truth" / "scene.json").read_text(encoding="utf-8"))["scene"]
+    east, north = truth["origin_m"][:2]
+    return [
+        shapely.Polygon([(x + east, y + north) for x, y in water["ring_m"]])
+        for water in truth["water"]
+    ]
+
+
+def _in_water(folder: Path, points: dict[str, NDArray[np.generic]]) -> NDArray[np.bool_]:
+    """Points within the water's outlines."""
+    found = np.zeros(len(points["x"]), np.bool_)
+    for polygon in _polygons(folder):
+        found |= shapely.contains_xy(polygon, points["x"], points["y"])
+    return found
 
 
 def _water(folder: Path, at: Affine, shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Cells of the true rasters that water covers in part."""
-    truth = json.loads((folder / "truth" / "scene.json").read_text(encoding="utf-8"))["scene"]
-    east, north = truth["origin_m"][:2]
-    rings = [[(x + east, y + north) for x, y in water["ring_m"]] for water in truth["water"]]
-    polygons = [shapely.Polygon(ring) for ring in rings]
+    polygons = _polygons(folder)
     if not polygons:
         return np.zeros(shape, np.bool_)
-    covered = rasterize(polygons, shape, transform=at, all_touched=True)
-    return covered.astype(np.bool_)
+    return rasterize(polygons, shape, transform=at, all_touched=True).astype(np.bool_)
 
 
 def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
