@@ -1,10 +1,11 @@
 """Afterpulses everywhere: removed and lost, against the best that the physics allows.
 
-``python -m benchmarks.afterpulses [FOLDER]`` simulates canopies that differ in afterpulse law,
-extinction, brightness and ground occupancy, roofs, and clear water with a bottom, into FOLDER (a
-temporary one by default). The method is told the preset's law only (p 0.15, scale 0.7 m): what
-it uses is fitted. Lags beyond the dead time are exponential and end 3 m behind the parent; 0.1-0.2
-afterpulses follow a detection ([W17] 7.5: 10-20 on 80-100 signal returns, within 2-3 m).
+``python -m benchmarks.afterpulses [FOLDER] [--only bounds canopies lights surfaces]`` simulates
+canopies that differ in afterpulse law, extinction, brightness and ground occupancy, roofs, and
+clear water with a bottom, into FOLDER (a temporary one by default). The method is told the
+preset's law only (p 0.15, scale 0.7 m): what it uses is fitted. Lags beyond the dead time are
+exponential and end 3 m behind the parent; 0.1-0.2 afterpulses follow a detection ([W17] 7.5: 10-20
+on 80-100 signal returns, within 2-3 m).
 
 In crowns a true second return has the same signature. How often, and what tells the two apart,
 depends on how leaves hang: evenly through a crown, or in clumps with air between them, where other
@@ -16,8 +17,9 @@ canopy's extinction; the last one of vegetation tells what less light changes. T
 stands for all that makes leaves brighter, and set-ups of [W18] for what surveys have of it.
 """
 
-import sys
+import argparse
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,24 +66,20 @@ FOOTPRINT_M = 4.0
 THRESHOLDS = (0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 
 
-def main(folder: Path) -> dict[str, dict[str, float]]:
+def main(folder: Path, parts: Sequence[str]) -> dict[str, dict[str, float]]:
     """Print the tables; figures by scene."""
-    found = bounds(folder)
+    found: dict[str, dict[str, float]] = {}
+    for part in parts:
+        found |= PARTS[part](folder)
+    return found
+
+
+def canopies(folder: Path) -> dict[str, dict[str, float]]:
+    """Print what is removed and lost in canopies of the preset's light; figures by scene."""
+    found: dict[str, dict[str, float]] = {}
     print("Vegetation: afterpulses removed [%] where 2 % of vegetation is lost, and by default")
-    names = (
-        "p",
-        "fitted",
-        "scale m",
-        "fitted",
-        "bound",
-        "place",
-        "ours",
-        "shot",
-        "default",
-        "lost",
-        "bound 80",
-        "ground-",
-    )
+    names = ("p", "fitted", "scale m", "fitted", "bound", "place", "ours", "shot", "default",
+             "lost", "bound 80", "ground-")  # fmt: skip
     print(f"{'':28s}" + "".join(f"{n:>9s}" for n in names))
     curve = ""
     for content in CANOPIES:
@@ -96,12 +94,15 @@ def main(folder: Path) -> dict[str, dict[str, float]]:
         }
         print(f"{name:28s}" + "".join(f"{v:9.3f}" for v in found[name].values()), flush=True)
         curve = curve or curves(survey)
-    print(
-        "p and scale: simulated, fitted; place: of the bound's knowledge only the true rate there;"
-    )
+    print("p and scale: simulated, fitted; place: of what the bound knows only the true rate")
     print("bound 80: lost where the bound removes 80 %; ground-: lost\n")
     print(f"Removed / lost [%] by threshold, {CANOPIES[0]['name']}\n{curve}")
-    found |= lights(folder)
+    return found
+
+
+def surfaces(folder: Path) -> dict[str, dict[str, float]]:
+    """Print what the whole filter keeps and removes at roofs and water; figures by scene."""
+    found: dict[str, dict[str, float]] = {}
     print("Labels of the whole filter [%]: kept and removed; published is for roofs")
     for content, polygons in [(ROOFS, True), *((w, p) for w in WATERS for p in (True, False))]:
         name = content["name"]
@@ -290,9 +291,14 @@ def labels(survey: Prepared) -> dict[str, float]:
     return out
 
 
+PARTS = {"bounds": bounds, "canopies": canopies, "lights": lights, "surfaces": surfaces}
+"""What prints each table, given a folder."""
+
+
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        main(Path(sys.argv[1]))
-    else:
-        with tempfile.TemporaryDirectory() as temporary:
-            main(Path(temporary))
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS))
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        main(given.folder or Path(temporary), given.only)

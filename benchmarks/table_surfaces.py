@@ -67,23 +67,24 @@ def surface_tables(folder: Path, seeds: Sequence[int]) -> dict[str, dict[str, fl
     figures: dict[str, dict[str, list[float]]] = {key: {} for key in known}
     for seed in seeds:
         survey = methods.make_survey(canopy(seed), folder / f"canopy_{seed}")
-        points, reference = methods.load_truth(survey), _reference(survey)
+        points, reference = methods.load_truth(survey), reference_points(survey)
         roofs = [
-            _patch(points, reference, r, CLASS_BUILDING) for r in roof_regions(survey, SQUARE_M**2)
+            patch_above(points, reference, r, CLASS_BUILDING)
+            for r in roof_regions(survey, SQUARE_M**2)
         ]
-        lawns, groves = _squares(survey)
-        ground = [_patch(points, reference, r, CLASS_GROUND) for r in lawns]
+        lawns, groves = lawns_and_groves(survey)
+        ground = [patch_above(points, reference, r, CLASS_GROUND) for r in lawns]
         for key, method in known.items():
             kept = methods.judge(survey, method) == 0
             tops = [_top_rmse(points, reference, r, kept) for r in groves]
             values = {
-                "roofs": [_rmse(p, kept) for p in roofs],
-                "ground": [_rmse(p, kept) for p in ground],
+                "roofs": [near_rmse(p, kept) for p in roofs],
+                "ground": [near_rmse(p, kept) for p in ground],
                 "canopy": [rmse for rmse, _ in tops],
                 "spikes %": [share for _, share in tops],
-                "removed %": [_noise_removed(roofs, points, kept, (BACKGROUND, AFTERPULSE))],
-                "backgr. %": [_noise_removed(roofs, points, kept, (BACKGROUND,))],
-                "afterp. %": [_noise_removed(roofs, points, kept, (AFTERPULSE,))],
+                "removed %": [noise_removed(roofs, points, kept, (BACKGROUND, AFTERPULSE))],
+                "backgr. %": [noise_removed(roofs, points, kept, (BACKGROUND,))],
+                "afterp. %": [noise_removed(roofs, points, kept, (AFTERPULSE,))],
             }
             for name, found in values.items():
                 figures[key].setdefault(name, []).extend(found)
@@ -125,9 +126,9 @@ def roof_table(folder: Path, seeds: Sequence[int]) -> dict[str, float]:
     counts: dict[str, list[NDArray[np.int64]]] = {name: [] for name in variants}
     for seed in seeds:
         survey = methods.make_survey(houston(seed), folder / f"houston_{seed}")
-        points, reference = methods.load_truth(survey), _reference(survey)
+        points, reference = methods.load_truth(survey), reference_points(survey)
         roofs = [
-            _patch(points, reference, r, CLASS_BUILDING) for r in roof_regions(survey, ROOF_M2)
+            patch_above(points, reference, r, CLASS_BUILDING) for r in roof_regions(survey, ROOF_M2)
         ]
         for name, method in variants.items():
             kept = methods.judge(survey, method) == 0
@@ -160,13 +161,16 @@ def roof_regions(survey: Path, area_m2: float) -> list[shapely.Polygon]:
     return [scale(roof, f, f) for roof, f in zip(roofs, factors, strict=True)]
 
 
-def _reference(survey: Path) -> Columns:
+def reference_points(survey: Path) -> Columns:
+    """Returns of the linear-mode lidar: x, y, z [m], class."""
     tables = list(iter_points(survey / "reference_lml.laz", channel_dimension=None, source=0))
     columns = {a: np.concatenate([t[a] * QUANTUM_M for t in tables]) for a in "xyz"}
     return columns | {"class": np.concatenate([t["input_class"] for t in tables])}
 
 
-def _patch(points: Columns, reference: Columns, region: shapely.Polygon, class_code: int) -> Patch:
+def patch_above(
+    points: Columns, reference: Columns, region: shapely.Polygon, class_code: int
+) -> Patch:
     """Returns above a region, and their height over a TIN of the reference's returns of a class.
 
     The TIN is linear between returns: a gable's ridge is cut by less than their spacing.
@@ -193,15 +197,17 @@ def _within(points: Columns, region: shapely.Polygon) -> NDArray[np.bool_]:
     return out
 
 
-def _rmse(patch: Patch, kept: NDArray[np.bool_]) -> float:
+def near_rmse(patch: Patch, kept: NDArray[np.bool_], near_m: float = NEAR_M) -> float:
+    """RMSE of the kept returns this near to the surface [m]."""
     rows, above = patch
-    used = above[kept[rows] & (np.abs(above) <= NEAR_M)]
+    used = above[kept[rows] & (np.abs(above) <= near_m)]
     return float(np.sqrt(np.mean(used**2)))
 
 
-def _noise_removed(
+def noise_removed(
     roofs: Sequence[Patch], points: Columns, kept: NDArray[np.bool_], kinds: Sequence[int]
 ) -> float:
+    """Share of the noise near roofs, of some kinds, that is not kept [%]."""
     gone = total = 0
     for rows, above in roofs:
         near = (np.abs(above) >= CLEAR_M) & (np.abs(above) <= BENEATH_M)
@@ -223,7 +229,7 @@ def _beneath(patch: Patch, points: Columns, kept: NDArray[np.bool_]) -> NDArray[
     return np.array([v for g in groups for v in ((g & ~kept[rows]).sum(), g.sum())])
 
 
-def _squares(survey: Path) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
+def lawns_and_groves(survey: Path) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
     """The barest and the most wooded squares, five each, apart from roofs and each other."""
     with (
         rasterio.open(survey / "truth" / "dtm.tif") as low,
