@@ -208,6 +208,23 @@ def test_voids_are_filled_up_to_the_stated_distance_only():
     assert (rasters["density"][inward > 1.5] == 0).all()
 
 
+def test_a_hall_wider_than_the_margin_leaves_no_void_near_ground():
+    # Its rim runs askew: the ground that is read has no far side, and its triangles end there.
+    ground, (x, y) = terrain(), centres()
+    within, deep = ((a - b + 52) / np.sqrt(2) for a, b in ((ground[:, 0], ground[:, 1]), (x, y)))
+    hall = within > 0
+    points = np.where(hall[:, None], ground + np.array([0, 0, 9.0]), ground)
+    covered = surfaces(table_of(points, ground=~hall), CELL, SETTINGS)["dtm"]
+    near = (deep > 0) & (deep < 3.5)
+    assert (covered[deep < 3.5] != NODATA).all()
+    assert (covered[deep > 6.5] == NODATA).all()
+    # The unknown corner is as high as the nearest ground: less than the slope across the reach.
+    assert np.abs(covered - (100 + 0.5 * x - 0.2 * y))[near].max() < 0.54 * SETTINGS.void_max_m
+    # Where nothing was returned the survey ends: no terrain beyond its edge.
+    ended = surfaces(table_of(ground[~hall], ground=1), CELL, SETTINGS)["dtm"]
+    assert (ended[deep > 2.5] == NODATA).all()
+
+
 def test_returns_that_nothing_assessed_count_only_where_no_signal_is():
     signal = terrain(density=10)
     west = signal[:, 0] < -10

@@ -27,6 +27,7 @@ Returns that the filter has not assessed (no beam; or no filter at all) take par
 raster cell only where it holds no assessed signal: there they are all that is known.
 """
 
+import itertools
 from typing import Final
 
 import numpy as np
@@ -70,6 +71,9 @@ PRODUCTS: Final = ("dtm", "dsm", "chm", "density", "intensity")
 
 GROUND_FLOOR_M: Final = 0.15
 """Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
+
+CORNER_CELLS: Final = 3
+"""Returns so near to a corner of the area that is read cover it [raster cells]."""
 
 PIT_M: Final = 2.0
 """Cells so far below most of those around are pits [m]."""
@@ -165,8 +169,33 @@ def _terrain(table: PointTable, cell: Bounds, settings: ProductSettings) -> NDAr
     means = np.empty((rows * cols, 3))
     robust_cell_means(_local(ground, order, wide), start, GROUND_FLOOR_M / QUANTUM_M, means)
     vertices = means[~np.isnan(means[:, 2])]
+    vertices = np.concatenate([vertices, _covered_corners(table, wide, vertices, size)])
     vertices[:, :2] -= wide.xmax - cell.xmax
     return tin_raster(vertices, size, _shape(cell, size), quanta(settings.void_max_m))
+
+
+def _covered_corners(
+    table: PointTable, wide: Bounds, vertices: NDArray[np.float64], size: int
+) -> NDArray[np.float64]:
+    """Vertices for corners of an area that have returns but no ground: (k, 3) [quanta].
+
+    A hall or a lake wider than the margin may hide the ground around a corner. The triangles would
+    end at its rim, and cells in it that lie near enough to ground would stay void. The corner is as
+    high as the nearest vertex, which counts only for the slope of those cells; where nothing was
+    returned the survey ends, and so do the triangles.
+    """
+    near, found = CORNER_CELLS * size, []
+    for corner in itertools.product((0, wide.xmax - wide.xmin), (0, wide.ymax - wide.ymin)):
+        away = np.abs(vertices[:, :2] - corner).max(axis=1)
+        if not len(away) or away.min() <= near:
+            continue
+        held = np.abs(table["x"] - (wide.xmin + corner[0])) <= near
+        held &= np.abs(table["y"] - (wide.ymin + corner[1])) <= near
+        held &= inside(table["x"], table["y"], wide) & (table["noise_class"] == NOISE_SIGNAL)
+        if (held & ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)).any():
+            distance2 = ((vertices[:, :2] - corner) ** 2).sum(axis=1)
+            found.append([*corner, vertices[distance2.argmin(), 2]])
+    return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
 def _signal(
