@@ -88,17 +88,20 @@ class Result:
         )
 
 
-def wire_tables(folder: Path, seeds: Sequence[int]) -> dict[tuple[str, str, str], Result]:
-    """Print Tables 1-3, pooled over seeds; results by twin, kind of line and method."""
+def wire_tables(
+    folder: Path, seeds: Sequence[int], twins: Sequence[str] = tuple(BRIGHTER)
+) -> dict[tuple[str, str, str], Result]:
+    """Print the tables of some twins, pooled over seeds; results by twin, kind and method."""
     known = methods.known_methods()
     skipped = {"tail", "calibrated", "voxel", "multilevel", "cylinder"}
     found: dict[tuple[str, str, str], Result] = {}
     chosen = {key: method for key, method in known.items() if key not in skipped}
-    for name in ("easton", "lufkin"):
+    for name in twins:
         found |= _measure(name, folder, seeds, chosen)
         found |= _measure(BRIGHTER[name], folder, seeds, {k: known[k] for k in BRIGHT})
     for twin, kind in PUBLISHED:
-        _print(twin, kind, found, known)
+        if twin in twins:
+            _print(twin, kind, found, known)
     return found
 
 
