@@ -153,6 +153,7 @@ def terrain_figures(dtm: Grid, truth: Truth) -> dict[str, float]:
     above = truth.surface - truth.terrain
     known = ~np.isnan(off) & ~truth.water
     roof = core(truth.roof) & known
+    bare = known & ~ndimage.binary_dilation(truth.roof, np.ones((3, 3), dtype=np.bool_))
     clear = known & (np.abs(above) < 0.2)
     canopy = known & ~truth.roof & (above >= 0.2)
     return {
@@ -162,6 +163,7 @@ def terrain_figures(dtm: Grid, truth: Truth) -> dict[str, float]:
         "DTM mean |d| under canopy cm": 100 * float(np.abs(off[canopy]).mean()),
         "DTM mean |d| under roofs cm": 100 * float(np.abs(off[roof]).mean()),
         "DTM cells off by > 0.5 m per 10 000": 1e4 * float(np.mean(np.abs(off[known]) > 0.5)),
+        "the same where no roof is": 1e4 * float(np.mean(np.abs(off[bare]) > 0.5)),
         "DTM largest |d| m": float(np.abs(off[known]).max()),
     }
 
