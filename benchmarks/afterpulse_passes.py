@@ -14,6 +14,7 @@ made of the same numbers by hand would.
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,7 @@ class _Seen:
         return np.concatenate(columns, axis=1)
 
 
-def _look(name: str, by_name: dict[str, dict], folder: Path) -> _Seen:
+def _look(name: str, by_name: dict[str, dict[str, Any]], folder: Path) -> _Seen:
     place = folder / name.replace(" ", "_")
     return _Seen(prepare(by_name[name], place), place)
 

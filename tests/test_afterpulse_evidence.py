@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from benchmarks import afterpulse_tables
 from benchmarks.afterpulse_bound import Best
-from benchmarks.afterpulse_scenes import scene
-from benchmarks.afterpulses import AFTERPULSE, GROUND, ROOF
+from benchmarks.afterpulse_scenes import WATERS, scene
+from benchmarks.afterpulses import AFTERPULSE, BOTTOM, GROUND, ROOF, labels
 from spl_batch.model import PointTable
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.stages import echoes
@@ -55,3 +55,18 @@ def test_under_hard_surfaces_parents_and_planes_each_find_them(
     assert together[mine].mean() >= 0.97
     for found in (without, planes, together):
         assert found[surface].mean() <= 0.001
+
+
+@pytest.mark.parametrize("polygons", [True, False])
+def test_true_bottoms_of_clear_water_stay(tmp_path: Path, *, polygons: bool) -> None:
+    # A true bottom has an afterpulse's signature: a return of its beamlet a short way in front.
+    content = WATERS[1] | {"extent_m": [36, 36], "trees": {"cover": 0.0}}
+    water = {**content["water"][0], "ring_m": [[6, 6], [31, 7], [30, 31], [7, 30]]}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(afterpulse_tables, "echo_chance", no_bound)
+        lake = afterpulse_tables.prepare(content | {"water": [water]}, tmp_path, polygons=polygons)
+    found = labels(lake)
+    assert (lake.kind == BOTTOM).sum() > 500
+    assert found["bottom kept"] >= 95
+    assert found["ground kept"] >= 99.5
+    assert found["afterpulses of ground removed"] >= 97
