@@ -1,6 +1,6 @@
 """Expected over true background, by stratum: ``python -m benchmarks.noise_density [SEED ...]``.
 
-Simulates small surveys with point truth, for each seed anew, runs the chain up to the shuffle,
+``--only STRATUM ...`` leaves the others out. Simulates small surveys with point truth, for each seed anew, runs the chain up to the shuffle,
 and compares the expected noise of voxels with the background returns that truth counts in them. A
 stratum is a set of voxels chosen by geometry alone (flightlines, extent, where the gate ends), so
 voxels without a single point count as well. Beside each ratio stands what the published correction
@@ -10,11 +10,11 @@ of true returns, all seeds together; the ratios of single seeds stand last.
 For the surveys without a trajectory the beams are compared with the true ones as well.
 """
 
+import argparse
 import itertools
 import json
-import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -143,12 +143,12 @@ class Sums(NamedTuple):
     published: float
 
 
-def main(seeds: list[int]) -> None:
-    """Print the table of all seeds pooled."""
+def main(seeds: Sequence[int], names: Sequence[str]) -> None:
+    """Print the table of some strata, all seeds pooled."""
     found: dict[str, list[Sums]] = {}
     for seed in seeds:
         with tempfile.TemporaryDirectory() as temporary:
-            for name, sums in strata(seed, Path(temporary)):
+            for name, sums in strata(seed, Path(temporary), names):
                 found.setdefault(name, []).append(sums)
                 ratio = sums.expected / sums.true
                 print(f"seed {seed}, {name}: {ratio:.4f} of {sums.true:.0f}", flush=True)
@@ -167,10 +167,12 @@ def main(seeds: list[int]) -> None:
         print(f"{name:32s}{true:14.0f}{ratio:15.4f}{true**-0.5:8.4f}{published}   {single}{remark}")
 
 
-def strata(seed: int, scratch: Path) -> Iterator[tuple[str, Sums]]:
-    """Every stratum of one seed, whose surveys are made in a folder."""
+def strata(seed: int, scratch: Path, names: Sequence[str]) -> Iterator[tuple[str, Sums]]:
+    """Strata of one seed, whose surveys are made in a folder."""
     known: dict[tuple[str, ...], Voxels] = {}
     for name, scene, overrides, region in STRATA:
+        if name not in names:
+            continue
         folder = scratch / scene.replace(" ", "_")
         if not folder.exists():
             content = {"name": scene, "seed": seed, **BASE, **SCENES[scene]}
@@ -188,14 +190,16 @@ def strata(seed: int, scratch: Path) -> Iterator[tuple[str, Sums]]:
 
 def print_settings(seed: int, scratch: Path) -> None:
     """Print how few beamlets return, and how well beams are known without a trajectory."""
-    receipts = (scratch / "low" / "out" / "store" / "receipts" / "fit_line").glob("*")
-    seen = [json.loads(path.read_text())["facts"]["seen_fraction"] for path in receipts]
-    low, high = 100 * min(seen), 100 * max(seen)
-    print(f"seed {seed}, low occupancy: {low:.1f} to {high:.1f} % of beamlets seen")
-    blind = ("survey.trajectory=null",)
-    _print_beams(scratch / "edges", blind)
-    _print_beams(scratch / "low", blind)
-    _print_beams(scratch / "edges", (*blind, "survey.channel_dimension=null"))
+    for folder in sorted(scratch.iterdir()):
+        receipts = (folder / "out" / "store" / "receipts" / "fit_line").glob("*")
+        seen = [json.loads(path.read_text())["facts"]["seen_fraction"] for path in receipts]
+        if seen:
+            low, high = 100 * min(seen), 100 * max(seen)
+            print(f"seed {seed}, {folder.name}: {low:.1f} to {high:.1f} % of beamlets seen")
+    blind, alike = ("survey.trajectory=null",), ("survey.channel_dimension=null",)
+    for name, overrides in (("edges", blind), ("low", blind), ("edges", (*blind, *alike))):
+        if (scratch / name / _output(overrides)).exists():
+            _print_beams(scratch / name, overrides)
 
 
 def voxels(folder: Path, overrides: tuple[str, ...]) -> Voxels:
@@ -318,4 +322,9 @@ def _print_beams(folder: Path, overrides: tuple[str, ...]) -> None:
 
 
 if __name__ == "__main__":
-    main([int(seed) for seed in sys.argv[1:]] or [1])
+    known = [name for name, *_ in STRATA]
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("seeds", nargs="*", type=int, default=[1])
+    parser.add_argument("--only", nargs="+", choices=known, default=known)
+    given = parser.parse_args()
+    main(given.seeds, given.only)
