@@ -1,11 +1,12 @@
 """Expected over true background, by stratum: ``python -m benchmarks.noise_density [SEED ...]``.
 
-``--only STRATUM ...`` leaves the others out. Simulates small surveys with point truth, for each seed anew, runs the chain up to the shuffle,
-and compares the expected noise of voxels with the background returns that truth counts in them. A
-stratum is a set of voxels chosen by geometry alone (flightlines, extent, where the gate ends), so
-voxels without a single point count as well. Beside each ratio stands what the published correction
-for silent beamlets, gamma = 100 n_u / n [W18 2.2.2], makes of it. The error is that of the number
-of true returns, all seeds together; the ratios of single seeds stand last.
+``--only STRATUM ...`` leaves the others out. Simulates small surveys with point truth, for each
+seed anew, runs the chain up to the shuffle, and compares the expected noise of voxels with the
+background returns that truth counts in them. A stratum is a set of voxels chosen by geometry alone
+(flightlines, extent, where the gate ends), so voxels without a single point count as well. Beside
+each ratio stands what the published correction for silent beamlets, gamma = 100 n_u / n
+[W18 2.2.2], makes of it. The error is that of the number of true returns, all seeds together; the
+ratios of single seeds stand last.
 
 For the surveys without a trajectory the beams are compared with the true ones as well.
 """
@@ -191,7 +192,7 @@ def strata(seed: int, scratch: Path, names: Sequence[str]) -> Iterator[tuple[str
 def print_settings(seed: int, scratch: Path) -> None:
     """Print how few beamlets return, and how well beams are known without a trajectory."""
     for folder in sorted(scratch.iterdir()):
-        receipts = (folder / "out" / "store" / "receipts" / "fit_line").glob("*")
+        receipts = folder.glob("out*/store/receipts/fit_line/*")
         seen = [json.loads(path.read_text())["facts"]["seen_fraction"] for path in receipts]
         if seen:
             low, high = 100 * min(seen), 100 * max(seen)
