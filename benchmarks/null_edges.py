@@ -1,17 +1,20 @@
-"""Is pure noise kept evenly along edges? ``python -m benchmarks.null_edges [SEED ...]``.
+"""Is pure noise kept evenly along gates and edges? ``python -m benchmarks.null_edges [SEED ...]``.
 
-Simulates two flightlines that overlap in part, runs the chain up to the shuffle, and decides about
-the true background that is far from every true signal by the whole filter as shipped, its links
-and the scan for conductors, by distance from the gate's ends, from the edge of what is covered,
-and from the edge of the other flightline. Printed is the share kept over alpha with its standard
-error, with the density that the test is given (:mod:`~spl_batch.runner.expected`), and for
-comparison, without error, with the mean of the whole voxel [W18 Eq. 2]. Noise is kept in groups,
-strong points and what is linked to them, so the error is that of cubes of 25 m: the root of the
-sum of squares of what each keeps more or less than the mean.
+Option: ``--scenes parallel crossing``, both of them without it. Simulates two flightlines that
+overlap in part, or that cross in a short gate under a changing sky; runs the chain up to the
+shuffle, and decides about the true background that is far from every true signal by the whole
+filter as shipped, its links and the scan for conductors: by layer along the gate, from its upper
+end and from its lower one; by the number of flightlines over it, away from edges; by distance from
+the edge of what is covered, and from the edge of the other flightline. Printed is the share kept
+over alpha with its standard error, with the density that the test is given
+(:mod:`~spl_batch.runner.expected`), and for comparison, without error, with the mean of the whole
+voxel [W18 Eq. 2]. Noise is kept in groups, strong points and what is linked to them, so the error
+is that of cubes of 25 m: the root of the sum of squares of what each keeps more or less than the
+mean.
 """
 
+import argparse
 import itertools
-import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,13 +31,17 @@ from spl_batch import api
 from spl_batch.io.store import Store
 from spl_batch.io.trajectory import read_trajectory
 from spl_batch.runner.expected import expected_noise
+from spl_batch.settings import FilterSettings
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import parse_scene
 from spl_batch.stages.cloud import Cloud
-from spl_batch.workflow import FilterSettings, load_workflow
+from spl_batch.workflow import load_workflow
 
 ALPHAS = (0.05, 0.01, 0.001)
 BINS_M = (0.0, 2.0, 5.0, 10.0, 50.0)
+LAYERS_M = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 80.0)
+AWAY_M = BINS_M[-2]
+"""No edge is nearer than this to what is counted along another one [m]."""
 PURE_M = 15.0
 """Noise this far from every true signal is pure [m]; reaches of test and links add up."""
 WINDOW_S = 0.004
@@ -44,14 +51,28 @@ CUBE_M = 25.0
 CELL_M, LAYER_M = 2.0, 10.0
 """Lattice on which a flightline's own noise shows what it covers."""
 
-SCENE: Mapping[str, Any] = {
-    "name": "edges",
-    "extent_m": [160, 140],
+BASE: Mapping[str, Any] = {
     "terrain": {"relief_m": 5, "wavelength_m": 120},
     "reference": {"density_per_m2": 0.05},
-    "flights": [{"heading_deg": 0, "offset_m": 560}, {"heading_deg": 0, "offset_m": -590}],
-    "sky": {"background_per_m3": 0.08},
-    "acquisition": {"prf_hz": 60_000, "gate_m": 150},
+}
+SCENES: Mapping[str, Mapping[str, Any]] = {
+    "parallel": {
+        "extent_m": [160, 140],
+        "flights": [{"heading_deg": 0, "offset_m": 560}, {"heading_deg": 0, "offset_m": -590}],
+        "sky": {"background_per_m3": 0.08},
+        "acquisition": {"prf_hz": 60_000, "gate_m": 150},
+    },
+    "crossing": {
+        "extent_m": [120, 120],
+        "flights": [{"heading_deg": 20, "offset_m": 250}, {"heading_deg": 110, "offset_m": -250}],
+        "sky": {"background_per_m3": 0.1, "variation": 0.3},
+        "acquisition": {
+            "prf_hz": 60_000,
+            "gate_m": 100,
+            "dead_channels": [12, 77],
+            "weak_channels": {5: 0.2},
+        },
+    },
 }
 
 Floats = NDArray[np.float64]
@@ -65,31 +86,44 @@ class Noise(NamedTuple):
     cube: NDArray[np.int64]
 
 
-def main(seeds: list[int]) -> None:
-    """Print the table of all seeds pooled."""
-    found = []
-    for seed in seeds:
-        with tempfile.TemporaryDirectory() as temporary:
-            folder = Path(temporary)
-            simulate(parse_scene({**SCENE, "seed": seed}, "edges"), folder)
-            found.append(survey(folder))
+def main() -> None:
+    """Print a table for each scene, all its seeds pooled."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("seeds", type=int, nargs="*", default=[1, 2])
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
+    options = parser.parse_args()
+    for name in options.scenes:
+        found = []
+        for seed in options.seeds:
+            with tempfile.TemporaryDirectory() as temporary:
+                folder = Path(temporary)
+                content = {**BASE, **SCENES[name], "name": name, "seed": seed}
+                simulate(parse_scene(content, name), folder)
+                found.append(survey(folder))
+        _print(f"{name}, kept / alpha", found)
+
+
+def _print(title: str, found: list[Noise]) -> None:
     columns = "".join(f"{f'alpha {alpha:g}':>18s}" for alpha in ALPHAS)
     means = "".join(f"{f'mean, {alpha:g}':>14s}" for alpha in ALPHAS)
-    print(f"{'kept / alpha':36s}{'noise':>9s}{columns}{means}")
+    print(f"{title:36s}{'noise':>9s}{columns}{means}")
     for name in found[0].distance:
         distance = np.concatenate([f.distance[name] for f in found])
-        for low, high in _bins(name):
+        for text, low, high in _bins(name):
             mine = (distance >= low) & (distance < high)
-            text = f"{name}, {low:g} to {high:g} m"
             if mine.any():
-                print(f"{text:36s}{mine.sum():9d}{_row(found, mine)}")
+                print(f"{text:36s}{mine.sum():9d}{_row(found, mine)}", flush=True)
 
 
-def _bins(name: str) -> list[tuple[float, float]]:
-    bins = list(itertools.pairwise(BINS_M))
-    if name != "edge of the overlap":
-        return bins
-    return [(-high, -low) for low, high in reversed(bins)] + bins
+def _bins(name: str) -> list[tuple[str, float, float]]:
+    """Label and limits of each row."""
+    if name == "flightlines":
+        return [(f"{n} {name}", n, n + 1) for n in (1, 2)]
+    edges = LAYERS_M if "gate end" in name else BINS_M
+    bins = list(itertools.pairwise(edges))
+    if name == "edge of the overlap":
+        bins = [(-high, -low) for low, high in reversed(bins)] + bins
+    return [(f"{name}, {low:g} to {high:g} m", low, high) for low, high in bins]
 
 
 def _row(found: list[Noise], mine: NDArray[np.bool_]) -> str:
@@ -172,7 +206,8 @@ def _distances(
     high = np.full(window.max() + 1, -np.inf)
     np.minimum.at(low, window[background], reach[background])
     np.maximum.at(high, window[background], reach[background])
-    gate = np.minimum(reach - low[window], high[window] - reach)
+    upper, lower = reach - low[window], high[window] - reach
+    gate = np.minimum(upper, lower)
     index = np.floor(xyz / (CELL_M, CELL_M, LAYER_M)).astype(np.int64)
     index -= index.min(axis=0) - (10, 10, 0)
     shape = tuple(index.max(axis=0) + np.array([11, 11, 1]))
@@ -180,20 +215,24 @@ def _distances(
     for name in np.unique(truth["line"]):
         seen = np.zeros(shape, dtype=np.bool_)
         seen[tuple(index[background & (truth["line"] == name)].T)] = True
-        covered[name] = ndimage.binary_closing(seen, np.ones((5, 5, 1)))
+        covered[name] = ndimage.binary_closing(seen, np.ones((5, 5, 1), np.bool_))
     union = np.any(list(covered.values()), axis=0)
     edge = _signed(union)[tuple(index.T)]
     overlap = np.full(len(xyz), np.nan)
     for name, mask in covered.items():
         mine = truth["line"] != name
         overlap[mine] = _signed(mask)[tuple(index[mine].T)]
+    covers = np.sum([mask[tuple(index.T)] for mask in covered.values()], axis=0, dtype=np.float64)
+    beside = np.nan_to_num(np.abs(overlap), nan=np.inf)
     # near the edge of the survey the two cannot be told apart
-    overlap[edge < BINS_M[-2]] = np.nan
-    inner = np.where(edge < BINS_M[-2], np.nan, gate)
+    overlap[edge < AWAY_M] = np.nan
+    inside, between = edge >= AWAY_M, gate >= AWAY_M
     return {
-        "gate end": inner,
-        "coverage edge": np.where(gate < BINS_M[-2], np.nan, edge),
-        "edge of the overlap": np.where(gate < BINS_M[-2], np.nan, overlap),
+        "upper gate end": np.where(inside & (upper <= lower), upper, np.nan),
+        "lower gate end": np.where(inside & (lower < upper), lower, np.nan),
+        "flightlines": np.where(inside & between & (beside >= AWAY_M), covers, np.nan),
+        "coverage edge": np.where(between, edge, np.nan),
+        "edge of the overlap": np.where(between, overlap, np.nan),
     }
 
 
@@ -208,4 +247,4 @@ def _signed(mask: NDArray[np.bool_]) -> Floats:
 
 
 if __name__ == "__main__":
-    main([int(seed) for seed in sys.argv[1:]] or [1, 2])
+    main()

@@ -53,16 +53,18 @@ def cover(
     near: float,
     far: float,
     edge: float,
+    radius: float,
     squares: NDArray[np.uint16],
 ) -> None:
-    """Count a beamlet in the squares that it crosses half-way up each voxel that it listens in.
+    """Count a beamlet in the squares that it crosses half-way up each layer that it listens in.
 
-    A square is a quarter of a voxel's edge wide. Beams nearer to the horizontal than
-    :data:`STEEP` cross too many to tell by one; they count in the whole voxel.
+    A square is a quarter of a voxel's edge wide. A layer is as high as its spheres: all that
+    adds to their amount counts, however little. Beams nearer to the horizontal than
+    :data:`STEEP` cross too many squares to tell by one; they count in the whole voxel.
 
     Parameters
     ----------
-    voxel, point, direction, near, far, edge
+    voxel, point, direction, near, far, edge, radius
         As :func:`deposit_beamlet` takes them.
     squares : (nx, ny, nz, 16) uint16
         Beamlets in square (x, y) of a voxel at ``x * 4 + y``, at most :data:`MOST`.
@@ -73,8 +75,8 @@ def cover(
         return
     ends = (point[2] + near * along, point[2] + far * along)
     half = 0.5 * edge
-    first = math.floor((min(ends) + half) / edge)
-    for layer in range(first, math.ceil((max(ends) + half) / edge)):
+    first = math.ceil((min(ends) - radius) / edge)
+    for layer in range(first, math.floor((max(ends) + radius) / edge) + 1):
         t = (layer * edge - point[2]) / along
         x = math.floor((point[0] + t * direction[0] + half) * (4.0 / edge))
         y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
@@ -158,7 +160,7 @@ def deposit_beamlet(
         Beamlets that cross each square, see :func:`cover`.
     """
     if squares.size:
-        cover(voxel, point, direction, near, far, edge, squares)
+        cover(voxel, point, direction, near, far, edge, radius, squares)
     axis = 2
     for k in range(2):
         if abs(direction[k]) > abs(direction[axis]):
@@ -261,8 +263,7 @@ def deposit_steep(
             amounts[at + nz] += adds[1, layer]
             amounts[at + ny * nz] += adds[2, layer]
             amounts[at + ny * nz + nz] += adds[3, layer]
-        above = math.floor((low + half) / edge) - first
-        for layer in range(above, math.ceil((high + half) / edge) - first):
+        for layer in range(layers):
             _count(counts, square[layer])
 
 

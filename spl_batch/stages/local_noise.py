@@ -10,8 +10,10 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   of those within, half of them where these are few;
 - where squares are missing, the same ratio of the nine voxels around is taken if it is
   larger: a sliver's own share is known too badly;
-- of a voxel and those above and below, the largest: where a gate ends
-  (:func:`~spl_batch.stages.voxel_noise.within_gate`);
+- a layer in which the gate ends is taken as if it were listened to all through: along a beam the
+  noise changes nowhere else, so what a beamlet that reaches into a layer stands for there, less
+  than in the layer above or below, is made the same. Nine voxels tell how much less; beamlets
+  count in every layer whose spheres they reach (:func:`~spl_batch.kernels.chords.cover`);
 - near the edge of a flightline it counts in part, by the covered part of the squares around,
   linear between their centres: the test of single points looks so far, a metre or two. Where
   beamlets are too few to tell the edge, it counts within a square of those that are covered, in
@@ -36,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.model import VOXEL_FIXED_POINT
-from spl_batch.stages.voxel_noise import sphere_radius_m, within_gate
+from spl_batch.stages.voxel_noise import sphere_radius_m
 
 DOMAIN: Final = "space"
 
@@ -57,6 +59,12 @@ BESIDE_NOTHING: Final = 0.9
 
 SURE: Final = 3.0
 """Standard errors of such a count by which a ridge has to stand out."""
+
+CUT: Final = 2.0
+"""Standard errors by which less than in the layer beside is a gate's end."""
+
+ENOUGH: Final = 0.5
+"""Part of the beamlets of the layer beside from which one tells what a beamlet stands for."""
 
 
 class Listened(NamedTuple):
@@ -157,11 +165,11 @@ def listened(
     inner = _inner(closed)
     clear = _across(np.logical_or, _beamlets_around(beamlets, closed) >= FEW)
     covered = _covered(beamlets, closed, inner, clear)
-    per_m3 = within_gate(_of_covered(amount, closed, covered, voxel_m))
-    each, surely = _of_beamlets(amount, beamlets, covered, voxel_m)
+    each, points = _to_the_ends(amount, beamlets, voxel_m)
+    per_m3 = _of_covered(points, closed, covered)
+    surely = _surely(beamlets, covered)
     rim = clear & _across(np.logical_or, closed & ~inner)
     _vertically(np.logical_or, rim)
-    _vertically(np.logical_or, near)
     near = np.where(clear, closed, near) | rim
     reached = _across(np.logical_or, _across(np.logical_or, closed))
     ridge = _to_squares(each) * _largest(surely)
@@ -262,17 +270,14 @@ def _beamlets_around(
 
 
 def _of_covered(
-    amount: NDArray[np.int64],
-    squares: NDArray[np.bool_],
-    weight: NDArray[np.float32],
-    voxel_m: float,
+    points: NDArray[np.float64], squares: NDArray[np.bool_], weight: NDArray[np.float32]
 ) -> NDArray[np.float64]:
-    """Density of the covered part of voxels [1/m3]."""
+    """Density of the covered part of voxels from that of the whole ones [1/m3]."""
     share = _of_spheres(weight)
     some = share > 0.0
-    points = np.where(some, amount, 0) / (VOXEL_FIXED_POINT * voxel_m**3)
+    points = np.where(some, points, 0.0)
     own = points / np.where(some, share, 1.0)
-    nx, ny, nz = amount.shape
+    nx, ny, nz = points.shape
     cut = some & ~squares.reshape(nx, SQUARES, ny, SQUARES, nz).all(axis=(1, 3))
     pooled = _nine(points)[cut] / _nine(share)[cut]
     own[cut] = np.maximum(own[cut], pooled)
@@ -287,25 +292,42 @@ def _of_spheres(values: NDArray[np.float32]) -> NDArray[np.float64]:
     return mean
 
 
-def _of_beamlets(
-    amount: NDArray[np.int64],
-    beamlets: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    voxel_m: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """What one beamlet stands for [1/m3], and how many surely cross each square.
+def _to_the_ends(
+    amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What one beamlet over a square stands for, and voxels if the gate ended in none [1/m3].
 
     What one beamlet stands for is the mean of nine voxels: it changes slowly.
     """
-    number = _nine(_of_spheres(beamlets))
-    points = _nine(amount / (VOXEL_FIXED_POINT * voxel_m**3))
-    each = within_gate(np.where(number > 0.0, points / np.where(number > 0.0, number, 1.0), 0.0))
+    points = amount / (VOXEL_FIXED_POINT * voxel_m**3)
+    own = _of_spheres(beamlets)
+    number, total = _nine(own), _nine(points)
+    part = np.where(number > 0.0, total / np.where(number > 0.0, number, 1.0), 0.0)
+    # a layer that few beamlets reach, those that leave the others', tells nothing
+    usual = _tallest(number)
+    each = _tallest(np.where(number >= ENOUGH * usual, part, 0.0))
+    # beamlets cross all layers: what differs by chance are those that lean in and out
+    error = CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2))
+    cut = part < (1.0 - error) * each
+    return each, np.where(cut, np.maximum(each * own, points), points)
+
+
+def _tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest of each voxel and those above and below."""
+    out = values.copy()
+    np.maximum(out[:, :, 1:], values[:, :, :-1], out=out[:, :, 1:])
+    np.maximum(out[:, :, :-1], values[:, :, 1:], out=out[:, :, :-1])
+    return out
+
+
+def _surely(beamlets: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """How many beamlets surely cross each square [count]."""
     found, area = _blurred(beamlets, BLUR), _blurred(weight, BLUR)
     # of a Poisson count, weighted
     error = np.sqrt(_blurred(beamlets, tuple(w * w for w in BLUR)))
     surely = np.maximum(found - np.float32(SURE) * error, np.float32(0.0))
     surely /= np.where(area > 0.0, area, np.float32(1.0))
-    return each, surely
+    return surely
 
 
 def _largest(values: NDArray[np.float32]) -> NDArray[np.float32]:
