@@ -131,6 +131,23 @@ def test_up_to_the_end_of_a_gate_nothing_is_taken_off() -> None:
         np.testing.assert_allclose(along_x(heard, np.linspace(20, 70, 50), z), PER_M3, rtol=1e-6)
 
 
+@pytest.mark.parametrize("end_m", np.arange(20.3, 30.0, 0.8).tolist())
+@pytest.mark.parametrize("other", [0.0, 0.5])
+def test_the_density_is_whole_wherever_a_gate_ends_in_a_layer(end_m: float, other: float) -> None:
+    """Where ``other`` of the beamlets listen on, it is theirs beyond the layer."""
+    centres = (np.arange(SIZE[2]) + 0.5) * 10.0
+    depth = np.clip((end_m - centres) / RADIUS, -1, 1)
+    below = (2 + 3 * depth - depth**3) / 4
+    share = np.tile(below + other * (1 - below), (SIZE[0], 1))
+    number = np.where(centres - RADIUS < end_m, 200, round(200 * other))
+    squares = np.tile(number, (SIZE[0] * 4, SIZE[1] * 4, 1)).astype(np.uint32)
+    heard = made(share, squares)
+    x = np.linspace(20, 70, 20)
+    for z in (end_m - 0.1, end_m - 2.5, end_m - 8.0):
+        np.testing.assert_allclose(along_x(heard, x, z), PER_M3, rtol=0.03)
+    np.testing.assert_allclose(along_x(heard, x, 43.0), other * PER_M3, rtol=0.01)
+
+
 def test_counts_and_squares() -> None:
     squares = np.random.default_rng(1).poisson(1.5, (12, 8, 3))
     np.testing.assert_array_equal(local_noise.unpack(pack(squares)), squares)

@@ -193,12 +193,14 @@ def density(
 
 
 def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Density of the part of each voxel that is listened to, for testing points in it.
+    """Density of the part of each voxel that is listened to, for testing points in it, roughly.
 
-    A voxel that the end of a gate cuts holds noise and silence; its mean is too small for the
-    points, which all lie on one side. Along the beams the density changes nowhere else, so
-    the largest of a voxel and its two vertical neighbours stands for it. Differences below
-    :data:`UNEVEN` are the beams' spread and chance, which are no reason to expect more noise.
+    For points that no flightline is known to cover, and for the published correction; others get
+    that of :mod:`~spl_batch.stages.local_noise`. A voxel that the end of a gate cuts holds noise
+    and silence; its mean is too small for the points, which all lie on one side. Along the beams
+    the density changes nowhere else, so the largest of a voxel and its two vertical neighbours
+    stands for it. Differences below :data:`UNEVEN` are the beams' spread and chance, which are no
+    reason to expect more noise.
 
     Parameters
     ----------
@@ -208,7 +210,7 @@ def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns
     -------
     (i, j, k) float64
-        [1/m3]; a deviation from [W18] Eq. 2, measured by ``benchmarks/null_calibration.py``.
+        [1/m3]; a deviation from [W18] Eq. 2.
     """
     out = per_m3.copy()
     np.maximum(out[:, :, 1:], per_m3[:, :, :-1], out=out[:, :, 1:])
