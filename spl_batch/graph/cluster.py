@@ -14,7 +14,19 @@ from spl_batch.graph.work import Footing, misfit
 KEPT_BYTES: Final = 1 << 40
 """Freed memory that a worker keeps for what it allocates next [byte]: all of it."""
 
+WATCHING: Final[Mapping[str, Any]] = {
+    # dask samples what each worker executes a hundred times a second, and measures event loops
+    # fifty times: that takes 4 % of a core for each process, on a machine whose cores all work.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "1s",
+    "distributed.worker.memory.monitor-interval": "200ms",
+}
+"""What dask watches of itself, and how often; ``python -m benchmarks.idle_cluster`` prints what
+it costs."""
+
 SETTINGS: Final[Mapping[str, Any]] = {
+    **WATCHING,
     # What waits on a worker is blamed with it when it dies, so the rest waits at the scheduler.
     # More of it would serve tasks of milliseconds; those of a second keep workers busy as well
     # with this: `python -m benchmarks.scheduler cluster` prints both.
