@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from spl_batch import api
 from spl_batch.api.comparison import PUBLISHED_FILTER, PUBLISHED_NOISE
 from spl_batch.io.store import Store
+from spl_batch.io.tables import read_columns
 from spl_batch.plan.inputs import source_key
 from spl_batch.settings import FilterSettings
 from spl_batch.simulate import simulate
@@ -168,8 +169,9 @@ def _read_labels(files: list[Path], store: Store) -> NDArray[np.uint8]:
     out = np.full(int(first[-1]), 255, dtype=np.uint8)
     rows_of = {path.stem: _global_rows(path, start) for path in store.path("tiles").glob("*")}
     for path in store.path("noise").glob("*.parquet"):
-        table = pq.read_table(path, columns=["tile_i", "tile_j", "row", "noise_class"])
-        i, j, row, label = (table[name].to_numpy() for name in table.column_names)
+        names = ("tile_i", "tile_j", "row", "noise_class")
+        table = read_columns(path, names)
+        i, j, row, label = (table[name] for name in names)
         for tile in np.unique(np.column_stack([i, j]), axis=0):
             mine = (i == tile[0]) & (j == tile[1])
             out[rows_of[f"{tile[0]}_{tile[1]}"][row[mine]]] = label[mine]

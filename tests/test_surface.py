@@ -210,7 +210,7 @@ def test_voids_are_filled_up_to_the_stated_distance_only():
 
 def test_a_hall_wider_than_the_margin_leaves_no_void_near_ground():
     # Its rim runs askew: the ground that is read has no far side, and its triangles end there.
-    ground, (x, y) = terrain(), centres()
+    ground, (x, y) = terrain(around=31.0), centres()
     within, deep = ((a - b + 52) / np.sqrt(2) for a, b in ((ground[:, 0], ground[:, 1]), (x, y)))
     hall = within > 0
     points = np.where(hall[:, None], ground + np.array([0, 0, 9.0]), ground)
