@@ -125,7 +125,7 @@ def match_points(
     time_s: NDArray[np.float64],
     channel: NDArray[np.uint8],
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
-    chosen: NDArray[np.bool_],
+    rows: NDArray[np.intp],
     cells: tuple[int, int, int, int],
     blocks: Blocks,
     longest_s: float,
@@ -143,7 +143,7 @@ def match_points(
         Time and beamlet of each point.
     place : three (n,) integer arrays
         Easting, northing and height [quanta].
-    chosen : (n,) bool
+    rows : (m,) intp
         Points that may be first returns; they lie in the grid.
     cells : (int, int, int, int)
         South-west corner of the grid (x, y) and edge of a cell [quanta], cells of a row.
@@ -159,9 +159,9 @@ def match_points(
     top[:] = SILENT
     aim = np.empty(9)
     west, south, size, cols = cells
-    for p in range(len(time_s)):
+    for p in rows:
         c = int(channel[p])
-        if not chosen[p] or c >= top.shape[1]:
+        if c >= top.shape[1]:
             continue
         east, north = place[0][p] - west, place[1][p] - south
         b = np.searchsorted(blocks.begin_s, time_s[p], side="right") - 1

@@ -134,7 +134,9 @@ def detections(
     size = quanta(settings.cell_m)
     margin = _margin_cells(settings)
     wide = grow(cell, margin * size)
-    signal = (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], wide)
+    signal = np.flatnonzero(
+        (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], wide)
+    )
     shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     nothing = Detections(np.full(shape, np.nan), fired, fired.copy())
