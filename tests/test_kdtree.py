@@ -89,7 +89,7 @@ def test_query_selects_rows_in_table_order() -> None:
     np.testing.assert_array_equal(rows, every[query])
 
 
-@pytest.mark.parametrize("n", [0, 1, LEAF, LEAF + 1, 1000])
+@pytest.mark.parametrize("n", [0, 1, LEAF, LEAF + 1, 1000, 5000])
 def test_tree_holds_every_point_once_inside_its_boxes(n: int) -> None:
     xyz = np.random.default_rng(2).integers(-500, 500, (n, 3)).astype(np.int32)
     tree = build(xyz)

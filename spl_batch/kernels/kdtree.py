@@ -10,6 +10,7 @@ Squared distances are sums of squared integer differences in float64: exact belo
 on the neighbours alone and neither on the tree nor on what else the table holds.
 """
 
+import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
@@ -19,6 +20,12 @@ from numpy.typing import NDArray
 
 LEAF: Final = 32
 """Most points in a leaf [count]; a power of two."""
+
+MANY: Final = 1000
+"""Points from which the middle is found by a sample [count]."""
+
+SAMPLE: Final = 64
+"""Points in it [count]."""
 
 CAP_MAX: Final = 46_340
 """Farthest neighbour that a sort key can hold [quanta]: its square stays below 2**31."""
@@ -129,12 +136,37 @@ def check_cap(cap: int) -> None:
 
 
 @njit(nogil=True, cache=True)
-def _select(points, low, high, middle, axis):  # type: ignore[no-untyped-def]
+def _pivot(points, low, high, middle, axis, sample):  # type: ignore[no-untyped-def]
+    """A value to divide slots ``low`` to ``high`` at, so that ``middle`` is in the smaller part.
+
+    Where there are many it is taken from a sample, a bit farther than the rank of the middle
+    [Floyd and Rivest, Communications of the ACM 18, 1975].
+    """
+    size = high - low + 1
+    if size < MANY:
+        a, b, c = points[low, axis], points[(low + high) >> 1, axis], points[high, axis]
+        return max(min(a, b), min(max(a, b), c))
+    for i in range(SAMPLE):
+        value, at = points[low + (2 * i + 1) * size // (2 * SAMPLE), axis], i
+        while at > 0 and sample[at - 1] > value:
+            sample[at] = sample[at - 1]
+            at -= 1
+        sample[at] = value
+    share = (middle - low) / size
+    aside = 2.0 * math.sqrt(share * (1.0 - share) / SAMPLE)
+    if share < 0.3:
+        share += aside
+    elif share > 0.7:
+        share -= aside
+    return sample[min(int(share * SAMPLE), SAMPLE - 1)]
+
+
+@njit(nogil=True, cache=True)
+def _select(points, low, high, middle, axis, sample):  # type: ignore[no-untyped-def]
     """Quickselect: slot ``middle`` gets its value in order along ``axis``, smaller ones before."""
     high -= 1
     while low < high:
-        a, b, c = points[low, axis], points[(low + high) >> 1, axis], points[high, axis]
-        pivot = max(min(a, b), min(max(a, b), c))
+        pivot = _pivot(points, low, high, middle, axis, sample)
         i, j = low, high
         while i <= j:
             while points[i, axis] < pivot:
@@ -160,7 +192,7 @@ def _select(points, low, high, middle, axis):  # type: ignore[no-untyped-def]
 def _arrange(points, boxes, depth):  # type: ignore[no-untyped-def]
     """Split every node at its middle slot along its widest axis, depth first."""
     n = len(points)
-    stack = np.empty(64, dtype=np.int64)
+    stack, sample = np.empty(64, dtype=np.int64), np.empty(SAMPLE, dtype=np.int32)
     stack[0] = 1
     top = 1
     while top > 0:
@@ -171,13 +203,13 @@ def _arrange(points, boxes, depth):  # type: ignore[no-untyped-def]
             level += 1
         j = node - (1 << level)
         low, high = (j * n) >> level, ((j + 1) * n) >> level
-        for axis in range(3):
-            least = most = points[low, axis]
-            for i in range(low + 1, high):
-                least = min(least, points[i, axis])
-                most = max(most, points[i, axis])
-            boxes[node, axis] = least
-            boxes[node, axis + 3] = most
+        x0, y0, z0 = x1, y1, z1 = points[low, 0], points[low, 1], points[low, 2]
+        for i in range(low + 1, high):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+            x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+        boxes[node, 0], boxes[node, 1], boxes[node, 2] = x0, y0, z0
+        boxes[node, 3], boxes[node, 4], boxes[node, 5] = x1, y1, z1
         if level == depth:
             continue
         axis, width = 0, np.int64(-1)
@@ -186,7 +218,7 @@ def _arrange(points, boxes, depth):  # type: ignore[no-untyped-def]
             if spread > width:
                 axis, width = a, spread
         if width > 0:
-            _select(points, low, high, ((2 * j + 1) * n) >> (level + 1), axis)
+            _select(points, low, high, ((2 * j + 1) * n) >> (level + 1), axis, sample)
         stack[top] = 2 * node + 1
         stack[top + 1] = 2 * node
         top += 2
