@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.kdtree import U0, U1, U2, U3
+from spl_batch.kernels.kdtree import U0, U1, U2
 from spl_batch.kernels.robust_plane import plane_of_moments
 
 UNIT: Final = 1024
@@ -96,12 +96,11 @@ def _near(
     xyz: NDArray[np.int32], counts: NDArray[np.bool_], starts: NDArray[np.int64],
     shape: tuple[int, int], edge: int, row: int, wide: int, limit: int, span: int,
     near: NDArray[np.int32],
-) -> int:  # fmt: skip
+) -> np.int64:  # fmt: skip
     """List what counts in an upright cylinder around a point: how many they are.
 
-    ``near`` (4, m) int32 is filled with their differences in x, y and z [quanta], none beyond
-    ``span`` in z, and their rows. Aside, squared distances are below ``limit``, none of which is
-    beyond ``wide`` <= ``edge``.
+    ``near`` (m,) int32 is filled with their rows. None is beyond ``span`` in z; aside, squared
+    distances are below ``limit``, none of which is beyond ``wide`` <= ``edge``.
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
@@ -114,8 +113,7 @@ def _near(
             # Without a branch: about half of them are in it.
             for p in range(np.uint64(low), np.uint64(high)):
                 dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
-                near[U0, size], near[U1, size], near[U2, size] = dx, dy, xyz[U2, p] - z
-                near[U3, size] = p
+                near[size] = p
                 size += np.uint64((dx * dx + dy * dy < limit) & counts[p])
     return np.int64(size)
 
@@ -163,22 +161,24 @@ def weigh_around(
     wide, high = radii[0, 0], radii[0, 1]
     across, up = 1.0 / radii[:, 0].astype(np.float64) ** 2, 1.0 / radii[:, 1] ** 2.0
     room = _most_around(starts, shape) + 1
-    near, some = np.empty((4, room), np.int32), weight != 0
+    near, some = np.empty(room, np.int32), weight != 0
     flat, square, worth = np.empty(room), np.empty(room), np.empty(room, np.int32)
     for q in range(len(rows)):
         row = rows[q]
+        x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
         bx, by = tilt[q, 0], tilt[q, 1]
         span = high + math.ceil(math.hypot(bx, by) * wide)
         size = np.uint64(_near(xyz, some, starts, shape, edge, row, wide, wide * wide, span, near))
         for i in range(size):
-            dx, dy = np.float64(near[U0, i]), np.float64(near[U1, i])
+            p = np.uint64(near[i])
+            dx, dy = np.float64(xyz[U0, p] - x), np.float64(xyz[U1, p] - y)
             flat[i] = dx * dx + dy * dy
-            square[i] = (np.float64(near[U2, i]) - bx * dx - by * dy) ** 2
+            square[i] = (np.float64(xyz[U2, p] - z) - bx * dx - by * dy) ** 2
         for i in range(size):
-            p = near[U3, i]
+            p = np.uint64(near[i])
             worth[i] = weight[p]
             if time[p] == time[row] and channel[p] == channel[row]:
-                worth[i] = worth[i] * own // UNIT if near[U2, i] > 0 else 0
+                worth[i] = worth[i] * own // UNIT if xyz[U2, p] > z else 0
         for k in range(len(radii)):
             out[q, k] = _weighed(flat, square, worth, size, across[k], up[k])
 
@@ -186,8 +186,8 @@ def weigh_around(
 @njit(nogil=True, cache=True)
 def _weighed(
     flat: NDArray[np.float64], square: NDArray[np.float64], worth: NDArray[np.int32],
-    size: int, across: float, up: float,
-) -> int:  # fmt: skip
+    size: np.uint64, across: float, up: float,
+) -> np.int64:  # fmt: skip
     """Sum of weights times a kernel."""
     total = np.int64(0)
     for i in range(np.uint64(size)):
@@ -224,12 +224,20 @@ def _parent(
 
 
 @njit(nogil=True, cache=True)
-def _moments(near: NDArray[np.int32], size: int, sums: NDArray[np.int64]) -> None:
-    """Sums of 1, u, v, w, uu, uv, vv, uw and vw of what is listed."""
+def _moments(
+    xyz: NDArray[np.int32],
+    place: int,
+    near: NDArray[np.int32],
+    size: np.int64,
+    sums: NDArray[np.int64],
+) -> None:
+    """Sums of 1, u, v, w, uu, uv, vv, uw and vw of what is listed, from a place."""
+    x, y, z = xyz[U0, place], xyz[U1, place], xyz[U2, place]
     u1 = v1 = w1 = np.int64(0)
     uu = uv = vv = uw = vw = np.int64(0)
     for i in range(np.uint64(size)):
-        u, v, w = near[U0, i], near[U1, i], near[U2, i]
+        p = np.uint64(near[i])
+        u, v, w = xyz[U0, p] - x, xyz[U1, p] - y, xyz[U2, p] - z
         u1 += u
         v1 += v
         w1 += w
@@ -244,13 +252,17 @@ def _moments(near: NDArray[np.int32], size: int, sums: NDArray[np.int64]) -> Non
 
 @njit(nogil=True, cache=True)
 def _on_planes(
-    near: NDArray[np.int32], size: int, plane: NDArray[np.float64], level: float, thick: float
-) -> tuple[int, int]:
+    xyz: NDArray[np.int32], place: int, near: NDArray[np.int32], size: np.int64,
+    plane: NDArray[np.float64], level: float, thick: float,
+) -> tuple[np.int64, np.int64]:  # fmt: skip
     """How many are within ``thick`` of a plane, and of one off by ``level`` but not of it."""
     here = there = np.int64(0)
     a, b, c = plane[0], plane[1], plane[2]
+    x, y, z = xyz[U0, place], xyz[U1, place], xyz[U2, place]
     for i in range(np.uint64(size)):
-        distance = near[U2, i] - (a + b * near[U0, i] + c * near[U1, i])
+        p = np.uint64(near[i])
+        u, v, w = xyz[U0, p] - x, xyz[U1, p] - y, xyz[U2, p] - z
+        distance = w - (a + b * u + c * v)
         beside = abs(distance) > thick
         here += not beside
         there += (abs(distance - level) <= thick) & beside
@@ -302,7 +314,7 @@ def behind_plane(
         Filled with the points' parents, -1 for none.
     """
     sums, plane = np.empty(9, dtype=np.int64), np.zeros(3)
-    near = np.empty((4, _most_around(starts, shape) + 1), np.int32)
+    near = np.empty(_most_around(starts, shape) + 1, np.int32)
     for q in range(len(rows)):
         row = rows[q]
         out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0
@@ -317,14 +329,14 @@ def behind_plane(
         size = _near(xyz, true, starts, shape, edge, parent, wide, wide * wide + 1, high, near)
         if size < least:
             continue
-        _moments(near, size, sums)
+        _moments(xyz, parent, near, size, sums)
         if not _plane_of(sums, plane):
             continue
         x, y = xyz[U0, row] - xyz[U0, parent], xyz[U1, row] - xyz[U1, parent]
         level = xyz[U2, row] - xyz[U2, parent] - (plane[0] + plane[1] * x + plane[2] * y)
         if abs(plane[0]) > thick or level >= -thick:
             continue
-        here, there = _on_planes(near, size, plane, level, thick)
+        here, there = _on_planes(xyz, parent, near, size, plane, level, thick)
         if here >= share * size:
             tilt[q, 0], tilt[q, 1] = plane[1], plane[2]
             out[q] = 20 * there <= size
