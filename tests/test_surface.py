@@ -210,7 +210,7 @@ def test_voids_are_filled_up_to_the_stated_distance_only():
 
 def test_a_hall_wider_than_the_margin_leaves_no_void_near_ground():
     # Its rim runs askew: the ground that is read has no far side, and its triangles end there.
-    ground, (x, y) = terrain(around=31.0), centres()
+    ground, (x, y) = terrain(around=reach_m(SETTINGS) + 2), centres()
     within, deep = ((a - b + 52) / np.sqrt(2) for a, b in ((ground[:, 0], ground[:, 1]), (x, y)))
     hall = within > 0
     points = np.where(hall[:, None], ground + np.array([0, 0, 9.0]), ground)
@@ -259,7 +259,7 @@ def test_points_that_take_part_in_nothing_leave_no_trace(flag):
 def mixed(seed):
     rng = np.random.default_rng(seed)
     points = np.concatenate(
-        [terrain(seed, 3, 0.05, 35.0), terrain(seed + 1, 1, 3.0) + np.array([0, 0, 4])]
+        [terrain(seed, 3, 0.05), terrain(seed + 1, 1, 3.0) + np.array([0, 0, 4])]
     )
     n = len(points)
     return table_of(
