@@ -1,7 +1,8 @@
 """Is alpha the share of pure noise that is kept? ``python -m benchmarks.null_calibration``.
 
-Options: ``--points N`` noise points per draw, ``--draws N``, ``--densities X ...`` [1/m3], ``--only
-interior gate swath overlap`` some parts, ``--survey FOLDER``.
+Options: ``--points N`` noise points per draw, ``--draws N``, ``--seeds N ...`` of the draws if not
+0, 1, ..., ``--densities X ...`` [1/m3], ``--only interior gate swath overlap`` some parts,
+``--survey FOLDER``.
 
 Prints kept share over alpha of the whole filter as shipped, with its links and the scan for
 conductors, and the standard error over independent draws; all draws are made at the least alpha,
@@ -88,13 +89,15 @@ def uniform(
 
 
 def measure(
-    title: str, make: Callable[[int], Draw], draws: int, names: Sequence[str] = ("",)
+    title: str, make: Callable[[int], Draw], seeds: Sequence[int], names: Sequence[str] = ("",)
 ) -> None:
     """Print share kept over alpha, a row for each bin, a column for each alpha and the scan."""
     label = f"{title}; kept / alpha"
     print(f"{label:40s}" + "".join(f"{f'alpha {a:g}':18s}" for a in ALPHAS) + "scan alone")
     with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(lambda k: _shares(make(k), k < FEW, len(names)), range(draws)))
+        found = list(
+            pool.map(lambda k: _shares(make(seeds[k]), k < FEW, len(names)), range(len(seeds)))
+        )
     for row, name in enumerate(names):
         columns = [[f[row][k] for f in found if k < len(f[row])] for k in range(len(ALPHAS) + 1)]
         order = [*range(2, len(ALPHAS) + 1), 0, 1]  # the least alpha and the scan come first
@@ -291,17 +294,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--points", type=int, default=400_000)
     parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--seeds", type=int, nargs="+")
     parser.add_argument("--densities", type=float, nargs="+", default=DENSITIES)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--survey", type=Path)
     options = parser.parse_args()
-    points, draws = options.points, options.draws
+    points, seeds = options.points, options.seeds or list(range(options.draws))
     for part in options.only:
         make, edges = PARTS[part]
         for density in options.densities:
             title = f"{part}, {density:g} per m3"
             names = bins(edges) if edges else ("",)
-            measure(title, lambda k: make(k, density, points), draws, names)  # noqa: B023
+            measure(title, lambda k: make(k, density, points), seeds, names)  # noqa: B023
     if options.survey:
         high_gate(options.survey)
 
