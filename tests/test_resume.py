@@ -13,6 +13,7 @@ import shapely
 import shapely.geometry
 
 from spl_batch import api
+from spl_batch.api import planning
 from spl_batch.api.events import Note
 from spl_batch.errors import InputError, SplBatchError
 from spl_batch.model import PointTable
@@ -172,6 +173,10 @@ def test_a_plan_says_what_is_left(survey: Path) -> None:
     assert api.plan(survey, overrides=["tiling.block_tiles=1"]).cost.tasks == total
     text = said("--set", "tiling.block_tiles=1")
     assert f"finished all {total} tasks; nothing is left to do" in text
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "LOOKED_AT", total - 1)
+        text = said("--set", "tiling.block_tiles=1")
+        assert f"finished up to {total} tasks; a run tells what is left" in text
     (out / "report.html").unlink()
     assert "left report: 1 of 1 tasks" in said("--set", "tiling.block_tiles=1")
     assert "left surfaces" in said("--set", "tiling.block_tiles=1", "--set", "products.cell_m=0.5")

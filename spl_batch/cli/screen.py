@@ -89,6 +89,8 @@ def _finished(left: "Left | None") -> list[tuple[str, str]]:
     """What earlier runs have finished of a plan, if anything."""
     if left is None:
         return []
+    if not left.counted:
+        return [("finished", f"up to {left.finished:,} tasks; a run tells what is left")]
     if not left.stage:
         return [("finished", f"all {left.finished:,} tasks; nothing is left to do")]
     behind = "" if left.stage == "report" else ", and what depends on it"
