@@ -9,7 +9,7 @@ for them); roofs, ground, vegetation and poles kept. A last line of each method 
 
 With ``--classes`` it runs the whole chain with ``filter.wires.classify: true`` instead, on the same
 scenes and on one without wires, and prints for class 14 its precision (class 14 that is wire), its
-recall (wire that is class 14), and what the rest of it is.
+recall (wire that is class 14), and what the rest of it is; ``--extent`` makes the scenes smaller.
 """
 
 import argparse
@@ -35,7 +35,7 @@ from benchmarks.methods import (
     Method,
     is_noise,
 )
-from benchmarks.twins import TWINS, ordinary_wires
+from benchmarks.twins import TWINS, ordinary_wires, weak_wires
 from spl_batch import api
 from spl_batch.constants import CLASS_WIRE
 from spl_batch.simulate.scene import Scene, parse_scene
@@ -55,6 +55,10 @@ NEAR_M = 1.0
 
 CLASSED = ("weak", "ordinary", "none")
 """Scenes for class 14; the last one has roofs, trees and a lake, and no wires."""
+
+EXTENT_M = (160.0, 100.0)
+ROOF_M2 = 1600.0
+"""Size of a scene [m], and its area for each roof where there are no wires [m2]."""
 
 Tally = dict[str, tuple[int, int]]
 
@@ -79,12 +83,15 @@ def main(folder: Path, scenes: Sequence[str], seeds: Sequence[int], names: Seque
                 _row(known[name], "pooled", tallies[name])
 
 
-def classes(folder: Path, scenes: Sequence[str], seeds: Sequence[int]) -> None:
+def classes(
+    folder: Path, scenes: Sequence[str], seeds: Sequence[int], extent_m: tuple[float, float]
+) -> None:
     """Print precision and recall of class 14."""
+    print(f"scenes of {extent_m[0]:g} m x {extent_m[1]:g} m")
     names = f"{'scene':12s}{'seed':>5s}{'wires':>8s}{'recall %':>10s}"
     print(f"{names}{'class 14':>10s}{'precision %':>13s}  rest")
     for scene in scenes:
-        counts = [_classed(scene, seed, folder) for seed in seeds]
+        counts = [_classed(scene, seed, folder, extent_m) for seed in seeds]
         named = [*zip(map(str, seeds), counts, strict=True)]
         if len(seeds) > 1:
             named.append(("all", np.sum(counts, axis=0)))
@@ -99,10 +106,13 @@ def classes(folder: Path, scenes: Sequence[str], seeds: Sequence[int]) -> None:
             )
 
 
-def _classed(scene: str, seed: int, folder: Path) -> NDArray[np.int64]:
+def _classed(
+    scene: str, seed: int, folder: Path, extent_m: tuple[float, float]
+) -> NDArray[np.int64]:
     """Wire returns, then the returns of class 14 by kind [count]."""
-    made = wireless(seed) if scene == "none" else TWINS[scene](seed)
-    survey = methods.make_survey(made, folder / f"{scene}_{seed}")
+    make = {"none": wireless, "weak": weak_wires, "ordinary": ordinary_wires}[scene]
+    name = f"{scene}_{seed}" if extent_m == EXTENT_M else f"{scene}_{seed}_{extent_m[0]:g}"
+    survey = methods.make_survey(make(seed, extent_m), folder / name)
     changed = ["filter.wires.classify=true", "output=classed"]
     if api.run(survey / "workflow.yaml", overrides=changed, until="deliver", workers=0).exit_status:
         raise SystemExit(f"{survey}: the run failed; see {survey}/classed/log.jsonl")
@@ -115,11 +125,12 @@ def _classed(scene: str, seed: int, folder: Path) -> NDArray[np.int64]:
     return np.array([np.count_nonzero(kind == WIRE), *sure], dtype=np.int64)
 
 
-def wireless(seed: int) -> Scene:
-    """Many roofs, trees and a lake in the light and noise of the ordinary wires' scene."""
-    content = ordinary_wires(seed).model_dump(mode="json", by_alias=True)
+def wireless(seed: int, extent_m: tuple[float, float]) -> Scene:
+    """Roofs, trees and a lake in the light and noise of the ordinary wires' scene."""
+    content = ordinary_wires(seed, extent_m).model_dump(mode="json", by_alias=True)
     lake = [[10.0, 10.0], [35.0, 8.0], [38.0, 30.0], [12.0, 33.0]]
-    content |= {"wires": [], "buildings": {"count": 10}, "water": [{"ring_m": lake}]}
+    roofs = {"count": round(extent_m[0] * extent_m[1] / ROOF_M2)}
+    content |= {"wires": [], "buildings": roofs, "water": [{"ring_m": lake}]}
     return parse_scene(content, "wireless")
 
 
@@ -185,6 +196,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--scenes", nargs="+", choices=CLASSED, help="all by default")
     parser.add_argument("--classes", action="store_true", help="class 14 instead of what is kept")
+    parser.add_argument("--extent", type=float, nargs=2, default=EXTENT_M, metavar="M")
     parser.add_argument("--methods", nargs="+", choices=list(methods.known_methods()),
                         default=known)  # fmt: skip
     return parser.parse_args()
@@ -195,6 +207,6 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as temporary:
         place = given.folder or Path(temporary)
         if given.classes:
-            classes(place, given.scenes or CLASSED, given.seeds)
+            classes(place, given.scenes or CLASSED, given.seeds, tuple(given.extent))
         else:
             main(place, given.scenes or list(BARS), given.seeds, given.methods)
