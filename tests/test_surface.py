@@ -259,7 +259,7 @@ def test_points_that_take_part_in_nothing_leave_no_trace(flag):
 def mixed(seed):
     rng = np.random.default_rng(seed)
     points = np.concatenate(
-        [terrain(seed, 3, 0.05), terrain(seed + 1, 1, 3.0) + np.array([0, 0, 4])]
+        [terrain(seed, 3, 0.05, 35.0), terrain(seed + 1, 1, 3.0) + np.array([0, 0, 4])]
     )
     n = len(points)
     return table_of(
