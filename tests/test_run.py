@@ -112,6 +112,9 @@ def test_the_report_is_what_its_schema_says(tiny_output: Path) -> None:
     for name, value in (("signal", 0), ("background", 1), ("afterpulse", 2), ("not_assessed", 255)):
         assert counts[name] == np.count_nonzero(noise == value), name
     assert counts["ground"] == np.count_nonzero(classes == 2)
+    for line in report["survey"]["flightlines"]:
+        fired = (line["end_s"] - line["start_s"]) * line["prf_hz"] + 1
+        assert line["shots"] == pytest.approx(fired, abs=0.5)
     assert report["failures"] == []
     assert set(report["accuracy"]["dtm"]["all"]) >= {"n", "rmse", "nmad", "p95", "min", "max"}
     assert report["accuracy"]["dtm"]["open_ground"]["rmse"] < 0.1

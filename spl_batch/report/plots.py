@@ -79,7 +79,10 @@ def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -
         axes.spines[["top", "right"]].set_visible(False)
         if outside > 0:
             note = f"{100 * outside:.2g} % lie outside the axis"
-            axes.text(0.01, 0.98, note, transform=axes.transAxes, va="top", color=style.MUTED)
+            axes.text(
+                *(0.01, 0.98, note), transform=axes.transAxes, va="top", color=style.MUTED,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5}, zorder=5,
+            )  # fmt: skip
     return drawn
 
 

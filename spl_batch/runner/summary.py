@@ -1,6 +1,6 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +91,7 @@ def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
         yield Flightline(
             id=name,
             points=facts["points"],
+            shots=_shots(facts["span_s"], facts["prf_hz"]),
             start_s=facts["span_s"][0],
             end_s=facts["span_s"][1],
             prf_hz=facts["prf_hz"],
@@ -101,6 +102,11 @@ def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
             seen_fraction=facts["seen_fraction"],
             noise_per_m=facts["noise_per_m"],
         )
+
+
+def _shots(span_s: Sequence[float], prf_hz: float | None) -> int | None:
+    """Shots from the first to the last that returned anything [count]."""
+    return None if prf_hz is None else round((span_s[1] - span_s[0]) * prf_hz) + 1
 
 
 def _counts(done: Receipts, facts: RunFacts) -> Counts:
