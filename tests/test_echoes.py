@@ -105,6 +105,57 @@ def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
             assert out[q, k] == pytest.approx(expected, abs=3 * UNIT * n)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(30, 90), st.floats(-0.8, 0.8))
+@settings(max_examples=25, deadline=None)
+def test_what_lies_behind_a_plane_is_that_of_a_plain_loop(seed: int, n: int, slope: float) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.integers(0, 2500, (n, 3))
+    flat = rng.random(n) < 0.8
+    xyz[flat, 2] = 4000 + slope * xyz[flat, 0] + rng.normal(0, 40, flat.sum())
+    xyz[~flat, 2] += 1000
+    time, channel = rng.integers(0, 9, n).astype(np.float64), rng.integers(0, 2, n).astype(np.uint8)
+    true = rng.random(n) < 0.9
+    lag, wide, high, thick, share, least = 5000, 800, 1000, 150, 0.6, 8
+    xyz[:, 2] -= xyz[:, 2].min()
+    listed = columns(xyz.astype(np.int32).T, 1500)
+    o = listed.order
+    xyz, time, channel, true = xyz[o], time[o], channel[o], true[o]
+    out, tilt, parents = np.empty(n, np.bool_), np.empty((n, 2)), np.empty(n, np.int32)
+    behind_plane(
+        xyz.T.astype(np.int32, order="C"), time, channel, true, listed.starts, listed.shape, 1500,
+        np.arange(n, dtype=np.int32), lag, wide, high, thick, share, least, out, tilt, parents,
+    )  # fmt: skip
+    for q in range(n):
+        d = xyz - xyz[q]
+        above = (time == time[q]) & (channel == channel[q]) & (d[:, 2] > 0) & (d[:, 2] <= lag)
+        # a near parent is taken before one that is lower
+        close = above & (d[:, 2] <= lag // 5) & (d[:, 0] ** 2 + d[:, 1] ** 2 <= (lag // 10) ** 2)
+        above &= d[:, 0] ** 2 + d[:, 1] ** 2 <= 1500**2
+        found = np.flatnonzero(close if close.any() else above)
+        if not len(found):
+            assert parents[q] == -1
+            assert not out[q]
+            continue
+        assert parents[q] in found
+        assert xyz[parents[q], 2] == xyz[found, 2].min()
+        u, v, w = (xyz - xyz[parents[q]]).T
+        near = true & (u**2 + v**2 <= wide**2) & (np.abs(w) <= high)
+        behind, slopes = False, np.zeros(2)
+        if near.sum() >= least:
+            fit = np.column_stack([np.ones(n), u, v])
+            moments = np.cov(np.stack([u, v])[:, near], bias=True)
+            plane = np.linalg.lstsq(fit[near], w[near].astype(np.float64))[0]
+            off = w - fit @ plane
+            spread = np.linalg.det(moments) > 1e-3 * np.trace(moments) ** 2
+            if spread and abs(plane[0]) <= thick and off[q] < -thick:
+                on = near & (np.abs(off) <= thick)
+                there = near & ~on & (np.abs(off - off[q]) <= thick)
+                if on.sum() >= share * near.sum():
+                    slopes, behind = plane[1:], 20 * there.sum() <= near.sum()
+        assert out[q] == behind
+        np.testing.assert_allclose(tilt[q], slopes, atol=1e-9)
+
+
 def test_a_plane_is_found_whatever_its_tilt_and_only_where_it_is_alone() -> None:
     rng = np.random.default_rng(3)
     surface = plate(20, 10.0, 0.6, 3)
