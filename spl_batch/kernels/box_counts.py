@@ -30,17 +30,19 @@ def lowest_and_highest(
         0, 1 for points of the first kind, 2 for the second, 3 for both.
     """
     x, y, z = xyz
-    met = 0
+    met, far = 0, np.int64(1 << 62)
+    # Numbers of their own: what stands in an array is written at each point.
+    west, south, low, east, north, high = far, far, far, -far, -far, -far
     for i in range(len(kind)):
-        if kind[i] != kinds[0] and kind[i] != kinds[1]:
-            continue
-        if met == 0:
-            out[0, 0], out[1, 0], out[2, 0] = x[i], y[i], z[i]
-            out[0, 1], out[1, 1], out[2, 1] = x[i], y[i], z[i]
-        met |= 1 if kind[i] == kinds[0] else 2
-        out[0, 0], out[0, 1] = min(out[0, 0], x[i]), max(out[0, 1], x[i])
-        out[1, 0], out[1, 1] = min(out[1, 0], y[i]), max(out[1, 1], y[i])
-        out[2, 0], out[2, 1] = min(out[2, 0], z[i]), max(out[2, 1], z[i])
+        first, second = kind[i] == kinds[0], kind[i] == kinds[1]
+        if first or second:
+            met |= first + 2 * second
+            west, east = min(west, x[i]), max(east, x[i])
+            south, north = min(south, y[i]), max(north, y[i])
+            low, high = min(low, np.int64(z[i])), max(high, np.int64(z[i]))
+    if met:
+        out[0, 0], out[1, 0], out[2, 0] = west, south, low
+        out[0, 1], out[1, 1], out[2, 1] = east, north, high
     return met
 
 
