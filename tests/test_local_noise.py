@@ -216,6 +216,30 @@ def test_counts_stop_where_they_are_full() -> None:
     assert sorted(np.unique(counts)) == [0, 65534, 65535]
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
+    rng = np.random.default_rng([8, seed])
+    shape = (9, 9, 8)
+    number = rng.poisson(10.0 ** rng.uniform(-1, 2), (36, 36, 8)) * (rng.random((36, 36, 8)) < 0.9)
+    number[:, :, 5:] *= rng.random(3) < 0.5
+    amount = np.rint(number.reshape(9, 4, 9, 4, 8).sum(axis=(1, 3)) * 1e6 * rng.random(shape))
+    counts = pack(number)
+
+    def density(first: int) -> np.ndarray:
+        inner = (slice(first, 9 - first), slice(first, 9 - first), slice(first, 8 - first))
+        found = local_noise.listened(amount[inner].astype(np.int64), counts[inner], 10.0)
+        assert found is not None
+        keep = local_noise.MARGIN_VOXELS - first + 1
+        n = found.density.shape
+        cut = (slice(4 * keep, n[0] - 4 * keep), slice(4 * keep, n[1] - 4 * keep))
+        voxel = np.stack(np.indices(n), -1)[*cut, keep : n[2] - keep].reshape(-1, 3)
+        place = (voxel[:, 0] // 4, voxel[:, 1] // 4, voxel[:, 2]), (voxel[:, 0], voxel[:, 1])
+        offset = tuple(np.random.default_rng(1).uniform(-0.5, 0.5, (3, len(voxel))))
+        return local_noise.around([found], *place, offset)
+
+    np.testing.assert_array_equal(density(0), density(1))
+
+
 def ridge(per_square: float, height: float) -> tuple[np.ndarray, np.ndarray]:
     """Density over that far from a ridge two squares wide, and the true one of each square."""
     rng = np.random.default_rng(3)
