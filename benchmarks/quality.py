@@ -35,6 +35,7 @@ BARS: dict[str, Bar] = {
     "wire kept %": (">=", 98.0),
     "background removed %": (">=", 95.0),
     "afterpulses under ground and roofs removed %": (">=", 97.0),
+    "afterpulses in vegetation removed %": (">=", 80.0),
     "DTM RMSE on open ground cm": ("<=", 5.0),
     "DSM cells set by noise per 10 000": ("<=", 1.0),
     "expected / true noise density": ("~", 0.03),

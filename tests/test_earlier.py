@@ -37,6 +37,14 @@ def test_every_part_of_an_interrupted_run_counts(tmp_path: Path) -> None:
     assert earlier_wall_s(tmp_path) == 20.0 + 3, "what a report has told is not counted twice"
 
 
+def test_what_one_run_did_not_know_no_later_one_does(tmp_path: Path) -> None:
+    finished(tmp_path, 100.0)
+    file = tmp_path / "store" / "run.json"
+    assert earlier_wall_s(tmp_path) == 100.0
+    file.write_text(json.dumps({**json.loads(file.read_text()), "earlier_s": None}))
+    assert earlier_wall_s(tmp_path) is None
+
+
 def test_what_was_forgotten_does_not_count(tmp_path: Path) -> None:
     log(tmp_path, [(0, 9, WORK, True), (10, 12, WORK, False), (20, 24, WORK, True)])
     log(tmp_path, [(30, 31, WORK, False), (40, 41, WORK, False)])

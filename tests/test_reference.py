@@ -1,5 +1,6 @@
 """Reference points by square: what is said of a point does not depend on the cutting."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from spl_batch.accuracy import (
 )
 from spl_batch.api.preparing import prepare
 from spl_batch.constants import NODATA
+from spl_batch.errors import DamagedError
 from spl_batch.io.rasters import write_cog
 from spl_batch.io.tables import read_arrays
 from spl_batch.plan import reference as planned
@@ -113,6 +115,62 @@ def test_squares_say_what_all_points_at_once_say(
     seen = found.difference.values != NODATA
     ground = points["classification"] == 2
     assert 500 < np.count_nonzero(seen) <= np.count_nonzero(ground)
+
+
+def prepared_with(tmp_path: Path, rasters: Sequence[str], memory: str = "4GiB") -> Any:
+    """Ledger of a small survey with a reference, as it is when so many rasters are there."""
+    cloud = surveys.flightline(shots=60)
+    surveys.write_cloud(tmp_path / "ref.laz", cloud)
+    surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    survey = prepare(tmp_path / "workflow.yaml", [], memory=memory).ledger
+    for name in rasters:
+        survey.of("mosaic").put(Receipt("mosaic", name, "", "d", "", {}, {}, 0, 0.0, 0.0))
+    return survey
+
+
+@pytest.mark.parametrize(
+    ("rasters", "files"), [(("dtm", "dsm", "chm"), 1), (("dtm", "dsm"), 1), (("dtm", "chm"), 0)]
+)
+def test_nothing_is_compared_with_what_could_not_be_made(
+    rasters: tuple[str, ...], files: int, tmp_path: Path
+) -> None:
+    survey = prepared_with(tmp_path, rasters)
+    tasks = list(planned.reference(survey))
+    assert len(tasks) == files
+    for task in tasks:
+        facts = {"points": 10, "squares": {"0_0": 10}}
+        survey.of("reference").put(
+            Receipt("reference", task.name, "", "d", "", {}, facts, 10, 0.0, 0.0)
+        )
+    for task in planned.accuracy(survey):
+        assert task.args["rasters"] == list(rasters)
+        assert {name for kind, name in task.needs if kind == "mosaic"} == set(rasters)
+
+
+def test_a_square_that_fits_into_no_worker_is_refused_alone(tmp_path: Path) -> None:
+    survey = prepared_with(tmp_path, ("dtm", "dsm"), memory="1GiB")
+    facts = {"points": 10, "squares": {"0_0": 50_000_000, "0_1": 10}}
+    survey.of("reference").put(Receipt("reference", "1", "", "d", "", {}, facts, 10, 0.0, 0.0))
+    refused = {task.name: task.refused for task in planned.accuracy(survey)}
+    assert "--memory" in refused["0_0"]
+    assert "cut the reference" in refused["0_0"]
+    assert not refused["0_1"]
+
+
+def test_what_a_square_said_is_made_again_where_it_is_damaged(tmp_path: Path) -> None:
+    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    first = api.run(survey, workers=0)
+    for path in squares(first.output):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(bytes(content))
+    with pytest.raises(DamagedError, match="run again"):
+        api.report(first.output)
+    again = api.run(survey, workers=0)
+    assert first.report is not None
+    assert again.report is not None
+    assert again.report.accuracy == first.report.accuracy
 
 
 def squares(output: Path) -> list[Path]:

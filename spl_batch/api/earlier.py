@@ -39,6 +39,8 @@ def earlier_wall_s(output: Path) -> float | None:
     """
     try:
         kept = recall(output)
+        if kept.get("earlier_s", 0.0) is None:  # nor did that run know of those before it
+            return None
         told, begin = [float(kept["wall_s"])], int(kept.get("log_bytes", 0))
     except StoreError:  # they were stopped before their report
         told, begin = [], 0

@@ -12,7 +12,7 @@ from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from spl_batch.errors import StoreError
+from spl_batch.errors import DamagedError, StoreError
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +105,8 @@ def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part |
 
     Raises
     ------
-    StoreError
-        If the raster cannot be read.
+    DamagedError
+        If the raster cannot be read: it can be made again.
     """
     west, south, east, north = bounds_m
     try:
@@ -121,4 +121,4 @@ def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part |
             values = source.read(1, window=Window(col0, row0, col1 - col0, row1 - row0))
             return Part(values.astype(np.float32), left + col0 * cell, top - row0 * cell, cell)
     except RasterioError as error:
-        raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
+        raise DamagedError(path, error) from error

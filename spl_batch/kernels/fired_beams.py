@@ -181,11 +181,11 @@ def match_points(
                     best = number[blocks.offset[b] + shot - blocks.first[b]]
             b -= 1
         if best >= 0:
-            height = np.int64(place[2][p])
-            if height > top[best, c] >> np.int64(32):
-                # No quotient of whole numbers so small rounds up to the next whole one.
-                row, col = np.int64(north / size), np.int64(east / size)
-                top[best, c] = (height << np.int64(32)) | (row * cols + col)
+            # No quotient of whole numbers so small rounds up to the next whole one.
+            row, col = np.int64(north / size), np.int64(east / size)
+            # Of two as high, the cell decides and not their order.
+            word = (np.int64(place[2][p]) << np.int64(32)) | (row * cols + col)
+            top[best, c] = max(top[best, c], word)
 
 
 @njit(nogil=True, cache=True, inline="always")

@@ -76,7 +76,11 @@ def build(xyz: NDArray[np.int32]) -> KdTree:
     boxes = np.zeros((2 << depth, 6), dtype=np.int32)
     if n:
         _arrange(points, boxes, depth)
-    return KdTree(np.ascontiguousarray(points.T), boxes, depth)
+    # Searches read whole vectors: a few values beyond the last are there, and not used.
+    spare = np.zeros(4 * n + 8, np.int32)
+    by_column = spare[: 4 * n].reshape(4, n)
+    by_column[:] = points.T
+    return KdTree(by_column, boxes, depth)
 
 
 def nearest(

@@ -24,19 +24,19 @@ STORE_BYTES_PER_POINT: Final = 60
 DELIVERED_BYTES_PER_POINT: Final = 12
 """Classified LAZ [byte]."""
 
-REFERENCE_BYTES_PER_POINT: Final = 12
-"""A point of the reference, and what it says, in the working store [byte]."""
+REFERENCE_BYTES_PER_POINT: Final = 35
+"""A point of the reference in the working store while its file is cut into squares [byte]."""
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
         "index": 1.2e6,
         "shots": 2.2e6,
-        "shuffle": 0.45e6,
-        "denoise": 0.14e6,
-        "ground": 0.75e6,
-        "surfaces": 0.65e6,
+        "shuffle": 0.65e6,
+        "denoise": 0.19e6,
+        "ground": 0.9e6,
+        "surfaces": 0.75e6,
         "deliver": 2.5e6,
-        "report": 0.25e6,
+        "report": 0.35e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``denoise`` with the

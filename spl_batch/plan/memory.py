@@ -37,6 +37,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "ground": 125,
         "surface": 175,
         "deliver_tile": 280,
+        "accuracy": 300,
     }
 )
 """Peak memory of a task by each of the points that it holds at once [byte]."""
@@ -184,6 +185,7 @@ REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
         "denoise": "lower tiling.tile_m",
         "ground": "lower ground.cell_m or ground.buffer_m",
         "surface": "lower ground.cell_m or products.void_max_m",
+        "accuracy": "cut the reference into files that fill their bounding boxes evenly",
     }
 )
 """What makes a task lighter, by its kind."""
@@ -194,6 +196,7 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
         "denoise": "a denoise block",
         "ground": "a ground cell",
         "surface": "a surface cell",
+        "accuracy": "a square of the reference",
     }
 )
 """What a kind of task is called, in words."""

@@ -7,13 +7,14 @@ from typing import Final
 import numpy as np
 
 from spl_batch.plan.inputs import source_key
+from spl_batch.plan.memory import UNEVEN, points_within, refusal
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Task
 from spl_batch.tiling import quanta
 
 SQUARE_POINTS: Final = 1_000_000
-"""Points that a square holds on average, where no two files overlap [count]."""
+"""Points that a square holds on average, at most, where no two files overlap [count]."""
 
 MARGIN_M: Final = 4.0
 """What stands within 2 m of a point, above ground that is again within 2 m of it [m]."""
@@ -22,12 +23,12 @@ MARGIN_CELLS: Final = 2
 """Raster cells whose tops tell whether their neighbour is a roof's edge [count]."""
 
 COMPARED: Final = ("dtm", "dsm", "chm")
-"""Rasters that are looked at."""
+"""Rasters that are looked at; nothing is compared without the first two."""
 
 
 def reference(survey: Survey) -> Iterator[Task]:
     """Reference files, each to be cut into squares."""
-    if not survey.of("mosaic"):
+    if not {"dtm", "dsm"} <= survey.of("mosaic").keys():
         return
     edge, margin = _lattice(survey)
     for facts in survey.inputs.reference:
@@ -50,12 +51,14 @@ def accuracy(survey: Survey) -> Iterator[Task]:
         for square, count in receipt.facts["squares"].items():
             files.setdefault(square, []).append(name)
             points[square] = points.get(square, 0) + count
-    rasters = tuple(("mosaic", name) for name in COMPARED if name in survey.of("mosaic"))
+    rasters = [name for name in COMPARED if name in survey.of("mosaic")]
     edge, _ = _lattice(survey)
     for square in sorted(files):
-        args = {"square": square, "edge": edge, "files": files[square]}
-        needs = (*(("reference", name) for name in files[square]), *rasters)
-        yield Task("accuracy", square, args, needs, points[square])
+        args = {"square": square, "edge": edge, "files": files[square], "rasters": rasters}
+        needs = [*(("reference", name) for name in files[square])]
+        needs += [("mosaic", name) for name in rasters]
+        refused = refusal("accuracy", points[square], survey.memory_bytes)
+        yield Task("accuracy", square, args, tuple(needs), points[square], refused)
 
 
 def squares(survey: Survey) -> int:
@@ -79,7 +82,8 @@ def _lattice(survey: Survey) -> tuple[int, int]:
     boxes = [(f.mins_m, f.maxs_m, f.n_points) for f in survey.inputs.reference if f.n_points]
     area_m2 = sum((high[0] - low[0]) * (high[1] - low[1]) for low, high, _ in boxes)
     points = sum(n for _, _, n in boxes)
-    wanted = quanta(math.sqrt(area_m2 * SQUARE_POINTS / max(points, 1)))
+    held = min(SQUARE_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)
+    wanted = quanta(math.sqrt(area_m2 * held / max(points, 1)))
     edge = cell
     while edge <= 2 * margin or 2 * edge <= wanted:
         edge *= 2

@@ -209,9 +209,8 @@ def finished(
 ) -> Receipt | None:
     """Receipt of a task that needs no doing: it matches, and its outputs are there.
 
-    Outputs are known by their size. What lies in the store is verified where it is read; what
-    is delivered is read by no task, so its checksum is looked at where the file was written
-    to after the task was done.
+    Outputs are known by their size. What lies in the store is verified where it is read; of what
+    is delivered the checksum is looked at where the file was written to after the task was done.
 
     Parameters
     ----------

@@ -22,7 +22,9 @@ from spl_batch.accuracy import (
     terrain_differences,
 )
 from spl_batch.constants import NODATA
+from spl_batch.errors import DamagedError
 from spl_batch.io.raster_parts import overview_frame, read_part
+from spl_batch.io.store import forget_receipt
 from spl_batch.io.tables import read_arrays, write_arrays
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.reference import read_square
@@ -41,7 +43,10 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
     square = args["square"]
     core = cell_bounds(parse_cell(square), args["edge"])
     known = read_square(context, args["files"], square, core)
-    terrain, surface, height = (_near(context, name, known) for name in ("dtm", "dsm", "chm"))
+    terrain, surface, height = (
+        _near(context, name, known) if name in args["rasters"] else None
+        for name in ("dtm", "dsm", "chm")
+    )
     arrays: dict[str, NDArray[Any]] = {}
     if terrain is not None and surface is not None:
         grid = Grid(*overview_frame(context.output / "dtm.tif"))
@@ -150,10 +155,18 @@ def _squares(
     done: Receipts, context: Context, total: NDArray[np.int64], count: NDArray[np.int64]
 ) -> Iterator[Tallies]:
     """Errors that each square has found; what it says of the map is added to ``total, count``."""
+    damaged: DamagedError | None = None
     for square in done.get("accuracy", {}):
-        arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
+        try:
+            arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
+        except DamagedError as error:
+            forget_receipt(context.store, "accuracy", square)  # the next run makes it again
+            damaged = damaged or error
+            continue
         if "cell" in arrays:
             # No cell is named twice by one square.
             total[arrays["cell"]] += arrays["total"]
             count[arrays["cell"]] += arrays["count"]
         yield _as_tallies(arrays)
+    if damaged is not None:
+        raise damaged

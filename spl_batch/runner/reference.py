@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 
 from spl_batch.accuracy import Reference
 from spl_batch.constants import QUANTUM_M
-from spl_batch.io.atomic import scratch_folder
+from spl_batch.io.atomic import remove, scratch_folder
 from spl_batch.io.las import iter_points
 from spl_batch.io.tables import read_columns, writing
 from spl_batch.model import PointTable
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.tiling import Bounds, inside
+
+CHUNK_POINTS: Final = 500_000
+"""Points that are read and written at a time [count]."""
 
 _COLUMNS: Final = {"x": np.int64, "y": np.int64, "z": np.int32, "class": np.uint8}
 """What a square keeps of a point [quanta]."""
@@ -31,18 +34,27 @@ def reference(args: Mapping[str, Any], context: Context) -> Produced:
     """
     path, edge, margin = Path(args["path"]), args["edge"], args["margin"]
     points, written, squares = 0, [], {}
+    remove(context.store.path("reference", args["file"]))  # squares of another cutting
     with unchanged(path, args["stamp"]), scratch_folder(context.store.local / "squares") as folder:
-        for table in iter_points(path, channel_dimension=None, source=0):
+        for table in iter_points(path, channel_dimension=None, source=0, chunk=CHUNK_POINTS):
             points += len(table)
             _put_down(_records(table), folder, edge, margin)
         for square in sorted(folder.iterdir()):
-            records = np.fromfile(square, _RECORD)
             target = _file(context, args["file"], square.name)
-            with writing(target, _COLUMNS, sought=()) as file:
-                file.write({name: np.ascontiguousarray(records[name]) for name in _COLUMNS})
+            squares[square.name] = _write_square(square, target)
             written.append(target)
-            squares[square.name] = len(records)
     return Produced(written, {"points": points, "squares": squares}, points)
+
+
+def _write_square(scratch: Path, target: Path) -> int:
+    """Keep the points of a square, some at a time; their number."""
+    count = 0
+    with writing(target, _COLUMNS, sought=()) as file, scratch.open("rb") as stream:
+        while content := stream.read(CHUNK_POINTS * _RECORD.itemsize):
+            records = np.frombuffer(content, _RECORD)
+            file.write({name: np.ascontiguousarray(records[name]) for name in _COLUMNS})
+            count += len(records)
+    return count
 
 
 def read_square(context: Context, files: Sequence[str], square: str, core: Bounds) -> Reference:
@@ -98,7 +110,8 @@ def _put_down(records: NDArray[np.void], folder: Path, edge: int, margin: int) -
             cuts = np.flatnonzero((np.diff(i) != 0) | (np.diff(j) != 0)) + 1
             for rows, at in zip(np.split(mine, cuts), [0, *cuts.tolist()], strict=True):
                 with Path(folder, f"{i[at]}_{j[at]}").open("ab") as stream:
-                    records[rows].tofile(stream)
+                    # numpy's own tofile keeps quiet about a full disk
+                    stream.write(records[rows].tobytes())
 
 
 def _by_square(i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.intp]:

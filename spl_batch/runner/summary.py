@@ -192,8 +192,10 @@ def _kept_within_signal(done: Receipts, settings: FilterSettings) -> float | Non
     """Background that lies among what any filter by neighbours keeps [count]."""
     if settings.method == "none":
         return None
-    parts = [int(r.facts["kept_noise"]) for r in done.get("surface", {}).values()]
-    return sum(parts) / PARTS
+    found = [receipt.facts for receipt in done.get("surface", {}).values()]
+    if any("kept_noise" not in facts for facts in found):  # of a run before it was counted
+        return None
+    return sum(int(facts["kept_noise"]) for facts in found) / PARTS
 
 
 def _uncovered(done: Receipts) -> Iterable[str]:
