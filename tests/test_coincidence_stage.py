@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from spl_batch.geiger.coincidence import accuracy, stages
@@ -82,14 +82,15 @@ def test_no_cut_changes_a_point(tile: int, volume: int) -> None:
     frames, detections = flown()
     chosen = CoincidenceSettings(volume_voxels=volume)
     whole = region(SMALL)
+    cells = list(cells_touching(whole, tile))
+    assume(len(cells) > 1)  # a large tile may by chance hold all
     parts = []
-    for cell in cells_touching(whole, tile):
+    for cell in cells:
         b = cell_bounds(cell, tile)
         own = Bounds(max(b.xmin, whole.xmin), max(b.ymin, whole.ymin),
                      min(b.xmax, whole.xmax), min(b.ymax, whole.ymax))  # fmt: skip
         order = np.random.default_rng(tile).permutation(len(detections))
         parts.append(stages.coincide(frames, detections.take(order), own, chosen, SMALL.array))
-    assert len(parts) > 1
     assert same(Points.joined(parts).in_order(), points())
 
 
