@@ -1,6 +1,8 @@
 """Parts and overviews of delivered rasters, for statistics and pictures."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,23 +52,20 @@ def read_overview(path: Path, largest: int = 1200) -> Part:
     StoreError
         If the raster cannot be read.
     """
-    try:
-        with rasterio.open(path) as source:
-            step, shape = _reduced(source, largest)
-            # A window beyond the edge keeps cells square where the step does not divide it.
-            window = Window(0, 0, shape[1] * step, shape[0] * step)
-            values = source.read(
-                1,
-                window=window,
-                out_shape=shape,
-                boundless=step > 1,
-                fill_value=source.nodata,
-                resampling=Resampling.average if step > 1 else Resampling.nearest,
-            )
-            left, top = source.transform.c, source.transform.f
-            return Part(values.astype(np.float32), left, top, source.transform.a * step)
-    except RasterioError as error:
-        raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
+    with _opened(path) as source:
+        step, shape = _reduced(source, largest)
+        # A window beyond the edge keeps cells square where the step does not divide it.
+        window = Window(0, 0, shape[1] * step, shape[0] * step)
+        values = source.read(
+            1,
+            window=window,
+            out_shape=shape,
+            boundless=step > 1,
+            fill_value=source.nodata,
+            resampling=Resampling.average if step > 1 else Resampling.nearest,
+        )
+        left, top = source.transform.c, source.transform.f
+        return Part(values.astype(np.float32), left, top, source.transform.a * step)
 
 
 def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, float, float]:
@@ -77,11 +76,17 @@ def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, fl
     StoreError
         If the raster cannot be read.
     """
+    with _opened(path) as source:
+        step, shape = _reduced(source, largest)
+        return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A raster to read; :class:`StoreError` if it cannot be."""
     try:
         with rasterio.open(path) as source:
-            step, shape = _reduced(source, largest)
-            transform = source.transform
-            return (*shape, transform.c, transform.f, transform.a * step)
+            yield source
     except RasterioError as error:
         raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
 
