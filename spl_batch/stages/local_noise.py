@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.model import VOXEL_FIXED_POINT
-from spl_batch.stages.voxel_noise import sphere_radius_m
+from spl_batch.stages.voxel_noise import sphere_radius_m, tallest
 
 DOMAIN: Final = "space"
 
@@ -304,20 +304,12 @@ def _to_the_ends(
     number, total = _nine(own), _nine(points)
     part = np.where(number > 0.0, total / np.where(number > 0.0, number, 1.0), 0.0)
     # a layer that few beamlets reach, those that leave the others', tells nothing
-    usual = _tallest(number)
-    each = _tallest(np.where(number >= ENOUGH * usual, part, 0.0))
+    usual = tallest(number)
+    each = tallest(np.where(number >= ENOUGH * usual, part, 0.0))
     # beamlets cross all layers: what differs by chance are those that lean in and out
     error = CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2))
     cut = part < (1.0 - error) * each
     return each, np.where(cut, np.maximum(each * own, points), points)
-
-
-def _tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest of each voxel and those above and below."""
-    out = values.copy()
-    np.maximum(out[:, :, 1:], values[:, :, :-1], out=out[:, :, 1:])
-    np.maximum(out[:, :, :-1], values[:, :, 1:], out=out[:, :, :-1])
-    return out
 
 
 def _surely(beamlets: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -212,7 +212,13 @@ def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
     (i, j, k) float64
         [1/m3]; a deviation from [W18] Eq. 2.
     """
-    out = per_m3.copy()
-    np.maximum(out[:, :, 1:], per_m3[:, :, :-1], out=out[:, :, 1:])
-    np.maximum(out[:, :, :-1], per_m3[:, :, 1:], out=out[:, :, :-1])
-    return np.where(out > UNEVEN * per_m3, out, per_m3)
+    largest = tallest(per_m3)
+    return np.where(largest > UNEVEN * per_m3, largest, per_m3)
+
+
+def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest of each voxel and those above and below: (i, j, k) float64, k upwards."""
+    out = values.copy()
+    np.maximum(out[:, :, 1:], values[:, :, :-1], out=out[:, :, 1:])
+    np.maximum(out[:, :, :-1], values[:, :, 1:], out=out[:, :, :-1])
+    return out
