@@ -35,7 +35,7 @@ from spl_batch.plan.flightlines import (
     is_timeless,
 )
 from spl_batch.plan.inputs import source_key
-from spl_batch.plan.layout import Block, Layout, parse_block
+from spl_batch.plan.layout import ORIGIN, Block, Layout, parse_block
 from spl_batch.plan.memory import UNEVEN
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, owners, tile_counts, units, voxel_index
@@ -333,6 +333,13 @@ def test_a_small_survey_is_one_block_for_one_worker_and_is_shared_by_several() -
     assert cores(counts, Sizes(4), 1) != cores(counts, Sizes(4)), "as memory allows"
 
 
+@pytest.mark.parametrize("west", [0, 3, 5])
+def test_two_workers_share_a_small_survey_evenly_wherever_it_lies(west: int) -> None:
+    counts = {CellId(t.i + west, t.j + 6): n for t, n in everywhere(100_000, 8).items()}
+    found = cores(counts, sizes_of(counts, 64, 2))
+    assert found == {f"{west}_6_4_8", f"{west + 4}_6_4_8"}
+
+
 def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
     counts = {**everywhere(100_000), CellId(3, 3): 9_000_000}
     pieces = list(from_counts(counts, 100_000))
@@ -363,18 +370,20 @@ tile_points = st.dictionaries(
 EDGE, HALO = 100, 30
 
 
-def laid_out(counts: Mapping[CellId, int], side: int, most: float) -> dict[str, Unit]:
+def laid_out(
+    counts: Mapping[CellId, int], side: int, most: float, anchor: CellId = ORIGIN
+) -> dict[str, Unit]:
     layout = Layout(counts, EDGE, HALO)
-    return {str(block): layout.unit(block) for block in layout.share(side, most)}
+    return {str(block): layout.unit(block) for block in layout.share(side, most, anchor)}
 
 
 @settings(deadline=None, max_examples=50)
-@given(tile_points, st.sampled_from(LARGEST), st.integers(1, 9000))
-@example({CellId(0, 0): 1, CellId(0, -1): 1}, 8, 1)
+@given(tile_points, st.integers(1, 12), st.integers(1, 9000), st.integers(-9, 9))
+@example({CellId(0, 0): 1, CellId(0, -1): 1}, 8, 1, 0)
 def test_blocks_own_each_tile_once_and_hold_what_they_may(
-    counts: dict[CellId, int], side: int, most: int
+    counts: dict[CellId, int], side: int, most: int, anchor: int
 ) -> None:
-    found = laid_out(counts, side, most)
+    found = laid_out(counts, side, most, CellId(anchor, -anchor))
     owning = {t: [n for n, u in found.items() if overlap(u.core, cell_bounds(t, EDGE))]
               for t in counts}  # fmt: skip
     assert all(len(names) == 1 for names in owning.values())
@@ -420,9 +429,9 @@ def test_points_far_away_change_no_block(
 def test_the_sizes_of_blocks_are_remembered_for_each_size_of_tiles(tmp_path: Path) -> None:
     store, other = Store(tmp_path), workflow(tiling={"tile_m": 50})
     assert remembered_sizes(store, DEFAULTS) is None
-    remember_sizes(store, DEFAULTS, Sizes(4, 12.5))
+    remember_sizes(store, DEFAULTS, Sizes(4, 12.5, CellId(-3, 7)))
     remember_sizes(store, other, Sizes(2))
-    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 12.5)
+    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 12.5, CellId(-3, 7))
     assert remembered_sizes(store, other) == Sizes(2)
     store.path("blocks.json").write_text("{half")
     assert remembered_sizes(store, DEFAULTS) is None, "chosen anew"

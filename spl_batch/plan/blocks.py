@@ -7,12 +7,12 @@ another number of workers, leaves finished blocks as they are.
 import heapq
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from spl_batch.errors import DamagedError
 from spl_batch.io.store import Store, read_json, write_json
 from spl_batch.plan.density import Cut, Piece
-from spl_batch.plan.layout import Block, Layout, around, parse_block
+from spl_batch.plan.layout import ORIGIN, Block, Layout, around, parse_block
 from spl_batch.plan.memory import halo_m, points_within
 from spl_batch.task import Receipt
 from spl_batch.tiling import BoxIndex, CellId, cell_bounds, quanta
@@ -53,10 +53,13 @@ class Sizes(NamedTuple):
         Tiles along one side of the squares that they begin as [count].
     points : float
         Points that a block of several tiles may hold, as far as memory allows [count].
+    anchor : CellId
+        South-western tile of one of those squares.
     """
 
     tiles: int
     points: float = math.inf
+    anchor: CellId = ORIGIN
 
 
 class Expected(NamedTuple):
@@ -82,6 +85,9 @@ def choose_sizes(
 ) -> Sizes:
     """Sizes with which the blocks of a survey are done soonest.
 
+    The absolute grid may cut a small survey unevenly. One square around all of it is tried too,
+    whose halves are as even as columns of tiles let them be.
+
     Parameters
     ----------
     pieces : sequence of Piece
@@ -99,11 +105,14 @@ def choose_sizes(
     if counts is None:
         return Sizes(_choose_by_read(pieces, workflow, memory_bytes, workers))
     share = sum(counts.values()) / max(workers, 1)
-    tried = [Sizes(tiles, points) for tiles in LARGEST
-             for points in (math.inf, *(part * share for part in SHARES))]  # fmt: skip
-    if workers <= 1:
-        tried = [sizes for sizes in tried if math.isinf(sizes.points)]
     layout = layout_of(counts, workflow)
+    tried = [Sizes(tiles) for tiles in LARGEST]
+    if workers > 1 and counts:
+        everything = around(counts)
+        side = max(everything.columns, everything.rows)
+        tried.append(Sizes(side, anchor=CellId(everything.i, everything.j)))
+        tried = [sizes._replace(points=points) for sizes in tried
+                 for points in (math.inf, *(part * share for part in SHARES))]  # fmt: skip
     costs = [
         _finished([_cost(layout, block) for block in found], workers)
         for found in (blocks(layout, sizes, workflow, memory_bytes) for sizes in tried)
@@ -127,7 +136,8 @@ def blocks(layout: Layout, sizes: Sizes, workflow: Workflow, memory_bytes: int) 
     """
     if workflow.tiling.block_tiles is not None:
         return layout.squares(sizes.tiles)
-    return layout.share(sizes.tiles, min(sizes.points, block_points(memory_bytes)))
+    most = min(sizes.points, block_points(memory_bytes))
+    return layout.share(sizes.tiles, most, sizes.anchor)
 
 
 def layout_of(counts: Mapping[CellId, int], workflow: Workflow) -> Layout:
@@ -270,7 +280,10 @@ def _cuts(
 def remembered_sizes(store: Store, workflow: Workflow) -> Sizes | None:
     """Sizes of the blocks of earlier runs with these tiles; None where there are none."""
     found = _remembered(store).get(_key(workflow))
-    return None if found is None else Sizes(int(found["tiles"]), found["points"] or math.inf)
+    if found is None:
+        return None
+    anchor = CellId(*found.get("anchor", ORIGIN))
+    return Sizes(int(found["tiles"]), found["points"] or math.inf, anchor)
 
 
 def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
@@ -286,7 +299,8 @@ def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
         What :func:`choose_sizes` chose.
     """
     known = _remembered(store)
-    new = {"tiles": sizes.tiles, "points": None if math.isinf(sizes.points) else sizes.points}
+    points = None if math.isinf(sizes.points) else sizes.points
+    new = {"tiles": sizes.tiles, "points": points, "anchor": [*sizes.anchor]}
     if known.get(_key(workflow)) != new:
         write_json(store.path(_FILE), {**known, _key(workflow): new})
 
@@ -295,7 +309,7 @@ def _key(workflow: Workflow) -> str:
     return f"blocks of tiles of {workflow.tiling.tile_m:g} m"
 
 
-def _remembered(store: Store) -> dict[str, dict[str, float]]:
+def _remembered(store: Store) -> dict[str, dict[str, Any]]:
     try:
         return read_json(store.path(_FILE))
     except DamagedError:

@@ -18,6 +18,10 @@ POOR: Final = 0.25
 """Share of what it reads that a block owns, below which a neighbour takes it over if it can."""
 
 
+ORIGIN: Final = CellId(0, 0)
+"""Tile that a square of tiles begins with, unless another is named."""
+
+
 class Block(NamedTuple):
     """Rectangle of tiles.
 
@@ -99,7 +103,7 @@ class Layout:
         cell, core = CellId(block.i, block.j), block.core(self.tile_q)
         return unit_within(core, self.counts, self.tile_q, self.halo_q, (str(block), cell))
 
-    def share(self, side: int, most: float) -> list[Block]:
+    def share(self, side: int, most: float, anchor: CellId = ORIGIN) -> list[Block]:
         """Blocks that read little and hold no more than they may.
 
         Parameters
@@ -108,6 +112,8 @@ class Layout:
             Tiles along one side of the squares that they are made of [count].
         most : float
             Points that a block of several tiles may hold with its halo [count].
+        anchor : CellId
+            South-western tile of one of them.
 
         Returns
         -------
@@ -115,20 +121,23 @@ class Layout:
             Sorted; each tile that holds points belongs to one.
         """
         # strips at the edges first, so that cuts run through all of a survey
-        whole = self.join(self.squares(side), math.inf)
+        whole = self.join(self.squares(side, anchor), math.inf)
         return self.join(self.cut(whole, most), most)
 
-    def squares(self, side: int) -> list[Block]:
-        """Squares of an absolute grid, without the rows and columns that hold no points.
+    def squares(self, side: int, anchor: CellId = ORIGIN) -> list[Block]:
+        """Squares of a grid, without the rows and columns that hold no points.
 
         Parameters
         ----------
         side : int
             Tiles along one side [count].
+        anchor : CellId
+            South-western tile of one of them.
         """
         cells: dict[CellId, list[CellId]] = {}
         for tile in self.counts:
-            cells.setdefault(CellId(tile.i // side, tile.j // side), []).append(tile)
+            square = CellId((tile.i - anchor.i) // side, (tile.j - anchor.j) // side)
+            cells.setdefault(square, []).append(tile)
         return [around(tiles) for _, tiles in sorted(cells.items())]
 
     def cut(self, blocks: Iterable[Block], most: float) -> Iterator[Block]:
