@@ -21,6 +21,7 @@ from spl_batch.accuracy import (
     add_up,
     difference_sums,
     differences,
+    ground_differences,
     statistics,
     surface_differences,
     tallies,
@@ -162,6 +163,17 @@ def test_points_of_the_margin_only_tell_what_stands_nearby():
     assert all(len(values) == 0 for values in none.values())
 
 
+def test_the_dtm_is_taken_at_each_ground_point_once(monkeypatch):
+    ref = reference((2, GROUND), (7, [[11, 10, 0.0]]), (5, [[10.5, 10, 9.0]]))
+    dtm, calls = Raster(bumpy(40, 40).values, 0.0, 40.0, 1.0), []
+    once, whole = ground_differences(dtm, ref), terrain_differences(dtm, ref)
+    np.testing.assert_array_equal(once.astype(np.float32), whole["all"])
+    monkeypatch.setattr(Raster, "bilinear", lambda *_: calls.append(_))
+    again = terrain_differences(dtm, ref, at_ground_m=once)
+    assert not calls
+    assert all(np.array_equal(again[name], whole[name]) for name in whole)
+
+
 def same(one, other):
     """Whether two tallies count the same."""
     return (
@@ -280,10 +292,10 @@ def test_sums_of_differences_are_those_of_each_cell_and_free_of_slope():
     e, n = rng.uniform(1, 19, 500), rng.uniform(1, 19, 500)
     ref = reference((2, np.stack([e, n, 2 * e - (20 - n) - 0.25], axis=1)), (5, [[3, 3, 99]]))
     grid = Grid(10, 10, 0.0, 20.0, 2.0)
-    cell, total, count = difference_sums(dtm, ref, grid)
+    cell, total, count = difference_sums(ground_differences(dtm, ref), ref, grid)
     np.testing.assert_allclose(total / count / STEPS_PER_M, 0.25, atol=1e-4)
     row, col, _ = grid.place(ref.xyz_m[:500, :2])
     assert cell.tolist() == sorted({10 * r + c for r, c in zip(row, col, strict=True)})
     assert count.sum() == 500
     half = Reference(ref.xyz_m, ref.classification, np.arange(501) < 250)
-    assert difference_sums(dtm, half, grid)[2].sum() == 250
+    assert difference_sums(ground_differences(dtm, half), half, grid)[2].sum() == 250

@@ -9,6 +9,7 @@ Differences are raster minus reference [m]. Each place finds its own
 from spl_batch.accuracy.differences import (
     Differences,
     difference_sums,
+    ground_differences,
     surface_differences,
     terrain_differences,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "accuracy_report",
     "add_up",
     "difference_sums",
+    "ground_differences",
     "statistics",
     "surface_differences",
     "tallies",

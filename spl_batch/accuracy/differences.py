@@ -41,8 +41,37 @@ Differences = dict[str, NDArray[np.float32]]
 """Raster minus reference [m] by class of surface; ``all`` holds every one."""
 
 
+def ground_differences(dtm: Raster, reference: Reference) -> NDArray[np.float64]:
+    """DTM minus reference at each ground point, those of the margin included.
+
+    Parameters
+    ----------
+    dtm : Raster
+        Terrain [m].
+    reference : Reference
+        Points; only ground is looked at.
+
+    Returns
+    -------
+    (g,) float64
+        In the order of the ground points [m]; NaN where the DTM is void.
+    """
+    points, _ = _ground(reference.without_noise())
+    return dtm.bilinear(points[:, :2]) - points[:, 2]
+
+
+def _ground(reference: Reference) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Ground points (g, 3) of a reference without noise [m], and whether each counts: (g,)."""
+    ground = reference.classification == CLASS_GROUND
+    return reference.xyz_m[ground], reference.counts[ground]
+
+
 def terrain_differences(
-    dtm: Raster, reference: Reference, *, chm: Raster | None = None
+    dtm: Raster,
+    reference: Reference,
+    *,
+    chm: Raster | None = None,
+    at_ground_m: NDArray[np.float64] | None = None,
 ) -> Differences:
     """DTM minus reference ground points, by class of surface.
 
@@ -54,6 +83,8 @@ def terrain_differences(
         Points of all classes; those that are not ground tell what stands on it.
     chm : Raster, optional
         Height of the surface above the terrain [m]: open ground must be low in it too.
+    at_ground_m : (g,) float64, optional
+        What :func:`ground_differences` says of them, where it has been asked already.
 
     Returns
     -------
@@ -63,10 +94,9 @@ def terrain_differences(
         and ``slope_0_5``, ``slope_5_15``, ... in degrees.
     """
     reference = reference.without_noise()
-    ground = reference.classification == CLASS_GROUND
-    points = reference.xyz_m[ground]
-    is_open, canopy = _cover(reference, ground)
-    difference = dtm.bilinear(points[:, :2]) - points[:, 2]
+    points, counts = _ground(reference)
+    is_open, canopy = _cover(reference)
+    difference = ground_differences(dtm, reference) if at_ground_m is None else at_ground_m
     if chm is not None:
         height = chm.at(points[:, :2])
         # A void CHM says nothing against open ground.
@@ -79,17 +109,15 @@ def terrain_differences(
     slope = dtm.slope_deg().at(points[:, :2])
     for low, high in itertools.pairwise(SLOPE_EDGES_DEG):
         classes[f"slope_{low}_{high}"] = (slope >= low) & (slope < high)
-    used = reference.counts[ground] & np.isfinite(difference)
+    used = counts & np.isfinite(difference)
     return _by_class(difference, classes, used)
 
 
-def _cover(
-    reference: Reference, ground: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _cover(reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which ground points are open, and which lie under vegetation: two (g,) bool."""
-    points = reference.xyz_m[ground]
-    others = ~ground & (reference.classification != CLASS_WATER)
-    if not ground.any() or not others.any():
+    points, _ = _ground(reference)
+    others = ~np.isin(reference.classification, (CLASS_GROUND, CLASS_WATER))
+    if not len(points) or not others.any():
         return np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
     above = reference.xyz_m[others]
     foot = np.asarray(_tree(points).query(above[:, :2])[1], dtype=np.intp)
@@ -202,16 +230,16 @@ def _by_class(
 
 
 def difference_sums(
-    dtm: Raster, reference: Reference, grid: Grid
+    at_ground_m: NDArray[np.float64], reference: Reference, grid: Grid
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """DTM minus reference ground, added up over the points of each cell of a map.
 
     Parameters
     ----------
-    dtm : Raster
-        Terrain [m].
+    at_ground_m : (g,) float64
+        DTM minus reference at each ground point, by :func:`ground_differences`.
     reference : Reference
-        Points; only ground that counts is looked at.
+        The points; only ground that counts is added up.
     grid : Grid
         Cells of the map.
 
@@ -222,12 +250,10 @@ def difference_sums(
         sums of several places do not depend on their order; points [count]. The DTM is taken
         at each point, so slopes leave no trace.
     """
-    ground = reference.without_noise()
-    points = ground.xyz_m[(ground.classification == CLASS_GROUND) & ground.counts]
-    difference = dtm.bilinear(points[:, :2]) - points[:, 2]
+    points, counts = _ground(reference.without_noise())
     row, col, held = grid.place(points[:, :2])
-    used = held & np.isfinite(difference)
-    steps = np.rint(difference[used] * STEPS_PER_M).astype(np.int64)
+    used = held & counts & np.isfinite(at_ground_m)
+    steps = np.rint(at_ground_m[used] * STEPS_PER_M).astype(np.int64)
     cell, place = np.unique(row[used] * grid.columns + col[used], return_inverse=True)
     total = np.zeros(len(cell), np.int64)
     np.add.at(total, place, steps)

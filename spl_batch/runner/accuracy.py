@@ -17,6 +17,7 @@ from spl_batch.accuracy import (
     accuracy_report,
     add_up,
     difference_sums,
+    ground_differences,
     surface_differences,
     tallies,
     terrain_differences,
@@ -50,9 +51,11 @@ def accuracy(args: Mapping[str, Any], context: Context) -> Produced:
     arrays: dict[str, NDArray[Any]] = {}
     if terrain is not None and surface is not None:
         grid = Grid(*overview_frame(context.output / "dtm.tif"))
-        arrays = dict(zip(_MAP, difference_sums(terrain, known, grid), strict=True))
+        at_ground_m = ground_differences(terrain, known)
+        arrays = dict(zip(_MAP, difference_sums(at_ground_m, known, grid), strict=True))
+        by_class = terrain_differences(terrain, known, chm=height, at_ground_m=at_ground_m)
         found = {
-            "dtm": tallies(terrain_differences(terrain, known, chm=height)),
+            "dtm": tallies(by_class),
             "dsm": tallies(surface_differences(surface, known)),
         }
         for product, counted in found.items():
