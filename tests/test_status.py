@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -29,12 +30,14 @@ from spl_batch.api.events import (
     WorkersSeen,
     as_record,
 )
+from spl_batch.api.follower import Follower
 from spl_batch.api.lock import holder, lock_file, locked
 from spl_batch.api.progress import end_last_line
-from spl_batch.api.status import Follower, RunStatus, StageStatus
+from spl_batch.api.status import RunStatus, StageStatus
 from spl_batch.api.tilemap import COLUMNS, ROWS, State, TileMap
 from spl_batch.cli import live, screen, view
 from spl_batch.errors import WorkflowError
+from spl_batch.io.store import IDENTITY
 from tests import surveys
 
 
@@ -251,6 +254,7 @@ def test_status_says_whether_a_run_works_ended_or_was_killed(
 ) -> None:
     log = tmp_path / "log.jsonl"
     log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in a_run()))
+    (tmp_path / "store" / "receipts").mkdir(parents=True)
     with locked(tmp_path):
         said = surveys.command("status", tmp_path).out
         assert f"working: process {os.getpid()} on {socket.gethostname()}" in said
@@ -270,6 +274,36 @@ def test_status_says_whether_a_run_works_ended_or_was_killed(
     assert "stopped before its end; the same command continues" in said
     assert "time left about" not in said
     assert "failed: denoise 1_0" in said
+
+
+def test_status_says_what_is_left_where_the_store_is_gone(tmp_path: Path) -> None:
+    """Outputs that were delivered stay; what a run finds finished is in the store alone."""
+    log = tmp_path / "log.jsonl"
+    events = [*a_run(), RunEnded(0)]
+    log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in events))
+    (tmp_path / "dtm.tif").touch()
+    (tmp_path / "laz").mkdir()
+    receipts = tmp_path / "store" / "receipts"
+    receipts.mkdir(parents=True)
+    assert api.status(tmp_path).delivered is None
+    assert "gone" not in surveys.command("status", tmp_path).out
+    shutil.rmtree(receipts.parent)
+    assert api.status(tmp_path).delivered == ("dtm.tif", "laz")
+    said = surveys.command("status", tmp_path).out
+    assert "was done" in said.splitlines()[0]
+    assert "ended with exit status 0" in said
+    assert "its store is gone: the next run starts over; what is left here: dtm.tif, laz" in said
+    with locked(tmp_path):
+        assert api.status(tmp_path).delivered is None, "a run works there"
+    assert api.status(tmp_path).delivered == ("dtm.tif", "laz"), "a lock vouches for nothing"
+    (tmp_path / "store" / IDENTITY).touch()
+    assert api.status(tmp_path).delivered is None, "the store lies elsewhere"
+    (tmp_path / "store" / IDENTITY).unlink()
+    log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in a_run()))
+    said = surveys.command("status", tmp_path).out
+    assert "stopped before its end; the same command does it again" in said
+    log.write_text("".join(json.dumps(as_record(event)) + "\n" for event in a_run()[:2]))
+    assert api.status(tmp_path).delivered is None, "nothing was finished"
 
 
 def test_a_run_that_never_began_its_work_hides_nothing(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ A verb is imported when it is asked for: planning needs no pictures, say.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# At once, for its module has its name: imported later, that would take the verb's place.
-from spl_batch.api.status import Follower, RunStatus, StageStatus, status
+# At once, for a module has the name of the verb: imported later, that would take its place.
+from spl_batch.api.follower import Follower, status
+from spl_batch.api.status import RunStatus, StageStatus
 
 if TYPE_CHECKING:
     from spl_batch.api.alone import AloneResult, run_alone

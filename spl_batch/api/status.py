@@ -1,28 +1,19 @@
 """What is done, running, failed and left: the state of a run, told event by event.
 
 The same state is made from the events of a run in this process and from the lines of its
-log, which any other process may read while it grows.
+log (:mod:`spl_batch.api.follower`).
 """
 
-import json
-import mmap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.api.earlier import FIRST_EVENT, WORK_EVENT
-from spl_batch.api.lock import holder
 from spl_batch.api.tilemap import TileMap
-from spl_batch.errors import WorkflowError
 from spl_batch.runner import STAGES
 
 TRUSTED_SHARE: Final = 0.2
 """Share of a stage's points from which on the time left follows from its own speed alone."""
-
-_BLOCK_BYTES: Final = 1 << 22
-"""Bytes of the log read at once [byte]."""
 
 
 @dataclass(slots=True)
@@ -158,6 +149,9 @@ class RunStatus:
         Whether the latest run is writing the report, or has.
     counted : bool
         Whether the writing of it is among the tasks of its stage.
+    delivered : tuple of str or None
+        What lies in the output folder though its store is gone, and with it all that was
+        finished: the next run starts over; None where the store is there.
     """
 
     stages: dict[str, StageStatus] = field(default_factory=dict)
@@ -174,6 +168,7 @@ class RunStatus:
     waiting: list[Mapping[str, Any]] = field(default_factory=list)
     reporting: bool = False
     counted: bool = False
+    delivered: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         self.stages = {name: StageStatus(name) for name in self.order}
@@ -303,85 +298,6 @@ class RunStatus:
         self.running.clear()
         for tiles in self.tiles.values():
             tiles.running[:] = 0
-
-
-class Follower:
-    """Reads the log of an output folder as it grows, each line once.
-
-    Parameters
-    ----------
-    output : Path or str
-        Folder of the results.
-
-    Raises
-    ------
-    WorkflowError
-        If no run has worked there.
-    """
-
-    def __init__(self, output: Path | str) -> None:
-        self.output = Path(output)
-        self.status = RunStatus()
-        self._rest = b""
-        try:
-            self._read = _latest_run(self._log)
-        except OSError:
-            raise WorkflowError(f"{output}: no run has worked here (no log.jsonl)") from None
-
-    @property
-    def _log(self) -> Path:
-        return self.output / "log.jsonl"
-
-    def update(self) -> RunStatus:
-        """State as of now."""
-        try:
-            with self._log.open("rb") as stream:
-                stream.seek(self._read)
-                while content := stream.read(_BLOCK_BYTES):
-                    self._read += len(content)
-                    self._take(content)
-        except OSError as error:
-            raise WorkflowError(f"{self._log}: cannot be read: {error.strerror}") from None
-        self.status.holder = holder(self.output)
-        if self.status.holder is None:
-            self.status.nothing_runs()
-        return self.status
-
-    def _take(self, content: bytes) -> None:
-        *lines, self._rest = (self._rest + content).split(b"\n")
-        for line in lines:
-            try:
-                record = json.loads(line)
-            except ValueError:
-                continue  # a run that was killed may have left half a line
-            self.status.feed(record)
-
-
-def status(output: Path | str) -> RunStatus:
-    """State of the latest run of an output folder, which may be working at this moment.
-
-    Parameters
-    ----------
-    output : Path or str
-        Folder of the results.
-
-    Raises
-    ------
-    WorkflowError
-        If no run has worked there.
-    """
-    return Follower(output).update()
-
-
-def _latest_run(log: Path) -> int:
-    """Where the lines of the latest run begin in a log [byte]."""
-    if not log.stat().st_size:
-        return 0
-    with log.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as whole:
-        # A run that ended before its work began says nothing of what is done.
-        began = whole.rfind(WORK_EVENT)
-        first = whole.rfind(FIRST_EVENT, 0, began if began >= 0 else len(whole))
-        return whole.rfind(b"\n", 0, max(first, 0)) + 1
 
 
 def _seconds(record: Mapping[str, Any]) -> float:

@@ -128,7 +128,8 @@ def watch_status(follower: "Follower", every_s: float = 1.0) -> "RunStatus":
 
 def _whole(status: "RunStatus") -> RenderableType:
     """State by stage as a table, and all else that the live view shows."""
-    table = Table("stage", "done", "failed", "left", "points/s", "time", "time left", box=None)
+    done = "done" if status.delivered is None else "was done"
+    table = Table("stage", done, "failed", "left", "points/s", "time", "time left", box=None)
     for stage in status.stages.values():
         table.add_row(
             stage.stage,
@@ -140,7 +141,16 @@ def _whole(status: "RunStatus") -> RenderableType:
             duration(stage.left_s) if stage.left else "",
         )
     killed = status.ended is None and status.holder is None
-    return Group(table, Text(_what_it_does(status)), *details(status, working=not killed))
+    said = [Text(text) for text in (_what_it_does(status), *_store_gone(status))]
+    return Group(table, *said, *details(status, working=not killed))
+
+
+def _store_gone(status: "RunStatus") -> list[str]:
+    """That nothing is left of what was finished but what was delivered."""
+    if status.delivered is None:
+        return []
+    there = ", ".join(status.delivered) or "nothing"
+    return [f"  its store is gone: the next run starts over; what is left here: {there}"]
 
 
 def _what_it_does(status: "RunStatus") -> str:
@@ -154,7 +164,8 @@ def _what_it_does(status: "RunStatus") -> str:
         who = status.holder
         return f"  working: process {who['pid']} on {who['host']}, since {who['started']}"
     if status.holder is None:
-        return "  stopped before its end; the same command continues"
+        goes_on = "continues" if status.delivered is None else "does it again"
+        return f"  stopped before its end; the same command {goes_on}"
     return "  working"
 
 
