@@ -1,5 +1,7 @@
 """Reference points by square: what is said of a point does not depend on the cutting."""
 
+import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from spl_batch.accuracy import (
 )
 from spl_batch.api.preparing import prepare
 from spl_batch.constants import NODATA
-from spl_batch.errors import DamagedError
+from spl_batch.errors import DamagedError, InputError
 from spl_batch.io.rasters import write_cog
 from spl_batch.io.tables import read_arrays
 from spl_batch.plan import reference as planned
@@ -175,6 +177,48 @@ def test_what_a_square_said_is_made_again_where_it_is_damaged(tmp_path: Path) ->
 
 def squares(output: Path) -> list[Path]:
     return sorted((output / "store" / "accuracy").glob("*.npz"))
+
+
+def test_a_report_of_what_was_never_compared_says_so(tmp_path: Path) -> None:
+    """As of an output of a version whose receipts do not tell of a comparison."""
+    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    first = api.run(survey, workers=0)
+    store = first.output / "store"
+    for kind in ("reference", "accuracy"):
+        shutil.rmtree(store / "receipts" / kind)
+    kept = json.loads((store / "run.json").read_text())
+    kept["done"] = {k: v for k, v in kept["done"].items() if k not in {"reference", "accuracy"}}
+    (store / "run.json").write_text(json.dumps(kept))
+    again = api.report(first.output)
+    assert again.report is not None
+    assert again.report.accuracy is None
+    said = [text for text in again.report.warnings if "`spl-batch run` computes it" in text]
+    assert len(said) == 1
+    assert said[0] in (first.output / "report.html").read_text()
+    assert "not compared" in dict(again.screen)["accuracy"]
+    repaired = api.run(survey, workers=0)
+    assert first.report is not None
+    assert repaired.report is not None
+    assert repaired.report.accuracy == first.report.accuracy
+    assert repaired.report.warnings == first.report.warnings
+
+
+def test_what_failed_to_be_compared_is_no_earlier_versions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+
+    def broken(path: Path, **_: Any) -> None:
+        raise InputError(str(path), "broken")
+
+    monkeypatch.setattr("spl_batch.runner.reference.iter_points", broken)
+    found = api.run(survey, workers=0).report
+    assert found is not None
+    assert [str(one.task).split()[0] for one in found.failures] == ["reference"]
+    assert found.accuracy is None
+    assert not [text for text in found.warnings if "comparison" in text]
 
 
 def test_an_empty_reference_says_nothing(tmp_path: Path) -> None:

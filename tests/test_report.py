@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from spl_batch.accuracy.summary import USGS_LEVELS
 from spl_batch.report import format as text
+from spl_batch.report.html import render
 from spl_batch.report.model import (
     Accuracy,
     Counts,
@@ -177,6 +178,19 @@ class TestVerdicts:
     def test_no_reference_is_said(self) -> None:
         assert "No reference" in verdicts(make_report(accuracy=None))[0].text
         assert "covers no terrain" in verdicts(make_report(accuracy=Accuracy()))[0].text
+
+    def test_a_reference_that_was_not_compared_is_said(self) -> None:
+        report = make_report(accuracy=None)
+        parameters = {**report.provenance.parameters, "reference": {"points": "r.laz"}}
+        whole = report.provenance.model_copy(update={"parameters": parameters})
+        report = report.model_copy(update={"provenance": whole})
+        first = verdicts(report)[0]
+        assert first.tone == "attention"
+        assert first.text.startswith("The rasters were not compared with the reference")
+        assert dict(screen_summary(report))["accuracy"].endswith("; `spl-batch run` does it")
+        shown = render(report, {})
+        assert "were not compared with the reference.</p>" in shown
+        assert "No reference was given" not in shown
 
     def test_lost_points_come_first(self) -> None:
         first = verdicts(make_report(counts=Counts(points_in=100, points_out=97)))[0]

@@ -26,6 +26,8 @@ Specification, table of absolute vertical accuracy. Pulse density is judged apar
 OPEN_SURFACES: Final = ("open_ground", "open", "bare_ground", "ground", "all")
 """Classes that the terrain verdict is taken from; the first one that is there."""
 
+_NO_REFERENCE: Final = "no reference was given"
+
 
 class Verdict(NamedTuple):
     """One sentence at the top of the report."""
@@ -82,7 +84,9 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         rows.append(("density", f"{significant(report.density.mean_per_m2)} per m2"))
     terrain = terrain_statistics(report)
     if terrain is None:
-        rows.append(("accuracy", "no reference"))
+        missing = report.accuracy is None and _reference_given(report) and not report.failures
+        remedy = "; `spl-batch run` does it" if missing else ""
+        rows.append(("accuracy", _without_accuracy(report) + remedy))
     else:
         name, statistics = terrain
         error, mean = centimetres(statistics.rmse), centimetres(statistics.mean)
@@ -133,9 +137,9 @@ def speed_remark(work: Performance, noun: str = "points") -> str:
 def _accuracy_verdict(report: Report) -> Verdict:
     terrain = terrain_statistics(report)
     if terrain is None:
-        if report.accuracy is None:
-            return Verdict("neutral", "No reference was given: accuracy is not known.")
-        return Verdict("attention", "The reference covers no terrain: accuracy is not known.")
+        why = _without_accuracy(report)
+        tone: Tone = "neutral" if why == _NO_REFERENCE else "attention"
+        return Verdict(tone, f"{why[0].upper()}{why[1:]}: accuracy is not known.")
     name, statistics = terrain
     rmse = statistics.rmse or 0.0
     opening = f"DTM RMSE {centimetres(rmse)} on {surface_name(name)}: "
@@ -148,6 +152,19 @@ def _accuracy_verdict(report: Report) -> Verdict:
             )
     least = centimetres(USGS_LIMITS[-1][0])
     return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows.")
+
+
+def _without_accuracy(report: Report) -> str:
+    """Why accuracy is not known."""
+    if report.accuracy is not None:
+        return "the reference covers no terrain"
+    if _reference_given(report):
+        return "the rasters were not compared with the reference"
+    return _NO_REFERENCE
+
+
+def _reference_given(report: Report) -> bool:
+    return report.provenance.parameters.get("reference") is not None
 
 
 def _conservation_verdict(report: Report) -> Verdict:

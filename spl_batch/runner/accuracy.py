@@ -29,7 +29,7 @@ from spl_batch.io.store import forget_receipt
 from spl_batch.io.tables import read_arrays, write_arrays
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.reference import read_square
-from spl_batch.runner.remember import Receipts
+from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.tiling import cell_bounds, parse_cell
 
 SAMPLE: Final = 500_000
@@ -118,7 +118,7 @@ class Comparison:
 
 
 def compared(done: Receipts, context: Context) -> Comparison | None:
-    """What all squares say together; None without reference or rasters.
+    """What all squares say together; None where nothing was compared.
 
     Parameters
     ----------
@@ -133,10 +133,9 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
         If what a square said is missing or damaged.
     """
     settings = context.workflow.reference
-    dtm, dsm = context.output / "dtm.tif", context.output / "dsm.tif"
-    if settings is None or not dtm.exists() or not dsm.exists():
+    if settings is None or not _comparable(context) or not _looked_at(done):
         return None
-    grid = Grid(*overview_frame(dtm))
+    grid = Grid(*overview_frame(context.output / "dtm.tif"))
     total, count = np.zeros((2, grid.rows * grid.columns), np.int64)
     errors = add_up(_squares(done, context, total, count))
     by_product = [
@@ -152,6 +151,40 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
         Raster(values, grid.left_m, grid.top_m, grid.cell_m),
         sum(receipt.facts["points"] for receipt in done.get("reference", {}).values()),
     )
+
+
+def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[str]:
+    """One sentence where a comparison is missing that did not fail: nobody has asked for it yet.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    """
+    if context.workflow.reference is None or not _comparable(context) or _looked_at(done):
+        return
+    failed = {(one.task or "").partition(" ")[0] for one in facts.failures}
+    if not failed & {"reference", "accuracy"}:
+        yield (
+            "reference: the store holds no comparison with it, as of an output of an earlier "
+            "version; `spl-batch run` computes it"
+        )
+
+
+def _comparable(context: Context) -> bool:
+    """Whether there are the rasters without which nothing is compared."""
+    return all((context.output / name).exists() for name in ("dtm.tif", "dsm.tif"))
+
+
+def _looked_at(done: Receipts) -> bool:
+    """Whether reference files were cut, and squares compared if there is a point in any."""
+    files = done.get("reference", {})
+    held = any(receipt.facts["squares"] for receipt in files.values())
+    return bool(files) and (not held or bool(done.get("accuracy")))
 
 
 def _squares(

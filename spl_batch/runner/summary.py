@@ -22,7 +22,7 @@ from spl_batch.report.model import (
 )
 from spl_batch.report.pictures import PictureInputs, make_pictures
 from spl_batch.report.write import write_report
-from spl_batch.runner.accuracy import Comparison, compared
+from spl_batch.runner.accuracy import Comparison, compared, not_compared
 from spl_batch.runner.context import Context
 from spl_batch.runner.profile import cut_profile
 from spl_batch.runner.remember import (
@@ -58,7 +58,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         noise=_noise(done, context, counts.background),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
-        warnings=(*facts.notes, *_uncovered(done)),
+        warnings=(*facts.notes, *_uncovered(done), *not_compared(done, context, facts)),
         provenance=_provenance(done, context, facts.reference),
     )
     write_report(context.output, report, make_pictures(_pictures(done, context, found), report))
