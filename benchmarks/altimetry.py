@@ -24,20 +24,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import special
 
+from benchmarks.photon_beams import SIGNAL, Beam, Mask, fixed, lattice, measures
 from spl_batch import api
 from spl_batch.altimetry.io.atl08 import find_labels
 from spl_batch.altimetry.io.photons import iter_photons, read_background
-from spl_batch.altimetry.kernels.posterior import noise_posterior
-from spl_batch.altimetry.model import Background
-from spl_batch.altimetry.settings import (
-    BaselineSettings,
-    ProfileSettings,
-    RateSettings,
-    SignalSettings,
-)
+from spl_batch.altimetry.settings import BaselineSettings, SignalSettings
 from spl_batch.altimetry.simulate import (
     Light,
     SceneFile,
@@ -47,15 +39,9 @@ from spl_batch.altimetry.simulate import (
     simulate,
     simulate_track,
 )
-from spl_batch.altimetry.stages import chance
-from spl_batch.altimetry.stages import rate as rates
-from spl_batch.altimetry.stages import signal as signals
-from spl_batch.altimetry.stages.likelihood import Ratios, ratios
-from spl_batch.altimetry.stages.profile import profile
-from spl_batch.constants import QUANTA_PER_M
+from spl_batch.altimetry.stages.likelihood import Ratios
 
 SEEDS = range(11, 15)
-RATE, SIGNAL, PROFILE = RateSettings(), SignalSettings(), ProfileSettings()
 ELLIPSES = ((10, 5), (12, 4), (15, 3), (20, 6), (30, 4), (10, 10))
 SCENES = tuple(
     (kind, colour, canopy)
@@ -63,141 +49,6 @@ SCENES = tuple(
     for kind in ("mountain", "flat")
     for colour in ("green", "infrared")
 )
-
-Photons = tuple[NDArray[np.int64], NDArray[np.int32]]
-Mask = NDArray[np.bool_]
-
-
-class Beam:
-    """A beam in memory: cells, rate and scaled axis, as the tasks of a run make them."""
-
-    def __init__(
-        self,
-        photons: Photons,
-        background: Background | None,
-        signal: SignalSettings = SIGNAL,
-        source: str = "auto",
-    ) -> None:
-        self.along, self.height = photons
-        self.signal = signal
-        self.cells = rates.observe(self.along, self.height, RATE)
-        if background is None or source == "window":
-            density = rates.density_from_window(self.cells, RATE)
-        elif source == "product":
-            density = rates.density_from_product(self.cells, background, RATE)
-        else:
-            density = rates.density_from_both(self.cells, background, RATE, signal.window_m)
-        self.scale = rates.scale(self.cells, density, RATE, signal)
-
-    def keep(
-        self, score: NDArray[np.float32], table: Ratios | None = None, *, ground: bool = False
-    ) -> Mask:
-        """Photons that are signal, or those that the ground is sought among, as in a run."""
-        window_m, settings = self.signal.window_m, self.signal
-        index = rates.window_of(self.scale.index, RATE, window_m)
-        values = np.stack(
-            [
-                self.cells.count.astype(float),
-                self.scale.noise,
-                self.cells.gate_m,
-                rates.far_length_m(self.cells, RATE),
-            ]
-        )
-        _, sums = rates.of_window(self.scale.index, values, RATE, window_m)
-        window = np.unique(index)
-
-        def counted(along: Any, score: Any, value: Any) -> NDArray[np.float64]:
-            one = np.zeros((len(window), signals.SCORE_BINS))
-            of = rates.window_of(along // round(RATE.cell_m * 1000), RATE, window_m)
-            np.add.at(one, (np.searchsorted(window, of), signals.score_bins(score)), value)
-            return rates.running(window, one.T).T
-
-        far = rates.far(self.along, self.height, self.cells, RATE)
-        counts, away = (counted(self.along, score, value) for value in (1, far))
-        wanted, share = np.maximum(sums[0] - sums[1], 0.0), sums[2] / np.maximum(sums[3], 1)
-        least = signals.thresholds(counts, away, wanted, share, settings.false_share)
-        if settings.selection == "f1":
-            every = np.ones(len(self.cells.index), np.bool_)
-            along, height, noise = chance.places(self.cells, self.scale, every, RATE)
-            prior = signals.log_prior(self.cells, self.scale, RATE, window_m)
-            likelihoods = table or ratios(settings.neighbours, settings.contrast_max)
-            at, photons = (along, height), (self.along, self.height)
-            found = chance.score_places(at, photons, self.scale, prior, RATE, likelihoods)
-            expected = counted(along, found, noise / chance.SHARE_QUANTA)
-            limits = (wanted, share, settings.false_share)
-            least = chance.best_thresholds(counts, expected, away, *limits)
-        if ground:
-            wanted = PROFILE.photons_factor * wanted
-            more = signals.thresholds(counts, away, wanted, share, PROFILE.false_share)
-            least = np.minimum(least, more)
-        of = rates.window_of(self.along // round(RATE.cell_m * 1000), RATE, window_m)
-        kept: Mask = signals.score_bins(score) >= least[np.searchsorted(window, of)]
-        return kept
-
-    def score(self, table: Ratios | None = None) -> NDArray[np.float32]:
-        """Scores of all photons; by another table of likelihoods where one is given."""
-        prior = signals.log_prior(self.cells, self.scale, RATE, self.signal.window_m)
-        every = np.ones(len(self.along), np.bool_)
-        if table is None:
-            return signals.score(
-                self.along, self.height, every, self.scale, prior, RATE, self.signal
-            )
-        u, v, cell = signals.scaled(self.along, self.height, self.scale, RATE)
-        uv = np.stack([u - u.min(), v - v.min()], axis=1).astype(np.int32)
-        result = noise_posterior(
-            uv, every, round(rates.CAP_UNITS * signals.UNIT_QUANTA),
-            np.pi * self.scale.alpha[cell] / signals.UNIT_QUANTA**2, prior[cell],
-            table.within, table.beyond, (table.first, table.step),
-        )  # fmt: skip
-        return result.astype(np.float32)
-
-    def mdbscan(self, settings: BaselineSettings) -> Mask:
-        """Signal by mDBSCAN."""
-        chosen = self.signal.model_copy(update={"mdbscan": settings})
-        mean = signals.mean_density(self.cells, self.scale, RATE, chosen)
-        return signals.mdbscan(self.along, self.height, self.scale, mean, RATE, settings)
-
-
-def lattice(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> Photons:
-    """Photons on the lattice."""
-    whole = [np.rint(v * QUANTA_PER_M) for v in (along_m, height_m)]
-    return whole[0].astype(np.int64), whole[1].astype(np.int32)
-
-
-def fixed(contrast: float) -> Ratios:
-    """Likelihoods of signal that is always this many times as dense as noise."""
-    first, last, columns = np.log(1e-7), np.log(400.0), 1024
-    x = np.exp(np.linspace(first, last, columns))
-    k = np.arange(1, SIGNAL.neighbours + 1)[:, None]
-    within = k * np.log(contrast) - (contrast - 1.0) * x
-    beyond = np.log(np.maximum(special.gammaincc(k, contrast * x), 1e-300)) - np.log(
-        np.maximum(special.gammaincc(k, x), 1e-300)
-    )
-    return Ratios(within, beyond, float(first), (columns - 1) / float(last - first))
-
-
-def measures(track: Track, kept: Mask, some: Mask | None = None) -> list[float]:
-    """Precision, recall, F1; RMSE of photons and of the profile [m]; cells with a ground."""
-    signal = track.truth > 0
-    both = np.count_nonzero(kept & signal)
-    precision = both / max(np.count_nonzero(kept), 1)
-    recall = both / np.count_nonzero(signal)
-    off = (track.height_m - track.ground_m)[kept]
-    along, height = lattice(track.along_m, track.height_m)
-    rows = np.flatnonzero(kept if some is None else some | kept)
-    rows = rows[np.lexsort((height[rows], along[rows]))]
-    columns = profile(along[rows], height[rows], kept[rows], (-(10**9), 10**9), PROFILE).columns
-    error = columns["ground"] - np.interp(columns["along_track"], *track.reference_m.T)
-    known = np.isfinite(error)
-    cells = track.along_m.max() / PROFILE.cell_m
-    return [
-        precision,
-        recall,
-        2 * both / max(np.count_nonzero(kept) + np.count_nonzero(signal), 1),
-        float(np.sqrt(np.mean(off**2))) if len(off) else np.nan,
-        float(np.sqrt(np.mean(error[known] ** 2))) if known.any() else np.nan,
-        np.count_nonzero(known) / cells,
-    ]
 
 
 def show(rows: Mapping[str, Sequence[Sequence[float]]]) -> None:
