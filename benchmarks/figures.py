@@ -41,10 +41,10 @@ from benchmarks.methods import (
     known_methods,
 )
 from benchmarks.terrain import cut
+from benchmarks.trajectories import read_trajectory
 from benchmarks.twins import weak_wires
 from spl_batch import api
 from spl_batch.io.atomic import write_bytes
-from spl_batch.io.trajectory import read_trajectory
 from spl_batch.report import style
 from spl_batch.sensor import load_preset
 from spl_batch.settings import AfterpulseSettings, FilterSettings, WireSettings

@@ -24,10 +24,10 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from benchmarks.trajectories import read_trajectory
 from spl_batch import api
 from spl_batch.api.preparing import prepare
 from spl_batch.io.store import read_receipts
-from spl_batch.io.trajectory import read_trajectory
 from spl_batch.io.voxels import add_voxels
 from spl_batch.plan.phases import PHASES
 from spl_batch.runner import lines_of_sight

@@ -27,9 +27,9 @@ from scipy.spatial import cKDTree
 
 from benchmarks.methods import AFTERPULSE, BACKGROUND, is_noise, load_truth
 from benchmarks.null_calibration import keeps
+from benchmarks.trajectories import read_trajectory
 from spl_batch import api
 from spl_batch.io.store import Store
-from spl_batch.io.trajectory import read_trajectory
 from spl_batch.runner.expected import expected_noise
 from spl_batch.settings import FilterSettings
 from spl_batch.simulate import simulate

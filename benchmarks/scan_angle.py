@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.trajectories import read_trajectory
 from spl_batch.constants import QUANTUM_M
 from spl_batch.io.las import inspect, iter_points
-from spl_batch.io.trajectory import PointExtent, read_trajectory
+from spl_batch.io.trajectory import PointExtent
 from spl_batch.model import SOURCE_COLUMNS, concat
 
 

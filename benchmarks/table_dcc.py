@@ -18,8 +18,8 @@ from benchmarks import corridors, methods
 from benchmarks.corridors import Counts
 from benchmarks.methods import BACKGROUND, WIRE, Columns
 from benchmarks.table_wires import CLOSE_M, PUBLISHED
+from benchmarks.trajectories import read_trajectory
 from benchmarks.twins import easton_bright
-from spl_batch.io.trajectory import read_trajectory
 from spl_batch.kernels.dcc import dcc_threshold
 from spl_batch.kernels.dcc_shots import keep_by_shot
 from spl_batch.kernels.shots import run_starts

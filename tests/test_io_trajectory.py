@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
+from benchmarks.trajectories import read_trajectory
 from spl_batch.errors import InputError, WorkflowError
 from spl_batch.io import trajectory_merge
 from spl_batch.io.gpstime import bit_warning, clock, time_standard
@@ -20,7 +21,6 @@ from spl_batch.io.trajectory import (
     PointExtent,
     gathering,
     read_slice,
-    read_trajectory,
     write_trajectory,
 )
 from spl_batch.io.trajectory_files import COLUMNS, read_records
