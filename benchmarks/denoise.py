@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from spl_batch.kernels.kdtree import build, nearest
-from spl_batch.kernels.neighbours import nearest_sets
+from benchmarks.searches import nearest, nearest_sets
+from spl_batch.kernels.kdtree import build
 from spl_batch.model import PointTable
 from spl_batch.settings import FilterSettings, WireSettings
 from spl_batch.stages.denoise import denoise

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.kernels.kdtree import LEAF, build, leaf_of, leaf_slots, nearest
-from spl_batch.kernels.neighbours import CROWD, nearest_sets
+from benchmarks.searches import nearest, nearest_sets
+from spl_batch.kernels.kdtree import LEAF, build, leaf_of, leaf_slots
+from spl_batch.kernels.neighbours import CROWD
 
 
 def brute_nearest(

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.searches import spacings
 from spl_batch.kernels.ellipsoid import count_inside
 from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.kernels.kdtree import build
-from spl_batch.kernels.spacing import Spacing, enough_peers, peer_distances, spacings
+from spl_batch.kernels.spacing import Spacing, enough_peers, peer_distances
 from tests.test_ellipsoid import brute_counts, mixed_cloud
 
 

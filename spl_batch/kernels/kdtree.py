@@ -11,7 +11,6 @@ on the neighbours alone and neither on the tree nor on what else the table holds
 """
 
 import math
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -81,50 +80,6 @@ def build(xyz: NDArray[np.int32]) -> KdTree:
     by_column = spare[: 4 * n].reshape(4, n)
     by_column[:] = points.T
     return KdTree(by_column, boxes, depth)
-
-
-def nearest(
-    xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Nearest neighbours of points among their own table, the point itself left out.
-
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to any anchor [quanta].
-    query : (n,) bool
-        Points whose neighbours are wanted.
-    neighbours : int
-        Neighbours per point [count].
-    cap : int
-        Farthest neighbour, inclusive [quanta]; at most :data:`CAP_MAX`.
-
-    Returns
-    -------
-    rows : (m, neighbours) int32
-        Rows by distance, then row, for the query points in table order; -1 where there
-        are fewer.
-    found : (m,) int32
-        Neighbours found [count].
-    """
-    return search(_nearest_all, xyz, query, neighbours, cap)
-
-
-def search(
-    kernel: Callable[..., None],
-    xyz: NDArray[np.int32],
-    query: NDArray[np.bool_],
-    neighbours: int,
-    cap: int,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Rows and counts that a kernel finds for query points; see :func:`nearest`."""
-    check_cap(cap)
-    rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
-    found = np.zeros(len(xyz), dtype=np.int32)
-    tree = build(xyz)
-    if len(xyz):
-        kernel(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
-    return rows[query], found[query]
 
 
 def check_cap(cap: int) -> None:
@@ -347,24 +302,3 @@ def nearest_keys(points, boxes, depth, leaf, slot, cap, keys, distance, fresh, s
     while found > 0 and keys[found - 1] >= empty:
         found -= 1
     return found
-
-
-@njit(nogil=True, cache=True)
-def _nearest_all(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
-    """Neighbours of every query point, in tree order, so that the cache stays warm."""
-    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    keys = np.empty(rows.shape[1], dtype=np.int64)
-    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
-    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
-    for leaf in range(U1 << depth, U1 << (depth + U1)):
-        low, high = leaf_slots(leaf, depth, n)
-        for slot in range(low, high):
-            row = points[U3, slot]
-            if not query[row]:
-                continue
-            count = nearest_keys(
-                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
-            )
-            found[row] = count
-            for i in range(count):
-                rows[row, i] = keys[i] & ROW_MASK

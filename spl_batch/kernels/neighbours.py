@@ -24,7 +24,6 @@ from typing import Final
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from spl_batch.kernels.kdtree import (
     LEAF,
@@ -36,7 +35,6 @@ from spl_batch.kernels.kdtree import (
     U5,
     box_distance,
     leaf_slots,
-    search,
 )
 from spl_batch.kernels.search_bounds import BESIDE, first_limits
 from spl_batch.kernels.selection import distance_to, keep_nearest, largest
@@ -50,40 +48,10 @@ LISTED: Final = 128
 MARGIN: Final = 1.25
 """Squared distance of a list over that of the point for which it is made: for those after it."""
 
-CHUNK: Final = 64
-"""Leaves that are searched before their neighbours are put away [count]."""
-
 U7: Final = np.uint64(7)
 
 FAR: Final = 1e18
 """Farther than anything [quanta]."""
-
-
-def nearest_sets(
-    xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Nearest neighbours of points among their own table, the point itself left out.
-
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to any anchor [quanta].
-    query : (n,) bool
-        Points whose neighbours are wanted.
-    neighbours : int
-        Neighbours per point [count].
-    cap : int
-        Farthest neighbour, inclusive [quanta]; at most :data:`~spl_batch.kernels.kdtree.CAP_MAX`.
-
-    Returns
-    -------
-    rows : (m, neighbours) int32
-        Rows in no particular order, for the query points in table order; -1 where there
-        are fewer.
-    found : (m,) int32
-        Neighbours found [count].
-    """
-    return search(_nearest_all, xyz, query, neighbours, cap)
 
 
 @njit(nogil=True, cache=True)
@@ -299,28 +267,3 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
             beside[U0, turn], beside[U1, turn], beside[U2, turn] = x, y, z
             beside[U3, turn] = math.sqrt(last[at]) if found[at] == k else FAR
             turn = (turn + U1) % np.uint64(BESIDE)
-
-
-@njit(nogil=True, cache=True)
-def _nearest_all(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
-    """Neighbours of every query point, in tree order, so that the cache stays warm."""
-    n, depth, k = np.uint64(points.shape[1]), np.uint64(depth), rows.shape[1]
-    leaves, chunk = U1 << depth, np.uint64(CHUNK)
-    room = CHUNK * LEAF
-    asked, others = np.empty(room, np.bool_), np.empty((room, k), np.int32)
-    count, last, few = np.empty(room, np.int64), np.empty(room), np.empty(room)
-    for begin in range(leaves, leaves + leaves, chunk):
-        end = min(begin + chunk, leaves + leaves)
-        low, _ = leaf_slots(begin, depth, n)
-        _, high = leaf_slots(end - U1, depth, n)
-        for at in range(high - low):
-            asked[at] = query[points[U3, low + at]]
-        neighbours_of_leaves(
-            points, boxes, depth, (begin, end), asked, k, cap, 0, others, count, last, few
-        )
-        for at in range(high - low):
-            if asked[at]:
-                row = points[U3, low + at]
-                found[row] = count[at]
-                for i in range(count[at]):
-                    rows[row, i] = points[U3, others[at, i]]

@@ -30,10 +30,8 @@ from spl_batch.kernels.kdtree import (
     LEAF,
     U0,
     U1,
-    U3,
     KdTree,
     box_distance,
-    check_cap,
     leaf_slots,
     nearest_keys,
 )
@@ -54,35 +52,6 @@ class Spacing(NamedTuple):
     cap: int
 
 
-def spacings(
-    tree: KdTree, neighbours: int, cap: int, asked: NDArray[np.bool_] | None = None
-) -> NDArray[np.float64]:
-    """Squared distance of points to their n-th neighbour.
-
-    Parameters
-    ----------
-    tree : KdTree
-        The points.
-    neighbours : int
-        Which neighbour [count], >= 1.
-    cap : int
-        Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
-    asked : (n,) bool, optional
-        Points that are asked for, by row; all by default. All are neighbours.
-
-    Returns
-    -------
-    (n,) float64
-        By row, at most ``cap`` squared [quanta2]; whole numbers. NaN for points not asked for.
-    """
-    check_cap(cap)
-    out = np.full(tree.points.shape[1], np.nan)
-    wanted = np.ones(len(out), np.bool_) if asked is None else asked
-    if len(out):
-        _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), wanted, out)
-    return out
-
-
 @njit(nogil=True, cache=True)
 def spacing_at(points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
     """Squared spacing of one slot; arguments as for :func:`nearest_keys` [quanta2]."""
@@ -101,20 +70,6 @@ def spacing_scratch(rule):  # type: ignore[no-untyped-def]
         np.empty(rule.neighbours, np.int64), np.empty(LEAF), np.empty(LEAF, np.int64),
         np.empty(64, np.uint64), np.empty(64),
     )  # fmt: skip
-
-
-@njit(nogil=True, cache=True)
-def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
-    """Points in tree order, so that the cache stays warm."""
-    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    keys, distance, fresh, stack, bound = spacing_scratch(rule)
-    for leaf in range(U1 << depth, U1 << (depth + U1)):
-        low, high = leaf_slots(leaf, depth, n)
-        for slot in range(low, high):
-            if asked[points[U3, slot]]:
-                out[points[U3, slot]] = spacing_at(
-                    points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
-                )
 
 
 def enough_peers(
