@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.kernels.columns import first_above
 from spl_batch.kernels.kdtree import U0, U1, U2
 from spl_batch.kernels.robust_plane import plane_of_moments
 
@@ -66,18 +67,6 @@ def columns(xyz: NDArray[np.int32], edge: int) -> Columns:
 
 
 @njit(nogil=True, cache=True)
-def _first_from(z: NDArray[np.int32], low: int, high: int, level: int) -> int:
-    """First of the ascending ``z[low:high]`` that is not below a level."""
-    while low < high:
-        middle = (low + high) // 2
-        if z[middle] < level:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(nogil=True, cache=True)
 def _most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
     """Most points in a column and the eight around it."""
     nx, ny = shape
@@ -104,12 +93,12 @@ def _near(
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    heights, size = xyz[2], U0
+    size = U0
     for i in range(max((x - wide) // edge, 0), min((x + wide) // edge + 1, nx)):
         for j in range(max((y - wide) // edge, 0), min((y + wide) // edge + 1, ny)):
             low, stop = starts[i * ny + j], starts[i * ny + j + 1]
-            low = _first_from(heights, low, stop, z - span)
-            high = _first_from(heights, low, stop, z + span + 1)
+            low = first_above(xyz, low, stop, z - span)
+            high = first_above(xyz, low, stop, z + span + 1)
             # Without a branch: about half of them are in it.
             for p in range(np.uint64(low), np.uint64(high)):
                 dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
@@ -212,7 +201,7 @@ def _parent(
     for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
         for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
             stop = starts[i * ny + j + 1]
-            for p in range(_first_from(heights, starts[i * ny + j], stop, z + 1), stop):
+            for p in range(first_above(xyz, starts[i * ny + j], stop, z + 1), stop):
                 if heights[p] > top:
                     break
                 if time[p] == time[row] and channel[p] == channel[row]:
