@@ -137,7 +137,8 @@ def _peers(  # type: ignore[no-untyped-def]
 ):
     """Peers within a distance of a return, itself among them; stops at ``wanted``.
 
-    As :func:`spl_batch.kernels.spacing.peers_within`, with spacings that are found on the way.
+    As :func:`spl_batch.kernels.spacing.peers_within`, which is given all spacings; here few are
+    asked for and each costs a search, so they are found on the way, and no more than wanted.
     """
     points, boxes, depth = tree
     n, first = np.uint64(points.shape[1]), U1 << depth
