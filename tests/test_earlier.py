@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from spl_batch.api.earlier import earlier_wall_s, log_bytes
+from spl_batch.api.earlier import earlier_wall_s, log_bytes, share_time
 from tests import surveys
 
 WORK = "TaskEnded"
@@ -55,6 +55,39 @@ def test_a_killed_run_lasted_to_its_last_whole_line(tmp_path: Path) -> None:
     log(tmp_path, [(0, 9, WORK, True)], torn='{"time": "2026-01-01T00:00:3\n')
     log(tmp_path, [(20, 21, WORK, False)])
     assert earlier_wall_s(tmp_path) == 9
+
+
+def test_what_outputs_share_took_as_long_as_where_it_was_done(tmp_path: Path) -> None:
+    done, wanted = tmp_path / "done", tmp_path / "wanted"
+    for folder in (done, wanted):
+        (folder / "store").mkdir(parents=True)
+    share_time(done, wanted, ["index"])
+    assert earlier_wall_s(wanted) is None, "nothing tells"
+
+    def lines(*told: tuple[int, str, str]) -> str:
+        return "".join(
+            json.dumps({
+                "time": f"2026-01-01T00:00:{second:02d}.000+00:00",
+                "event": event, **({"stage": stage} if stage else {}), "name": "x",
+            }) + "\n" for second, event, stage in told
+        )  # fmt: skip
+
+    stopped = lines((0, "RunStarted", ""), (4, "TaskEnded", "index"), (7, "TaskEnded", "shots"))
+    torn = '{"time": "2026-01-01T00:00:09.000+00:00", "event": "TaskEnded", "stage": "sho\n'
+    whole = lines(
+        (10, "RunStarted", ""), (11, "PhaseStarted", "index"), (13, "TaskEnded", "shots"),
+        (19, "TaskEnded", "shuffle"), (20, "PhaseStarted", "denoise"), (50, "TaskEnded", "denoise"),
+    )  # fmt: skip
+    idle = lines((51, "RunStarted", ""), (52, "PhaseStarted", "index"), (53, "RunEnded", ""))
+    (done / "log.jsonl").write_text(stopped + torn + whole + idle)
+    expected = {("index",): 4, ("index", "shots"): 7 + 3, ("index", "shots", "shuffle"): 7 + 9}
+    for stages, wall_s in expected.items():
+        share_time(done, wanted, stages)
+        assert earlier_wall_s(wanted) == wall_s, "not what came after them"
+    log(wanted, [(0, 5, WORK, False), (10, 11, WORK, False)])
+    assert earlier_wall_s(wanted) == 16 + 5, "its own stopped runs count as well"
+    finished(wanted, 30.0)
+    assert earlier_wall_s(wanted) == 30.0, "a report holds all of it"
 
 
 def test_a_resumed_run_tells_the_time_of_all_its_parts_or_that_it_is_one(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, get_args
 
+from spl_batch.api.earlier import share_time
 from spl_batch.api.events import Listener, Note, ignore
 from spl_batch.api.lock import locked
 from spl_batch.api.pipeline import run
@@ -217,6 +218,7 @@ def _share(source: Store, target: Store, settings: Workflow, variant: Variant) -
             stages.add("shuffle")
     kinds += [name for name, kind in KINDS.items() if kind.stage in stages]
     share_finished(source, target, kinds)
+    share_time(source.output, target.output, stages)
 
 
 def _write(

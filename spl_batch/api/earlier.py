@@ -2,18 +2,19 @@
 
 A run that writes its report keeps its duration, earlier ones included, beside the receipts. One
 that was stopped or killed leaves its lines in ``log.jsonl`` alone: it lasted from its first line
-to its last.
+to its last. What is linked from another output's store has its time beside it.
 """
 
 import json
 import mmap
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.errors import StoreError
+from spl_batch.errors import DamagedError, StoreError
+from spl_batch.io.store import Store, read_json, write_json
 from spl_batch.runner.remember import recall
 
 FIRST_EVENT: Final = b'"event": "RunStarted"'
@@ -21,6 +22,12 @@ FIRST_EVENT: Final = b'"event": "RunStarted"'
 
 WORK_EVENT: Final = b'"event": "Task'
 """What it has where a run does something; one that finds everything finished has no such line."""
+
+_SHARED: Final = "shared.json"
+"""Beside the receipts: how long what is linked from another store took."""
+
+_End = Callable[[mmap.mmap, int, int], int]
+"""Where a run's lines that count end, from those where they begin and end; -1 if none does."""
 
 
 def log_bytes(output: Path) -> int:
@@ -43,22 +50,57 @@ def earlier_wall_s(output: Path) -> float | None:
             return None
         told, begin = [float(kept["wall_s"])], int(kept.get("log_bytes", 0))
     except StoreError:  # they were stopped before their report
-        told, begin = [], 0
-    if _log(output).exists():
-        told += _durations(_log(output), begin)
+        told, begin = _shared_s(output), 0
+    before = _durations(_log(output), begin, _any_work)[:-1]  # the latest is at work
+    told += [wall_s for wall_s in before if wall_s > 0]
     return sum(told) if told else None
 
 
-def _durations(log: Path, begin: int) -> list[float]:
-    """Durations of the runs before the latest that did something and were not forgotten [s]."""
+def share_time(source: Path, target: Path, stages: Collection[str]) -> None:
+    """Let an output know how long what it has in common with another took there.
+
+    Parameters
+    ----------
+    source, target : Path
+        Folders of the results: where the work was done, and where it is wanted.
+    stages : collection of str
+        First stages of a run, whose results are shared.
+    """
+    marks = [f'"event": "TaskEnded", "stage": "{stage}"'.encode() for stage in stages]
+
+    def last_of_them(whole: mmap.mmap, at: int, end: int) -> int:
+        last = max(whole.rfind(mark, at, end) for mark in marks)
+        return last if last < 0 else whole.find(b"\n", last, end) + 1 or end
+
+    wall_s = sum(_durations(_log(source), 0, last_of_them))
+    if wall_s > 0:
+        write_json(Store(target).local / _SHARED, {"wall_s": wall_s})
+
+
+def _shared_s(output: Path) -> list[float]:
+    """What :func:`share_time` has told, if it has [s]."""
+    try:
+        return [float(read_json(Store(output).local / _SHARED)["wall_s"])]
+    except DamagedError:
+        return []
+
+
+def _any_work(whole: mmap.mmap, at: int, end: int) -> int:
+    return end if whole.find(WORK_EVENT, at, end) >= 0 else -1
+
+
+def _durations(log: Path, begin: int, ends: _End) -> list[float]:
+    """Durations of runs that were not forgotten, 0 of those of which nothing counts [s]."""
     found: list[float] = []
+    if not log.exists() or not log.stat().st_size:
+        return found
     with log.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as whole:
-        for at, end in pairwise(_starts(whole, begin)):
-            started = _record(whole[at : whole.find(b"\n", at)])
+        for at, stop in pairwise([*_starts(whole, begin), len(whole)]):
+            started, end = _record(whole[at : whole.find(b"\n", at)]), ends(whole, at, stop)
             if started.get("anew"):
                 found.clear()
-            if started and whole.find(WORK_EVENT, at, end) >= 0:
-                found.append(_last_s(whole, at, end) - _seconds(started))
+            lasted = bool(started) and end >= 0
+            found.append(_last_s(whole, at, end) - _seconds(started) if lasted else 0.0)
     return found
 
 

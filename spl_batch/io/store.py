@@ -26,6 +26,7 @@ Always on the file system, wherever the store lies::
     store/lock                         held by the run at work
     store/identity.json                whose store elsewhere is: as STORE/output.json says
     store/run.json                     what the report is written from
+    store/shared.json                  how long what another store shares with it took
     store/delivered.json               what was delivered, so that stale files can go
     store/noise.tif                    map of the noise, for the report
     store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
