@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from spl_batch.kernels.detection_rate import most_likely
-from spl_batch.kernels.fired_beams import Grid, trace
+from spl_batch.kernels.exposed_cells import Grid, trace
+from spl_batch.kernels.fired_beams import SILENT
 from spl_batch.kernels.sim_reflectance import mean_reflectance
 from spl_batch.model import BeamTable, PointTable, ShotClock
 from spl_batch.plan.space import fired_index
@@ -292,6 +293,18 @@ def town(rng: np.random.Generator) -> NDArray[np.float64]:
     return height
 
 
+def ends(
+    grid: Grid, sensor: NDArray[np.float64], *leans: NDArray[np.float64]
+) -> list[tuple[int, int]]:
+    """Row and column where each ray of a shot meets a surface; (-1, -1) where it meets none."""
+    aim = np.array([*sensor, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    cell = np.empty(len(leans), np.int64)
+    wanted = np.full(len(leans), SILENT)
+    trace(grid.height, grid.low, grid.high, grid.cell_m, 5.0, aim, np.array(leans), wanted, cell)
+    cols = grid.height.shape[1]
+    return [(int(n // cols), int(n % cols)) if n >= 0 else (-1, -1) for n in cell]
+
+
 def test_rays_end_where_a_slow_walk_ends() -> None:
     rng = np.random.default_rng(2)
     height = town(rng)
@@ -306,7 +319,7 @@ def test_rays_end_where_a_slow_walk_ends() -> None:
         xy = sensor[:2, None] + lean[:, None] * (z - sensor[2])
         col, row = np.clip(np.floor(xy).astype(int), 0, 63)
         hit = int(np.argmax(z <= height[row, col]))
-        found = trace(grid, sensor, lean, 5.0)
+        (found,) = ends(grid, sensor, lean)
         near += max(abs(found[0] - row[hit]), abs(found[1] - col[hit])) <= 1
         same += found == (row[hit], col[hit])
     # half a cell is stepped at once: some rays end in the next cell, a few beside a corner
@@ -320,9 +333,8 @@ def test_rays_beside_the_surface_end_nowhere() -> None:
     low, high = (bounds(height, keep) for keep in (np.fmin, np.fmax))
     grid = Grid(1.0, height, slopes(height, 1.0), low, high)
     sensor = np.array([8.0, 8.0, 1000.0])
-    assert trace(grid, sensor, np.array([0.0, 4.5 / 995.0]), 5.0) == (3, 8)
-    assert trace(grid, sensor, np.array([0.0, -4.5 / 995.0]), 5.0) == (-1, -1)
-    assert trace(grid, sensor, np.array([0.3, 0.0]), 5.0) == (-1, -1)
+    up, down, far = (np.array(lean) / 995.0 for lean in ((0, 4.5), (0, -4.5), (300, 0)))
+    assert ends(grid, sensor, up, down, far) == [(3, 8), (-1, -1), (-1, -1)]
 
 
 def test_noise_in_the_air_is_no_surface() -> None:

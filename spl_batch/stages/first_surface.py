@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
-from spl_batch.kernels.fired_beams import COARSE, Grid
+from spl_batch.kernels.exposed_cells import COARSE, Grid
 from spl_batch.kernels.raster import fill_voids, ring_offsets, sort_into_cells
 from spl_batch.settings import ProductSettings
 

@@ -40,14 +40,8 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.kernels.detection_rate import most_likely, sort_by_cell
-from spl_batch.kernels.fired_beams import (
-    CELL_BITS,
-    COARSE,
-    SILENT,
-    Blocks,
-    expose_cells,
-    match_points,
-)
+from spl_batch.kernels.exposed_cells import COARSE, expose_cells
+from spl_batch.kernels.fired_beams import CELL_BITS, SILENT, Blocks, match_points
 from spl_batch.model import PointTable
 from spl_batch.settings import ProductSettings
 from spl_batch.stages.fired import FiredPart
