@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
@@ -53,6 +53,7 @@ def slowly(rows: list[Row], cell: Bounds) -> int:
     return sum(cubes.values())
 
 
+@settings(deadline=None)
 @given(ROWS, st.integers(-2500, 2500), st.randoms())
 def test_a_cube_counts_once_wherever_cells_are_cut(rows: list[Row], cut: int, rng: Any) -> None:
     whole = Bounds(-4000, -4000, 4000, 4000)

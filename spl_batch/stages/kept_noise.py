@@ -12,9 +12,9 @@ its defaults (``benchmarks.near_surface``); how near that comes ``benchmarks.qua
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.constants import NOISE_SIGNAL
+from spl_batch.kernels.held_cubes import pack_cubes, sum_of_largest
 from spl_batch.model import PointTable
 from spl_batch.tiling import Bounds, quanta
 
@@ -26,10 +26,8 @@ EDGE_M: Final = 1.2
 """Edge of a cube: 0.6 m from a surface half of the noise is kept [m]."""
 
 PARTS: Final = 100_000
-"""A noise return is counted in so many parts, so that sums are those of integers."""
-
-_BITS: Final = 23
-"""Of a number that are for the parts, up to 80 returns in a cube; the others tell the cube."""
+"""A noise return is counted in so many parts, so that sums are those of integers; of up to 80 in
+a cube."""
 
 
 def within_signal(table: PointTable, cell: Bounds) -> int:
@@ -47,28 +45,12 @@ def within_signal(table: PointTable, cell: Bounds) -> int:
     int
         Returns, in :data:`PARTS` [1/PARTS].
     """
-    edge = quanta(EDGE_M)
-    kept = (table["noise_class"] == NOISE_SIGNAL) & np.isfinite(table["noise_density"])
-    for axis, low, high in (("x", cell.xmin, cell.xmax), ("y", cell.ymin, cell.ymax)):
-        corner = table[axis] // edge * edge
-        kept &= (corner >= low) & (corner < high)
-    if not kept.any():
-        return 0
-    parts = np.rint(table["noise_density"][kept].astype(np.float64) * (EDGE_M**3 * PARTS))
-    packed = _cubes(table, kept, edge) << _BITS
-    packed |= np.minimum(parts, (1 << _BITS) - 1).astype(np.int64)
+    packed = np.empty(len(table), np.int64)
+    count = pack_cubes(
+        (table["x"], table["y"], table["z"]), table["noise_class"], NOISE_SIGNAL,
+        table["noise_density"], (cell.xmin, cell.ymin, cell.xmax, cell.ymax), quanta(EDGE_M),
+        EDGE_M**3 * PARTS, packed,
+    )  # fmt: skip
+    packed = packed[:count]
     packed.sort()
-    # of a cube whose returns have several densities the largest counts
-    last = np.append(packed[1:] >> _BITS != packed[:-1] >> _BITS, True)
-    return int((packed[last] & ((1 << _BITS) - 1)).sum())
-
-
-def _cubes(table: PointTable, kept: NDArray[np.bool_], edge: int) -> NDArray[np.int64]:
-    """One number for each cube: (m,)."""
-    number = np.zeros(int(np.count_nonzero(kept)), np.int64)
-    for name in "xyz":
-        axis = table[name][kept] // edge
-        low, high = int(axis.min()), int(axis.max())
-        number *= high - low + 1
-        number += axis - low
-    return number
+    return int(sum_of_largest(packed))

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.kernels.detection_rate import most_likely, sort_by_cell
 from spl_batch.kernels.exposed_cells import COARSE, expose_cells
-from spl_batch.kernels.fired_beams import CELL_BITS, SILENT, Blocks, match_points
+from spl_batch.kernels.fired_beams import CELL_BITS, SILENT, Blocks, match_points, shots_near
 from spl_batch.model import PointTable
 from spl_batch.settings import ProductSettings
 from spl_batch.stages.fired import FiredPart
@@ -139,12 +139,13 @@ def detections(
     if not len(z) or not parts:
         return nothing
     blocks = _join(parts, wide)
-    centre = _centre(blocks)
     level, depth = _middle_m(z), float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
-    near = _near(blocks, centre, level, depth, wide, cell)
-    number = np.full(len(centre.block), -1, dtype=np.int64)
-    number[near] = np.arange(len(near))
-    top = np.empty((len(near), blocks.pattern.shape[1]), dtype=np.int64)
+    shots = int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1)
+    number, block = np.empty(shots, np.int64), np.empty(shots, np.int64)
+    tau = np.empty(shots)
+    edges = (np.array(cell) - [wide.xmin, wide.ymin, wide.xmin, wide.ymin]) * QUANTUM_M
+    near = shots_near(blocks, level, depth, tuple(edges.tolist()), number, block, tau)
+    top = np.empty((near, blocks.pattern.shape[1]), dtype=np.int64)
     longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
     cells = shape[0] + 2 * margin, shape[1] + 2 * margin
     match_points(
@@ -157,7 +158,7 @@ def detections(
     amount = np.empty(len(first))
     inner = (margin, margin + shape[0], margin, margin + shape[1])
     count = expose_cells(
-        (centre.block[near], centre.tau[near]), blocks, top, grid, inner,
+        (block[:near], tau[:near]), blocks, top, grid, inner,
         level, settings.extinction_per_m, (terms.range, terms.incidence), FIXED_POINT, silent,
         fired, seen_cell, amount,
     )  # fmt: skip
@@ -194,14 +195,6 @@ def _margin_cells(settings: ProductSettings) -> int:
 def reach_m(settings: ProductSettings) -> float:
     """Width of the margin that :func:`detections` reads around a ground cell [m]."""
     return _margin_cells(settings) * quanta(settings.cell_m) * QUANTUM_M
-
-
-class _Centres(NamedTuple):
-    """Every shot: its block, time within it, middle of the array (x, y at the anchor) [m]."""
-
-    block: NDArray[np.int64]
-    tau: NDArray[np.float64]
-    xy: NDArray[np.float64]
 
 
 def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
@@ -245,31 +238,3 @@ def _middle_m(z: NDArray[np.int32]) -> float:
     half = len(z) // 2
     middle = np.partition(z, (max(half - 1, 0), half))[half - 1 + len(z) % 2 : half + 1]
     return float(np.mean(middle * QUANTUM_M))
-
-
-def _centre(blocks: Blocks) -> _Centres:
-    """Middle of the array in every shot."""
-    size = blocks.last - blocks.first + 1
-    block = np.repeat(np.arange(len(size)), size)
-    shot = np.arange(len(block)) - blocks.offset[block] + blocks.first[block]
-    tau = (shot - blocks.middle[block]) / blocks.half[block]
-    path = np.zeros((len(block), 2))
-    for term in range(3, -1, -1):
-        path = path * tau[:, None] + blocks.coefficient[block, term]
-    return _Centres(block, tau, path + blocks.anchor[block, :2])
-
-
-def _near(
-    blocks: Blocks, centre: _Centres, level: float, depth_m: float, wide: Bounds, cell: Bounds
-) -> NDArray[np.intp]:
-    """Shots that can have a beamlet in the cell: their numbers, ascending."""
-    anchor, origin = blocks.anchor[centre.block], blocks.origin[centre.block]
-    sensor = anchor + origin[:, 0] + centre.tau[:, None] * origin[:, 1]
-    lean = (centre.xy - sensor[:, :2]) / (anchor[:, 2] - sensor[:, 2])[:, None]
-    xy = centre.xy + lean * (level - anchor[:, 2])[:, None]
-    array = np.abs(blocks.coefficient[:, 4:]).sum(axis=(1, 2))[centre.block]
-    reach = array + np.abs(lean).max(axis=1) * depth_m
-    corner = np.array([cell.xmin - wide.xmin, cell.ymin - wide.ymin]) * QUANTUM_M
-    extent = np.array([cell.xmax - cell.xmin, cell.ymax - cell.ymin]) * QUANTUM_M
-    outside = np.maximum(corner - xy, xy - corner - extent).max(axis=1)
-    return np.flatnonzero(outside <= reach)

@@ -27,7 +27,6 @@ Returns that the filter has not assessed (no beam; or no filter at all) take par
 raster cell only where it holds no assessed signal: there they are all that is known.
 """
 
-import itertools
 from typing import Final
 
 import numpy as np
@@ -185,16 +184,22 @@ def _covered_corners(
     returned the survey ends, and so do the triangles.
     """
     near, found = CORNER_CELLS * size, []
-    for corner in itertools.product((0, wide.xmax - wide.xmin), (0, wide.ymax - wide.ymin)):
-        away = np.abs(vertices[:, :2] - corner).max(axis=1)
-        if not len(away) or away.min() <= near:
-            continue
-        held = np.abs(table["x"] - (wide.xmin + corner[0])) <= near
-        held &= np.abs(table["y"] - (wide.ymin + corner[1])) <= near
-        held &= inside(table["x"], table["y"], wide) & (table["noise_class"] == NOISE_SIGNAL)
-        if (held & ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)).any():
-            distance2 = ((vertices[:, :2] - corner) ** 2).sum(axis=1)
-            found.append([*corner, vertices[distance2.argmin(), 2]])
+    for west in (0, wide.xmax - wide.xmin):
+        beside = None
+        for south in (0, wide.ymax - wide.ymin):
+            corner = west, south
+            away = np.abs(vertices[:, :2] - corner).max(axis=1)
+            if not len(away) or away.min() <= near:
+                continue
+            if beside is None:
+                beside = np.flatnonzero(np.abs(table["x"] - (wide.xmin + west)) <= near)
+            held = beside[np.abs(table["y"][beside] - (wide.ymin + south)) <= near]
+            returns = table.select(("x", "y", "noise_class", "flags")).take(held)
+            signal = inside(returns["x"], returns["y"], wide)
+            signal &= returns["noise_class"] == NOISE_SIGNAL
+            if (signal & ~returns.has(EXCLUDED | PointFlag.OUTSIDE_AOI)).any():
+                distance2 = ((vertices[:, :2] - corner) ** 2).sum(axis=1)
+                found.append([*corner, vertices[distance2.argmin(), 2]])
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
