@@ -6,6 +6,7 @@ not depend on the order in which points are met, so neither on tiles nor on bloc
 """
 
 import math
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -44,7 +45,11 @@ class Columns(NamedTuple):
     edge: int
 
 
-def columns(xyz: NDArray[np.int32], edge: int) -> Columns:
+def columns(
+    xyz: NDArray[np.int32],
+    edge: int,
+    sort: Callable[[NDArray[np.int64]], NDArray[np.intp]] = np.argsort,
+) -> Columns:
     """List points by column.
 
     Parameters
@@ -53,6 +58,8 @@ def columns(xyz: NDArray[np.int32], edge: int) -> Columns:
         Coordinates >= 0 [quanta], 1 <= n < 2**31.
     edge : int
         Edge of a column [quanta].
+    sort : callable
+        Indices that put numbers in order.
     """
     i, j = xyz[0] // edge, xyz[1] // edge
     nx, ny = int(i.max()) + 1, int(j.max()) + 1
@@ -61,7 +68,7 @@ def columns(xyz: NDArray[np.int32], edge: int) -> Columns:
     height = int(xyz[2].max()) + 1
     column *= height
     column += xyz[2]
-    order = np.argsort(column).astype(np.int32)
+    order = sort(column).astype(np.int32)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     return Columns(order, starts, (nx, ny), edge)
 

@@ -39,13 +39,14 @@ prints the curve of removed against lost beside the best that the simulation's l
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.kernels.surroundings import UNIT, behind_plane, columns, weigh_around
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
+from spl_batch.order import lexicographic_order
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.stages import foliage
 from spl_batch.stages.followers import LAG_M, dependents
@@ -219,6 +220,11 @@ def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
     return np.rint(true * UNIT).astype(np.int16)
 
 
+def _order(numbers: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
+    """Indices that put numbers in order; quicker for millions than comparing them."""
+    return lexicographic_order([numbers])
+
+
 class _Places:
     """Points of a table, listed so that weighted counts around them are quick."""
 
@@ -227,7 +233,7 @@ class _Places:
         xyz = np.empty((3, len(table)), dtype=np.int32)
         for axis, name in enumerate("xyz"):
             xyz[axis] = table[name] - table[name].min()
-        self._listed = columns(xyz, quanta(WIDE_M))
+        self._listed = columns(xyz, quanta(WIDE_M), _order)
         order = self._listed.order
         self._xyz, self._time, self._channel = (
             xyz.take(order, axis=1), table["gps_time"][order], table["channel"][order],
@@ -263,7 +269,7 @@ class _Places:
     def _in_turn(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
         """Places of rows in ascending order, as neighbours then share memory; which is which."""
         place = self._place[rows]
-        turn = np.argsort(place)
+        turn = _order(place)
         return place[turn], turn
 
     def clumping(
