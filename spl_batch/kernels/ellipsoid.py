@@ -7,7 +7,7 @@ e_1..e_3     ``values``: eigenvalues of the neighbours' covariance [m2]
 a, b, c      ``axes``: semi-axes r e_i / cbrt(e_1 e_2 e_3) [m]
 r            ``radius``: radius of the sphere of equal volume [m]
 P            ``vectors``: eigenvectors, as rows
-flag         ``_flag``: below 1 inside
+flag         ``_flags``: below 1 inside
 k            ``count``: peers inside, the query point excluded
 rho v        ``expected``: noise density times volume
 ============ ================================================================
@@ -37,12 +37,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.ellipsoid_shape import Shape, fit, flag, half_extents, quadric_of
+from spl_batch.kernels.ellipsoid_shape import Shape, fit, half_extents, quadric_of
 from spl_batch.kernels.ellipsoid_walk import measure, walk
-from spl_batch.kernels.kdtree import LEAF, U1, U3, KdTree, check_cap, leaf_of, leaf_slots
+from spl_batch.kernels.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, leaf_of, leaf_slots
+from spl_batch.kernels.lanes import LANES, load, spread, store
 from spl_batch.kernels.neighbours import neighbours_of_leaves
 from spl_batch.kernels.poisson import poisson_critical, poisson_tail
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
+
+UL: Final = np.uint64(LANES)
 
 CHUNK: Final = 2048
 """Leaves whose neighbours are kept at a time, so that their spacings come with them [count]."""
@@ -118,13 +121,23 @@ def count_inside(
     return count, expected, tail
 
 
-@njit(nogil=True, cache=True, inline="always")
-def _flags(near, found, quadric, others, at, space):  # type: ignore[no-untyped-def]
-    """Flags of the neighbours as the last row of ``near``; whether spacings inside are unknown."""
+@njit(nogil=True, cache=True)
+def _flags(near, found, quadric):  # type: ignore[no-untyped-def]
+    """Flags of the neighbours as the last row of ``near``, and of what lies behind them."""
+    q0, q1, q2 = spread(quadric[0]), spread(quadric[1]), spread(quadric[2])
+    q3, q4, q5 = spread(quadric[3]), spread(quadric[4]), spread(quadric[5])
+    for i in range(U0, np.uint64(found), UL):
+        dx, dy, dz = load(near, (U0, i)), load(near, (U1, i)), load(near, (U2, i))
+        square = q0 * dx * dx + q3 * dy * dy + q5 * dz * dz
+        store(near, (U3, i), square + spread(2.0) * (q1 * dx * dy + q2 * dx * dz + q4 * dy * dz))
+
+
+@njit(nogil=True, cache=True)
+def _unknown(near, found, others, at, space):  # type: ignore[no-untyped-def]
+    """Whether spacings of neighbours inside are unknown."""
     unknown = False
     for i in range(found):
-        near[3, i] = flag(quadric, near[0, i], near[1, i], near[2, i])
-        unknown |= (near[3, i] < 1.0) & (space[others[at, i]] < 0.0)
+        unknown |= (near[3, i] < 1.0) & (space[np.uint64(others[at, i])] < 0.0)
     return unknown
 
 
@@ -222,7 +235,7 @@ def _count_some(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Points asked for of a range of slots; arrays but those of the tree start with the first."""
     n = np.uint64(points.shape[1])
-    near = np.empty((4, shape.neighbours), dtype=np.float64)
+    near = np.zeros((4, shape.neighbours + LANES))
     stack = np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
@@ -242,7 +255,8 @@ def _count_some(  # type: ignore[no-untyped-def]
             known, level = mean, alpha[at]
             stop, least = poisson_critical(mean, level, stop)
         quadric_of(vectors, axes, quadric)
-        if _flags(near, found[at], quadric, others, at, space):
+        _flags(near, found[at], quadric)
+        if _unknown(near, found[at], others, at, space):
             _learn(points, boxes, depth, near, found[at], others, at, space, rule, spare)
         inside = _among(near, found[at], others, at, space, space[slot], ratio2, outer)
         reach = float(shape.neighbour_cap)

@@ -156,7 +156,7 @@ def fit(points, slot, others, at, found, near, shape, moments, values, vectors, 
     for axis in range(3):
         own = np.float64(points[axis, slot])
         for i in range(found):
-            near[axis, i] = points[axis, others[at, i]] - own
+            near[axis, i] = points[axis, np.uint64(others[at, i])] - own
     if found >= SHAPE_MIN:
         _covariance(near, found, moments)
         eigen_symmetric(moments, values, vectors)

@@ -36,6 +36,15 @@ from spl_batch.kernels.kdtree import (
     box_distance,
     leaf_slots,
 )
+from spl_batch.kernels.lanes import (
+    LANES,
+    ascending,
+    greater,
+    load,
+    number,
+    pack,
+    spread,
+)
 from spl_batch.kernels.search_bounds import BESIDE, first_limits
 from spl_batch.kernels.selection import distance_to, keep_nearest, largest
 
@@ -48,7 +57,7 @@ LISTED: Final = 128
 MARGIN: Final = 1.25
 """Squared distance of a list over that of the point for which it is made: for those after it."""
 
-U7: Final = np.uint64(7)
+UL: Final = np.uint64(LANES)
 
 FAR: Final = 1e18
 """Farther than anything [quanta]."""
@@ -102,44 +111,41 @@ def _list_leaves(points, boxes, depth, leaf, reach2, stack, slots, sides):  # ty
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _add(points, low, high, slot, x, y, z, limit, distance, near, kept, size):  # type: ignore[no-untyped-def]
+def _add(points, low, high, slot, x, y, z, limit, near, kept, size):  # type: ignore[no-untyped-def]
     """Add a leaf's points within a squared distance of a slot, itself left out: their number."""
-    length = high - low
-    # Whole vectors: what lies behind the leaf is looked at, and then not taken.
-    for j in range((length + U7) >> U3 << U3):
-        dx = np.float64(points[U0, low + j]) - x
-        dy = np.float64(points[U1, low + j]) - y
-        dz = np.float64(points[U2, low + j]) - z
-        distance[j] = dx * dx + dy * dy + dz * dz
-    if low <= slot < high:
-        distance[slot - low] = np.inf
-    for j in range(length):
-        near[size], kept[size] = distance[j], low + j
-        size += np.uint64(distance[j] <= limit)
+    for first in range(low, high, UL):
+        dx = load(points, (U0, first)) - spread(x)
+        dy = load(points, (U1, first)) - spread(y)
+        dz = load(points, (U2, first)) - spread(z)
+        distance, slots = dx * dx + dy * dy + dz * dz, ascending(first)
+        taken = (distance <= spread(limit)) & (slots < spread(high)) & (slots != spread(slot))
+        pack(near, size, distance, taken)
+        pack(kept, size, slots, taken)
+        size += number(taken)
     return size
 
 
 @njit(nogil=True, cache=True, inline="always")
 def _from_list(  # type: ignore[no-untyped-def]
-    points, slot, k, limit, x, y, z, slots, sides, listed, apart, reached, distance, near, kept,
+    points, slot, k, limit, x, y, z, slots, sides, listed, reached, near, kept,
 ):  # fmt: skip
     """Neighbours of a slot among the leaves of a list: number, squared distance of the last."""
-    for i in range(listed):
-        dx = max(sides[U0, i] - x, x - sides[U3, i], 0.0)
-        dy = max(sides[U1, i] - y, y - sides[U4, i], 0.0)
-        dz = max(sides[U2, i] - z, z - sides[U5, i], 0.0)
-        apart[i] = dx * dx + dy * dy + dz * dz
-    # Without a branch, of which the processor would guess many wrong: one of four is reached.
-    reach = U0
-    for i in range(listed):
-        reached[reach] = i
-        reach += np.uint64(apart[i] <= limit)
+    reach, none = U0, spread(0.0)
+    for i in range(U0, listed, UL):
+        dx = load(sides, (U0, i)) - spread(x)
+        dx = greater(greater(dx, spread(x) - load(sides, (U3, i))), none)
+        dy = load(sides, (U1, i)) - spread(y)
+        dy = greater(greater(dy, spread(y) - load(sides, (U4, i))), none)
+        dz = load(sides, (U2, i)) - spread(z)
+        dz = greater(greater(dz, spread(z) - load(sides, (U5, i))), none)
+        leaves = ascending(i)
+        taken = (dx * dx + dy * dy + dz * dz <= spread(limit)) & (leaves < spread(listed))
+        pack(reached, reach, leaves, taken)
+        reach += number(taken)
     size, full = U0, np.uint64(k + CROWD)
     for j in range(reach):
         i = reached[j]
-        size = _add(
-            points, slots[U0, i], slots[U1, i], slot, x, y, z, limit, distance, near, kept, size
-        )
+        size = _add(points, slots[U0, i], slots[U1, i], slot, x, y, z, limit, near, kept, size)
         if size > full:
             size = keep_nearest(points, near, kept, size, k, limit)
             limit = largest(near, size)
@@ -150,7 +156,7 @@ def _from_list(  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, inline="always")
 def _from_tree(  # type: ignore[no-untyped-def]
-    points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, distance, near, kept
+    points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, near, kept
 ):
     """Neighbours of a slot, from its leaf upwards: number, squared distance of the last."""
     n, first = np.uint64(points.shape[1]), U1 << depth
@@ -170,7 +176,7 @@ def _from_tree(  # type: ignore[no-untyped-def]
                 top += U1 + U1
                 continue
             low, high = leaf_slots(node, depth, n)
-            size = _add(points, low, high, slot, x, y, z, limit, distance, near, kept, size)
+            size = _add(points, low, high, slot, x, y, z, limit, near, kept, size)
             if size > full:
                 size = keep_nearest(points, near, kept, size, k, limit)
                 limit = largest(near, size)
@@ -215,15 +221,15 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
         ``wanted``, negative where there are fewer [quanta2].
     """
     n = np.uint64(points.shape[1])
-    room = np.uint64(k + CROWD + LEAF + 8)
+    room = np.uint64(k + CROWD + LEAF + LANES)
     distance, near, kept = (
         np.empty(8 * k + 16 + 2 * LEAF),
         np.empty(room),
         np.empty(room, np.uint64),
     )
-    slots, sides, apart = np.empty((2, LISTED), np.uint64), np.empty((6, LISTED)), np.empty(LISTED)
+    slots, sides = np.empty((2, LISTED), np.uint64), np.zeros((6, LISTED))
     stack, beside = np.empty(64, np.uint64), np.zeros((4, BESIDE))
-    reached = np.empty(LISTED, np.uint64)
+    reached = np.empty(LISTED + LANES, np.uint64)
     beside[3] = FAR
     start, _ = leaf_slots(leaves[0], depth, n)
     turn = U0
@@ -239,7 +245,7 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
                 np.float64(points[U1, slot]),
                 np.float64(points[U2, slot]),
             )
-            limit, most = first_limits(points, depth, leaf, slot, k, cap, beside, apart, distance)
+            limit, most = first_limits(points, depth, leaf, slot, k, cap, beside, distance)
             while True:
                 if reach2 < limit < too_far:
                     reach2 = MARGIN * limit
@@ -248,13 +254,12 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
                         reach2, too_far = -1.0, limit
                 if limit <= reach2:
                     found[at], last[at] = _from_list(
-                        points, slot, k, limit, x, y, z, slots, sides, listed, apart, reached,
-                        distance, near, kept,
+                        points, slot, k, limit, x, y, z, slots, sides, listed, reached, near,
+                        kept,
                     )  # fmt: skip
                 else:
                     found[at], last[at] = _from_tree(
-                        points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, distance, near,
-                        kept,
+                        points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, near, kept,
                     )  # fmt: skip
                 if found[at] == k or limit == most:
                     break

@@ -7,13 +7,14 @@ import numpy as np
 from numba import njit
 
 from spl_batch.kernels.kdtree import U0, U1, U2, U3, leaf_slots
+from spl_batch.kernels.lanes import LANES, least, lesser, load, root, spread
 from spl_batch.kernels.selection import largest, within_which
 
 SPARE: Final = 6
 """Neighbours more than needed with which a first bound is good enough [count]."""
 
 BESIDE: Final = 16
-"""Latest points from whose neighbours a distance for the next follows [count]."""
+"""Latest points from whose neighbours a distance for the next follows [count]; whole lanes."""
 
 LIKELY: Final = 0.5
 """Part of the way from one of them that is added to its distance: nearly always that is enough."""
@@ -50,26 +51,25 @@ def _bound_above(points, depth, leaf, slot, k, cap, distance):  # type: ignore[n
     return min(limit, enough)
 
 
-@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
-def _bounds_beside(beside, apart, x, y, z):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True)
+def _bounds_beside(beside, x, y, z):  # type: ignore[no-untyped-def]
     """Distances within which a place likely, and surely, has as many as those beside it.
 
-    ``beside`` (4, m) holds their places, and within which distance they have them; ``apart`` (m,)
-    is scratch.
+    ``beside`` (4, BESIDE) holds their places, and within which distance they have them.
     """
-    for i in range(BESIDE):
-        dx, dy, dz = beside[U0, i] - x, beside[U1, i] - y, beside[U2, i] - z
-        apart[i] = math.sqrt(dx * dx + dy * dy + dz * dz)
-    sure = apart[U0] + beside[U3, U0]
-    likely = LIKELY * apart[U0] + beside[U3, U0]
-    for i in range(BESIDE):
-        sure = min(sure, apart[i] + beside[U3, i])
-        likely = min(likely, LIKELY * apart[i] + beside[U3, i])
-    return likely, sure
+    sure = likely = spread(np.inf)
+    for i in range(U0, np.uint64(BESIDE), np.uint64(LANES)):
+        dx = load(beside, (U0, i)) - spread(x)
+        dy = load(beside, (U1, i)) - spread(y)
+        dz = load(beside, (U2, i)) - spread(z)
+        apart, has = root(dx * dx + dy * dy + dz * dz), load(beside, (U3, i))
+        sure = lesser(sure, apart + has)
+        likely = lesser(likely, spread(LIKELY) * apart + has)
+    return least(likely), least(sure)
 
 
 @njit(nogil=True, cache=True)
-def first_limits(points, depth, leaf, slot, k, cap, beside, apart, distance):  # type: ignore[no-untyped-def]
+def first_limits(points, depth, leaf, slot, k, cap, beside, distance):  # type: ignore[no-untyped-def]
     """Squared distances within which a slot likely, and surely, has k others if the cap's has them.
 
     Parameters
@@ -79,7 +79,7 @@ def first_limits(points, depth, leaf, slot, k, cap, beside, apart, distance):  #
         and the farthest that counts [quanta].
     beside : (4, BESIDE) float64
         Places of slots that were searched, and the distances of their last neighbours.
-    apart, distance : (BESIDE,) and (8 k + 16 + 2 LEAF,) float64
+    distance : (8 k + 16 + 2 LEAF,) float64
         Scratch.
     """
     x, y, z = (
@@ -87,7 +87,7 @@ def first_limits(points, depth, leaf, slot, k, cap, beside, apart, distance):  #
         np.float64(points[U1, slot]),
         np.float64(points[U2, slot]),
     )
-    likely, sure = _bounds_beside(beside, apart, x, y, z)
+    likely, sure = _bounds_beside(beside, x, y, z)
     if sure < cap:
         return math.floor(likely * likely) + 1.0, math.floor(sure * sure) + 1.0
     found = _bound_above(points, depth, leaf, slot, k, cap, distance)

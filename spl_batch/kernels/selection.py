@@ -11,27 +11,40 @@ import numpy as np
 from numba import njit
 
 from spl_batch.kernels.kdtree import U0, U3
+from spl_batch.kernels.lanes import (
+    LANES,
+    ascending,
+    greater,
+    greatest,
+    load,
+    number,
+    pack,
+    spread,
+    where,
+)
+
+UL: Final = np.uint64(LANES)
 
 GUESSES: Final = 6
 """Guesses by interpolation, before bisection, at the distance of the last neighbour [count]."""
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(nogil=True, cache=True)
 def count_to(distance, size, limit):  # type: ignore[no-untyped-def]
     """How many of the first distances are at most ``limit``."""
-    count = np.int64(0)
-    for i in range(size):
-        count += np.int64(distance[i] <= limit)
-    return count
+    count, end = U0, np.uint64(size)
+    for i in range(U0, end, UL):
+        count += number((load(distance, i) <= spread(limit)) & (ascending(i) < spread(end)))
+    return np.int64(count)
 
 
-@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+@njit(nogil=True, cache=True)
 def largest(distance, size):  # type: ignore[no-untyped-def]
-    """Largest of the first distances; 0 of none."""
-    most = 0.0
-    for i in range(size):
-        most = max(most, distance[i])
-    return most
+    """Largest of the first distances, none of which is negative; 0 of none."""
+    most, none, end = spread(0.0), spread(0.0), np.uint64(size)
+    for i in range(U0, end, UL):
+        most = greater(where(ascending(i) < spread(end), load(distance, i), none), most)
+    return greatest(most)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -77,11 +90,13 @@ def keep_nearest(points, near, kept, size, k, most):  # type: ignore[no-untyped-
                 worst, highest = np.uint64(i), row
         near[worst] = np.inf
         surplus -= 1
-    found = U0
-    for i in range(size):
-        distance, slot = near[i], kept[i]
-        near[found], kept[found] = distance, slot
-        found += np.uint64(distance <= limit)
+    found, end = U0, np.uint64(size)
+    for i in range(U0, end, UL):
+        distance, slots = load(near, i), load(kept, i)
+        taken = (distance <= spread(limit)) & (ascending(i) < spread(end))
+        pack(near, found, distance, taken)
+        pack(kept, found, slots, taken)
+        found += number(taken)
     return found
 
 
@@ -89,8 +104,9 @@ def keep_nearest(points, near, kept, size, k, most):  # type: ignore[no-untyped-
 def distance_to(near, size, wanted):  # type: ignore[no-untyped-def]
     """Squared distance to neighbour number ``wanted`` of ``size`` >= wanted."""
     limit, _ = within_which(near, size, wanted, 0, largest(near, size))
-    last = 0.0
-    for i in range(size):
-        if near[i] <= limit:
-            last = max(last, near[i])
-    return last
+    last, none, end = spread(0.0), spread(0.0), np.uint64(size)
+    for i in range(U0, end, UL):
+        distance = load(near, i)
+        held = (distance <= spread(limit)) & (ascending(i) < spread(end))
+        last = greater(where(held, distance, none), last)
+    return greatest(last)

@@ -1,0 +1,138 @@
+"""Eight values at a time do what one at a time does."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+from numba.core.errors import TypingError
+from numpy.typing import NDArray
+
+from spl_batch.kernels.lanes import (
+    LANES,
+    ascending,
+    greater,
+    greatest,
+    least,
+    lesser,
+    load,
+    number,
+    pack,
+    root,
+    spread,
+    store,
+    where,
+)
+
+U0, UL = np.uint64(0), np.uint64(LANES)
+PLACES = st.lists(st.floats(), max_size=30)
+EIGHT = st.lists(st.floats(), min_size=LANES, max_size=LANES)
+
+
+@njit
+def within(values, size, limit, kept, rows):  # type: ignore[no-untyped-def]
+    """Values up to a limit, and which they are: how many."""
+    count = U0
+    for i in range(U0, np.uint64(size), UL):
+        taken = (load(values, i) <= spread(limit)) & (ascending(i) < spread(np.uint64(size)))
+        pack(kept, count, load(values, i), taken)
+        pack(rows, count, ascending(i), taken)
+        count += number(taken)
+    return count
+
+
+@settings(deadline=None)
+@given(PLACES, st.floats())
+def test_what_counts_is_packed_in_its_order(listed: list[float], limit: float) -> None:
+    values = np.array([*listed, *np.zeros(LANES)])
+    kept, rows = np.empty(len(values)), np.empty(len(values), np.uint64)
+    count = within(values, len(listed), limit, kept, rows)
+    expected = np.flatnonzero(np.array(listed) <= limit)
+    np.testing.assert_array_equal(rows[:count], expected)
+    np.testing.assert_array_equal(kept[:count], values[expected])
+
+
+@njit
+def reckon(a, b, out):  # type: ignore[no-untyped-def]
+    """Each operation on floats, a row of eight each."""
+    x, y = load(a, U0), load(b, U0)
+    store(out, (np.uint64(0), U0), x + y)
+    store(out, (np.uint64(1), U0), x - y)
+    store(out, (np.uint64(2), U0), x * y)
+    store(out, (np.uint64(3), U0), root(x))
+    store(out, (np.uint64(4), U0), greater(x, y))
+    store(out, (np.uint64(5), U0), lesser(x, y))
+    store(out, (np.uint64(6), U0), spread(greatest(x)))
+    store(out, (np.uint64(7), U0), spread(least(x)))
+
+
+@settings(deadline=None)
+@given(EIGHT, EIGHT)
+def test_floats_are_reckoned_as_one_by_one(a: list[float], b: list[float]) -> None:
+    x, y, out = np.array(a), np.array(b), np.empty((8, LANES))
+    reckon(x, y, out)
+    with np.errstate(all="ignore"):
+        for found, expected in zip(
+            out, (x + y, x - y, x * y, np.sqrt(x), np.where(x > y, x, y), np.where(x < y, x, y)),
+            strict=False,
+        ):  # fmt: skip
+            np.testing.assert_array_equal(found, expected)
+    if not np.isnan(x).any():
+        assert (out[6, 0], out[7, 0]) == (x.max(), x.min())
+
+
+@njit
+def compare(a, b, out):  # type: ignore[no-untyped-def]
+    """Lanes in which each comparison holds: a row of ones and zeros each."""
+    x, y = load(a, U0), load(b, U0)
+    one, none = spread(1.0), spread(0.0)
+    store(out, (np.uint64(0), U0), where(x < y, one, none))
+    store(out, (np.uint64(1), U0), where(x <= y, one, none))
+    store(out, (np.uint64(2), U0), where(x > y, one, none))
+    store(out, (np.uint64(3), U0), where(x >= y, one, none))
+    store(out, (np.uint64(4), U0), where(x == y, one, none))
+    store(out, (np.uint64(5), U0), where(x != y, one, none))
+    store(out, (np.uint64(6), U0), where((x < y) | (x > y), one, none))
+    store(out, (np.uint64(7), U0), where((x <= y) & (x >= y), one, none))
+
+
+@settings(deadline=None)
+@given(EIGHT, EIGHT)
+def test_nothing_compares_with_nan(a: list[float], b: list[float]) -> None:
+    x, y, out = np.array(a), np.array(b), np.empty((8, LANES))
+    compare(x, y, out)
+    expected = (x < y, x <= y, x > y, x >= y, x == y, x != y, (x < y) | (x > y), x == y)
+    np.testing.assert_array_equal(out, np.array(expected, np.float64))
+
+
+@njit
+def from_row(table, row, out):  # type: ignore[no-untyped-def]
+    """Eight whole numbers of a row, from its third on."""
+    store(out, U0, load(table, (row, np.uint64(2))))
+
+
+def test_whole_numbers_of_a_table_are_read_as_floats() -> None:
+    table = np.arange(-24, 24, dtype=np.int32).reshape(4, 12)
+    out = np.empty(LANES)
+    from_row(table, np.uint64(1), out)
+    assert out.tolist() == table[1, 2:10].tolist()
+
+
+@pytest.mark.parametrize(
+    ("function", "given_"),
+    [
+        (lambda a: load(a, 0), np.zeros(8)),  # an index with a sign
+        (lambda a: load(a, U0), np.zeros(8, np.float32)),  # of a kind that there is not
+        (lambda a: load(a, U0), np.zeros(16)[::2]),  # with gaps
+        (lambda a: load(a, U0) + ascending(U0), np.zeros(8)),  # of two kinds
+        (lambda a: number(load(a, U0)), np.zeros(8)),  # no mask
+    ],
+)
+def test_what_cannot_be_done_is_refused(
+    function: Callable[[NDArray[Any]], Any], given_: NDArray[Any]
+) -> None:
+    with pytest.raises(TypingError):
+        njit(function)(given_)
