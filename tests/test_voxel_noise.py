@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.kernels.chords import STEEP, chord_length, deposit_beamlet, deposit_beamlets
+from spl_batch.kernels.chords import chord_length, deposit_beamlet, deposit_beamlets, steepness
 from spl_batch.model import VOXEL_FIXED_POINT, PointTable, VoxelPart
 from spl_batch.sensor import load_preset
 from spl_batch.settings import NoiseSettings
@@ -45,7 +45,7 @@ def test_steep_beamlets_deposit_what_they_do_one_by_one(seed: int) -> None:
     n = 12
     lean = rng.normal(size=(n, 3)) * rng.choice([0.0, 0.1, 0.5, 2.0], (n, 1)) + (0.0, 0.0, -1.0)
     line = lean / np.linalg.norm(lean, axis=1)[:, None]
-    assert (np.abs(line[:, 2]) >= STEEP).any()
+    assert (np.abs(line[:, 2]) >= steepness(10.0, RADIUS_M)).any()
     voxel, point = rng.integers(10, 14, (n, 3)), rng.uniform(-5.0, 5.0, (n, 3))
     near, far = np.sort(rng.uniform(-60.0, 60.0, (2, n)), axis=0)
     rows = (voxel, point, line, near, far, rng.uniform(0.0, 1e6, n))
