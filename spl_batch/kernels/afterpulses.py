@@ -37,17 +37,24 @@ SOFT_CAP = 0.49
 
 
 @njit(nogil=True, cache=True)
+def share_within(rules: Rules) -> float:
+    """Share of the afterpulses of an endless law whose lag is not the longest or longer."""
+    return -math.expm1(-(rules.longest_m - rules.dead_m) / rules.scale_m)
+
+
+@njit(nogil=True, cache=True)
 def soft_probability(
-    i: int, lag: float, w: NDArray[np.float64], first: NDArray[np.bool_], rules: Rules
-) -> float:
+    i: int, lag: float, within: float, w: NDArray[np.float64], first: NDArray[np.bool_],
+    rules: Rules,
+) -> float:  # fmt: skip
     """Probability of an afterpulse from its lag and what else returns at its range.
 
     Density of afterpulses at this lag against that of real returns there, the latter
-    from the other beamlets' first returns within 1.5 m.
+    from the other beamlets' first returns within 1.5 m. ``within`` is :func:`share_within`.
     """
-    lag, window = max(lag - rules.dead_m, 0.0), rules.longest_m - rules.dead_m
+    lag = max(lag - rules.dead_m, 0.0)
     afterpulse = rules.probability * math.exp(-lag / rules.scale_m) / rules.scale_m
-    afterpulse /= -math.expm1(-window / rules.scale_m)
+    afterpulse /= within
     others, at = 0, w[i]
     for j in range(len(w)):
         others += first[j] & (abs(w[j] - at) <= 1.5)
@@ -224,6 +231,7 @@ def shot_probability(
     behind = np.empty((found, n))
     for s in range(found):
         behind[s] = residual(planes[s], u, v, w)
+    within = share_within(rules)
     depths = np.empty(found)
     for s in range(found):
         hard, depth = returns_behind(s, behind, spreads, first, rules)
@@ -237,7 +245,7 @@ def shot_probability(
             follows = follows_surface(i, own, behind, spreads, depths, w, rules)
             if not follows:
                 follows = follows_hard_place(i, own, u, v, w, first, rules)
-            out[i] = HARD if follows else soft_probability(i, lag[i], w, first, rules)
+            out[i] = HARD if follows else soft_probability(i, lag[i], within, w, first, rules)
 
 
 @njit(nogil=True, cache=True)

@@ -53,7 +53,7 @@ def plane_of_moments(
     return True
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def weighted_plane(
     u: NDArray[np.float64],
     v: NDArray[np.float64],
@@ -158,7 +158,7 @@ def _median(values: NDArray[np.float64]) -> float:
     return float(0.5 * (upper + lower))
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def _median_near(values: NDArray[np.float64], guess: float, room: NDArray[np.float64]) -> float:
     """Median of at least one value >= 0, quickly where it lies near a guess.
 
@@ -193,7 +193,7 @@ def _median_near(values: NDArray[np.float64], guess: float, room: NDArray[np.flo
     return float(0.5 * (room[upper - below] + room[lower - below]))
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, inline="always")
 def spread(
     distance: NDArray[np.float64], least: float, guess: float, room: NDArray[np.float64]
 ) -> float:
