@@ -1,9 +1,9 @@
 """The sources' tables on simulated twins of their set-ups, published figures beside ours.
 
-``python -m benchmarks.tables [wires] [dcc] [surfaces] [order] [roofs] [dtm] [--folder FOLDER]
-[--seeds 1 2 3]`` prints [W18] Tables 1-3 (``easton`` and ``lufkin`` print one twin's), what decides
-DCC's share there, [W17] Tables 5-1 and 5-2, what makes AES and voxels change places there, [W17]
-Table 7-1, and the terrain of [W17] 7.4.
+``python -m benchmarks.tables [setups] [wires] [dcc] [surfaces] [order] [roofs] [dtm]
+[--folder FOLDER] [--seeds 1 2 3]`` prints how the twins are flown, [W18] Tables 1-3 (``easton`` and
+``lufkin`` print one twin's), what decides DCC's share there, [W17] Tables 5-1 and 5-2, what makes
+AES and voxels change places there, [W17] Table 7-1, and the terrain of [W17] 7.4.
 Surveys are simulated into FOLDER (a temporary one by default); what is there is used again.
 """
 
@@ -12,9 +12,17 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from benchmarks import afterpulse_dtm, table_dcc, table_order, table_surfaces, table_wires
+from benchmarks import (
+    afterpulse_dtm,
+    table_dcc,
+    table_order,
+    table_setups,
+    table_surfaces,
+    table_wires,
+)
 
 TABLES = {
+    "setups": table_setups.setup_table,
     "wires": table_wires.wire_tables,
     "dcc": table_dcc.dcc_table,
     "surfaces": table_surfaces.surface_tables,

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import corridors
 from benchmarks.methods import AFTERPULSE, BACKGROUND, OTHER, WIRE, Columns
+from benchmarks.table_setups import set_up
 from benchmarks.twins import TWINS
 
 ORIGIN = (1000.0, 2000.0, 50.0)
@@ -66,3 +67,19 @@ def test_twins_are_scenes_that_differ_by_seed(name: str) -> None:
     first, again, other = TWINS[name](1), TWINS[name](1), TWINS[name](2)
     assert first == again
     assert first.flights != other.flights
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("easton", (3, 3500.0, 9.0, 60e3, 300.0)), ("lufkin", (3, 2000.0, 15.0, 50e3, 85.0))],
+)
+def test_twins_are_flown_as_the_source_says(name: str, said: tuple[float, ...]) -> None:
+    assert set_up(TWINS[name](1))[:5] == said  # [W18] 2.1
+    assert set_up(TWINS["houston"](1)).altitude_m == 4200.0  # [W17] 7.3
+
+
+def test_flightlines_flown_apart_have_no_common_set_up() -> None:
+    scene = TWINS["easton"](1)
+    lower = scene.flights[0].model_copy(update={"altitude_agl_m": 900.0})
+    with pytest.raises(ValueError, match="differ in altitude"):
+        set_up(scene.model_copy(update={"flights": (lower, *scene.flights[1:])}))
