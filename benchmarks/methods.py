@@ -2,9 +2,10 @@
 
 ``judge`` runs the chain up to the filter with a method's settings and gives the noise class of
 every return in the order of the survey's files; the shots are gathered once for each way of
-treating them, as receipts show what is finished.
+treating them and linked into each method's own folder, as receipts show what is finished.
 """
 
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 
 from spl_batch import api
 from spl_batch.api.comparison import PUBLISHED_FILTER, PUBLISHED_NOISE
+from spl_batch.io.links import share_finished
 from spl_batch.io.store import Store
 from spl_batch.io.tables import read_columns
 from spl_batch.plan.inputs import source_key
+from spl_batch.runner import KINDS as TASK_KINDS
 from spl_batch.settings import FilterSettings
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import Scene
@@ -28,6 +31,9 @@ KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpu
 BACKGROUND, GROUND, ROOF, VEGETATION, WIRE, WATER, AFTERPULSE, OTHER = range(len(KINDS))
 
 Columns = dict[str, NDArray[Any]]
+
+SHARED = tuple(name for name, kind in TASK_KINDS.items() if kind.stage in {"index", "shots"})
+"""Kinds of tasks that do not depend on the filter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,15 +147,27 @@ def judge(survey: Path, method: Method) -> NDArray[np.uint8]:
 def _run(
     survey: Path, method: Method, output: str, files: list[Path], *more: str
 ) -> NDArray[np.uint8]:
-    settings = [*method.shots, *method.settings, f"output={output}", *more]
-    result = api.run(survey / "workflow.yaml", overrides=settings, until="denoise", workers=0)
+    digest = hashlib.blake2b(repr(method.settings).encode(), digest_size=4).hexdigest()
+    own = f"{output}_{digest}"
+    _finish(survey, method, output, "shots", *method.shots, *more)
+    share_finished(Store(survey / output), Store(survey / own), SHARED)
+    _finish(survey, method, own, "denoise", *method.shots, *method.settings, *more)
+    return _read_labels(files, Store(survey / own))
+
+
+def _finish(survey: Path, method: Method, output: str, until: str, *settings: str) -> None:
+    overrides = [*settings, f"output={output}"]
+    result = api.run(survey / "workflow.yaml", overrides=overrides, until=until, workers=0)
     if result.exit_status:
         raise SystemExit(f"{survey}: the run with {method.label} failed; see {output}/log.jsonl")
-    return _read_labels(files, Store(survey / output))
 
 
 def output_name(method: Method) -> str:
-    """Folder of a method's results; methods with the same steps before the filter share it."""
+    """Folder of the steps before the filter, which methods may share.
+
+    Labels lie in a folder of each method's own: a filter that looks less far has other blocks, and
+    those of another one would be read with them.
+    """
     changed = [setting.partition("=")[0].rpartition(".")[2] for setting in method.shots]
     return "_".join(["out", *changed])
 

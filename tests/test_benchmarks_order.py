@@ -19,9 +19,14 @@ FILTERS = ("published", "aes", "ours")
 
 
 @pytest.fixture(scope="module")
-def corridor(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Counts]:
-    """The regions of both lines of a small Easton, by filter."""
-    survey = methods.make_survey(easton(1, (40.0, 36.0)), Path(tmp_path_factory.mktemp("easton")))
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small Easton."""
+    return methods.make_survey(easton(1, (40.0, 36.0)), Path(tmp_path_factory.mktemp("easton")))
+
+
+@pytest.fixture(scope="module")
+def corridor(survey: Path) -> dict[str, Counts]:
+    """The regions of both lines, by filter."""
     points, shots, known = methods.load_truth(survey), load(survey), methods.known_methods()
     labels = {name: (points, methods.judge(survey, known[name]) == 0) for name in FILTERS}
     labels["dcc"] = (shots.points, kept(shots))
@@ -40,6 +45,17 @@ def test_wires_are_found_in_the_order_of_the_source(corridor: dict[str, Counts])
     detection = [corridor[name].detection for name in ("published", "aes", "dcc")]
     assert detection[0] > detection[1] + 20 > detection[2] + 40
     assert corridor["ours"].detection >= detection[0]
+
+
+@pytest.mark.slow
+def test_labels_of_one_filter_are_not_read_with_those_of_another(survey: Path) -> None:
+    # Both work on the same shots, and a filter that looks less far may have other blocks.
+    aes, voxel = (methods.known_methods()[name] for name in ("aes", "voxel"))
+    first, other = methods.judge(survey, aes), methods.judge(survey, voxel)
+    assert (first != other).any()
+    stores = {path.parent for path in survey.glob("out_enabled*/store/noise")}
+    assert len(stores) == 2
+    np.testing.assert_array_equal(methods.judge(survey, aes), first)
 
 
 @pytest.mark.slow
