@@ -65,7 +65,7 @@ DRAWS: Final = 3
 NULL_DENSITIES: Final = null_calibration.DENSITIES
 """[1/m3]"""
 
-NEAR_SEEDS: Final = (1,)
+NEAR_SEEDS: Final = (1, 2, 3)
 NEAR_M: Final = (60.0, 50.0)
 FEWEST: Final = 20
 LEAST: Final = 0.01
