@@ -45,21 +45,24 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     cells = _cells(args["tiles"])
     table, origin = read_region(context.store, cells, region, denoising.COLUMNS_NEEDED, {})
     owned = inside(table["x"], table["y"], core)
+    by_voxel = denoising.asks_for_means(workflow.filter)
+    told = np.ones(len(table), np.bool_) if by_voxel else owned
     xyz = [table[axis] for axis in "xyz"]
     noise = expected_noise(
-        xyz, owned, args["voxels"], args["beamlets"], context.store, workflow.noise
+        xyz, told, args["voxels"], args["beamlets"], context.store, workflow.noise
     )
     del xyz
     found = denoising.resolve(table, noise.local, workflow.filter, workflow.afterpulse)
     # What only the afterpulses are told by is not held while the rest is judged.
     table = table.select(denoising.COLUMNS_JUDGED)
-    decided = denoising.judge(table, noise.local, owned, found, workflow.filter)
+    density = noise.mean if by_voxel else noise.local
+    decided = denoising.judge(table, density, owned, found, workflow.filter)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {
         "noise_class": decided["noise_class"],
         "p_value": decided["p_value"],
         "wire": decided["wire"],
-        "noise_density": noise.mean,
+        "noise_density": noise.mean[owned[told]],
     }
     write_labels(path, *origin.of(owned), labels)
     kinds, counts = np.unique(decided["noise_class"], return_counts=True)

@@ -10,7 +10,9 @@ Deviations. The source takes N_tot over its whole data set, from a region withou
 those in their own square of an absolute grid, and N_tot is what the voxel-spherical model
 expects there: density times volume, added up over the cubes that hold points. Points that
 tie with the N_tot-th go with it. The density is that at the point, where the source gives
-a beamlet's points the one at its top. All flightlines are judged together; the source
+a beamlet's points the one at its top: the mean of its voxel, silent parts included, as that
+of what is listened to would expect noise beyond the ends of a gate too (a third too much in
+one of 85 m), and take conductors for it. All flightlines are judged together; the source
 filters each alone. A point with no other in its sphere is noise. Floor and caps of the
 ellipsoid are the filter's own (:mod:`~spl_batch.kernels.ellipsoid`).
 """

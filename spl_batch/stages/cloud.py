@@ -19,7 +19,9 @@ class Cloud:
     anchor : tuple of int
         Smallest x, y, z on the survey's absolute lattice [quanta].
     density : (n,) float64
-        Expected background at each point [1/m3]; finite, >= 0.
+        Expected background at each point [1/m3]; finite, >= 0. Of the part of its voxel that is
+        listened to, or of the whole voxel for filters that add it up
+        (:func:`~spl_batch.stages.denoise.asks_for_means`).
     asked : (n,) bool
         Points to decide.
     shot_noise : (n,) bool

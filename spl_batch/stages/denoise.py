@@ -49,16 +49,17 @@ COLUMNS_JUDGED: Final = ("x", "y", "z", "gps_time", "channel", "flags")
 
 
 class Method(NamedTuple):
-    """How one filter judges, and how far it looks [m]."""
+    """How one filter judges, how far it looks [m], and whether it adds noise up over voxels."""
 
     judge: Callable[[Cloud, FilterSettings], Verdict]
     reach_m: Callable[[FilterSettings], float]
+    by_voxel: bool = False
 
 
 METHODS: Final = MappingProxyType(
     {
         "vsaes": Method(ellipsoid_test.judge, ellipsoid_test.reach_m),
-        "aes": Method(aes.judge, aes.reach_m),
+        "aes": Method(aes.judge, aes.reach_m, by_voxel=True),
         "dcc": Method(shot_filter.judge, shot_filter.reach_m),
         "voxel": Method(voxel_filter.judge, voxel_filter.reach_m),
         "multilevel": Method(multilevel.judge, multilevel.reach_m),
@@ -84,6 +85,14 @@ def reach_m(settings: FilterSettings) -> float:
     if _independent(settings):
         reach = max(reach, wire_scan.reach_m(settings.wires))
     return reach + echoes.REACH_M + (LAG_M if _independent(settings) else 0.0)
+
+
+def asks_for_means(settings: FilterSettings) -> bool:
+    """Whether the filter adds up noise over whole voxels: it needs their means, silence included.
+
+    The others test a point in the noise of what is listened to around it.
+    """
+    return settings.method != "none" and METHODS[settings.method].by_voxel
 
 
 def denoise(
