@@ -9,6 +9,7 @@ Surveys are simulated into FOLDER (a temporary one by default); what is there is
 
 import argparse
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +22,9 @@ from benchmarks import (
     table_wires,
 )
 
-TABLES = {
+Printer = Callable[[Path, Sequence[int]], object]
+
+TABLES: Mapping[str, Printer] = {
     "setups": table_setups.setup_table,
     "wires": table_wires.wire_tables,
     "dcc": table_dcc.dcc_table,
@@ -32,7 +35,9 @@ TABLES = {
 }
 """What prints each table, given a folder and seeds."""
 
-PARTS = {twin: partial(table_wires.wire_tables, twins=(twin,)) for twin in table_wires.BRIGHTER}
+PARTS: Mapping[str, Printer] = {
+    twin: partial(table_wires.wire_tables, twins=(twin,)) for twin in table_wires.BRIGHTER
+}
 """The same of a part of a table."""
 
 
