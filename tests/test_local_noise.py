@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from spl_batch.kernels.chords import cover
+from spl_batch.kernels.squares import density_between
 from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.stages import local_noise
 from spl_batch.stages.voxel_noise import sphere_radius_m
@@ -175,8 +177,10 @@ def test_up_to_an_edge_the_density_is_that_of_the_part_listened_to(until_m: floa
 def test_far_from_edges_it_is_the_mean_with_gaps_or_without() -> None:
     holes = np.zeros((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), dtype=bool)
     holes[::3, ::3] = True
-    for found in (listened(90.0), listened(90.0, holes=holes)):
-        np.testing.assert_allclose(found[8:-8], PER_M3, rtol=1e-6)
+    np.testing.assert_allclose(listened(90.0)[8:-8], PER_M3, rtol=1e-6)
+    # one beamlet or none over a square says next to nothing, and errs towards more
+    found = listened(90.0, holes=holes)[8:-8] / PER_M3
+    assert np.abs(found - 1).max() < 0.02
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, -1.0), (0.2, -0.3, -0.93), (0.9, 0.1, -0.4)])
@@ -230,7 +234,7 @@ def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
         found = local_noise.listened(amount[inner].astype(np.int64), counts[inner], 10.0)
         assert found is not None
         keep = local_noise.MARGIN_VOXELS - first + 1
-        n = found.density.shape
+        n = found.near.shape
         cut = (slice(4 * keep, n[0] - 4 * keep), slice(4 * keep, n[1] - 4 * keep))
         voxel = np.stack(np.indices(n), -1)[*cut, keep : n[2] - keep].reshape(-1, 3)
         place = (voxel[:, 0] // 4, voxel[:, 1] // 4, voxel[:, 2]), (voxel[:, 0], voxel[:, 1])
@@ -240,35 +244,61 @@ def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
     np.testing.assert_array_equal(density(0), density(1))
 
 
-def ridge(per_square: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Density over that far from a ridge two squares wide, and the true one of each square."""
-    rng = np.random.default_rng(3)
-    rate = np.ones((SIZE[0] * 4, SIZE[1] * 4))
-    rate[18:20] = height
-    true = np.pad(rate, 4, mode="edge") * PER_M3
-    sphere = local_noise.square_shares()
-    blocks = rate.reshape(SIZE[0], 4, SIZE[1], 4)
-    amount = np.einsum("xiyj,ij->xy", blocks, sphere) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
-    beamlets = rng.poisson(rate * per_square)[:, :, None].repeat(SIZE[2], axis=2) + 1
-    amounts = np.repeat(np.rint(amount).astype(np.int64)[:, :, None], SIZE[2], axis=2)
-    heard = local_noise.listened(amounts, pack(beamlets), 10.0)
+def strip(rate: np.ndarray, beamlets: np.ndarray) -> local_noise.Listened:
+    """A line of that relative rate over squares along x, and so many beamlets over all squares."""
+    rates = np.repeat(rate[:, None], SIZE[1] * 4, axis=1).reshape(SIZE[0], 4, SIZE[1], 4)
+    amount = np.einsum("xiyj,ij->xy", rates, local_noise.square_shares())
+    amount = np.rint(amount * PER_M3 * 1000.0 * VOXEL_FIXED_POINT).astype(np.int64)
+    counts = beamlets[:, :, None].repeat(SIZE[2], axis=2)
+    heard = local_noise.listened(np.repeat(amount[:, :, None], SIZE[2], axis=2), pack(counts), 10.0)
     assert heard is not None
-    return at_centres(heard)[8:-8, 8:-8], true[12:-12, 12:-12]
+    return heard
 
 
-def test_a_ridge_of_beamlets_is_a_ridge_of_noise() -> None:
-    found, true = ridge(400.0, 3.0)
-    top = true > 2 * PER_M3
-    assert found[top].min() > 0.8 * 3.0 * PER_M3
-    assert found.max() < 1.05 * 3.0 * PER_M3
-    # no farther than a square and its blur
-    flat = np.ones(true.shape, dtype=bool)
-    flat[18 - 8 - 6 : 20 - 8 + 6] = False
-    assert found[flat].max() < 1.05 * PER_M3
+def ridge(x_m: np.ndarray, wide_m: float) -> np.ndarray:
+    """Relative rate across a ridge as high as two thirds of it."""
+    return 1.0 + 2.0 * np.exp(-(((x_m - 46.3) / wide_m) ** 2))
+
+
+@pytest.mark.parametrize(("wide_m", "within"), [(4.0, 0.08), (6.0, 0.05), (12.0, 0.04)])
+def test_over_a_ridge_of_beamlets_the_noise_is_theirs(wide_m: float, within: float) -> None:
+    """It was that of the fullest square near by: half as much again on the flanks."""
+    fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
+    rate = ridge(fine, wide_m).reshape(-1, 50).mean(axis=1)
+    beamlets = np.repeat(np.rint(rate[:, None] * 400).astype(int), SIZE[1] * 4, axis=1)
+    x = np.linspace(25, 65, 300)
+    ratio = along_x(strip(rate, beamlets), x) / PER_M3 / ridge(x, wide_m)
+    assert np.abs(ratio - 1).mean() < within / 2
+    assert np.abs(ratio - 1).max() < 2 * within
+    top = np.abs(x - 46.3) < 1.25
+    assert ratio[top].mean() == pytest.approx(1, abs=within)
 
 
 @pytest.mark.parametrize("per_square", [1.0, 5.0, 25.0, 100.0])
 def test_chance_makes_no_ridge(per_square: float) -> None:
-    found, _ = ridge(per_square, 1.0)
-    assert found.mean() == pytest.approx(PER_M3, rel=0.01)
-    assert found.max() < 1.5 * PER_M3
+    even = np.ones(SIZE[0] * 4)
+    beamlets = np.random.default_rng(3).poisson(per_square, (SIZE[0] * 4, SIZE[1] * 4)) + 1
+    found = at_centres(strip(even, beamlets))[8:-8, 8:-8] / PER_M3
+    # the more a count differs by chance the more is added, as more is kept where it is too small
+    assert 1.0 < found.mean() < 1.05
+    assert found.std() < 0.12
+    assert np.quantile(found, 0.99) < 1.45
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_between_the_centres_of_squares_it_is_linear(seed: int) -> None:
+    rng = np.random.default_rng([9, seed])
+    n, shape = 300, (3, 4, 5)
+    beamlets = rng.uniform(0, 200, (12, 16, 5))
+    each, usual = rng.uniform(0, 0.01, shape), rng.uniform(0, 1, shape)
+    near = rng.random(beamlets.shape) < 0.8
+    place = rng.uniform(0, 1, (3, n)) * np.array(beamlets.shape)[:, None]
+    square, offset = np.floor(place).astype(np.int64), place % 1 - 0.5
+    voxel = square // np.array([4, 4, 1])[:, None]
+    found = np.empty(n)
+    density_between(beamlets, near, each, usual, *voxel, *square[:2], *offset[:2], 4.0, 50.0, found)
+    centres = np.array([*(place[:2] - 0.5), square[2]])
+    count = ndimage.map_coordinates(beamlets, centres, order=1, mode="nearest")
+    sure = 4.0 * count / (4.0 * count + 50.0)
+    expected = sure * count * each[tuple(voxel)] + (1 - sure) * usual[tuple(voxel)]
+    np.testing.assert_allclose(found, np.where(near[tuple(square)], expected, 0), rtol=1e-9)

@@ -18,10 +18,13 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   linear between their centres: the test of single points looks so far, a metre or two. Where
   beamlets are too few to tell the edge, it counts within a square of those that are covered, in
   the layers around;
-- where surely more beamlets cross a square within one of a point's than are usual around its
-  voxel, the amount goes with them: a turning scan makes ridges narrower than a voxel, the highest
-  along the edge of a swath, and ellipsoids lean into them. Interpolated between squares instead,
-  twice alpha was kept of noise within a swath (``benchmarks/null_edges.py``).
+- within a voxel the noise goes with the beamlets over each square, linear between their centres:
+  a turning scan makes ridges narrower than a voxel, the highest along the edge of a swath. A
+  count is held for as much as its Poisson error lets it tell, first against those of the eight
+  squares around and then against the voxel's mean (:data:`PRIOR`), and the tops of ridges are
+  given what means of squares take off (:mod:`~spl_batch.stages.beamlet_counts`). The density
+  at the point is what is needed, not that of its ellipsoid: with the true one alpha is kept
+  wherever points lie (``benchmarks/null_edges.py``).
 
 The flightlines add up, to no less than :data:`BESIDE_NOTHING` of those that cover the point for
 the larger part: of the largest, where none does. Ellipsoids lean into what is denser, so beside
@@ -37,7 +40,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.kernels.squares import density_between
 from spl_batch.model import VOXEL_FIXED_POINT
+from spl_batch.stages.beamlet_counts import (
+    PRIOR,
+    beamlets_around,
+    halves,
+    joined,
+    sharpened,
+    told,
+)
 from spl_batch.stages.voxel_noise import sphere_radius_m, tallest
 
 DOMAIN: Final = "space"
@@ -48,17 +60,14 @@ SQUARES: Final = 4
 MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
 
-BLUR: Final = (1.0, 4.0, 1.0)
-"""Weights of a square and its neighbours on either side, where beamlets are counted."""
-
 FEW: Final = 8.0
 """Beamlets over a covered square that tell where within a square an edge lies [count]."""
 
 BESIDE_NOTHING: Final = 0.9
 """Part of the density at which alpha is kept within a metre of where all noise ends."""
 
-SURE: Final = 3.0
-"""Standard errors of such a count by which a ridge has to stand out."""
+AROUND: Final = 4.0
+"""Squares whose count is as sure as that of nine weighted by :data:`BLUR`."""
 
 CUT: Final = 2.0
 """Standard errors by which less than in the layer beside is a gate's end."""
@@ -72,9 +81,14 @@ class Listened(NamedTuple):
 
     Parameters
     ----------
-    density : (4 nx, 4 ny, nz) float64
-        Density of the covered part of a square's voxel, or of the fullest square within one if
-        that is surely denser [1/m3]; 0 where the line does not count.
+    beamlets : (4 nx, 4 ny, nz) float64
+        Beamlets over each square's covered part, as far as they can be told [count].
+    near : (4 nx, 4 ny, nz) bool
+        Squares where the line counts.
+    each : (nx, ny, nz) float64
+        What one beamlet over a square stands for [1/m3].
+    usual : (nx, ny, nz) float64
+        Density of the covered part of each voxel [1/m3].
     covered : (4 nx, 4 ny, nz) float32
         Part of each square that is covered [0..1].
     rim : (4 nx, 4 ny, nz) bool
@@ -84,7 +98,10 @@ class Listened(NamedTuple):
         layer may be silent as a whole, where a gate ends.
     """
 
-    density: NDArray[np.float64]
+    beamlets: NDArray[np.float64]
+    near: NDArray[np.bool_]
+    each: NDArray[np.float64]
+    usual: NDArray[np.float64]
     covered: NDArray[np.float32]
     rim: NDArray[np.bool_]
     reached: NDArray[np.bool_]
@@ -113,9 +130,13 @@ class Listened(NamedTuple):
         (n,) float64
             Covered part around the points [0..1].
         """
-        place = square[0], square[1], voxel[2]
-        density, part = self.density[place], np.ones(len(voxel[0]))
-        rim = np.flatnonzero(self.rim[place])
+        n = len(voxel[0])
+        density, part = np.empty(n), np.ones(n)
+        density_between(
+            self.beamlets, self.near, self.each, self.usual, voxel[0], voxel[1], voxel[2],
+            square[0], square[1], offset[0], offset[1], AROUND, PRIOR, density,
+        )  # fmt: skip
+        rim = np.flatnonzero(self.rim[square[0], square[1], voxel[2]])
         part[rim] = self._part(
             (square[0][rim], square[1][rim], voxel[2][rim]), tuple(axis[rim] for axis in offset)
         )
@@ -160,21 +181,19 @@ def listened(
     if not counts.any():
         return None
     beamlets = unpack(counts)
-    near = _across(np.logical_or, beamlets > 0)
-    closed = _across(np.logical_and, near)
+    near = joined(np.logical_or, beamlets > 0)
+    closed = joined(np.logical_and, near)
     inner = _inner(closed)
-    clear = _across(np.logical_or, _beamlets_around(beamlets, closed) >= FEW)
+    clear = joined(np.logical_or, beamlets_around(beamlets, closed) >= FEW)
     covered = _covered(beamlets, closed, inner, clear)
     each, points = _to_the_ends(amount, beamlets, voxel_m)
     per_m3 = _of_covered(points, closed, covered)
-    surely = _surely(beamlets, covered)
-    rim = clear & _across(np.logical_or, closed & ~inner)
+    rim = clear & joined(np.logical_or, closed & ~inner)
     _vertically(np.logical_or, rim)
     near = np.where(clear, closed, near) | rim
-    reached = _across(np.logical_or, _across(np.logical_or, closed))
-    ridge = _to_squares(each) * _largest(surely)
-    density = np.where(near, np.maximum(_to_squares(per_m3), ridge), 0.0)
-    return Listened(density, covered, rim, reached)
+    reached = joined(np.logical_or, joined(np.logical_or, closed))
+    found = sharpened(told(beamlets, covered), covered > 0.0)
+    return Listened(found, near, each, per_m3, covered, rim, reached)
 
 
 def around(
@@ -227,16 +246,11 @@ def square_shares() -> NDArray[np.float64]:
     return normal
 
 
-def _to_squares(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The value of each voxel at its squares: (4 nx, 4 ny, nz)."""
-    return values.repeat(SQUARES, axis=0).repeat(SQUARES, axis=1)
-
-
 def _inner(squares: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Those with four others beside them."""
     inner = squares.copy()
     for axis in (0, 1):
-        ahead, behind = _halves(axis)
+        ahead, behind = halves(axis)
         inner[ahead] &= squares[behind]
         inner[behind] &= squares[ahead]
     return inner
@@ -249,24 +263,13 @@ def _covered(
     clear: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
     """Part of each square that is covered: 1 inside, along a clear edge what beamlets tell."""
-    usual = _beamlets_around(np.where(inner, beamlets, np.float32(0.0)), inner)
+    usual = beamlets_around(np.where(inner, beamlets, np.float32(0.0)), inner)
     part = np.full(beamlets.shape, 0.5, dtype=np.float32)
     np.divide(beamlets, usual, out=part, where=clear & (usual > 0.0))
     np.minimum(part, np.float32(1.0), out=part)
     part[inner] = 1.0
     part[~closed] = 0.0
     return part
-
-
-def _beamlets_around(
-    beamlets: NDArray[np.float32], squares: NDArray[np.bool_]
-) -> NDArray[np.float32]:
-    """Mean of beamlets over some of the nine squares around each, 0 without any."""
-    even = (1.0, 1.0, 1.0)
-    number = _blurred(squares.astype(np.float32), even)
-    found = _blurred(beamlets, even)
-    found /= np.maximum(number, np.float32(1.0))
-    return found
 
 
 def _of_covered(
@@ -312,52 +315,6 @@ def _to_the_ends(
     return each, np.where(cut, np.maximum(each * own, points), points)
 
 
-def _surely(beamlets: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How many beamlets surely cross each square [count]."""
-    found, area = _blurred(beamlets, BLUR), _blurred(weight, BLUR)
-    # of a Poisson count, weighted
-    error = np.sqrt(_blurred(beamlets, tuple(w * w for w in BLUR)))
-    surely = np.maximum(found - np.float32(SURE) * error, np.float32(0.0))
-    surely /= np.where(area > 0.0, area, np.float32(1.0))
-    return surely
-
-
-def _largest(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Largest of each square and the eight around it in its layer."""
-    for axis in (0, 1):
-        out = values.copy()
-        ahead, behind = _halves(axis)
-        np.maximum(out[ahead], values[behind], out=out[ahead])
-        np.maximum(out[behind], values[ahead], out=out[behind])
-        values = out
-    return values
-
-
-def _blurred(values: NDArray[np.float32], weights: tuple[float, ...]) -> NDArray[np.float32]:
-    """Weighted sum over each square and the eight around it in its layer."""
-    beside, own = np.float32(weights[0]), np.float32(weights[1])
-    for axis in (0, 1):
-        out = values * own
-        ahead, behind = _halves(axis)
-        out[ahead] += values[behind] * beside
-        out[behind] += values[ahead] * beside
-        values = out
-    return values
-
-
-def _across(
-    join: Callable[..., NDArray[np.bool_]], squares: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Each square with the eight around it in its layer, joined."""
-    for axis in (0, 1):
-        out = squares.copy()
-        ahead, behind = _halves(axis)
-        join(out[ahead], squares[behind], out=out[ahead])
-        join(out[behind], squares[ahead], out=out[behind])
-        squares = out
-    return squares
-
-
 def _vertically(join: Callable[..., NDArray[np.bool_]], squares: NDArray[np.bool_]) -> None:
     """Each square with those above and below, joined in place."""
     before = squares.copy()
@@ -365,19 +322,11 @@ def _vertically(join: Callable[..., NDArray[np.bool_]], squares: NDArray[np.bool
     join(squares[:, :, :-1], before[:, :, 1:], out=squares[:, :, :-1])
 
 
-def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """All but the first, and all but the last, along an axis."""
-    whole = slice(None)
-    ahead, behind = [whole, whole], [whole, whole]
-    ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-    return tuple(ahead), tuple(behind)
-
-
 def _nine(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum over a voxel and the eight around it in its layer."""
     for axis in (0, 1):
         out = values.copy()
-        ahead, behind = _halves(axis)
+        ahead, behind = halves(axis)
         out[ahead] += values[behind]
         out[behind] += values[ahead]
         values = out
