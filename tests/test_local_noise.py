@@ -245,12 +245,11 @@ def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
 
 
 def strip(rate: np.ndarray, beamlets: np.ndarray) -> local_noise.Listened:
-    """A line of that relative rate over squares along x, and so many beamlets over all squares."""
-    rates = np.repeat(rate[:, None], SIZE[1] * 4, axis=1).reshape(SIZE[0], 4, SIZE[1], 4)
-    amount = np.einsum("xiyj,ij->xy", rates, local_noise.square_shares())
-    amount = np.rint(amount * PER_M3 * 1000.0 * VOXEL_FIXED_POINT).astype(np.int64)
-    counts = beamlets[:, :, None].repeat(SIZE[2], axis=2)
-    heard = local_noise.listened(np.repeat(amount[:, :, None], SIZE[2], axis=2), pack(counts), 10.0)
+    """A line of that relative rate by x and layer, and so many beamlets over squares."""
+    rates = np.repeat(rate[:, None], SIZE[1] * 4, axis=1).reshape(SIZE[0], 4, SIZE[1], 4, -1)
+    amount = np.einsum("xiyjz,ij->xyz", rates, local_noise.square_shares())
+    fixed = np.rint(amount * PER_M3 * 1000.0 * VOXEL_FIXED_POINT).astype(np.int64)
+    heard = local_noise.listened(np.broadcast_to(fixed, SIZE).copy(), pack(beamlets), 10.0)
     assert heard is not None
     return heard
 
@@ -265,6 +264,7 @@ def test_over_a_ridge_of_beamlets_the_noise_is_theirs(wide_m: float, within: flo
     """It was that of the fullest square near by: half as much again on the flanks."""
     fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
     rate = ridge(fine, wide_m).reshape(-1, 50).mean(axis=1)
+    rate = np.repeat(rate[:, None], SIZE[2], axis=1)
     beamlets = np.repeat(np.rint(rate[:, None] * 400).astype(int), SIZE[1] * 4, axis=1)
     x = np.linspace(25, 65, 300)
     ratio = along_x(strip(rate, beamlets), x) / PER_M3 / ridge(x, wide_m)
@@ -276,8 +276,9 @@ def test_over_a_ridge_of_beamlets_the_noise_is_theirs(wide_m: float, within: flo
 
 @pytest.mark.parametrize("per_square", [1.0, 5.0, 25.0, 100.0])
 def test_chance_makes_no_ridge(per_square: float) -> None:
-    even = np.ones(SIZE[0] * 4)
-    beamlets = np.random.default_rng(3).poisson(per_square, (SIZE[0] * 4, SIZE[1] * 4)) + 1
+    even = np.ones((SIZE[0] * 4, SIZE[2]))
+    beamlets = np.random.default_rng(3).poisson(per_square, (SIZE[0] * 4, SIZE[1] * 4, 1)) + 1
+    beamlets = beamlets.repeat(SIZE[2], axis=2)
     found = at_centres(strip(even, beamlets))[8:-8, 8:-8] / PER_M3
     # the more a count differs by chance the more is added, as more is kept where it is too small
     assert 1.0 < found.mean() < 1.05
@@ -286,19 +287,58 @@ def test_chance_makes_no_ridge(per_square: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_between_the_centres_of_squares_it_is_linear(seed: int) -> None:
+def test_between_the_centres_of_squares_and_layers_it_is_linear(seed: int) -> None:
     rng = np.random.default_rng([9, seed])
-    n, shape = 300, (3, 4, 5)
-    beamlets = rng.uniform(0, 200, (12, 16, 5))
+    n, shape = 200, (3, 4, 5)
+    beamlets = rng.uniform(0, 200, (12, 16, 5)) * (rng.random((12, 16, 5)) < 0.9)
     each, usual = rng.uniform(0, 0.01, shape), rng.uniform(0, 1, shape)
+    mean = rng.choice([0.0, 50.0, 80.0, 85.0, 90.0], shape)
     near = rng.random(beamlets.shape) < 0.8
     place = rng.uniform(0, 1, (3, n)) * np.array(beamlets.shape)[:, None]
     square, offset = np.floor(place).astype(np.int64), place % 1 - 0.5
     voxel = square // np.array([4, 4, 1])[:, None]
     found = np.empty(n)
-    density_between(beamlets, near, each, usual, *voxel, *square[:2], *offset[:2], 4.0, 50.0, found)
-    centres = np.array([*(place[:2] - 0.5), square[2]])
-    count = ndimage.map_coordinates(beamlets, centres, order=1, mode="nearest")
-    sure = 4.0 * count / (4.0 * count + 50.0)
-    expected = sure * count * each[tuple(voxel)] + (1 - sure) * usual[tuple(voxel)]
-    np.testing.assert_allclose(found, np.where(near[tuple(square)], expected, 0), rtol=1e-9)
+    density_between(
+        beamlets, near, each, usual, mean, *voxel, *square[:2], *offset, 4.0, 50.0, 1.15, found
+    )
+    for p in range(n):
+        z, at = square[2, p], tuple(voxel[:2, p])
+        k = z + (1 if offset[2, p] > 0 else -1)
+        layer = beamlets[:, :, z]
+        if 0 <= k < 5 and mean[*at, k] > 0:
+            ratio = mean[*at, z] / mean[*at, k]
+            ratio = 1.0 if 1 / 1.15 < ratio < 1.15 else ratio
+            part, other = abs(offset[2, p]), beamlets[:, :, k]
+            both = (layer > 0) & (other > 0)
+            layer = np.where(both, (1 - part) * layer + part * ratio * other, layer)
+        count = ndimage.map_coordinates(layer, place[:2, p : p + 1] - 0.5, order=1, mode="nearest")[
+            0
+        ]
+        sure = 4.0 * count / (4.0 * count + 50.0)
+        expected = sure * count * each[*at, z] + (1 - sure) * usual[*at, z]
+        assert found[p] == pytest.approx(expected if near[tuple(square[:, p])] else 0.0), p
+
+
+def test_between_layers_a_leaning_ridge_goes_on() -> None:
+    """As far from layer to layer as a beam that leans 15 degrees."""
+    fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
+    rates = [ridge(fine - 2.7 * (k - MIDDLE), 6.0).reshape(-1, 50) for k in range(SIZE[2])]
+    rate = np.array([r.mean(axis=1) for r in rates]).T
+    heard = strip(rate, np.rint(rate[:, None] * 400).astype(int).repeat(SIZE[1] * 4, axis=1))
+    x = np.linspace(30, 60, 300)
+    for z in (20.5, 22.0, 25.0, 28.0, 29.5):
+        ratio = along_x(heard, x, z) / PER_M3 / ridge(x - 0.27 * (z - 25.0), 6.0)
+        assert np.abs(ratio - 1).mean() < 0.05, z
+        assert np.abs(ratio - 1).max() < 0.15, z
+
+
+def test_beyond_the_end_of_a_gate_the_next_layer_only_tells_where() -> None:
+    """A layer in which half of the beamlets end does not take from the one that all cross."""
+    counts = np.full((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), 200, dtype=np.uint32)
+    counts[:, :, MIDDLE + 1 :] = 100
+    share = np.where(np.arange(SIZE[2]) > MIDDLE, 0.5, 1.0)
+    heard = made(np.tile(share, (SIZE[0], 1)), counts)
+    x = np.linspace(20, 70, 20)
+    for z in (21.0, 25.0, 29.9):
+        np.testing.assert_allclose(along_x(heard, x, z), PER_M3, rtol=1e-6)
+    np.testing.assert_allclose(along_x(heard, x, 41.0), 0.5 * PER_M3, rtol=1e-6)

@@ -11,6 +11,7 @@ def density_between(
     near: NDArray[np.bool_],
     each: NDArray[np.float64],
     usual: NDArray[np.float64],
+    mean: NDArray[np.float64],
     voxel_x: NDArray[np.int64],
     voxel_y: NDArray[np.int64],
     layer: NDArray[np.int64],
@@ -18,50 +19,75 @@ def density_between(
     square_y: NDArray[np.int64],
     across: NDArray[np.float64],
     along: NDArray[np.float64],
+    up: NDArray[np.float64],
     squares: float,
     prior: float,
+    alike: float,
     density: NDArray[np.float64],
 ) -> None:
-    """Density at points by the beamlets around, linear between the centres of four squares.
+    """Density at points by the beamlets around, linear between the centres of eight squares.
 
-    A count that ``prior`` beamlets would be worth as much as is held for what it stands for by
-    half, and for the voxel's mean by half: (b^2 each + prior usual / squares) / (b + prior /
-    squares).
+    What b beamlets over ``squares`` squares say, b ``each``, counts as ``squares`` b, and the
+    voxel's ``usual`` density as ``prior`` beamlets do. The layer above or below tells where
+    beamlets are and not how many: where it has many more or fewer, a gate ends, and its counts are
+    brought to the mean of the point's own layer.
 
     Parameters
     ----------
     beamlets : (nx, ny, nz) float64
-        Beamlets over a square, of its covered part [count].
+        Beamlets over a square, of its covered part [count]; 0 where that is not known.
     near : (nx, ny, nz) bool
         Squares where the density is not nothing.
     each : (vx, vy, nz) float64
         What one of them stands for, by voxel [1/m3].
     usual : (vx, vy, nz) float64
         Mean density of the voxel's covered part [1/m3].
+    mean : (vx, vy, nz) float64
+        Beamlets over a covered square around the voxel [count].
     voxel_x, voxel_y, layer, square_x, square_y : (n,) int64
         Places of the points.
-    across, along : (n,) float64
-        From the centres of their squares [-0.5..0.5].
+    across, along, up : (n,) float64
+        From the centres of their squares, in squares, and layers, in layers [-0.5..0.5].
     squares : float
         Squares whose beamlets tell what is over one of them.
     prior : float
         Beamlets that the voxel's mean is worth [count].
+    alike : float
+        Means of layers that differ by less have no gate's end between them [ratio].
     density : (n,) float64
         Written [1/m3].
     """
-    nx, ny = beamlets.shape[:2]
+    nx, ny, nz = beamlets.shape
     for p in range(len(layer)):
         x, y, z = square_x[p], square_y[p], layer[p]
         if not near[x, y, z]:
             density[p] = 0.0
             continue
+        vx, vy = voxel_x[p], voxel_y[p]
+        k, part, ratio = z + (1 if up[p] > 0.0 else -1), abs(up[p]), 1.0
+        if k < 0 or k == nz or mean[vx, vy, k] <= 0.0:
+            k = z
+        else:
+            ratio = mean[vx, vy, z] / mean[vx, vy, k]
+            if ratio < alike and ratio * alike > 1.0:
+                ratio = 1.0
         i = min(max(x + (1 if across[p] > 0.0 else -1), 0), nx - 1)
         j = min(max(y + (1 if along[p] > 0.0 else -1), 0), ny - 1)
-        right, up = abs(across[p]), abs(along[p])
-        own = (1.0 - right) * beamlets[x, y, z] + right * beamlets[i, y, z]
-        beside = (1.0 - right) * beamlets[x, j, z] + right * beamlets[i, j, z]
-        count = (1.0 - up) * own + up * beside
+        right, ahead = abs(across[p]), abs(along[p])
+        own = (1.0 - right) * _between(beamlets, x, y, z, k, part, ratio)
+        own += right * _between(beamlets, i, y, z, k, part, ratio)
+        beside = (1.0 - right) * _between(beamlets, x, j, z, k, part, ratio)
+        beside += right * _between(beamlets, i, j, z, k, part, ratio)
+        count = (1.0 - ahead) * own + ahead * beside
         known = squares * count
-        mean = usual[voxel_x[p], voxel_y[p], z]
-        found = known * count * each[voxel_x[p], voxel_y[p], z] + prior * mean
+        found = known * count * each[vx, vy, z] + prior * usual[vx, vy, z]
         density[p] = found / (known + prior)
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _between(beamlets, x, y, z, k, part, ratio):  # type: ignore[no-untyped-def]
+    """Beamlets over a square, between its layer and another one."""
+    own, other = beamlets[x, y, z], beamlets[x, y, k]
+    if own <= 0.0 or other <= 0.0:
+        return own
+    return (1.0 - part) * own + part * ratio * other

@@ -18,7 +18,8 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   linear between their centres: the test of single points looks so far, a metre or two. Where
   beamlets are too few to tell the edge, it counts within a square of those that are covered, in
   the layers around;
-- within a voxel the noise goes with the beamlets over each square, linear between their centres:
+- within a voxel the noise goes with the beamlets over each square, linear between their centres
+  and those of layers, since beams lean:
   a turning scan makes ridges narrower than a voxel, the highest along the edge of a swath. A
   count is held for as much as its Poisson error lets it tell, first against those of the eight
   squares around and then against the voxel's mean (:data:`PRIOR`), and the tops of ridges are
@@ -47,10 +48,9 @@ from spl_batch.stages.beamlet_counts import (
     beamlets_around,
     halves,
     joined,
-    sharpened,
     told,
 )
-from spl_batch.stages.voxel_noise import sphere_radius_m, tallest
+from spl_batch.stages.voxel_noise import UNEVEN, sphere_radius_m, tallest
 
 DOMAIN: Final = "space"
 
@@ -89,6 +89,8 @@ class Listened(NamedTuple):
         What one beamlet over a square stands for [1/m3].
     usual : (nx, ny, nz) float64
         Density of the covered part of each voxel [1/m3].
+    mean : (nx, ny, nz) float64
+        Beamlets over a covered square in each voxel and the eight around it [count].
     covered : (4 nx, 4 ny, nz) float32
         Part of each square that is covered [0..1].
     rim : (4 nx, 4 ny, nz) bool
@@ -102,6 +104,7 @@ class Listened(NamedTuple):
     near: NDArray[np.bool_]
     each: NDArray[np.float64]
     usual: NDArray[np.float64]
+    mean: NDArray[np.float64]
     covered: NDArray[np.float32]
     rim: NDArray[np.bool_]
     reached: NDArray[np.bool_]
@@ -133,8 +136,9 @@ class Listened(NamedTuple):
         n = len(voxel[0])
         density, part = np.empty(n), np.ones(n)
         density_between(
-            self.beamlets, self.near, self.each, self.usual, voxel[0], voxel[1], voxel[2],
-            square[0], square[1], offset[0], offset[1], AROUND, PRIOR, density,
+            self.beamlets, self.near, self.each, self.usual, self.mean,
+            voxel[0], voxel[1], voxel[2], square[0], square[1], offset[0], offset[1], offset[2],
+            AROUND, PRIOR, UNEVEN, density,
         )  # fmt: skip
         rim = np.flatnonzero(self.rim[square[0], square[1], voxel[2]])
         part[rim] = self._part(
@@ -192,8 +196,10 @@ def listened(
     _vertically(np.logical_or, rim)
     near = np.where(clear, closed, near) | rim
     reached = joined(np.logical_or, joined(np.logical_or, closed))
-    found = sharpened(told(beamlets, covered), covered > 0.0)
-    return Listened(found, near, each, per_m3, covered, rim, reached)
+    found = told(beamlets, covered)
+    area = _nine(_of_spheres(covered))
+    mean = _nine(_of_spheres(beamlets)) / np.where(area > 0.0, area, 1.0)
+    return Listened(found, near, each, per_m3, mean, covered, rim, reached)
 
 
 def around(
