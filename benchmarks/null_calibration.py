@@ -1,7 +1,7 @@
 """Is alpha the share of pure noise that is kept? ``python -m benchmarks.null_calibration``.
 
 Options: ``--points N`` noise points per draw, ``--draws N``, ``--seeds N ...`` of the draws if not
-0, 1, ..., ``--densities X ...`` [1/m3], ``--only interior gate swath overlap`` some parts,
+0, 1, ..., ``--densities X ...`` [1/m3], ``--only interior gate swath overlap ridge`` some parts,
 ``--survey FOLDER``.
 
 Prints kept share over alpha of the whole filter as shipped, with its links and the scan for
@@ -10,7 +10,9 @@ the first :data:`FEW` at the others. By density of the noise, with what the scan
 least alpha; along a gate whose ends cut voxels; at the upright edge of a flightline beyond which
 is nothing; across that of a second one, where the density doubles. At edges the test is handed what
 the chain makes of a perfect voxel model: the true amount in the sphere of each voxel, and from it
-the density around the points (:mod:`~spl_batch.stages.local_noise`).
+the density around the points (:mod:`~spl_batch.stages.local_noise`). Across a ridge as turning
+scans make them along the edges of swaths it is handed the true density at each point: what is off
+alpha there is what the ellipsoid's size does.
 ``--survey`` adds the noise far from everything in a simulated survey that ``spl-batch run`` has
 processed with ``outputs.diagnostics: true``, where the density is estimated: what is kept at its
 alpha, and the shares of p <= alpha, without links.
@@ -48,6 +50,8 @@ HEIGHT_M = 60.0
 AROUND_M, ABOVE_M = 28.0, 20.0
 """Box of uniform noise, and as far as it is repeated around itself: beyond the reach of the test
 and its links, and two tubes of the scan [m]."""
+RIDGE, RISE_M = 3.0, 5.0
+"""A ridge's height over what lies behind it [ratio], and from where noise begins to its top [m]."""
 GATE_M = 60.0
 GATE_BINS_M = (0.0, 2.0, 5.0, 10.0, 30.0)
 OVERLAP_BINS_M = (-30.0, -10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0, 30.0)
@@ -158,6 +162,23 @@ def swath_edge(seed: int, density: float, points: int) -> Draw:
     return _across(seed, density, points, 1, GATE_BINS_M)
 
 
+def along_ridge(seed: int, density: float, points: int) -> Draw:
+    """Noise that rises to three times its density along an edge, by distance from there."""
+    rng, ends = np.random.default_rng([4, seed]), GATE_BINS_M[-1]
+    side, wide = points / density / (ends * HEIGHT_M), ends + 2 * AROUND_M
+    xyz, source, core = uniform(
+        rng, RIDGE * density, (wide, side, HEIGHT_M), (0, AROUND_M, ABOVE_M)
+    )  # fmt: skip
+    across = xyz[:, 0] / 1000 - AROUND_M
+    top = np.exp(-(((across - RISE_M) / RISE_M) ** 2))
+    rate = density * np.clip(across / RISE_M, 0, 1) * (1 + (RIDGE - 1) * top)
+    chance = rng.uniform(size=source.max() + 1)[source]
+    there = chance * RIDGE * density < rate
+    xyz, rate, across = xyz[there], rate[there], across[there]
+    core = core[there] & (across < ends)
+    return _draw(xyz, rate, core, np.digitize(across[core], GATE_BINS_M) - 1)
+
+
 def _across(seed: int, density: float, points: int, lines: int, edges_m: tuple[float, ...]) -> Draw:
     rng = np.random.default_rng([3, lines, seed])
     ends, start = edges_m[-1], rng.uniform(0, VOXEL_M)
@@ -253,6 +274,7 @@ PARTS: Mapping[str, tuple[Callable[[int, float, int], Draw], tuple[float, ...]]]
     "gate": (along_gate, GATE_BINS_M),
     "swath": (swath_edge, GATE_BINS_M),
     "overlap": (across_overlap, OVERLAP_BINS_M),
+    "ridge": (along_ridge, GATE_BINS_M),
 }
 """How to draw each part, and the bins of its distance [m]."""
 
