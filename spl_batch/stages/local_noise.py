@@ -19,13 +19,11 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   beamlets are too few to tell the edge, it counts within a square of those that are covered, in
   the layers around;
 - within a voxel the noise goes with the beamlets over each square, linear between their centres
-  and those of layers, since beams lean:
-  a turning scan makes ridges narrower than a voxel, the highest along the edge of a swath. A
-  count is held for as much as its Poisson error lets it tell, first against those of the eight
-  squares around and then against the voxel's mean (:data:`PRIOR`), and the tops of ridges are
-  given what means of squares take off (:mod:`~spl_batch.stages.beamlet_counts`). The density
-  at the point is what is needed, not that of its ellipsoid: with the true one alpha is kept
-  wherever points lie (``benchmarks/null_edges.py``).
+  and, since beams lean, between layers: a turning scan makes ridges narrower than a voxel, the
+  highest along the edge of a swath. A count is held for as much as its Poisson error lets it
+  tell, first against those of the eight squares around and then against the voxel's mean
+  (:mod:`~spl_batch.stages.beamlet_counts`). The density at the point is what is needed, not its
+  integral over the ellipsoid: ``python -m benchmarks.null_calibration --only ridge``.
 
 The flightlines add up, to no less than :data:`BESIDE_NOTHING` of those that cover the point for
 the larger part: of the largest, where none does. Ellipsoids lean into what is denser, so beside
