@@ -169,7 +169,7 @@ def test_shares_of_a_sphere_by_chance() -> None:
 def test_up_to_an_edge_the_density_is_that_of_the_part_listened_to(until_m: float) -> None:
     found = listened(until_m)
     inside = found[8 : int(until_m // 2.5) + 1]
-    assert inside.min() > 0.93 * PER_M3
+    assert inside.min() > 0.92 * PER_M3
     assert inside.max() < 1.6 * PER_M3
     assert np.all(found[int(np.ceil(until_m / 2.5)) + 1 :] == 0.0)
 
@@ -283,7 +283,7 @@ def test_chance_makes_no_ridge(per_square: float) -> None:
     # the more a count differs by chance the more is added, as more is kept where it is too small
     assert 1.0 < found.mean() < 1.05
     assert found.std() < 0.12
-    assert np.quantile(found, 0.99) < 1.45
+    assert np.quantile(found, 0.99) < 1.5
 
 
 @pytest.mark.parametrize("seed", range(4))

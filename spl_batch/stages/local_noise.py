@@ -73,6 +73,10 @@ CUT: Final = 2.0
 ENOUGH: Final = 0.5
 """Part of the beamlets of the layer beside from which one tells what a beamlet stands for."""
 
+HERE: Final = 4.0
+"""Weight of a voxel against those on either side where what its beamlets stand for is told: the
+silent ones that they stand for are more in one voxel than in the next."""
+
 
 class Listened(NamedTuple):
     """What one flightline listens to, ready to be asked at points.
@@ -195,8 +199,7 @@ def listened(
     near = np.where(clear, closed, near) | rim
     reached = joined(np.logical_or, joined(np.logical_or, closed))
     found = told(beamlets, covered)
-    area = _nine(_of_spheres(covered))
-    mean = _nine(_of_spheres(beamlets)) / np.where(area > 0.0, area, 1.0)
+    mean = _ratio(_nine(_of_spheres(beamlets)), _nine(_of_spheres(covered)))
     return Listened(found, near, each, per_m3, mean, covered, rim, reached)
 
 
@@ -304,18 +307,18 @@ def _to_the_ends(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What one beamlet over a square stands for, and voxels if the gate ended in none [1/m3].
 
-    What one beamlet stands for is the mean of nine voxels: it changes slowly.
+    What one beamlet stands for is that in a voxel and, with less weight, in the eight around.
     """
     points = amount / (VOXEL_FIXED_POINT * voxel_m**3)
     own = _of_spheres(beamlets)
-    number, total = _nine(own), _nine(points)
-    part = np.where(number > 0.0, total / np.where(number > 0.0, number, 1.0), 0.0)
+    number = _nine(own)
+    part = _ratio(_nine(points), number)
     # a layer that few beamlets reach, those that leave the others', tells nothing
-    usual = tallest(number)
-    each = tallest(np.where(number >= ENOUGH * usual, part, 0.0))
+    tells = number >= ENOUGH * tallest(number)
     # beamlets cross all layers: what differs by chance are those that lean in and out
     error = CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2))
-    cut = part < (1.0 - error) * each
+    cut = part < (1.0 - error) * tallest(np.where(tells, part, 0.0))
+    each = tallest(np.where(tells, _ratio(_nine(points, HERE), _nine(own, HERE)), 0.0))
     return each, np.where(cut, np.maximum(each * own, points), points)
 
 
@@ -326,10 +329,17 @@ def _vertically(join: Callable[..., NDArray[np.bool_]], squares: NDArray[np.bool
     join(squares[:, :, :-1], before[:, :, 1:], out=squares[:, :, :-1])
 
 
-def _nine(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum over a voxel and the eight around it in its layer."""
+def _ratio(total: NDArray[np.float64], number: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One over the other, 0 where that is 0."""
+    some = number > 0.0
+    found: NDArray[np.float64] = np.where(some, total / np.where(some, number, 1.0), 0.0)
+    return found
+
+
+def _nine(values: NDArray[np.float64], weight: float = 1.0) -> NDArray[np.float64]:
+    """Sum over a voxel and the eight around it in its layer; along each axis it has a weight."""
     for axis in (0, 1):
-        out = values.copy()
+        out = weight * values
         ahead, behind = halves(axis)
         out[ahead] += values[behind]
         out[behind] += values[ahead]
