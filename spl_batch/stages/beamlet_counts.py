@@ -23,9 +23,12 @@ TOP: Final = 0.2
 on average 1/24 for the mean of a square, 1/12 for the line between squares, along one direction of
 two as much for that between layers, where beams lean by a square, and more as it is smoothed."""
 
-SLOPE: Final = 0.08
-"""Part of the step to the next square that is added: an error of place costs more where it makes
-the density too small than it gains where too large, and costs by the slope."""
+SLOPE: Final = 0.8
+"""Part that is added for the square of the relative step to the next square: an error of place
+costs more where it makes the density too small than it gains where too large."""
+
+STEEPEST: Final = 0.1
+"""Part of the density that is added along one axis, at most."""
 
 
 def told(beamlets: NDArray[np.float32], covered: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -59,7 +62,9 @@ def _added(values: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np
         curved[behind] -= step
         slope[ahead] += 0.5 * step
         slope[behind] += 0.5 * step
-        out += np.where(inside, np.maximum(TOP * curved, 0.0) + SLOPE * np.abs(slope), 0.0)
+        relative = slope / np.where(values > 0.0, values, 1.0)
+        steep = np.minimum(SLOPE * relative**2, STEEPEST) * values
+        out += np.where(inside, np.maximum(TOP * curved, 0.0) + steep, 0.0)
     return out
 
 
