@@ -23,7 +23,7 @@ TOP: Final = 0.2
 on average 1/24 for the mean of a square, 1/12 for the line between squares, along one direction of
 two as much for that between layers, where beams lean by a square, and more as it is smoothed."""
 
-SLOPE: Final = 0.8
+SLOPE: Final = 0.5
 """Part that is added for the square of the relative step to the next square: an error of place
 costs more where it makes the density too small than it gains where too large."""
 

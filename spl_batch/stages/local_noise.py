@@ -318,7 +318,8 @@ def _to_the_ends(
     # beamlets cross all layers: what differs by chance are those that lean in and out
     error = CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2))
     cut = part < (1.0 - error) * tallest(np.where(tells, part, 0.0))
-    each = tallest(np.where(tells, _ratio(_nine(points, HERE), _nine(own, HERE)), 0.0))
+    here = np.where(tells, _ratio(_nine(points, HERE), _nine(own, HERE)), 0.0)
+    each = np.where(cut | ~tells, tallest(here), here)
     return each, np.where(cut, np.maximum(each * own, points), points)
 
 
