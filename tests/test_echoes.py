@@ -90,8 +90,8 @@ def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
     tilt = np.where(rng.random((n, 1)) < 0.5, rng.uniform(-1.5, 1.5, (n, 2)), 0.0)
     own = int(rng.choice([0, UNIT, 1741]))
     weigh_around(
-        xyz.T.take(o, axis=1), time[o], channel[o], weight[o], listed.starts, listed.shape,
-        listed.edge, np.arange(n), radii, tilt, own, out,
+        xyz.T.take(o, axis=1).astype(np.int32), time[o], channel[o], weight[o], listed.starts,
+        listed.shape, listed.edge, np.arange(n), radii, tilt, own, out,
     )  # fmt: skip
     for q, row in enumerate(o):
         d = (xyz - xyz[row]).astype(np.float64)
@@ -175,7 +175,7 @@ def test_a_plane_is_found_whatever_its_tilt_and_only_where_it_is_alone() -> None
         out, tilt = np.empty(len(rows), np.bool_), np.empty((len(rows), 2))
         parents = np.empty(len(rows), np.int32)
         behind_plane(
-            xyz.T.take(o, axis=1), table["gps_time"][o], table["channel"][o],
+            xyz.T.take(o, axis=1).astype(np.int32), table["gps_time"][o], table["channel"][o],
             (table["afterpulse"] == 0)[o], listed.starts, listed.shape, 1500,
             place[len(first) :], 5000, 800, 1000, 150, 0.7, 8, out, tilt, parents,
         )  # fmt: skip

@@ -55,7 +55,9 @@ class Lanes(types.Type):
 
 
 FLOATS, WHOLES, MASK = Lanes(types.float64), Lanes(types.uint64), Lanes(types.boolean)
-_HELD: Final = {types.int32: FLOATS, types.float64: FLOATS, types.uint64: WHOLES}
+_HELD: Final = {
+    types.int32: FLOATS, types.float64: FLOATS, types.uint64: WHOLES, types.boolean: MASK,
+}  # fmt: skip
 
 
 @register_model(Lanes)
@@ -107,7 +109,7 @@ def _is_place(array: Any, at: Any) -> bool:
 
 @_intrinsic
 def load(_: Any, array: Any, at: Any) -> Any:
-    """Eight values of an array from an index on; those of an int32 array as floats."""
+    """Eight values of an array from an index on; of int32 as floats, of bool as a mask."""
     if not _is_place(array, at):
         return None
 
@@ -116,6 +118,8 @@ def load(_: Any, array: Any, at: Any) -> Any:
         values = builder.load(place, align=align)
         if sig.args[0].dtype == types.int32:
             values = builder.sitofp(values, _vector(_OF[types.float64]))
+        elif sig.args[0].dtype == types.boolean:
+            values = builder.icmp_unsigned("!=", values, ir.Constant(values.type, None))
         return values
 
     return _HELD[array.dtype](array, at), codegen
@@ -124,7 +128,7 @@ def load(_: Any, array: Any, at: Any) -> Any:
 @_intrinsic
 def store(_: Any, array: Any, at: Any, values: Any) -> Any:
     """Write eight values to an array of their kind from an index on."""
-    if not _is_place(array, at) or Lanes(array.dtype) != values:
+    if not _is_place(array, at) or Lanes(array.dtype) != values or values == MASK:
         return None
 
     def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:

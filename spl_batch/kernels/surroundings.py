@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.columns import first_above
 from spl_batch.kernels.kdtree import U0, U1, U2
+from spl_batch.kernels.lanes import LANES, ascending, load, number, pack, spread
 from spl_batch.kernels.robust_plane import plane_of_moments
 
 UNIT: Final = 1024
@@ -22,6 +23,9 @@ UNIT: Final = 1024
 
 MASS: Final = 8.0 / 35.0
 """Mean of the kernel (1 - d^2)^2 over the ball d < 1."""
+
+
+UL: Final = np.uint64(LANES)
 
 
 class Columns(NamedTuple):
@@ -91,26 +95,39 @@ def _most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
 def _near(
     xyz: NDArray[np.int32], counts: NDArray[np.bool_], starts: NDArray[np.int64],
     shape: tuple[int, int], edge: int, row: int, wide: int, limit: int, span: int,
-    near: NDArray[np.int32],
+    near: NDArray[np.uint64],
 ) -> np.int64:  # fmt: skip
     """List what counts in an upright cylinder around a point: how many they are.
 
-    ``near`` (m,) int32 is filled with their rows. None is beyond ``span`` in z; aside, squared
-    distances are below ``limit``, none of which is beyond ``wide`` <= ``edge``.
+    ``near`` (m,) uint64 is filled with their rows, and beyond them. None is beyond ``span`` in z;
+    aside, squared distances are below ``limit``, none of which is beyond ``wide`` <= ``edge``.
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    size = U0
+    held, size = np.uint64(xyz.shape[1]), U0
+    last = held - UL if held >= UL else U0
     for i in range(max((x - wide) // edge, 0), min((x + wide) // edge + 1, nx)):
         for j in range(max((y - wide) // edge, 0), min((y + wide) // edge + 1, ny)):
             low, stop = starts[i * ny + j], starts[i * ny + j + 1]
             low = first_above(xyz, low, stop, z - span)
-            high = first_above(xyz, low, stop, z + span + 1)
-            # Without a branch: about half of them are in it.
-            for p in range(np.uint64(low), np.uint64(high)):
-                dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
-                near[size] = p
-                size += np.uint64((dx * dx + dy * dy < limit) & counts[p])
+            begin = np.uint64(low)
+            end = np.uint64(first_above(xyz, low, stop, z + span + 1))
+            if held < UL:
+                for p in range(begin, end):
+                    dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
+                    near[size] = p
+                    size += np.uint64((dx * dx + dy * dy < limit) & counts[p])
+                continue
+            for p in range(begin, end, UL):
+                # The last eight of the table, where fewer are left of it.
+                at = min(p, last)
+                rows = ascending(at)
+                dx = load(xyz, (U0, at)) - spread(np.float64(x))
+                dy = load(xyz, (U1, at)) - spread(np.float64(y))
+                taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
+                taken = taken & (dx * dx + dy * dy < spread(np.float64(limit)))
+                pack(near, size, rows, taken)
+                size += number(taken)
     return np.int64(size)
 
 
@@ -157,7 +174,7 @@ def weigh_around(
     wide, high = radii[0, 0], radii[0, 1]
     across, up = 1.0 / radii[:, 0].astype(np.float64) ** 2, 1.0 / radii[:, 1] ** 2.0
     room = _most_around(starts, shape) + 1
-    near, some = np.empty(room, np.int32), weight != 0
+    near, some = np.empty(room + LANES, np.uint64), weight != 0
     flat, square, worth = np.empty(room), np.empty(room), np.empty(room, np.int32)
     for q in range(len(rows)):
         row = rows[q]
@@ -166,12 +183,12 @@ def weigh_around(
         span = high + math.ceil(math.hypot(bx, by) * wide)
         size = np.uint64(_near(xyz, some, starts, shape, edge, row, wide, wide * wide, span, near))
         for i in range(size):
-            p = np.uint64(near[i])
+            p = near[i]
             dx, dy = np.float64(xyz[U0, p] - x), np.float64(xyz[U1, p] - y)
             flat[i] = dx * dx + dy * dy
             square[i] = (np.float64(xyz[U2, p] - z) - bx * dx - by * dy) ** 2
         for i in range(size):
-            p = np.uint64(near[i])
+            p = near[i]
             worth[i] = weight[p]
             if time[p] == time[row] and channel[p] == channel[row]:
                 worth[i] = worth[i] * own // UNIT if xyz[U2, p] > z else 0
@@ -223,7 +240,7 @@ def _parent(
 def _moments(
     xyz: NDArray[np.int32],
     place: int,
-    near: NDArray[np.int32],
+    near: NDArray[np.uint64],
     size: np.int64,
     sums: NDArray[np.int64],
 ) -> None:
@@ -232,7 +249,7 @@ def _moments(
     u1 = v1 = w1 = np.int64(0)
     uu = uv = vv = uw = vw = np.int64(0)
     for i in range(np.uint64(size)):
-        p = np.uint64(near[i])
+        p = near[i]
         u, v, w = xyz[U0, p] - x, xyz[U1, p] - y, xyz[U2, p] - z
         u1 += u
         v1 += v
@@ -248,7 +265,7 @@ def _moments(
 
 @njit(nogil=True, cache=True)
 def _on_planes(
-    xyz: NDArray[np.int32], place: int, near: NDArray[np.int32], size: np.int64,
+    xyz: NDArray[np.int32], place: int, near: NDArray[np.uint64], size: np.int64,
     plane: NDArray[np.float64], level: float, thick: float,
 ) -> tuple[np.int64, np.int64]:  # fmt: skip
     """How many are within ``thick`` of a plane, and of one off by ``level`` but not of it."""
@@ -256,7 +273,7 @@ def _on_planes(
     a, b, c = plane[0], plane[1], plane[2]
     x, y, z = xyz[U0, place], xyz[U1, place], xyz[U2, place]
     for i in range(np.uint64(size)):
-        p = np.uint64(near[i])
+        p = near[i]
         u, v, w = xyz[U0, p] - x, xyz[U1, p] - y, xyz[U2, p] - z
         distance = w - (a + b * u + c * v)
         beside = abs(distance) > thick
@@ -310,7 +327,7 @@ def behind_plane(
         Filled with the points' parents, -1 for none.
     """
     sums, plane = np.empty(9, dtype=np.int64), np.zeros(3)
-    near = np.empty(_most_around(starts, shape) + 1, np.int32)
+    near = np.empty(_most_around(starts, shape) + LANES, np.uint64)
     for q in range(len(rows)):
         row = rows[q]
         out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0

@@ -28,6 +28,7 @@ from numba import njit
 
 from spl_batch.kernels.columns import columns_around, first_above
 from spl_batch.kernels.kdtree import U0, U1, U2, U3
+from spl_batch.kernels.lanes import LANES, ascending, load, number, pack, spread
 
 CELL: Final = 0.83
 """Edge of a cell of direction [r / L]: windows are 2 r wide, each weighted by its volume."""
@@ -44,7 +45,7 @@ STRETCH: Final = np.uint64(256)
 WORDS: Final = 5
 """Words of four cells that the widest window may touch [count]."""
 
-UW, U7 = np.uint64(WORDS), np.uint64(7)
+UW, U7, UL = np.uint64(WORDS), np.uint64(7), np.uint64(LANES)
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -219,12 +220,17 @@ def _offsets(points, low, begin, end, x, y, z, bend, dx, dy, flat, rise):  # typ
 
 @njit(nogil=True, cache=True)
 def _within(dx, dy, flat, rise, size, steep, outer, inner):  # type: ignore[no-untyped-def]
-    """Keep those in the double cone, four of ten, without a branch: their number."""
+    """Keep those in the double cone, four of ten: their number."""
     near = U0
-    for k in range(size):
-        apart, up = flat[k], rise[k]
-        dx[near], dy[near], flat[near], rise[near] = dx[k], dy[k], apart, up
-        near += np.uint64((up * up <= steep * apart) & (apart <= outer) & (apart >= inner))
+    for k in range(U0, size, UL):
+        apart, up = load(flat, k), load(rise, k)
+        taken = (up * up <= spread(steep) * apart) & (apart <= spread(outer))
+        taken = taken & (apart >= spread(inner)) & (ascending(k) < spread(size))
+        pack(dx, near, load(dx, k), taken)
+        pack(dy, near, load(dy, k), taken)
+        pack(flat, near, apart, taken)
+        pack(rise, near, up, taken)
+        near += number(taken)
     return near
 
 
