@@ -88,6 +88,13 @@ def test_what_outputs_share_took_as_long_as_where_it_was_done(tmp_path: Path) ->
     assert earlier_wall_s(wanted) == 16 + 5, "its own stopped runs count as well"
     finished(wanted, 30.0)
     assert earlier_wall_s(wanted) == 30.0, "a report holds all of it"
+    with (done / "log.jsonl").open("a") as stream:
+        stream.write(lines((54, "RunStarted", ""), (57, "TaskEnded", "index")))
+    share_time(done, wanted, ["index", "shots", "shuffle"])
+    assert earlier_wall_s(wanted) == 30.0 + 3, "but for what was shared after it"
+    finished(wanted, 35.0)
+    share_time(done, wanted, ["index", "shots", "shuffle"])
+    assert earlier_wall_s(wanted) == 35.0
 
 
 def test_a_resumed_run_tells_the_time_of_all_its_parts_or_that_it_is_one(tmp_path: Path) -> None:

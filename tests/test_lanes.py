@@ -11,6 +11,7 @@ from numba import njit
 from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
+from spl_batch.kernels import lanes
 from spl_batch.kernels.lanes import (
     LANES,
     ascending,
@@ -53,6 +54,20 @@ def test_what_counts_is_packed_in_its_order(listed: list[float], limit: float) -
     expected = np.flatnonzero(np.array(listed) <= limit)
     np.testing.assert_array_equal(rows[:count], expected)
     np.testing.assert_array_equal(kept[:count], values[expected])
+
+
+def test_lanes_are_packed_one_by_one_where_a_processor_cannot(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(3)
+    values = rng.random(40)
+    for able in (False, True):
+        monkeypatch.setattr(lanes, "_compresses", lambda _, able=able: able)
+        compiled = njit(within.py_func)
+        kept, rows = np.empty(40), np.empty(40, np.uint64)
+        count = compiled(values, 30, 0.4, kept, rows)
+        np.testing.assert_array_equal(rows[:count], np.flatnonzero(values[:30] <= 0.4))
+        np.testing.assert_array_equal(kept[:count], values[:30][values[:30] <= 0.4])
 
 
 @njit

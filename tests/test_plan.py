@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 
 from spl_batch.api.preparing import parse_bytes
 from spl_batch.errors import WorkflowError
-from spl_batch.io.store import Store
+from spl_batch.io.store import Store, read_json, write_json
 from spl_batch.plan import mosaics
 from spl_batch.plan.blocks import (
     FEW_TILES,
     LARGEST,
+    WIDEST,
     Holders,
     Sizes,
     blocks,
@@ -340,6 +341,20 @@ def test_two_workers_share_a_small_survey_evenly_wherever_it_lies(west: int) -> 
     assert found == {f"{west}_6_4_8", f"{west + 4}_6_4_8"}
 
 
+@pytest.mark.parametrize(
+    "apart",
+    [
+        [CellId(i, i + j) for i in range(60) for j in range(2)],  # a corridor
+        [CellId(i + far, j) for far in (0, 200) for i in range(5) for j in range(5)],
+    ],
+)
+def test_no_block_holds_the_empty_space_of_a_survey(apart: list[CellId]) -> None:
+    counts = dict.fromkeys(apart, 100_000)
+    found = [parse_block(name) for name in cores(counts, sizes_of(counts, 64, 2))]
+    assert all(max(block.columns, block.rows) <= WIDEST for block in found)
+    assert sum(block.columns * block.rows for block in found) < 12 * len(counts)
+
+
 def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
     counts = {**everywhere(100_000), CellId(3, 3): 9_000_000}
     pieces = list(from_counts(counts, 100_000))
@@ -433,6 +448,11 @@ def test_the_sizes_of_blocks_are_remembered_for_each_size_of_tiles(tmp_path: Pat
     remember_sizes(store, other, Sizes(2))
     assert remembered_sizes(store, DEFAULTS) == Sizes(4, 12.5, CellId(-3, 7))
     assert remembered_sizes(store, other) == Sizes(2)
+    older = read_json(store.path("blocks.json"))
+    for sizes in older.values():
+        del sizes["anchor"]
+    write_json(store.path("blocks.json"), older)
+    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 12.5)
     store.path("blocks.json").write_text("{half")
     assert remembered_sizes(store, DEFAULTS) is None, "chosen anew"
 

@@ -187,7 +187,10 @@ class TestVerdicts:
         first = verdicts(report)[0]
         assert first.tone == "attention"
         assert first.text.startswith("The rasters were not compared with the reference")
-        assert dict(screen_summary(report))["accuracy"].endswith("; `spl-batch run` does it")
+        assert not dict(screen_summary(report))["accuracy"].endswith("does it")
+        told = ["reference: the store holds no comparison; `spl-batch run` computes it"]
+        asked = report.model_copy(update={"warnings": told})
+        assert dict(screen_summary(asked))["accuracy"].endswith("; `spl-batch run` does it")
         shown = render(report, {})
         assert "were not compared with the reference.</p>" in shown
         assert "No reference was given" not in shown

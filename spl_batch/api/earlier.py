@@ -49,8 +49,9 @@ def earlier_wall_s(output: Path) -> float | None:
         if kept.get("earlier_s", 0.0) is None:  # nor did that run know of those before it
             return None
         told, begin = [float(kept["wall_s"])], int(kept.get("log_bytes", 0))
+        told += _shared(output, "more_s")
     except StoreError:  # they were stopped before their report
-        told, begin = _shared_s(output), 0
+        told, begin = _shared(output, "wall_s"), 0
     before = _durations(_log(output), begin, _any_work)[:-1]  # the latest is at work
     told += [wall_s for wall_s in before if wall_s > 0]
     return sum(told) if told else None
@@ -74,15 +75,25 @@ def share_time(source: Path, target: Path, stages: Collection[str]) -> None:
 
     wall_s = sum(_durations(_log(source), 0, last_of_them))
     if wall_s > 0:
-        write_json(Store(target).local / _SHARED, {"wall_s": wall_s})
+        told = _shared(target, "wall_s") if _reported(target) else []
+        more_s = sum(wall_s - before_s for before_s in told)
+        write_json(Store(target).local / _SHARED, {"wall_s": wall_s, "more_s": more_s})
 
 
-def _shared_s(output: Path) -> list[float]:
-    """What :func:`share_time` has told, if it has [s]."""
+def _shared(output: Path, what: str) -> list[float]:
+    """What :func:`share_time` has told, if it has: in all, or more than a report knew of [s]."""
     try:
-        return [float(read_json(Store(output).local / _SHARED)["wall_s"])]
+        return [float(read_json(Store(output).local / _SHARED)[what])]
     except DamagedError:
         return []
+
+
+def _reported(output: Path) -> bool:
+    """Whether a run of an output came to its report."""
+    try:
+        return bool(recall(output))
+    except StoreError:
+        return False
 
 
 def _any_work(whole: mmap.mmap, at: int, end: int) -> int:

@@ -19,7 +19,11 @@ from spl_batch.tiling import BoxIndex, CellId, cell_bounds, quanta
 from spl_batch.workflow import Workflow
 
 LARGEST: Final = (8, 6, 4, 3, 2, 1)
-"""Tiles along one side of the largest blocks, to choose from [count]."""
+"""Tiles along one side of the squares that blocks begin as, to choose from [count]."""
+
+WIDEST: Final = 2 * LARGEST[0]
+"""Tiles along one side of a survey that may be one square [count]: in a larger one of few tiles
+they lie apart, and a block would hold the empty space between them."""
 
 BLOCKS_PER_WORKER: Final = 3
 """Blocks of a large survey that each worker should have, at the least [count]."""
@@ -85,8 +89,8 @@ def choose_sizes(
 ) -> Sizes:
     """Sizes with which the blocks of a survey are done soonest.
 
-    The absolute grid may cut a small survey unevenly. One square around all of it is tried too,
-    whose halves are as even as columns of tiles let them be.
+    The absolute grid may cut a small survey unevenly. One square around all of it, of up to
+    :data:`WIDEST` tiles, is tried too, whose halves are as even as columns of tiles let them be.
 
     Parameters
     ----------
@@ -110,7 +114,8 @@ def choose_sizes(
     if workers > 1 and counts:
         everything = around(counts)
         side = max(everything.columns, everything.rows)
-        tried.append(Sizes(side, anchor=CellId(everything.i, everything.j)))
+        if side <= WIDEST:
+            tried.append(Sizes(side, anchor=CellId(everything.i, everything.j)))
         tried = [sizes._replace(points=points) for sizes in tried
                  for points in (math.inf, *(part * share for part in SHARES))]  # fmt: skip
     costs = [
@@ -249,7 +254,8 @@ def _choose_by_read(
 def _shapes(largest: int, workflow: Workflow) -> list[tuple[int, int]]:
     """Columns and rows of squares, of their halves, of the halves of these, and so on [tiles].
 
-    Where a side cannot be halved it is cut into the fewest equal parts that it can.
+    Where a side cannot be halved it is cut into the fewest equal parts that it can; a prime number
+    of tiles into two that are nearly equal.
     """
     wide = high = largest
     shapes = [(wide, high)]
@@ -261,7 +267,8 @@ def _shapes(largest: int, workflow: Workflow) -> list[tuple[int, int]]:
 
 
 def _largest_part(side: int) -> int:
-    return next(n for n in range(side // 2, 0, -1) if side % n == 0)
+    nearly = 1 if side <= LARGEST[3] else -(-side // 2)
+    return next((n for n in range(side // 2, 1, -1) if side % n == 0), nearly)
 
 
 def _cuts(

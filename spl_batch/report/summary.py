@@ -84,8 +84,8 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         rows.append(("density", f"{significant(report.density.mean_per_m2)} per m2"))
     terrain = terrain_statistics(report)
     if terrain is None:
-        missing = report.accuracy is None and _reference_given(report) and not report.failures
-        remedy = "; `spl-batch run` does it" if missing else ""
+        told = any(warning.endswith("`spl-batch run` computes it") for warning in report.warnings)
+        remedy = "; `spl-batch run` does it" if told else ""
         rows.append(("accuracy", _without_accuracy(report) + remedy))
     else:
         name, statistics = terrain

@@ -23,7 +23,7 @@ class Expected(NamedTuple):
     Parameters
     ----------
     mean : (m,) float64
-        Of each told point's whole voxel: what is delivered.
+        Of the whole voxel of each point that it was asked for.
     local : (n,) float64
         Of the part of it that is listened to: what points are tested with.
     """
@@ -76,7 +76,7 @@ def expected_noise(
     xyz : three of (n,) integer
         Absolute coordinates [quanta].
     told : (n,) bool
-        Points whose density is delivered.
+        Points whose voxels' mean is wanted.
     parts : sequence of str
         ``LINE/K`` of every stretch with voxels within two voxels of the points'.
     beamlets : int

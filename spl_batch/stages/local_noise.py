@@ -65,7 +65,7 @@ BESIDE_NOTHING: Final = 0.9
 """Part of the density at which alpha is kept within a metre of where all noise ends."""
 
 AROUND: Final = 4.0
-"""Squares whose count is as sure as that of nine weighted by :data:`BLUR`."""
+"""Squares whose count is as sure as that of nine weighted by ``beamlet_counts.BLUR``."""
 
 CUT: Final = 2.0
 """Standard errors by which less than in the layer beside is a gate's end."""
