@@ -40,12 +40,10 @@ from numpy.typing import NDArray
 from spl_batch.kernels.ellipsoid_shape import Shape, fit, half_extents, quadric_of
 from spl_batch.kernels.ellipsoid_walk import measure, walk
 from spl_batch.kernels.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, leaf_of, leaf_slots
-from spl_batch.kernels.lanes import LANES, load, spread, store
+from spl_batch.kernels.lanes import LANES, UL, load, spread, store
 from spl_batch.kernels.neighbours import neighbours_of_leaves
 from spl_batch.kernels.poisson import poisson_critical, poisson_tail
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
-
-UL: Final = np.uint64(LANES)
 
 CHUNK: Final = 2048
 """Leaves whose neighbours are kept at a time, so that their spacings come with them [count]."""

@@ -29,6 +29,7 @@ import operator
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -37,6 +38,9 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 LANES: Final = 8
 """Values at a time [count]."""
+
+UL: Final = np.uint64(LANES)
+"""The same, to count indices on."""
 
 _BITS, _INDEX = ir.IntType(LANES), ir.IntType(64)
 _OF: Final = {

@@ -38,6 +38,7 @@ from spl_batch.kernels.kdtree import (
 )
 from spl_batch.kernels.lanes import (
     LANES,
+    UL,
     ascending,
     greater,
     load,
@@ -56,8 +57,6 @@ LISTED: Final = 128
 
 MARGIN: Final = 1.25
 """Squared distance of a list over that of the point for which it is made: for those after it."""
-
-UL: Final = np.uint64(LANES)
 
 FAR: Final = 1e18
 """Farther than anything [quanta]."""

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from spl_batch.kernels.kdtree import U0, U1, U2, U3, leaf_slots
-from spl_batch.kernels.lanes import LANES, least, lesser, load, root, spread
+from spl_batch.kernels.lanes import UL, least, lesser, load, root, spread
 from spl_batch.kernels.selection import largest, within_which
 
 SPARE: Final = 6
@@ -58,7 +58,7 @@ def _bounds_beside(beside, x, y, z):  # type: ignore[no-untyped-def]
     ``beside`` (4, BESIDE) holds their places, and within which distance they have them.
     """
     sure = likely = spread(np.inf)
-    for i in range(U0, np.uint64(BESIDE), np.uint64(LANES)):
+    for i in range(U0, np.uint64(BESIDE), UL):
         dx = load(beside, (U0, i)) - spread(x)
         dy = load(beside, (U1, i)) - spread(y)
         dz = load(beside, (U2, i)) - spread(z)

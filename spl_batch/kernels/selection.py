@@ -12,7 +12,7 @@ from numba import njit
 
 from spl_batch.kernels.kdtree import U0, U3
 from spl_batch.kernels.lanes import (
-    LANES,
+    UL,
     ascending,
     greater,
     greatest,
@@ -22,8 +22,6 @@ from spl_batch.kernels.lanes import (
     spread,
     where,
 )
-
-UL: Final = np.uint64(LANES)
 
 GUESSES: Final = 6
 """Guesses by interpolation, before bisection, at the distance of the last neighbour [count]."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.columns import first_above
 from spl_batch.kernels.kdtree import U0, U1, U2
-from spl_batch.kernels.lanes import LANES, ascending, load, number, pack, spread
+from spl_batch.kernels.lanes import LANES, UL, ascending, load, number, pack, spread
 from spl_batch.kernels.robust_plane import plane_of_moments
 
 UNIT: Final = 1024
@@ -23,9 +23,6 @@ UNIT: Final = 1024
 
 MASS: Final = 8.0 / 35.0
 """Mean of the kernel (1 - d^2)^2 over the ball d < 1."""
-
-
-UL: Final = np.uint64(LANES)
 
 
 class Columns(NamedTuple):

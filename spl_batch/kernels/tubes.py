@@ -28,7 +28,7 @@ from numba import njit
 
 from spl_batch.kernels.columns import columns_around, first_above
 from spl_batch.kernels.kdtree import U0, U1, U2, U3
-from spl_batch.kernels.lanes import LANES, ascending, load, number, pack, spread
+from spl_batch.kernels.lanes import UL, ascending, load, number, pack, spread
 
 CELL: Final = 0.83
 """Edge of a cell of direction [r / L]: windows are 2 r wide, each weighted by its volume."""
@@ -45,7 +45,7 @@ STRETCH: Final = np.uint64(256)
 WORDS: Final = 5
 """Words of four cells that the widest window may touch [count]."""
 
-UW, U7, UL = np.uint64(WORDS), np.uint64(7), np.uint64(LANES)
+UW, U7 = np.uint64(WORDS), np.uint64(7)
 
 
 @njit(nogil=True, cache=True, inline="always")
