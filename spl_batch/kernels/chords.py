@@ -11,14 +11,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.kernels.lanes import LANES
+
 STEEP: Final = 0.7
 """Vertical part of a direction from which a beam crosses a voxel's height in one square."""
 
 MOST: Final = 65535
 """Beamlets at which the count of a square stops."""
-
-LANES: Final = 8
-"""Layers that are reckoned at a time: numbers of 64 bits in the widest register."""
 
 
 @njit(nogil=True, cache=True)
