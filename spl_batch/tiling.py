@@ -104,6 +104,12 @@ def overlap(a: Bounds, b: Bounds) -> bool:
     return a.xmin < b.xmax and b.xmin < a.xmax and a.ymin < b.ymax and b.ymin < a.ymax
 
 
+def shared(a: Bounds, b: Bounds) -> Bounds:
+    """What two half-open regions share; without any area where they do not."""
+    west, south = max(a.xmin, b.xmin), max(a.ymin, b.ymin)
+    return Bounds(west, south, max(min(a.xmax, b.xmax), west), max(min(a.ymax, b.ymax), south))
+
+
 def inside(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.bool_]:
     """Which points a region owns.
 

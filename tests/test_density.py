@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spl_batch.plan import density
 from spl_batch.plan.density import Box, Peak, from_boxes, from_counts, largest
-from spl_batch.plan.space import units
+from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.tiling import Bounds, BoxIndex, CellId, cell_bounds, cells_touching, grow, overlap
 
 EDGE = 100
@@ -80,7 +80,9 @@ counts = st.dictionaries(
 @given(counts, st.sampled_from([100, 300, 250]), st.sampled_from([0, 30, 130]))
 def test_tiles_tell_the_fullest_unit(held: dict[CellId, int], unit: int, halo: int) -> None:
     pieces = list(from_counts(held, EDGE))
-    listed = list(units(held, EDGE, unit, halo))
+    reached = [cell_bounds(tile, EDGE) for tile in held]
+    cells = GroundCells.of_boxes(reached, unit, 0)
+    listed = list(cells.units(held, EDGE, halo))
     assert sum(p.units(unit) for p in pieces) == len(listed)
     share = largest(p.peak(unit, halo) for p in pieces)
     assert share.points == pytest.approx(max(u.held for u in listed), abs=1.0 + 1e-9 * share.points)

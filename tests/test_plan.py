@@ -39,11 +39,11 @@ from spl_batch.plan.inputs import source_key
 from spl_batch.plan.layout import ORIGIN, Block, Layout, parse_block
 from spl_batch.plan.memory import UNEVEN
 from spl_batch.plan.mosaics import split_mosaic
-from spl_batch.plan.space import Unit, owners, tile_counts, units, voxel_index
+from spl_batch.plan.space import Unit, tile_counts, voxel_index
 from spl_batch.runner.index import merge_spans
 from spl_batch.runner.rate import BINS_PER_S, Rate, most_points
 from spl_batch.task import Receipt
-from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, grow, overlap
+from spl_batch.tiling import Bounds, CellId, cell_bounds, overlap
 from spl_batch.workflow import Workflow, parse_workflow
 
 
@@ -264,36 +264,12 @@ def test_spans_join_in_any_order(spans: list[tuple[int, int]], random: Any) -> N
     assert all(b[0] - a[1] > 5.0 for a, b in itertools.pairwise(joined))
 
 
-COUNTS = {CellId(i, j): 10 + i for i in range(-2, 3) for j in range(4)}
-
-
-@pytest.mark.parametrize("unit", [70, 100, 250])
-@pytest.mark.parametrize("halo", [0, 30, 130])
-def test_units_own_everything_once_and_read_their_halo(unit: int, halo: int) -> None:
-    found = list(units(COUNTS, 100, unit, halo))
-    cells = [u.cell for u in found]
-    assert cells == sorted(set(cells))
-    needed = {c for t in COUNTS for c in cells_touching(cell_bounds(t, 100), unit)}
-    assert set(cells) == needed
-    for u in found:
-        wide = grow(u.core, halo)
-        assert set(u.tiles) == {t for t in COUNTS if overlap(cell_bounds(t, 100), wide)}
-        assert u.points == sum(n for t, n in COUNTS.items() if overlap(cell_bounds(t, 100), u.core))
-
-
-def test_empty_tiles_make_no_units() -> None:
+def test_empty_tiles_do_not_count() -> None:
     receipts = {
         name: Receipt("build_tile", name, "", "", "", {}, {"points": n}, n, 0.0, 0.0)
         for name, n in (("0_0", 5), ("-1_2", 0), ("-3_-4", 1))
     }
     assert tile_counts(receipts) == {CellId(-3, -4): 1, CellId(0, 0): 5}
-    assert list(units({}, 100, 100, 50)) == []
-
-
-def test_owners_are_the_finished_units_that_touch() -> None:
-    done = dict.fromkeys(["0_0", "1_0"])
-    found = owners([CellId(1, 0), CellId(9, 9)], 100, 150, done)  # type: ignore[arg-type]
-    assert found == {CellId(1, 0): ["0_0", "1_0"], CellId(9, 9): []}
 
 
 def everywhere(points: int, side: int = 16) -> dict[CellId, int]:

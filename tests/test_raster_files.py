@@ -222,5 +222,5 @@ def test_wrong_requests_to_the_store_are_refused(store, tmp_path):
         read_window(tmp_path / "nowhere", "dtm", Bounds(0, 0, 1000, 1000))
     with pytest.raises(StoreError, match="not aligned"):
         read_window(store, "dtm", Bounds(0, 0, 1500, 1000))
-    with pytest.raises(StoreError, match="is \\(9, 10\\)"):
+    with pytest.raises(StoreError, match="is \\(9, 10\\), not whole squares"):
         write_cell(store, CellId(0, 0), {"dtm": np.zeros((9, 10), np.float32)})

@@ -445,7 +445,8 @@ def test_a_failing_task_is_isolated_and_tried_again(
     function: str,
     kind: str,
 ) -> None:
-    settings = ("tiling.tile_m=10", "tiling.block_tiles=1", "ground.cell_m=10")
+    cells = ("ground.cell_m=10", "ground.buffer_m=1")
+    settings = ("tiling.tile_m=10", "tiling.block_tiles=1", *cells)
     with monkeypatch.context() as patch:
         patch.setattr(module, function, raising(getattr(module, function), 2))
         result, watcher = watched(small, *settings)

@@ -121,6 +121,8 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     limit = 2**30
     full = int((usable_bytes(limit) - memory.WORKER_BASE_BYTES) / 0.9)
     known = survey(limit)
+    bounds = [0, 0, 0, 5_099_999, 5_099_999, 1]
+    known.of("index_file").put(receipt("index_file", "1", bounds=bounds))
     for name, points in (("0_0", 1000), ("50_50", full // memory.BYTES_PER_POINT["ground"] * 2)):
         tile = {"points": points, "sources": [], "outside_aoi": 0, "no_beam": 0}
         known.of("build_tile").put(receipt("build_tile", name, **tile))

@@ -1,11 +1,12 @@
-"""The working raster store: Zarr arrays with a chunk for each ground cell.
+"""The working raster store: Zarr arrays with a chunk for each square of the ground cells' grid.
 
 The arrays cover one huge absolute index space, so that a raster cell has the same index
-whatever the survey is, and each chunk is exactly one ground cell: a task writes its own
-chunks and no other task's. Chunks of nothing but nodata are not written.
+whatever the survey is, and a ground cell is one chunk, or a few at a survey's edge: a task
+writes its own chunks and no other task's. Chunks of nothing but nodata are not written.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -64,16 +65,16 @@ def create_raster_store(
 
 
 def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32]]) -> list[Path]:
-    """Write the rasters of one ground cell: one chunk each, replaced as a whole.
+    """Write the rasters of one ground cell: chunks that are replaced as a whole.
 
     Parameters
     ----------
     path : Path
         Store from :func:`create_raster_store`.
     cell : CellId
-        Column and row of the ground cell.
-    arrays : mapping of str to (px, px) float32
-        Rasters, row 0 northernmost.
+        Column and row of its south-western square.
+    arrays : mapping of str to (rows, columns) float32
+        Rasters of its squares, row 0 northernmost.
 
     Returns
     -------
@@ -83,24 +84,27 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
     Raises
     ------
     StoreError
-        If there is no such raster or its shape is not that of a chunk.
+        If there is no such raster or it is not made of whole squares.
     StoppedError
         If the disk is full.
     """
     written = []
     for name, values in arrays.items():
         metadata, px, _ = _array(path, name)
-        if values.shape != (px, px):
-            raise StoreError(f"{path}: {name} of cell {cell} is {values.shape}, not {(px, px)}")
-        row, col = HALF_CELLS - 1 - cell.j, HALF_CELLS + cell.i
-        box = (slice(row * px, (row + 1) * px), slice(col * px, (col + 1) * px))
-        chunk = f"c/{row}/{col}"
-        content = encode(metadata, box, values).get(chunk)
-        if content is None:
-            remove(path / name / chunk)
-        else:
-            write_bytes(path / name / chunk, content)
-            written.append(path / name / chunk)
+        if not values.size or any(side % px for side in values.shape):
+            size_of = f"{name} of cell {cell} is {values.shape}"
+            raise StoreError(f"{path}: {size_of}, not whole squares of {px} raster cells")
+        rows, columns = (side // px for side in values.shape)
+        top, left = HALF_CELLS - cell.j - rows, HALF_CELLS + cell.i
+        box = (slice(top * px, (top + rows) * px), slice(left * px, (left + columns) * px))
+        contents = encode(metadata, box, values)
+        for row, column in product(range(top, top + rows), range(left, left + columns)):
+            chunk = f"c/{row}/{column}"
+            if chunk in contents:
+                write_bytes(path / name / chunk, contents[chunk])
+                written.append(path / name / chunk)
+            else:
+                remove(path / name / chunk)
     return written
 
 

@@ -11,12 +11,13 @@ from spl_batch.plan import density, reference
 from spl_batch.plan.blocks import choose_sizes, count_blocks
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
+from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Source
 from spl_batch.plan.memory import Need, halo_m, needs, stretch_points
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.context import Context
 from spl_batch.stages.surface import PRODUCTS
-from spl_batch.tiling import Bounds
+from spl_batch.tiling import Bounds, quanta, shared
 
 STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""
@@ -81,14 +82,14 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     """
     workflow, sources = survey.workflow, survey.inputs.sources
     points = sum(s.facts.n_points for s in sources)
-    pieces = list(density.from_boxes(map(_box, sources), survey.tile_q))
+    boxes = [_box(source) for source in sources]
+    pieces = list(density.from_boxes(boxes, survey.tile_q))
     limits = workflow, survey.memory_bytes
     sizes = survey.remembered if workflow.tiling.block_tiles is None else None
     sizes = sizes or choose_sizes(pieces, *limits, survey.workers)
     blocks = count_blocks(pieces, *limits, sizes)
-    tiles, cells = (
-        sum(piece.units(edge) for piece in pieces) for edge in (survey.tile_q, survey.cell_q)
-    )
+    tiles = sum(piece.units(survey.tile_q) for piece in pieces)
+    cells = _ground_cells(boxes, survey)
     stretches = sum(-(-s.facts.n_points // stretch_points(survey.memory_bytes)) for s in sources)
     heaviest = _heaviest(survey, pieces)
     typical = {
@@ -133,6 +134,15 @@ def _box(source: Source) -> Box:
     west, south = (math.floor(v * QUANTA_PER_M) for v in source.facts.mins_m[:2])
     east, north = (math.floor(v * QUANTA_PER_M) + 1 for v in source.facts.maxs_m[:2])
     return Box(Bounds(west, south, east, north), source.facts.n_points)
+
+
+def _ground_cells(boxes: Sequence[Box], survey: Survey) -> int:
+    """Ground cells, without the strips that belong to the next one [count]."""
+    buffer = quanta(survey.workflow.ground.buffer_m)
+    alone = GroundCells.of_boxes([box.bounds for box in boxes], survey.cell_q, buffer).alone
+    within = (box._replace(bounds=shared(box.bounds, alone)) for box in boxes)
+    pieces = density.from_boxes((b for b in within if b.bounds.area_m2), survey.cell_q)
+    return sum(piece.units(survey.cell_q) for piece in pieces)
 
 
 def _heaviest(survey: Survey, pieces: Sequence[Piece]) -> Need:

@@ -155,7 +155,8 @@ def needs(
         "build_tile": (tile_q, 0.0),
         "denoise": (block, halo_m(workflow)),
         "ground": (cell_q, workflow.ground.buffer_m),
-        "surface": (cell_q, surface_reach_m(workflow)),
+        # a strip that a cell owns beside it is as wide as the buffer, at the most
+        "surface": (cell_q, max(surface_reach_m(workflow), workflow.ground.buffer_m)),
     }
     found = []
     for kind, (edge, reach) in reaches.items():

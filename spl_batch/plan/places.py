@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.plan.blocks import Holders
 from spl_batch.plan.inputs import source_args
 from spl_batch.plan.memory import refusal, surface_reach_m
-from spl_batch.plan.space import Unit, fired_index, owners, units, voxel_index
+from spl_batch.plan.space import Unit, fired_index, voxel_index
 from spl_batch.plan.survey import Survey, mosaic_parts
 from spl_batch.stages.local_noise import MARGIN_VOXELS
 from spl_batch.stages.surface import PRODUCTS
@@ -100,7 +100,7 @@ def ground(survey: Survey) -> Iterator[Task]:
     """Ground cells with their buffers."""
     halo = quanta(survey.workflow.ground.buffer_m)
     holders = survey.holders()
-    for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
+    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
         args = {**_cell_args(cell), "noise": _named("noise", noise)}
         needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
@@ -112,11 +112,11 @@ def surface(survey: Survey) -> Iterator[Task]:
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
     holders = survey.holders()
-    for cell in units(survey.counts, survey.tile_q, survey.cell_q, halo):
+    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         if str(cell.cell) not in survey.of("ground"):
             continue
         noise = holders.of(cell.tiles)
-        ground_of = owners(cell.tiles, survey.tile_q, survey.cell_q, survey.of("ground"))
+        ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q, survey.of("ground"))
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             **_cell_args(cell),
@@ -175,7 +175,8 @@ def deliver_tiles(survey: Survey) -> Iterator[Task]:
 def mosaic(survey: Survey) -> Iterator[Task]:
     """Rasters of each piece of the survey."""
     for number, (cells, bounds) in enumerate(mosaic_parts(survey), start=1):
-        needs = tuple(("surface", str(cell)) for cell in cells)
+        keepers = dict.fromkeys(map(survey.ground_cells.keeper, cells))
+        needs = tuple(("surface", str(cell)) for cell in keepers)
         for product in (*PRODUCTS, "noise"):
             name = product if number == 1 else f"{product}_{number}"
             args = {
@@ -210,7 +211,7 @@ def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
 def _cell_args(cell: Unit) -> dict[str, object]:
     return {
         "cell": str(cell.cell),
-        "ij": list(cell.cell),
+        "core": list(cell.core),
         "tiles": [str(t) for t in cell.tiles],
     }
 
@@ -232,7 +233,7 @@ def _label_units(
 ) -> dict[CellId, dict[str, list[str]]]:
     """Finished units that hold the delivered labels of each tile, by tile and label."""
     noise = holders.of(tiles)
-    classes = owners(tiles, survey.tile_q, survey.cell_q, survey.of("surface"))
+    classes = survey.ground_cells.owners(tiles, survey.tile_q, survey.of("surface"))
     return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
 
 

@@ -1,7 +1,7 @@
 """Tiles, blocks and ground cells: which points each unit of the space domain reads."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from spl_batch.task import Receipt
@@ -15,6 +15,7 @@ from spl_batch.tiling import (
     overlap,
     parse_cell,
     quanta,
+    shared,
 )
 
 
@@ -24,7 +25,7 @@ class Unit(NamedTuple):
     Parameters
     ----------
     name : str
-        Column and row on its absolute grid; of a block, see :class:`~spl_batch.plan.layout.Block`.
+        Column and row of a ground cell; of a block, see :class:`~spl_batch.plan.layout.Block`.
     cell : CellId
         That column and row; of a block, those of its first tile.
     core : Bounds
@@ -51,37 +52,6 @@ def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
     return {tile: n for tile, n in sorted(counts.items()) if n}
 
 
-def units(counts: Mapping[CellId, int], tile_q: int, unit_q: int, halo_q: int) -> Iterator[Unit]:
-    """Units of an absolute grid that own points, one by one in the order of their cells.
-
-    Parameters
-    ----------
-    counts : mapping of CellId to int
-        Points by tile.
-    tile_q, unit_q : int
-        Edges of a tile and of a unit [quanta].
-    halo_q : int
-        Halo that a unit reads [quanta].
-    """
-    for cell in cells_with_points(counts, tile_q, unit_q):
-        yield unit_of(cell, counts, tile_q, unit_q, halo_q)
-
-
-def unit_of(
-    cell: CellId, counts: Mapping[CellId, int], tile_q: int, unit_q: int, halo_q: int
-) -> Unit:
-    """One unit of a grid; without any points where no tile of its core has some.
-
-    Parameters
-    ----------
-    cell : CellId
-        Its column and row.
-    counts, tile_q, unit_q, halo_q
-        As in :func:`units`.
-    """
-    return unit_within(cell_bounds(cell, unit_q), counts, tile_q, halo_q, (str(cell), cell))
-
-
 def unit_within(
     core: Bounds,
     counts: Mapping[CellId, int],
@@ -95,8 +65,10 @@ def unit_within(
     ----------
     core : Bounds
         What it owns [quanta].
-    counts, tile_q, halo_q
-        As in :func:`units`.
+    counts : mapping of CellId to int
+        Points by tile.
+    tile_q, halo_q : int
+        Edge of a tile, and the halo that the unit reads [quanta].
     named : tuple of str and CellId
         Its name, and column and row.
     """
@@ -105,45 +77,15 @@ def unit_within(
     owned = held = 0.0
     for tile in near:
         bounds = cell_bounds(tile, tile_q)
-        held += counts[tile] * _shared(bounds, reach) / tile_q**2
+        held += counts[tile] * _area(shared(bounds, reach)) / tile_q**2
         owned += counts[tile] if overlap(bounds, core) else 0
     # shares of tiles add up to whole points, but for the last bit of a sum
     return Unit(*named, core, tuple(near), int(owned), math.ceil(round(held, 6)))
 
 
-def cells_with_points(counts: Mapping[CellId, int], tile_q: int, unit_q: int) -> list[CellId]:
-    """Cells of units that share area with a tile, sorted.
-
-    Parameters
-    ----------
-    counts, tile_q, unit_q
-        As in :func:`units`.
-    """
-    cells: set[CellId] = set()
-    for tile in counts:
-        cells.update(cells_touching(cell_bounds(tile, tile_q), unit_q))
-    return sorted(cells)
-
-
-def _shared(a: Bounds, b: Bounds) -> int:
-    """Area that two regions share [quanta2]."""
-    width = min(a.xmax, b.xmax) - max(a.xmin, b.xmin)
-    height = min(a.ymax, b.ymax) - max(a.ymin, b.ymin)
-    return max(width, 0) * max(height, 0)
-
-
-def owners(
-    tiles: Iterable[CellId], tile_q: int, unit_q: int, done: Mapping[str, Receipt]
-) -> dict[CellId, list[str]]:
-    """Finished units that may hold labels of each tile, by tile."""
-    return {
-        tile: [
-            str(cell)
-            for cell in cells_touching(cell_bounds(tile, tile_q), unit_q)
-            if str(cell) in done
-        ]
-        for tile in tiles
-    }
+def _area(region: Bounds) -> int:
+    """Area of a region [quanta2]."""
+    return (region.xmax - region.xmin) * (region.ymax - region.ymin)
 
 
 def fired_index(boxes: Mapping[str, Sequence[int]]) -> BoxIndex:

@@ -1,12 +1,13 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from spl_batch.plan.blocks import Holders, Sizes, blocks, choose_sizes, layout_of
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
+from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.ledger import Ledger
 from spl_batch.plan.memory import halo_m, stretch_points
@@ -67,6 +68,12 @@ class Survey(Ledger[Inputs, Workflow]):
         """Blocks that are finished, by the tiles that they own."""
         return Holders(self.of("denoise"), self.tile_q)
 
+    @cached_property
+    def ground_cells(self) -> GroundCells:
+        """Ground cells; complete once the index stage is."""
+        boxes = [(xmin, ymin, xmax + 1, ymax + 1) for xmin, ymin, _, xmax, ymax, _ in _boxes(self)]
+        return GroundCells.of_boxes(boxes, self.cell_q, quanta(self.workflow.ground.buffer_m))
+
     @property
     def tile_q(self) -> int:
         """Edge of a tile [quanta]."""
@@ -100,6 +107,12 @@ def mosaic_parts(survey: Survey) -> list[tuple[list[CellId], Bounds]]:
 
     One mosaic, unless the survey lies in pieces so far apart that it would be empty space.
     """
-    cells = [parse_cell(name) for name in survey.of("surface")]
-    boxes = [r.facts["bounds"] for r in survey.of("index_file").values() if r.facts["bounds"]]
-    return split_mosaic(cells, boxes, survey.cell_q, quanta(survey.workflow.products.cell_m))
+    done = map(parse_cell, survey.of("surface"))
+    squares = [square for cell in done for square in survey.ground_cells.squares(cell)]
+    pixel_q = quanta(survey.workflow.products.cell_m)
+    return split_mosaic(squares, _boxes(survey), survey.cell_q, pixel_q)
+
+
+def _boxes(survey: Survey) -> list[Sequence[int]]:
+    """Bounding boxes of the points of the files that hold some: x, y, z, x, y, z [quanta]."""
+    return [r.facts["bounds"] for r in survey.of("index_file").values() if r.facts["bounds"]]

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.io.cells import write_cell
 from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
+from spl_batch.io.store import forget_receipt
 from spl_batch.io.tables import read_arrays
 from spl_batch.kernels.raster import add_up_finite
 from spl_batch.model import PointFlag, PointTable
@@ -24,7 +26,7 @@ from spl_batch.stages.fired import FiredPart
 from spl_batch.stages.kept_noise import within_signal
 from spl_batch.stages.stray import stray
 from spl_batch.stages.water import submerged
-from spl_batch.tiling import Bounds, CellId, cell_bounds, grow, inside, parse_cell, quanta
+from spl_batch.tiling import Bounds, CellId, cells_touching, grow, inside, parse_cell, quanta
 
 Units = dict[CellId, list[tuple[str, str]]]
 
@@ -76,7 +78,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
 def ground(args: Mapping[str, Any], context: Context) -> Produced:
     """Find the ground of a cell."""
     settings = context.workflow.ground
-    core = _ground_cell(args, context)
+    core = Bounds(*args["core"])
     table, origin = read_region(
         context.store,
         _cells(args["tiles"]),
@@ -96,7 +98,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
 def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell."""
     workflow = context.workflow
-    core = _ground_cell(args, context)
+    core = Bounds(*args["core"])
     reach = quanta(max(module.reach_m(workflow.products) for module in (surfacing, reflectance)))
     noise = _units(args["noise"])
     labels = {"noise_class": noise, "noise_density": noise, "ground": _units(args["ground"])}
@@ -129,7 +131,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     arrays["noise"] = noise_m3
-    chunks = write_cell(context.rasters, CellId(*args["ij"]), arrays)
+    chunks = _write_rasters(args["cell"], core, arrays, context)
     path = context.store.labels("classes", args["cell"])
     found = classes.classify(mine, core, arrays["dtm"])
     write_labels(path, *place, {"classification": found})
@@ -165,6 +167,19 @@ def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float3
     return np.ascontiguousarray(mean.reshape(rows, columns)[::-1], dtype=np.float32)
 
 
+def _write_rasters(
+    name: str, core: Bounds, arrays: dict[str, NDArray[np.float32]], context: Context
+) -> list[Path]:
+    """Raster cells of a ground cell; files of their chunks."""
+    squares = list(cells_touching(core, quanta(context.workflow.ground.cell_m)))
+    for other in map(str, squares):
+        # It was a cell by itself when the survey was another: its receipt must not speak for
+        # chunks that are written over.
+        if other != name:
+            forget_receipt(context.store, "surface", other)
+    return write_cell(context.rasters, squares[0], arrays)
+
+
 def _mask_outside(arrays: dict[str, NDArray[np.float32]], core: Bounds, context: Context) -> None:
     """Take away raster cells whose centres lie outside the area of interest."""
     cell = quanta(context.workflow.products.cell_m)
@@ -182,10 +197,6 @@ def _usable(table: PointTable) -> NDArray[np.bool_]:
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     usable = usable & ~table.has(PointFlag.OUTSIDE_AOI) & ~stray(table)
     return usable & ~submerged(table, usable)
-
-
-def _ground_cell(args: Mapping[str, Any], context: Context) -> Bounds:
-    return cell_bounds(CellId(*args["ij"]), quanta(context.workflow.ground.cell_m))
 
 
 def _cells(names: Sequence[str]) -> list[CellId]:
