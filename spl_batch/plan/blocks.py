@@ -111,11 +111,12 @@ def choose_sizes(
     share = sum(counts.values()) / max(workers, 1)
     layout = layout_of(counts, workflow)
     tried = [Sizes(tiles) for tiles in LARGEST]
-    if workers > 1 and counts:
+    if counts:
         everything = around(counts)
         side = max(everything.columns, everything.rows)
         if side <= WIDEST:
             tried.append(Sizes(side, anchor=CellId(everything.i, everything.j)))
+    if workers > 1:
         tried = [sizes._replace(points=points) for sizes in tried
                  for points in (math.inf, *(part * share for part in SHARES))]  # fmt: skip
     costs = [
