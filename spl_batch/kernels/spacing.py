@@ -88,11 +88,11 @@ def enough_peers(
     tree : KdTree
         Points to count.
     spacing : (n,) float64
-        Their squared spacings, by row [quanta2].
+        Their squared spacings, by row [quanta2]; negative for those that do not count.
     places : (m, 3) int32
         Coordinates relative to the tree's anchor [quanta].
     own : (m,) float64
-        Squared spacings of the places [quanta2].
+        Squared spacings of the places, >= 0 [quanta2].
     radius : float or (m,) float64
         Farthest point that counts, inclusive [quanta].
     wanted : int

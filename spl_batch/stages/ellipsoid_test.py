@@ -35,7 +35,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.poisson import noise_tail_probability
 from spl_batch.kernels.spacing import enough_peers
 from spl_batch.settings import FilterSettings
@@ -128,9 +127,10 @@ def judge(
         rule = _links(cloud.density[weak], settings, alpha[maybe])
         enough = found.score[weak] <= rule.weak
         weak = weak[enough]
+        # The tree of all is there already: a point that does not pass alone is nobody's peer.
         signal[weak] = enough_peers(
-            build(cloud.xyz[signal]),
-            found.spacing[signal],
+            found.tree,
+            np.where(signal, found.spacing, -1.0),
             cloud.xyz[weak],
             found.spacing[weak],
             rule.link[enough],

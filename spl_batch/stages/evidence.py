@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.kernels.ellipsoid import count_inside
 from spl_batch.kernels.ellipsoid_shape import Shape
-from spl_batch.kernels.kdtree import build
+from spl_batch.kernels.kdtree import KdTree, build
 from spl_batch.kernels.spacing import Spacing
 from spl_batch.settings import FilterSettings
 from spl_batch.tiling import quanta
@@ -35,12 +35,15 @@ class Evidence(NamedTuple):
     spacing : (n,) float64
         Squared spacing of the points asked for, and of some others; negative where it is not
         known; all zero for the published test [quanta2].
+    tree : KdTree
+        The points.
     """
 
     score: NDArray[np.float64]
     inside: NDArray[np.int32]
     expected: NDArray[np.float64]
     spacing: NDArray[np.float64]
+    tree: KdTree
 
 
 def shape_of(settings: FilterSettings) -> Shape:
@@ -83,9 +86,10 @@ def evidence(
     Evidence
     """
     spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
+    tree = build(xyz)
     count, expected, score = count_inside(
         xyz,
-        build(xyz),
+        tree,
         asked,
         density / QUANTA_PER_M**3,
         shape_of(settings),
@@ -95,4 +99,4 @@ def evidence(
         peer_ratio=settings.peer_ratio,
         tie=settings.test == "calibrated",
     )
-    return Evidence(score, count, expected, spacing)
+    return Evidence(score, count, expected, spacing, tree)
