@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_WIRE, NOISE_SIGNAL
 from spl_batch.kernels.alignment import agreeing, refine, vote
-from spl_batch.kernels.columns import Columns, columns, cube_counts
+from spl_batch.kernels.columns import Columns, columns
+from spl_batch.kernels.cube_counts import cube_counts
 from spl_batch.kernels.tubes import PAD, fullest, grid, half_turn, tube_volume, window
 from spl_batch.model import PointTable
 from spl_batch.settings import FilterSettings, WireSettings

@@ -100,56 +100,6 @@ def _fill(taken, rows, column, start, points):  # type: ignore[no-untyped-def]
             points[3, slot] = rows[i]
 
 
-def cube_counts(
-    xyz: NDArray[np.int32], anchor: tuple[int, int, int], edge: int
-) -> NDArray[np.int32]:
-    """Points in the 3 x 3 x 3 cells around each point's own cell.
-
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to the anchor [quanta].
-    anchor : tuple of int
-        Where they count from, on the absolute lattice [quanta].
-    edge : int
-        Edge of a cell [quanta].
-
-    Returns
-    -------
-    (n,) int32
-        Points [count], each one itself included.
-    """
-    made = columns(xyz, np.arange(len(xyz)), anchor, edge)
-    out = np.zeros(len(xyz), dtype=np.int32)
-    if len(xyz):
-        _cubes(made.points, made.start, made.shape[0], made.shape[1], anchor[2], edge, out)
-    return out
-
-
-@njit(nogil=True, cache=True)
-def _cubes(points, start, nx, ny, base, edge, out):  # type: ignore[no-untyped-def]
-    """Sweep of each column against itself and its eight neighbours, both by height."""
-    level = np.empty(points.shape[1], np.int64)
-    for i in range(points.shape[1]):
-        level[i] = (np.int64(points[2, i]) + base) // edge
-    for a in range(nx):
-        for b in range(ny):
-            own = a * ny + b
-            if start[own] == start[own + 1]:
-                continue
-            for i in range(max(a - 1, 0), min(a + 2, nx)):
-                for j in range(max(b - 1, 0), min(b + 2, ny)):
-                    other = i * ny + j
-                    low = high = start[other]
-                    end = start[other + 1]
-                    for slot in range(start[own], start[own + 1]):
-                        while low < end and level[low] < level[slot] - 1:
-                            low += 1
-                        while high < end and level[high] <= level[slot] + 1:
-                            high += 1
-                        out[points[3, slot]] += high - low
-
-
 @njit(nogil=True, cache=True)
 def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
     """First slot of a column's stretch [low, high) whose height is at least ``z``."""

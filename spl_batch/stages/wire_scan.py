@@ -38,7 +38,8 @@ from scipy.special import gammaincinv
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.kernels.alignment import agreeing, refine, vote
 from spl_batch.kernels.clearance import PARTS, around_tubes
-from spl_batch.kernels.columns import Columns, columns, cube_counts
+from spl_batch.kernels.columns import Columns, columns
+from spl_batch.kernels.cube_counts import cube_counts
 from spl_batch.kernels.poisson import noise_tail_probability
 from spl_batch.kernels.tubes import fullest
 from spl_batch.settings import WireSettings
