@@ -21,6 +21,9 @@ from spl_batch.kernels.robust_plane import plane_of_moments
 UNIT: Final = 1024
 """Weight of a whole return, and of a kernel at its centre."""
 
+WHOLE: Final = 32
+"""Weights that are summed at once [count]; a power of two."""
+
 MASS: Final = 8.0 / 35.0
 """Mean of the kernel (1 - d^2)^2 over the ball d < 1."""
 
@@ -170,27 +173,118 @@ def weigh_around(
     """
     wide, high = radii[0, 0], radii[0, 1]
     across, up = 1.0 / radii[:, 0].astype(np.float64) ** 2, 1.0 / radii[:, 1] ** 2.0
-    room = _most_around(starts, shape) + 1
-    near, some = np.empty(room + LANES, np.uint64), weight != 0
-    flat, square, worth = np.empty(room), np.empty(room), np.empty(room, np.int32)
+    room = _most_around(starts, shape) + 2 * WHOLE
+    near, mates, some = np.empty(room, np.uint64), np.empty(room, np.uint64), weight != 0
+    flat, square, worth = np.zeros(room), np.zeros(room), np.zeros(room, np.int32)
+    first, column = np.zeros(9, np.int64), np.int64(-1)
+    spare = _spare_rows(xyz.shape[1])
+    if len(spare):
+        xyz, time, some = xyz[:, spare], time[spare], some[spare]
     for q in range(len(rows)):
-        row = rows[q]
-        x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-        bx, by = tilt[q, 0], tilt[q, 1]
+        row, bx, by = rows[q], tilt[q, 0], tilt[q, 1]
         span = high + math.ceil(math.hypot(bx, by) * wide)
-        size = np.uint64(_near(xyz, some, starts, shape, edge, row, wide, wide * wide, span, near))
+        column = _move_up(xyz, starts, shape, edge, row, span, column, first)
+        size, fellows = _ellipsoid(
+            xyz, time, some, starts, shape, column, first, row, span, across[0], up[0],
+            (bx, by), near, mates, flat, square,
+        )  # fmt: skip
         for i in range(size):
-            p = near[i]
-            dx, dy = np.float64(xyz[U0, p] - x), np.float64(xyz[U1, p] - y)
-            flat[i] = dx * dx + dy * dy
-            square[i] = (np.float64(xyz[U2, p] - z) - bx * dx - by * dy) ** 2
-        for i in range(size):
-            p = near[i]
-            worth[i] = weight[p]
-            if time[p] == time[row] and channel[p] == channel[row]:
-                worth[i] = worth[i] * own // UNIT if xyz[U2, p] > z else 0
+            worth[i] = weight[near[i]]
+        for i in range(fellows):
+            p = mates[i]
+            dx, dy = np.float64(xyz[U0, p] - xyz[U0, row]), np.float64(xyz[U1, p] - xyz[U1, row])
+            rise = np.float64(xyz[U2, p] - xyz[U2, row])
+            flat[size], square[size] = dx * dx + dy * dy, (rise - bx * dx - by * dy) ** 2
+            worth[size] = weight[p]
+            if channel[p] == channel[row]:
+                worth[size] = worth[size] * own // UNIT if rise > 0.0 else 0
+            size += U1
+        for i in range(size, size + np.uint64(WHOLE)):
+            worth[i] = 0
         for k in range(len(radii)):
             out[q, k] = _weighed(flat, square, worth, size, across[k], up[k])
+
+
+@njit(nogil=True, cache=True)
+def _spare_rows(n: int) -> NDArray[np.int64]:
+    """Rows to take of so few points that no vector would hold them: none of enough."""
+    return np.minimum(np.arange(LANES), n - 1) if n < LANES else np.arange(0)
+
+
+@njit(nogil=True, cache=True)
+def _move_up(
+    xyz: NDArray[np.int32], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
+    row: int, span: int, before: int, first: NDArray[np.int64],
+) -> np.int64:  # fmt: skip
+    """Where to begin in the columns around a point: its own column.
+
+    ``first`` (9,) receives places below which all heights are less than the point's by more
+    than ``span``; it holds those of a point in the column ``before``, beside which they mostly are.
+    """
+    nx, ny = shape
+    own = np.int64(xyz[U0, row] // edge) * ny + xyz[U1, row] // edge
+    bottom, k = xyz[U2, row] - span, 0
+    for i in range(own // ny - 1, own // ny + 2):
+        for j in range(own % ny - 1, own % ny + 2):
+            if 0 <= i < nx and 0 <= j < ny:
+                low, stop = starts[i * ny + j], starts[i * ny + j + 1]
+                at = first[k] if own == before else first_above(xyz, low, stop, bottom)
+                # Heights ascend, so whole vectors are passed by.
+                while at + LANES <= stop and xyz[U2, at + LANES - 1] < bottom:
+                    at += LANES
+                while at > low and xyz[U2, at - 1] >= bottom:
+                    at -= min(at - low, LANES)
+                first[k] = at
+            k += 1
+    return own
+
+
+@njit(nogil=True, cache=True)
+def _ellipsoid(
+    xyz: NDArray[np.int32], time: NDArray[np.float64], counts: NDArray[np.bool_],
+    starts: NDArray[np.int64], shape: tuple[int, int], column: int, first: NDArray[np.int64],
+    row: int, span: int, across: float, up: float, slope: tuple[float, float],
+    near: NDArray[np.uint64], mates: NDArray[np.uint64], flat: NDArray[np.float64],
+    square: NDArray[np.float64],
+) -> tuple[np.uint64, np.uint64]:  # fmt: skip
+    """List what counts in an ellipsoid around a point, whose horizontal radius is at most an edge.
+
+    ``near`` receives the rows, ``flat`` and ``square`` their squared distances from the axis and
+    from the middle plane, which may be tilted; ``mates`` the rows of the point's shot instead, its
+    own among them. Returns how many there are of both.
+    """
+    nx, ny = shape
+    x, y = spread(np.float64(xyz[U0, row])), spread(np.float64(xyz[U1, row]))
+    z, top = spread(np.float64(xyz[U2, row])), xyz[U2, row] + span
+    east, north, moment = spread(slope[0]), spread(slope[1]), spread(time[row])
+    last = np.uint64(xyz.shape[1]) - UL
+    size = fellows = U0
+    k = 0
+    for i in range(column // ny - 1, column // ny + 2):
+        for j in range(column % ny - 1, column % ny + 2):
+            if 0 <= i < nx and 0 <= j < ny:
+                end = np.uint64(starts[i * ny + j + 1])
+                for p in range(np.uint64(first[k]), end, UL):
+                    if xyz[U2, p] > top:
+                        break
+                    # The last eight of the table, where fewer are left of it.
+                    at = min(p, last)
+                    rows = ascending(at)
+                    dx, dy = load(xyz, (U0, at)) - x, load(xyz, (U1, at)) - y
+                    off = load(xyz, (U2, at)) - z - east * dx - north * dy
+                    apart, off = dx * dx + dy * dy, off * off
+                    left = spread(1.0) - apart * spread(across) - off * spread(up)
+                    taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
+                    taken, at_once = taken & (left > spread(0.0)), load(time, at) == moment
+                    pack(mates, fellows, rows, taken & at_once)
+                    fellows += number(taken & at_once)
+                    taken = taken & (load(time, at) != moment)
+                    pack(near, size, rows, taken)
+                    pack(flat, size, apart, taken)
+                    pack(square, size, off, taken)
+                    size += number(taken)
+            k += 1
+    return size, fellows
 
 
 @njit(nogil=True, cache=True)
@@ -198,9 +292,9 @@ def _weighed(
     flat: NDArray[np.float64], square: NDArray[np.float64], worth: NDArray[np.int32],
     size: np.uint64, across: float, up: float,
 ) -> np.int64:  # fmt: skip
-    """Sum of weights times a kernel."""
+    """Sum of weights times a kernel, in whole vectors: behind the last one weights are 0."""
     total = np.int64(0)
-    for i in range(np.uint64(size)):
+    for i in range((size + np.uint64(WHOLE - 1)) // np.uint64(WHOLE) * np.uint64(WHOLE)):
         left = 1.0 - flat[i] * across - square[i] * up
         left = max(left, 0.0)
         total += np.int64(worth[i]) * np.int64(np.int32(left * left * UNIT))
@@ -218,19 +312,36 @@ def _parent(
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    heights, found, top = xyz[2], -1, z + lag
+    found, top = -1, z + lag
+    moment, last = spread(time[row]), np.uint64(xyz.shape[1]) - UL
     for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
         for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
             stop = starts[i * ny + j + 1]
-            for p in range(first_above(xyz, starts[i * ny + j], stop, z + 1), stop):
-                if heights[p] > top:
+            begin = np.uint64(first_above(xyz, starts[i * ny + j], stop, z + 1))
+            for p in range(begin, np.uint64(stop), UL):
+                if xyz[U2, p] > top:
                     break
-                if time[p] == time[row] and channel[p] == channel[row]:
-                    dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
-                    if dx * dx + dy * dy <= aside * aside:
-                        found, top = p, heights[p] - 1
-                        break
+                if number(load(time, min(p, last)) == moment) == U0:
+                    continue
+                mate = _mate(row, xyz, time, channel, p, min(p + UL, np.uint64(stop)), top, aside)
+                if mate >= 0:
+                    found, top = mate, xyz[U2, mate] - 1
+                    break
     return found
+
+
+@njit(nogil=True, cache=True)
+def _mate(
+    row: int, xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
+    begin: np.uint64, end: np.uint64, top: int, aside: int,
+) -> int:  # fmt: skip
+    """The first of some returns that is of a return's beamlet, no higher and no farther than so."""
+    for p in range(begin, end):
+        if xyz[U2, p] <= top and time[p] == time[row] and channel[p] == channel[row]:
+            dx, dy = xyz[U0, p] - xyz[U0, row], xyz[U1, p] - xyz[U1, row]
+            if dx * dx + dy * dy <= aside * aside:
+                return np.int64(p)
+    return -1
 
 
 @njit(nogil=True, cache=True)
