@@ -100,6 +100,28 @@ def test_floats_are_reckoned_as_one_by_one(a: list[float], b: list[float]) -> No
 
 
 @njit
+def choose(a, b, out):  # type: ignore[no-untyped-def]
+    """Each operation on whole numbers, a row of eight each."""
+    x, y = load(a, U0), load(b, U0)
+    store(out, (np.uint64(0), U0), greater(x, y))
+    store(out, (np.uint64(1), U0), lesser(x, y))
+    store(out, (np.uint64(2), U0), x & y)
+    store(out, (np.uint64(3), U0), spread(greatest(x)))
+    store(out, (np.uint64(4), U0), spread(least(x)))
+
+
+@settings(deadline=None)
+@given(*2 * [st.lists(st.integers(0, 2**64 - 1), min_size=LANES, max_size=LANES)])
+def test_whole_numbers_are_chosen_as_one_by_one(a: list[int], b: list[int]) -> None:
+    x, y = (np.array(some, np.uint64) for some in (a, b))
+    out = np.empty((5, LANES), np.uint64)
+    choose(x, y, out)
+    ends = [np.full(LANES, value) for value in (x.max(), x.min())]
+    expected = np.stack([np.maximum(x, y), np.minimum(x, y), x & y, *ends])
+    np.testing.assert_array_equal(out, expected)
+
+
+@njit
 def compare(a, b, out):  # type: ignore[no-untyped-def]
     """Lanes in which each comparison holds: a row of ones and zeros each."""
     x, y = load(a, U0), load(b, U0)

@@ -96,16 +96,16 @@ def _count(
         start[slab] += start[slab - 1]
     row = np.empty(n, np.int32)
     for i in range(n):
-        slab = cell[0, i] + 1
-        row[start[slab]] = i
-        start[slab] += 1
+        own = cell[0, i] + 1
+        row[start[own]] = i
+        start[own] += 1
     # Points of a slab now begin where those of the one before end.
     held, high = np.zeros(across * up, np.int32), np.uint64(up)
     for slab in range(slabs + 1):
         for at in range(start[slab + 1], start[slab + 2]):
             _add(held, cell, row[at], high, np.int32(1))
         for at in range(start[slab], start[slab + 1]):
-            i = np.int64(row[at])
-            out[i] = held[np.uint64(cell[1, i]) * high + np.uint64(cell[2, i])]
+            own = row[at]
+            out[own] = held[np.uint64(cell[1, own]) * high + np.uint64(cell[2, own])]
         for at in range(start[max(slab - 1, 0)], start[slab]):
             _add(held, cell, row[at], high, np.int32(-1))

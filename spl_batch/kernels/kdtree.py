@@ -10,21 +10,17 @@ Squared distances are sums of squared integer differences in float64: exact belo
 on the neighbours alone and neither on the tree nor on what else the table holds.
 """
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.kernels.arrange import arrange
+from spl_batch.kernels.lanes import LANES
+
 LEAF: Final = 32
 """Most points in a leaf [count]; a power of two."""
-
-MANY: Final = 1000
-"""Points from which the middle is found by a sample [count]."""
-
-SAMPLE: Final = 64
-"""Points in it [count]."""
 
 CAP_MAX: Final = 46_340
 """Farthest neighbour that a sort key can hold [quanta]: its square stays below 2**31."""
@@ -69,17 +65,12 @@ def build(xyz: NDArray[np.int32]) -> KdTree:
     depth = 0
     while (LEAF << depth) < n:
         depth += 1
-    points = np.empty((n, 4), dtype=np.int32)
-    points[:, :3] = xyz
-    points[:, 3] = np.arange(n, dtype=np.int32)
     boxes = np.zeros((2 << depth, 6), dtype=np.int32)
-    if n:
-        _arrange(points, boxes, depth)
     # Searches read whole vectors: a few values beyond the last are there, and not used.
-    spare = np.zeros(4 * n + 8, np.int32)
-    by_column = spare[: 4 * n].reshape(4, n)
-    by_column[:] = points.T
-    return KdTree(by_column, boxes, depth)
+    points = np.zeros(4 * n + LANES, np.int32)[: 4 * n].reshape(4, n)
+    if n:
+        arrange(xyz, points, boxes, depth)
+    return KdTree(points, boxes, depth)
 
 
 def check_cap(cap: int) -> None:
@@ -92,95 +83,6 @@ def check_cap(cap: int) -> None:
     """
     if not 0 < cap <= CAP_MAX:
         raise ValueError(f"cap {cap} quanta: must lie in 1..{CAP_MAX}")
-
-
-@njit(nogil=True, cache=True)
-def _pivot(points, low, high, middle, axis, sample):  # type: ignore[no-untyped-def]
-    """A value to divide slots ``low`` to ``high`` at, so that ``middle`` is in the smaller part.
-
-    Where there are many it is taken from a sample, a bit farther than the rank of the middle
-    [Floyd and Rivest, Communications of the ACM 18, 1975].
-    """
-    size = high - low + 1
-    if size < MANY:
-        a, b, c = points[low, axis], points[(low + high) >> 1, axis], points[high, axis]
-        return max(min(a, b), min(max(a, b), c))
-    for i in range(SAMPLE):
-        value, at = points[low + (2 * i + 1) * size // (2 * SAMPLE), axis], i
-        while at > 0 and sample[at - 1] > value:
-            sample[at] = sample[at - 1]
-            at -= 1
-        sample[at] = value
-    share = (middle - low) / size
-    aside = 2.0 * math.sqrt(share * (1.0 - share) / SAMPLE)
-    if share < 0.3:
-        share += aside
-    elif share > 0.7:
-        share -= aside
-    return sample[min(int(share * SAMPLE), SAMPLE - 1)]
-
-
-@njit(nogil=True, cache=True)
-def _select(points, low, high, middle, axis, sample):  # type: ignore[no-untyped-def]
-    """Quickselect: slot ``middle`` gets its value in order along ``axis``, smaller ones before."""
-    high -= 1
-    while low < high:
-        pivot = _pivot(points, low, high, middle, axis, sample)
-        i, j = low, high
-        while i <= j:
-            while points[i, axis] < pivot:
-                i += 1
-            while points[j, axis] > pivot:
-                j -= 1
-            if i <= j:
-                for field in range(4):
-                    keep = points[i, field]
-                    points[i, field] = points[j, field]
-                    points[j, field] = keep
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            return
-
-
-@njit(nogil=True, cache=True)
-def _arrange(points, boxes, depth):  # type: ignore[no-untyped-def]
-    """Split every node at its middle slot along its widest axis, depth first."""
-    n = len(points)
-    stack, sample = np.empty(64, dtype=np.int64), np.empty(SAMPLE, dtype=np.int32)
-    stack[0] = 1
-    top = 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        level = 0
-        while (node >> level) > 1:
-            level += 1
-        j = node - (1 << level)
-        low, high = (j * n) >> level, ((j + 1) * n) >> level
-        x0, y0, z0 = x1, y1, z1 = points[low, 0], points[low, 1], points[low, 2]
-        for i in range(low + 1, high):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
-            x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
-        boxes[node, 0], boxes[node, 1], boxes[node, 2] = x0, y0, z0
-        boxes[node, 3], boxes[node, 4], boxes[node, 5] = x1, y1, z1
-        if level == depth:
-            continue
-        axis, width = 0, np.int64(-1)
-        for a in range(3):
-            spread = np.int64(boxes[node, a + 3]) - np.int64(boxes[node, a])
-            if spread > width:
-                axis, width = a, spread
-        if width > 0:
-            _select(points, low, high, ((2 * j + 1) * n) >> (level + 1), axis, sample)
-        stack[top] = 2 * node + 1
-        stack[top + 1] = 2 * node
-        top += 2
 
 
 @njit(nogil=True, cache=True, inline="always")

@@ -13,7 +13,7 @@ compiled kernels, and the few operations on them that these need:
 ``greater, lesser``            ``a > b ? a : b`` and ``a < b ? a : b`` by lane
 ``greatest, least``            the same over all lanes
 ``< <= > >= == !=``            a mask; False wherever a NaN takes part, but for ``!=``
-``& |``, ``number``            of masks; how many lanes one holds
+``& |``, ``number``            of masks, ``&`` of bits too; how many lanes a mask holds
 ``pack``                       store the lanes of a mask side by side
 ============================== ===========================================================
 
@@ -247,17 +247,22 @@ def where(_: Any, mask: Any, a: Any, b: Any) -> Any:
     return a(mask, a, b), codegen
 
 
+def _compare(builder: ir.IRBuilder, kind: Lanes, sign: str, a: ir.Value, b: ir.Value) -> ir.Value:
+    compare = builder.fcmp_ordered if kind == FLOATS else builder.icmp_unsigned
+    return compare(sign, a, b)
+
+
 def _chosen(sign: str) -> Any:
-    """One of two floats by lane: the first where it stands so to the second."""
+    """One of two values by lane: the first where it stands so to the second."""
 
     def choose(_: Any, a: Any, b: Any) -> Any:
-        if a != FLOATS or b != FLOATS:
+        if a != b or a not in {FLOATS, WHOLES}:
             return None
 
         def codegen(_: Any, builder: ir.IRBuilder, __: Any, args: Any) -> ir.Value:
-            return builder.select(builder.fcmp_ordered(sign, *args), *args)
+            return builder.select(_compare(builder, a, sign, *args), *args)
 
-        return FLOATS(a, b), codegen
+        return a(a, b), codegen
 
     return choose
 
@@ -266,7 +271,7 @@ def _of_all(sign: str) -> Any:
     """One of the eight lanes: of halves the chosen ones, and so on."""
 
     def reduce(_: Any, values: Any) -> Any:
-        if values != FLOATS:
+        if values not in {FLOATS, WHOLES}:
             return None
 
         def codegen(_: Any, builder: ir.IRBuilder, __: Any, args: Any) -> ir.Value:
@@ -282,10 +287,10 @@ def _of_all(sign: str) -> Any:
                     )
                     for at in (0, size)
                 ]
-                left = builder.select(builder.fcmp_ordered(sign, *halves), *halves)
+                left = builder.select(_compare(builder, values, sign, *halves), *halves)
             return builder.extract_element(left, ir.IntType(32)(0))
 
-        return types.float64(values), codegen
+        return values.kind(values), codegen
 
     return reduce
 
@@ -330,7 +335,7 @@ def _compared(sign: str) -> dict[Lanes, Callable[[ir.IRBuilder, ir.Value, ir.Val
 _operate(operator.add, {FLOATS: ir.IRBuilder.fadd})
 _operate(operator.sub, {FLOATS: ir.IRBuilder.fsub})
 _operate(operator.mul, {FLOATS: ir.IRBuilder.fmul})
-_operate(operator.and_, {MASK: ir.IRBuilder.and_})
+_operate(operator.and_, {MASK: ir.IRBuilder.and_, WHOLES: ir.IRBuilder.and_})
 _operate(operator.or_, {MASK: ir.IRBuilder.or_})
 for _function, _sign in (
     (operator.lt, "<"),

@@ -176,7 +176,7 @@ def weigh_around(
     room = _most_around(starts, shape) + 2 * WHOLE
     near, mates, some = np.empty(room, np.uint64), np.empty(room, np.uint64), weight != 0
     flat, square, worth = np.zeros(room), np.zeros(room), np.zeros(room, np.int32)
-    first, column = np.zeros(9, np.int64), np.int64(-1)
+    first, column = np.zeros(9, np.int64), -1
     spare = _spare_rows(xyz.shape[1])
     if len(spare):
         xyz, time, some = xyz[:, spare], time[spare], some[spare]
@@ -215,14 +215,14 @@ def _spare_rows(n: int) -> NDArray[np.int64]:
 def _move_up(
     xyz: NDArray[np.int32], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
     row: int, span: int, before: int, first: NDArray[np.int64],
-) -> np.int64:  # fmt: skip
+) -> int:  # fmt: skip
     """Where to begin in the columns around a point: its own column.
 
     ``first`` (9,) receives places below which all heights are less than the point's by more
     than ``span``; it holds those of a point in the column ``before``, beside which they mostly are.
     """
     nx, ny = shape
-    own = np.int64(xyz[U0, row] // edge) * ny + xyz[U1, row] // edge
+    own = int(xyz[U0, row] // edge) * ny + int(xyz[U1, row] // edge)
     bottom, k = xyz[U2, row] - span, 0
     for i in range(own // ny - 1, own // ny + 2):
         for j in range(own % ny - 1, own % ny + 2):
@@ -331,10 +331,7 @@ def _parent(
 
 
 @njit(nogil=True, cache=True)
-def _mate(
-    row: int, xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
-    begin: np.uint64, end: np.uint64, top: int, aside: int,
-) -> int:  # fmt: skip
+def _mate(row, xyz, time, channel, begin, end, top, aside):  # type: ignore[no-untyped-def]
     """The first of some returns that is of a return's beamlet, no higher and no farther than so."""
     for p in range(begin, end):
         if xyz[U2, p] <= top and time[p] == time[row] and channel[p] == channel[row]:
