@@ -72,6 +72,7 @@ def columns(
     height = int(xyz[2].max()) + 1
     column *= height
     column += xyz[2]
+    del i, j
     order = sort(column).astype(np.int32)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     return Columns(order, starts, (nx, ny), edge)

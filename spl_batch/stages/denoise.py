@@ -167,22 +167,23 @@ def judge(
     if settings.method == "none":
         noise_class[~excluded] = NOISE_SIGNAL
     else:
-        active = np.flatnonzero(~excluded & ~echo & ~dependent)
+        active = np.flatnonzero(~excluded & ~echo & ~dependent).astype(np.int32)
         # A parent outside the area of interest is judged for the sake of who follows it.
         beamless = table.has(EXCLUDED | PointFlag.NO_BEAM)
         wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
         cloud = _cloud(table, active, density, wanted & ~beamless)
+        del wanted
+        verdict, conductor = verdict_on(cloud, settings, exact=exact)
         rows = active[cloud.asked]
-        del active, wanted
-        verdict, wire[rows] = verdict_on(cloud, settings, exact=exact)
+        wire[rows] = conductor
         noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
         noise_class[dependent & ~beamless] = NOISE_SIGNAL
         if dependent.any():
-            rows = np.flatnonzero(families(table, dependent & query) & ~excluded)
-            family = table.select(("gps_time", "channel", "z")).take(rows)
-            noise_class[rows] = follow(family, dependent[rows], noise_class[rows])
+            kin = np.flatnonzero(families(table, dependent & query) & ~excluded)
+            family = table.select(("gps_time", "channel", "z")).take(kin)
+            noise_class[kin] = follow(family, dependent[kin], noise_class[kin])
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
     noise_class[echo] = NOISE_AFTERPULSE
     outside = table.has(PointFlag.OUTSIDE_AOI)
@@ -277,7 +278,7 @@ def _independent(settings: FilterSettings) -> bool:
 
 def _cloud(
     table: PointTable,
-    rows: NDArray[np.intp],
+    rows: NDArray[np.int32],
     density: NDArray[np.float64],
     asked: NDArray[np.bool_],
 ) -> Cloud:

@@ -108,23 +108,13 @@ def judge(
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
     linked = settings.link_count > 0
     assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
-    rows = np.flatnonzero(assessed)
-    taken = np.minimum(np.broadcast_to(spent, asked.shape)[rows], LEAST * settings.alpha)
-    alpha = settings.alpha - taken
-    limit = _batched(
-        lambda density, level: _limit(density, settings, level), cloud.density[rows], alpha
-    )
-    told = np.minimum(limit, TOLD_TO) if settings.test == "calibrated" else limit
-    stop = np.ones(len(asked))
-    stop[rows] = _stop(told, exact)
+    limit, stop = _limits(cloud.density, assessed, settings, spent, exact=exact)
     found = evidence(cloud.xyz, cloud.density, assessed, settings, stop)
-    strong = found.score[rows] <= limit
-    signal = np.zeros(len(asked), np.bool_)
-    signal[rows] = strong
+    del stop  # of a block of millions each array counts
+    signal = assessed & (found.score <= limit)
     if linked:
-        maybe = np.flatnonzero(asked[rows] & ~strong)
-        weak = rows[maybe]
-        rule = _links(cloud.density[weak], settings, alpha[maybe])
+        weak = np.flatnonzero(asked & ~signal)
+        rule = _links(cloud.density[weak], settings, _left(spent, settings, weak))
         enough = found.score[weak] <= rule.weak
         weak = weak[enough]
         # The tree of all is there already: a point that does not pass alone is nobody's peer.
@@ -138,10 +128,40 @@ def judge(
             settings.peer_ratio,
         )
     p_value = found.score[asked]
+    del found, limit
     if settings.test == "calibrated":
         p_value = _batched(null_table(settings).p_value, cloud.density[asked], p_value)
     kept = signal[asked] | _hardly_expected(cloud.density[asked], settings)
     return Verdict(kept, p_value.astype(np.float32))
+
+
+def _limits(
+    density: NDArray[np.float64],
+    assessed: NDArray[np.bool_],
+    settings: FilterSettings,
+    spent: float | NDArray[np.float64],
+    *,
+    exact: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Score that passes alone, and at which counting stops; two (n,) float64, 0 and 1 elsewhere.
+
+    They are found a batch of points at a time: a table's look-up takes many arrays.
+    """
+    limit, stop = np.zeros(len(density)), np.ones(len(density))
+    for first in range(0, len(density), BATCH):
+        rows = first + np.flatnonzero(assessed[first : first + BATCH])
+        found = _limit(density[rows], settings, _left(spent, settings, rows))
+        told = np.minimum(found, TOLD_TO) if settings.test == "calibrated" else found
+        limit[rows], stop[rows] = found, _stop(told, exact)
+    return limit, stop
+
+
+def _left(
+    spent: float | NDArray[np.float64], settings: FilterSettings, rows: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """What another test leaves of alpha at some points: (m,) float64."""
+    taken = spent[rows] if isinstance(spent, np.ndarray) else np.full(len(rows), spent)
+    return settings.alpha - np.minimum(taken, LEAST * settings.alpha)
 
 
 def _limit(

@@ -153,11 +153,15 @@ def clumping(
         1 where there are no parents.
     """
     edge = quanta(CELL_M)
-    i, j = cell_index(x, edge), cell_index(y, edge)
-    i, j = i - i.min(), j - j.min()
-    sums = np.zeros((int(i.max()) + 1, int(j.max()) + 1, counts.shape[1]), np.int64)
-    np.add.at(sums, (i[parents], j[parents]), counts * weight[:, None].astype(np.int64))
-    near = _around(sums)[i[rows], j[rows]]
+    first = [int(axis.min()) // edge for axis in (x, y)]
+    shape = [int(axis.max()) // edge - low + 1 for axis, low in zip((x, y), first, strict=True)]
+
+    def column(of: NDArray[np.intp]) -> tuple[NDArray[np.int64], ...]:
+        return tuple(cell_index(v[of], edge) - low for v, low in zip((x, y), first, strict=True))
+
+    sums = np.zeros((*shape, counts.shape[1]), np.int64)
+    np.add.at(sums, column(parents), counts * weight[:, None].astype(np.int64))
+    near = _around(sums)[column(rows)]
     volume = np.array([volume_m3(*radii) for radii in KERNELS_M])
     lent = PAIRS * UNIT**3 / volume[1:]
     out: NDArray[np.float64] = near[:, 1:] / volume[1:] + lent
