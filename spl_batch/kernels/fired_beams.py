@@ -1,6 +1,6 @@
 """Fired beamlets: where each was aimed, and which return of a cloud is the first of each."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,6 +14,10 @@ half, in the lower the number of the cell, ``row * cols + col``."""
 
 CELL_BITS = 0xFFFF_FFFF
 """Lower half of a first return."""
+
+
+AT_ONCE: Final = 1024
+"""Returns that are matched before their beamlets are looked at [count]."""
 
 
 class Blocks(NamedTuple):
@@ -184,18 +188,26 @@ def match_points(
         Filled with the height and cell of each beamlet's first return, or :data:`SILENT`.
     """
     top[:] = SILENT
+    highest, channels = top.reshape(-1), top.shape[1]
     aim = np.empty(9)
     west, south, size, cols = cells
+    fires = np.empty(blocks.pattern.shape[:2], np.bool_)
+    for b in range(len(fires)):
+        for c in range(fires.shape[1]):
+            fires[b, c] = not np.isnan(blocks.pattern[b, c, 0])
+    # Points lie by place and beamlets by time: each is far from the last in memory. Many that
+    # are asked for at once come together.
+    where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
     for p in rows:
         c = int(channel[p])
-        if c >= top.shape[1]:
+        if c >= channels:
             continue
         east, north = place[0][p] - west, place[1][p] - south
         b = np.searchsorted(blocks.begin_s, time_s[p], side="right") - 1
         best, least, taken = np.int64(-1), np.inf, np.int64(-1)
         while b >= 0 and blocks.begin_s[b] >= time_s[p] - longest_s:
             shot = np.int64(np.rint((time_s[p] - blocks.t0_s[b]) * blocks.prf_hz[b]))
-            if blocks.first[b] <= shot <= blocks.last[b] and not np.isnan(blocks.pattern[b, c, 0]):
+            if blocks.first[b] <= shot <= blocks.last[b] and fires[b, c]:
                 miss = 0.0
                 if taken >= 0:
                     x, y, z = east * QUANTUM_M, north * QUANTUM_M, place[2][p] * QUANTUM_M
@@ -211,5 +223,20 @@ def match_points(
             # No quotient of whole numbers so small rounds up to the next whole one.
             row, col = np.int64(north / size), np.int64(east / size)
             # Of two as high, the cell decides and not their order.
-            word = (np.int64(place[2][p]) << np.int64(32)) | (row * cols + col)
-            top[best, c] = max(top[best, c], word)
+            words[held] = (np.int64(place[2][p]) << np.int64(32)) | (row * cols + col)
+            where[held] = best * channels + c
+            held += 1
+            if held == AT_ONCE:
+                _raise(highest, where, words, held)
+                held = 0
+    _raise(highest, where, words, held)
+
+
+@njit(nogil=True, cache=True)
+def _raise(
+    highest: NDArray[np.int64], where: NDArray[np.int64], words: NDArray[np.int64], held: int
+) -> None:
+    """Lift values at some places to others; without a branch, so that none waits for another."""
+    for k in range(np.uint64(held)):
+        at = np.uint64(where[k])
+        highest[at] = max(highest[at], words[k])
