@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq
@@ -253,6 +253,7 @@ def test_nothing_fired_is_nodata() -> None:
     seen=st.lists(st.floats(0.05, 20.0), min_size=1, max_size=30),
     silent=st.floats(0.01, 200.0),
 )
+@example(seen=[18.0, 0.0625, 0.0625], silent=0.01171875)
 def test_most_likely_solves_its_equation(seen: list[float], silent: float) -> None:
     k = np.array(seen)
     out = np.empty(2)

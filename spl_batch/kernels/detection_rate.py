@@ -71,9 +71,10 @@ def most_likely(
         for _ in range(50):
             value, fall = -silent[cell], 0.0
             for s in range(low, high):
-                grown = math.expm1(amount[s] * rho)
-                value += amount[s] / grown
-                fall += amount[s] * amount[s] * (grown + 1.0) / (grown * grown)
+                # of what falls: the exponential of many photo-electrons is beyond all numbers
+                seen = -math.expm1(-amount[s] * rho)
+                value += amount[s] * (1.0 - seen) / seen
+                fall += amount[s] * amount[s] * (1.0 - seen) / (seen * seen)
             # The left side is convex and falls: from the right a step may go too far.
             new = max(rho + value / fall, 0.25 * rho)
             done = abs(new - rho) <= 1e-10 * rho

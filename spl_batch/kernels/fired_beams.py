@@ -191,10 +191,7 @@ def match_points(
     highest, channels = top.reshape(-1), top.shape[1]
     aim = np.empty(9)
     west, south, size, cols = cells
-    fires = np.empty(blocks.pattern.shape[:2], np.bool_)
-    for b in range(len(fires)):
-        for c in range(fires.shape[1]):
-            fires[b, c] = not np.isnan(blocks.pattern[b, c, 0])
+    fires = ~np.isnan(blocks.pattern[:, :, 0])
     # Points lie by place and beamlets by time: each is far from the last in memory. Many that
     # are asked for at once come together.
     where, words, held = np.empty(AT_ONCE, np.int64), np.empty(AT_ONCE, np.int64), 0
