@@ -33,9 +33,10 @@ from spl_batch.constants import NOISE_SIGNAL
 from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.settings import FilterSettings
 from spl_batch.stages import wire_null
+from spl_batch.stages.beamlet_counts import SQUARES
 from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.ellipsoid_test import judge
-from spl_batch.stages.local_noise import SQUARES, Listened, around, listened
+from spl_batch.stages.local_noise import Listened, around, listened
 from spl_batch.stages.null_distribution import repeated
 from spl_batch.stages.voxel_noise import sphere_radius_m
 from spl_batch.stages.wire_scan import scan

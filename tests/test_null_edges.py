@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from spl_batch.kernels.chords import deposit_beamlets
 from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.settings import FilterSettings
+from spl_batch.stages.beamlet_counts import SQUARES
 from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.ellipsoid_test import judge
-from spl_batch.stages.local_noise import SQUARES, Listened, around, listened
+from spl_batch.stages.local_noise import Listened, around, listened
 from spl_batch.stages.voxel_noise import sphere_radius_m
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,8 @@ from spl_batch.io.store import Store
 from spl_batch.io.voxels import add_voxels
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages import voxel_noise
-from spl_batch.stages.local_noise import MARGIN_VOXELS, SQUARES, Listened, around, listened
+from spl_batch.stages.beamlet_counts import SQUARES
+from spl_batch.stages.local_noise import MARGIN_VOXELS, Listened, around, listened
 from spl_batch.tiling import cell_index, quanta
 
 AT_ONCE: Final = 1 << 18

@@ -4,12 +4,18 @@ Domain: space. The squares of :mod:`~spl_batch.stages.local_noise`, (nx, ny, nz)
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.stages.voxel_noise import sphere_radius_m
+
 DOMAIN: Final = "space"
+
+SQUARES: Final = 4
+"""Squares along the edge of a voxel."""
 
 BLUR: Final = (1.0, 4.0, 1.0)
 """Weights of a square and its neighbours on either side, where beamlets are counted."""
@@ -108,3 +114,39 @@ def halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     ahead, behind = [whole, whole], [whole, whole]
     ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
     return tuple(ahead), tuple(behind)
+
+
+def of_spheres(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Mean of the squares of each voxel as far as its sphere lies over them."""
+    nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
+    blocks = values.reshape(nx, SQUARES, ny, SQUARES, nz)
+    mean: NDArray[np.float64] = np.einsum("xiyjz,ij->xyz", blocks, square_shares())
+    return mean
+
+
+def nine(values: NDArray[np.float64], weight: float = 1.0) -> NDArray[np.float64]:
+    """Sum over a voxel and the eight around it in its layer; along each axis it has a weight."""
+    for axis in (0, 1):
+        out = weight * values
+        ahead, behind = halves(axis)
+        out[ahead] += values[behind]
+        out[behind] += values[ahead]
+        values = out
+    return values
+
+
+@cache
+def square_shares() -> NDArray[np.float64]:
+    """Share of a sphere over each square of its voxel: (4, 4) float64, sum 1.
+
+    The sphere sticks out of the voxel; what does belongs to the outer squares.
+    """
+    fine = 200
+    radius = sphere_radius_m(1.0)
+    at = (np.arange(2 * fine) + 0.5) / fine * radius - radius
+    height = np.sqrt(np.maximum(radius**2 - at[:, None] ** 2 - at**2, 0.0))
+    index = np.clip(np.floor((at + 0.5) * SQUARES).astype(int), 0, SQUARES - 1)
+    shares = np.zeros((SQUARES, SQUARES))
+    np.add.at(shares, (index[:, None], index[None]), height)
+    normal: NDArray[np.float64] = shares / shares.sum()
+    return normal

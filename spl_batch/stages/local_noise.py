@@ -13,7 +13,8 @@ its mean is too small for the points in it, which all lie on one side. So, for e
 - a layer in which the gate ends is taken as if it were listened to all through: along a beam the
   noise changes nowhere else, so what a beamlet that reaches into a layer stands for there, less
   than in the layer above or below, is made the same. Nine voxels tell how much less; beamlets
-  count in every layer whose spheres they reach (:func:`~spl_batch.kernels.chords.cover`);
+  count in every layer whose spheres they reach (:func:`~spl_batch.kernels.chords.cover`). Near the
+  end itself the flightline counts in part (:mod:`~spl_batch.stages.gate_ends`);
 - near the edge of a flightline it counts in part, by the covered part of the squares around,
   linear between their centres: the test of single points looks so far, a metre or two. Where
   beamlets are too few to tell the edge, it counts within a square of those that are covered, in
@@ -25,35 +26,35 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   (:mod:`~spl_batch.stages.beamlet_counts`). The density at the point is what is needed, not its
   integral over the ellipsoid: ``python -m benchmarks.null_calibration --only ridge``.
 
-The flightlines add up, to no less than :data:`BESIDE_NOTHING` of those that cover the point for
-the larger part: of the largest, where none does. Ellipsoids lean into what is denser, so beside
-an edge the test needs more than the mean of what lies around; how much was drawn for steps to
-0-0.75 of the density. ``benchmarks/null_calibration.py`` and ``benchmarks/null_edges.py`` print
-what the filter keeps of noise along edges.
+The flightlines add up by these parts. Where edges and ends are blurred over metres, as scans and
+gates leave them, that is the true density at the point. A sharp edge, as that of a delivery, would
+be blurred by it, so from the middle of an edge inwards a flightline counts for no less than
+:data:`BESIDE_NOTHING`: an ellipsoid that reaches across finds fewer neighbours, and alpha is kept
+with 0.8 to 0.9 of the density in the last metre. ``benchmarks/null_calibration.py`` and
+``benchmarks/null_edges.py`` print what the filter keeps of noise along edges.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.kernels.squares import density_between
-from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.stages.beamlet_counts import (
     PRIOR,
+    SQUARES,
     beamlets_around,
     halves,
     joined,
+    nine,
+    of_spheres,
     told,
 )
-from spl_batch.stages.voxel_noise import UNEVEN, sphere_radius_m, tallest
+from spl_batch.stages.gate_ends import Ends, ratio, to_the_ends
+from spl_batch.stages.voxel_noise import UNEVEN
 
 DOMAIN: Final = "space"
-
-SQUARES: Final = 4
-"""Squares along the edge of a voxel."""
 
 MARGIN_VOXELS: Final = 2
 """Voxels on each side of a point's that its density depends on."""
@@ -61,21 +62,18 @@ MARGIN_VOXELS: Final = 2
 FEW: Final = 8.0
 """Beamlets over a covered square that tell where within a square an edge lies [count]."""
 
-BESIDE_NOTHING: Final = 0.9
-"""Part of the density at which alpha is kept within a metre of where all noise ends."""
+BESIDE_NOTHING: Final = 0.8
+"""Part in which a flightline counts at least from the middle of its edge inwards: a sharp edge is
+linear over a square, and yet the noise is whole there."""
+
+BEYOND: Final = 0.4
+"""Part that none but a blurred edge leaves."""
+
+TAIL: Final = 0.3
+"""Part of what is heard near by that is expected at least where something is heard."""
 
 AROUND: Final = 4.0
 """Squares whose count is as sure as that of nine weighted by ``beamlet_counts.BLUR``."""
-
-CUT: Final = 2.0
-"""Standard errors by which less than in the layer beside is a gate's end."""
-
-ENOUGH: Final = 0.5
-"""Part of the beamlets of the layer beside from which one tells what a beamlet stands for."""
-
-HERE: Final = 4.0
-"""Weight of a voxel against those on either side where what its beamlets stand for is told: the
-silent ones that they stand for are more in one voxel than in the next."""
 
 
 class Listened(NamedTuple):
@@ -100,6 +98,8 @@ class Listened(NamedTuple):
     reached : (4 nx, 4 ny, nz) bool
         Squares so near to covered ones that what is not covered is beyond an edge; elsewhere a
         layer may be silent as a whole, where a gate ends.
+    ends : Ends
+        Where the gate ends within a layer.
     """
 
     beamlets: NDArray[np.float64]
@@ -110,6 +110,7 @@ class Listened(NamedTuple):
     covered: NDArray[np.float32]
     rim: NDArray[np.bool_]
     reached: NDArray[np.bool_]
+    ends: Ends
 
     def at(
         self,
@@ -147,6 +148,10 @@ class Listened(NamedTuple):
             (square[0][rim], square[1][rim], voxel[2][rim]), tuple(axis[rim] for axis in offset)
         )
         density[part == 0.0] = 0.0
+        last = np.flatnonzero(self.ends.side[voxel] != 0)
+        part[last] *= self.ends.part(
+            tuple(axis[last] for axis in voxel), _of_voxels(square, offset, last)
+        )
         return density, part
 
     def _part(
@@ -192,15 +197,15 @@ def listened(
     inner = _inner(closed)
     clear = joined(np.logical_or, beamlets_around(beamlets, closed) >= FEW)
     covered = _covered(beamlets, closed, inner, clear)
-    each, points = _to_the_ends(amount, beamlets, voxel_m)
+    each, points, last = to_the_ends(amount, beamlets, voxel_m)
     per_m3 = _of_covered(points, closed, covered)
     rim = clear & joined(np.logical_or, closed & ~inner)
     _vertically(np.logical_or, rim)
     near = np.where(clear, closed, near) | rim
     reached = joined(np.logical_or, joined(np.logical_or, closed))
     found = told(beamlets, covered)
-    mean = _ratio(_nine(_of_spheres(beamlets)), _nine(_of_spheres(covered)))
-    return Listened(found, near, each, per_m3, mean, covered, rim, reached)
+    mean = ratio(nine(of_spheres(beamlets)), nine(of_spheres(covered)))
+    return Listened(found, near, each, per_m3, mean, covered, rim, reached, last)
 
 
 def around(
@@ -218,15 +223,31 @@ def around(
     voxel, square, offset
         As :meth:`Listened.at` takes them.
     """
-    total, covering, largest = (np.zeros(len(offset[0])) for _ in range(3))
+    total, largest = np.zeros(len(offset[0])), np.zeros(len(offset[0]))
     for line in lines:
         density, part = line.at(voxel, square, offset)
-        total += part * density
-        covering += np.where(part >= 0.5, density, 0.0)
+        total += counted(part) * density
         np.maximum(largest, density, out=largest)
-    np.copyto(covering, largest, where=covering == 0.0)
-    found: NDArray[np.float64] = np.maximum(total, BESIDE_NOTHING * covering)
-    return found
+    return np.maximum(total, TAIL * largest)
+
+
+def counted(part: NDArray[np.float64]) -> NDArray[np.float64]:
+    """In which part a flightline counts where so much of what lies around is listened to: (n,)."""
+    steep = BEYOND + (BESIDE_NOTHING - BEYOND) / (0.5 - BEYOND) * (part - BEYOND)
+    return np.maximum(part, np.minimum(BESIDE_NOTHING, steep))
+
+
+def _of_voxels(
+    square: tuple[NDArray[np.int64], ...],
+    offset: tuple[NDArray[np.float64], ...],
+    rows: NDArray[np.intp],
+) -> tuple[NDArray[np.float64], ...]:
+    """Offsets of some points from the centres of their voxels [voxels]."""
+    across, along = (
+        (index[rows] % SQUARES + 0.5 + part[rows]) / SQUARES - 0.5
+        for index, part in zip(square, offset, strict=False)
+    )
+    return across, along, offset[2][rows]
 
 
 def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
@@ -234,23 +255,6 @@ def unpack(counts: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
     nx, ny, nz = counts.shape[:3]
     apart = counts.reshape(nx, ny, nz, SQUARES, SQUARES).transpose(0, 3, 1, 4, 2)
     return apart.astype(np.float32).reshape(nx * SQUARES, ny * SQUARES, nz)
-
-
-@cache
-def square_shares() -> NDArray[np.float64]:
-    """Share of a sphere over each square of its voxel: (4, 4) float64, sum 1.
-
-    The sphere sticks out of the voxel; what does belongs to the outer squares.
-    """
-    fine = 200
-    radius = sphere_radius_m(1.0)
-    at = (np.arange(2 * fine) + 0.5) / fine * radius - radius
-    height = np.sqrt(np.maximum(radius**2 - at[:, None] ** 2 - at**2, 0.0))
-    index = np.clip(np.floor((at + 0.5) * SQUARES).astype(int), 0, SQUARES - 1)
-    shares = np.zeros((SQUARES, SQUARES))
-    np.add.at(shares, (index[:, None], index[None]), height)
-    normal: NDArray[np.float64] = shares / shares.sum()
-    return normal
 
 
 def _inner(squares: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -283,44 +287,15 @@ def _of_covered(
     points: NDArray[np.float64], squares: NDArray[np.bool_], weight: NDArray[np.float32]
 ) -> NDArray[np.float64]:
     """Density of the covered part of voxels from that of the whole ones [1/m3]."""
-    share = _of_spheres(weight)
+    share = of_spheres(weight)
     some = share > 0.0
     points = np.where(some, points, 0.0)
     own = points / np.where(some, share, 1.0)
     nx, ny, nz = points.shape
     cut = some & ~squares.reshape(nx, SQUARES, ny, SQUARES, nz).all(axis=(1, 3))
-    pooled = _nine(points)[cut] / _nine(share)[cut]
+    pooled = nine(points)[cut] / nine(share)[cut]
     own[cut] = np.maximum(own[cut], pooled)
     return own
-
-
-def _of_spheres(values: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Mean of the squares of each voxel as far as its sphere lies over them."""
-    nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
-    blocks = values.reshape(nx, SQUARES, ny, SQUARES, nz)
-    mean: NDArray[np.float64] = np.einsum("xiyjz,ij->xyz", blocks, square_shares())
-    return mean
-
-
-def _to_the_ends(
-    amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What one beamlet over a square stands for, and voxels if the gate ended in none [1/m3].
-
-    What one beamlet stands for is that in a voxel and, with less weight, in the eight around.
-    """
-    points = amount / (VOXEL_FIXED_POINT * voxel_m**3)
-    own = _of_spheres(beamlets)
-    number = _nine(own)
-    part = _ratio(_nine(points), number)
-    # a layer that few beamlets reach, those that leave the others', tells nothing
-    tells = number >= ENOUGH * tallest(number)
-    # beamlets cross all layers: what differs by chance are those that lean in and out
-    error = CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2))
-    cut = part < (1.0 - error) * tallest(np.where(tells, part, 0.0))
-    here = np.where(tells, _ratio(_nine(points, HERE), _nine(own, HERE)), 0.0)
-    each = np.where(cut | ~tells, tallest(here), here)
-    return each, np.where(cut, np.maximum(each * own, points), points)
 
 
 def _vertically(join: Callable[..., NDArray[np.bool_]], squares: NDArray[np.bool_]) -> None:
@@ -328,21 +303,3 @@ def _vertically(join: Callable[..., NDArray[np.bool_]], squares: NDArray[np.bool
     before = squares.copy()
     join(squares[:, :, 1:], before[:, :, :-1], out=squares[:, :, 1:])
     join(squares[:, :, :-1], before[:, :, 1:], out=squares[:, :, :-1])
-
-
-def _ratio(total: NDArray[np.float64], number: NDArray[np.float64]) -> NDArray[np.float64]:
-    """One over the other, 0 where that is 0."""
-    some = number > 0.0
-    found: NDArray[np.float64] = np.where(some, total / np.where(some, number, 1.0), 0.0)
-    return found
-
-
-def _nine(values: NDArray[np.float64], weight: float = 1.0) -> NDArray[np.float64]:
-    """Sum over a voxel and the eight around it in its layer; along each axis it has a weight."""
-    for axis in (0, 1):
-        out = weight * values
-        ahead, behind = halves(axis)
-        out[ahead] += values[behind]
-        out[behind] += values[ahead]
-        values = out
-    return values

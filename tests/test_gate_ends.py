@@ -1,0 +1,57 @@
+"""Where within a layer a gate ends: against planes that cut spheres."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spl_batch.stages.gate_ends import ends
+from spl_batch.stages.voxel_noise import sphere_radius_m
+
+SIZE = (7, 7, 7)
+RADIUS = sphere_radius_m(10.0)
+EACH = np.full(SIZE, 0.002)
+
+
+def spheres(end_m: float, lean: tuple[float, float]) -> np.ndarray:
+    """Share of each sphere below a plane that is as high as ``end_m`` in the middle of the box."""
+    centres = (np.stack(np.indices(SIZE), -1) + 0.5) * 10.0
+    over = end_m + (centres[..., :2] - 35.0) @ np.array(lean) - centres[..., 2]
+    t = np.clip(over / np.hypot(1.0, np.hypot(*lean)) / RADIUS, -1, 1)
+    return (2 + 3 * t - t**3) / 4
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("rest", [0.0, 0.4])
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.2, 0.0), (-0.1, 0.15)])
+@pytest.mark.parametrize("end_m", [31.5, 33.0, 35.0, 36.8, 38.2])
+def test_the_part_is_that_below_the_plane(
+    end_m: float, lean: tuple[float, float], rest: float, way: int
+) -> None:
+    below = spheres(end_m, lean)
+    share = rest + (1 - rest) * below
+    reached = np.where(below > 0, 300.0, 300.0 * rest)
+    share, reached = share[:, :, ::way], reached[:, :, ::way]
+    cut = (share > 0) & (share < 0.98)
+    found = ends(share * 300.0 * EACH, reached, EACH, cut & (reached == 300.0))
+    rng = np.random.default_rng(4)
+    xyz = rng.uniform((30, 30, 30), (40, 40, 40), (400, 3))
+    over = end_m + (xyz[:, :2] - 35.0) @ np.array(lean)
+    expected = rest + (1 - rest) * np.clip(0.5 + (over - xyz[:, 2]) / 2.5, 0, 1)
+    height = 35.0 + way * (xyz[:, 2] - 35.0)
+    voxel = (np.full(400, 3),) * 3
+    assert found.side[3, 3, 3] == way
+    part = found.part(voxel, (xyz[:, 0] / 10 - 3.5, xyz[:, 1] / 10 - 3.5, height / 10 - 3.5))
+    assert np.abs(part - expected).mean() < 0.04
+    assert np.abs(part - expected).max() < (0.02 if lean == (0.0, 0.0) else 0.5)
+
+
+@given(st.integers(0, 10_000))
+def test_whatever_the_amounts_a_part_is_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    amount, number = rng.uniform(0, 1, (2, *SIZE)) * (rng.random((2, *SIZE)) < 0.8)
+    found = ends(amount, number * 300.0, EACH * rng.uniform(0, 3), rng.random(SIZE) < 0.5)
+    voxel = tuple(rng.integers(0, SIZE[0], (3, 50)))
+    part = found.part(voxel, tuple(rng.uniform(-0.5, 0.5, (3, 50))))
+    assert np.isfinite(found.height).all()
+    assert ((part >= found.rest[voxel] - 1e-12) & (part <= 1.0 + 1e-12)).all()
