@@ -39,14 +39,39 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.ellipsoid_shape import Shape, fit, half_extents, quadric_of
 from spl_batch.kernels.ellipsoid_walk import measure, walk
-from spl_batch.kernels.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, leaf_of, leaf_slots
-from spl_batch.kernels.lanes import LANES, UL, load, spread, store
+from spl_batch.kernels.kdtree import (
+    LEAF,
+    U0,
+    U1,
+    U2,
+    U3,
+    U4,
+    KdTree,
+    check_cap,
+    leaf_of,
+    leaf_slots,
+)
+from spl_batch.kernels.lanes import (
+    LANES,
+    UL,
+    ascending,
+    greater,
+    greatest,
+    load,
+    number,
+    spread,
+    store,
+    where,
+)
 from spl_batch.kernels.neighbours import neighbours_of_leaves
-from spl_batch.kernels.poisson import poisson_critical, poisson_tail
+from spl_batch.kernels.poisson import critical_by_logs, log_factorials, tail_by_logs
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
 
 CHUNK: Final = 2048
 """Leaves whose neighbours are kept at a time, so that their spacings come with them [count]."""
+
+LOGS: Final = 256
+"""Factorials whose logarithms are kept [count]."""
 
 
 def count_inside(
@@ -131,41 +156,53 @@ def _flags(near, found, quadric):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _unknown(near, found, others, at, space):  # type: ignore[no-untyped-def]
-    """Whether spacings of neighbours inside are unknown."""
-    unknown = False
+def _spacings(near, found, others, at, space):  # type: ignore[no-untyped-def]
+    """Spacings of the neighbours in front of their offsets; whether any inside is unknown."""
     for i in range(found):
-        unknown |= (near[3, i] < 1.0) & (space[np.uint64(others[at, i])] < 0.0)
-    return unknown
+        near[U4, i] = space[np.uint64(others[at, i])]
+    end, unknown = np.uint64(found), U0
+    for i in range(U0, end, UL):
+        inside = (load(near, (U3, i)) < spread(1.0)) & (ascending(i) < spread(end))
+        unknown += number(inside & (load(near, (U4, i)) < spread(0.0)))
+    return unknown > U0
 
 
 @njit(nogil=True, cache=True)
 def _learn(points, boxes, depth, near, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
     """Find out the spacings of the neighbours inside."""
     for i in range(found):
-        if near[3, i] < 1.0 and space[others[at, i]] < 0.0:
-            measure(points, boxes, depth, np.uint64(others[at, i]), space, rule, scratch)
-
-
-@njit(nogil=True, cache=True, inline="always")
-def _among(near, found, others, at, space, least, ratio2, outer):  # type: ignore[no-untyped-def]
-    """Peers inside among the neighbours that shaped the ellipsoid."""
-    count, outermost = 0, 0.0
-    for i in range(found):
-        if near[3, i] < 1.0 and space[others[at, i]] * ratio2 >= least:
-            count += 1
-            outermost = max(outermost, near[3, i])
-    outer[0] = outermost
-    return count
+        if near[3, i] < 1.0 and near[4, i] < 0.0:
+            other = np.uint64(others[at, i])
+            if space[other] < 0.0:
+                measure(points, boxes, depth, other, space, rule, scratch)
+            near[4, i] = space[other]
 
 
 @njit(nogil=True, cache=True)
-def _score(inside, mean, outermost, tie):  # type: ignore[no-untyped-def]
-    """Tail of a count; with ``tie`` between it and the next by the outermost point inside."""
-    tail = poisson_tail(inside, mean)
+def _among(near, found, least, ratio2, outer):  # type: ignore[no-untyped-def]
+    """Peers inside among the neighbours that shaped the ellipsoid."""
+    end, count, none = np.uint64(found), U0, spread(0.0)
+    outermost = none
+    for i in range(U0, end, UL):
+        flags = load(near, (U3, i))
+        inside = (flags < spread(1.0)) & (ascending(i) < spread(end))
+        inside = inside & (load(near, (U4, i)) * spread(ratio2) >= spread(least))
+        count += number(inside)
+        outermost = greater(where(inside, flags, none), outermost)
+    outer[0] = greatest(outermost)
+    return np.int64(count)
+
+
+@njit(nogil=True, cache=True)
+def _score(inside, mean, outermost, tie, stop, least, log_mean, logs):  # type: ignore[no-untyped-def]
+    """Tail of a count; with ``tie`` between it and the next by the outermost point inside.
+
+    ``least`` is the tail of ``stop``, which is more than ``inside``.
+    """
+    tail = tail_by_logs(inside, mean, log_mean, logs)
     if not tie or inside == 0:
         return tail
-    more = poisson_tail(inside + 1, mean)
+    more = least if inside + 1 == stop else tail_by_logs(inside + 1, mean, log_mean, logs)
     return more + outermost ** (1.5 * inside) * (tail - more)
 
 
@@ -233,12 +270,13 @@ def _count_some(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Points asked for of a range of slots; arrays but those of the tree start with the first."""
     n = np.uint64(points.shape[1])
-    near = np.zeros((4, shape.neighbours + LANES))
+    near = np.zeros((5, shape.neighbours + LANES))
     stack = np.empty(64, dtype=np.uint64)
     moments, quadric = np.empty(6), np.empty(6)
     values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
     vectors, spare = np.empty((3, 3)), spacing_scratch(rule)
-    known, level, stop, least = -1.0, -1.0, 1, 1.0
+    known, level, stop, least, log_mean = -1.0, -1.0, 1, 1.0, 0.0
+    logs = log_factorials(LOGS)
     for slot in range(slots[0], slots[1]):
         at = slot - slots[0]
         if not asked[at]:
@@ -251,12 +289,13 @@ def _count_some(  # type: ignore[no-untyped-def]
         mean = density[at] * volume
         if mean != known or alpha[at] != level:
             known, level = mean, alpha[at]
-            stop, least = poisson_critical(mean, level, stop)
+            log_mean = math.log(mean) if mean > 0.0 else 0.0
+            stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
         quadric_of(vectors, axes, quadric)
         _flags(near, found[at], quadric)
-        if _unknown(near, found[at], others, at, space):
+        if _spacings(near, found[at], others, at, space):
             _learn(points, boxes, depth, near, found[at], others, at, space, rule, spare)
-        inside = _among(near, found[at], others, at, space, space[slot], ratio2, outer)
+        inside = _among(near, found[at], space[slot], ratio2, outer)
         reach = float(shape.neighbour_cap)
         if found[at] == shape.neighbours:
             reach = math.sqrt(last[at])
@@ -268,4 +307,4 @@ def _count_some(  # type: ignore[no-untyped-def]
             )  # fmt: skip
         count[at], expected[at], tail[at] = min(inside, stop), mean, least
         if inside < stop:
-            tail[at] = _score(inside, mean, outer[0], tie)
+            tail[at] = _score(inside, mean, outer[0], tie, stop, least, log_mean, logs)

@@ -105,20 +105,13 @@ def _near(
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    held, size = np.uint64(xyz.shape[1]), U0
-    last = held - UL if held >= UL else U0
+    last, size = np.uint64(xyz.shape[1]) - UL, U0
     for i in range(max((x - wide) // edge, 0), min((x + wide) // edge + 1, nx)):
         for j in range(max((y - wide) // edge, 0), min((y + wide) // edge + 1, ny)):
             low, stop = starts[i * ny + j], starts[i * ny + j + 1]
             low = first_above(xyz, low, stop, z - span)
             begin = np.uint64(low)
             end = np.uint64(first_above(xyz, low, stop, z + span + 1))
-            if held < UL:
-                for p in range(begin, end):
-                    dx, dy = xyz[U0, p] - x, xyz[U1, p] - y
-                    near[size] = p
-                    size += np.uint64((dx * dx + dy * dy < limit) & counts[p])
-                continue
             for p in range(begin, end, UL):
                 # The last eight of the table, where fewer are left of it.
                 at = min(p, last)
@@ -313,32 +306,42 @@ def _parent(
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
-    found, top = -1, z + lag
-    moment, last = spread(time[row]), np.uint64(xyz.shape[1]) - UL
+    own = int(x // edge) * ny + int(y // edge)
+    # Most stand in its own column, and others must be lower.
+    found = _mate(row, xyz, time, channel, row + 1, starts[own + 1], z + lag, aside)
+    top = z + lag if found < 0 else xyz[U2, found] - 1
     for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
         for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
-            stop = starts[i * ny + j + 1]
-            begin = np.uint64(first_above(xyz, starts[i * ny + j], stop, z + 1))
-            for p in range(begin, np.uint64(stop), UL):
-                if xyz[U2, p] > top:
-                    break
-                if number(load(time, min(p, last)) == moment) == U0:
-                    continue
-                mate = _mate(row, xyz, time, channel, p, min(p + UL, np.uint64(stop)), top, aside)
-                if mate >= 0:
-                    found, top = mate, xyz[U2, mate] - 1
-                    break
+            column = i * ny + j
+            if column == own or top <= z:
+                continue
+            stop = starts[column + 1]
+            begin = first_above(xyz, starts[column], stop, z + 1)
+            mate = _mate(row, xyz, time, channel, begin, stop, top, aside)
+            if mate >= 0:
+                found, top = mate, xyz[U2, mate] - 1
     return found
 
 
 @njit(nogil=True, cache=True)
-def _mate(row, xyz, time, channel, begin, end, top, aside):  # type: ignore[no-untyped-def]
-    """The first of some returns that is of a return's beamlet, no higher and no farther than so."""
-    for p in range(begin, end):
-        if xyz[U2, p] <= top and time[p] == time[row] and channel[p] == channel[row]:
-            dx, dy = xyz[U0, p] - xyz[U0, row], xyz[U1, p] - xyz[U1, row]
+def _mate(row, xyz, time, channel, begin, stop, top, aside):  # type: ignore[no-untyped-def]
+    """The first of a stretch of returns that is of a return's beamlet, and above it; -1 for none.
+
+    Heights ascend; none is looked for above ``top``, or farther aside.
+    """
+    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
+    moment, last, end = spread(time[row]), np.uint64(xyz.shape[1]) - UL, np.uint64(stop)
+    for p in range(np.uint64(begin), end, UL):
+        if xyz[U2, p] > top:
+            return -1
+        if number(load(time, min(p, last)) == moment) == U0:
+            continue
+        for q in range(p, min(p + UL, end)):
+            if time[q] != time[row] or channel[q] != channel[row] or not z < xyz[U2, q] <= top:
+                continue
+            dx, dy = xyz[U0, q] - x, xyz[U1, q] - y
             if dx * dx + dy * dy <= aside * aside:
-                return np.int64(p)
+                return np.int64(q)
     return -1
 
 
@@ -434,6 +437,9 @@ def behind_plane(
     """
     sums, plane = np.empty(9, dtype=np.int64), np.zeros(3)
     near = np.empty(_most_around(starts, shape) + LANES, np.uint64)
+    spare = _spare_rows(xyz.shape[1])
+    if len(spare):
+        xyz, time, true = xyz[:, spare], time[spare], true[spare]
     for q in range(len(rows)):
         row = rows[q]
         out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0
