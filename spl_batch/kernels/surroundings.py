@@ -308,7 +308,7 @@ def _parent(
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
     own = int(x // edge) * ny + int(y // edge)
     # Most stand in its own column, and others must be lower.
-    found = _mate(row, xyz, time, channel, row + 1, starts[own + 1], z + lag, aside)
+    found: int = _mate(row, xyz, time, channel, row + 1, starts[own + 1], z + lag, aside)
     top = z + lag if found < 0 else xyz[U2, found] - 1
     for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
         for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
