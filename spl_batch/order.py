@@ -43,14 +43,19 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
     if complete and packed.max(initial=0) < 1 << _DIGIT:
         # Numbers this short are put in order digit by digit, without comparing them.
         return np.argsort(packed.astype(np.uint16), kind="stable")
-    word = (packed << np.uint64(row_bits)) | np.arange(n, dtype=np.uint64)
+    # In place from here on: of millions of rows each copy is memory that a process needs.
+    word = packed
+    word <<= np.uint64(row_bits)
+    word |= np.arange(n, dtype=np.uint64)
     if n < _MANY:
         word.sort()
     else:
         word = sorted_by_digits(word, row_bits, width)
-    order = (word & np.uint64((1 << row_bits) - 1)).astype(np.intp)
+    row = np.uint64((1 << row_bits) - 1)
     if complete:
-        return order
+        word &= row
+        return word.view(np.intp)
+    order = (word & row).view(np.intp)
     word >>= np.uint64(row_bits)
     tied = np.flatnonzero(word[1:] == word[:-1])
     if len(tied):
@@ -146,7 +151,11 @@ def _pack(keys: Sequence[NDArray[Any]], room: int) -> tuple[NDArray[np.uint64] |
         if width > room - used:
             return packed, used, False
         used += width
-        packed = digits if packed is None else (packed << np.uint64(width)) | digits
+        if packed is None:
+            packed = digits
+        else:
+            packed <<= np.uint64(width)
+            packed |= digits
     return packed, used, True
 
 
@@ -155,7 +164,8 @@ def _offsets(key: NDArray[Any]) -> NDArray[np.uint64]:
     if not len(key):
         return np.empty(0, np.uint64)
     # Unsigned differences wrap around to the right distance.
-    offset: NDArray[np.uint64] = key.astype(np.uint64) - key.min().astype(np.uint64)
+    offset: NDArray[np.uint64] = key.astype(np.uint64)
+    offset -= key.min().astype(np.uint64)
     return offset
 
 

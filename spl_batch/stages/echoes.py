@@ -107,7 +107,7 @@ class Chances(NamedTuple):
     ----------
     rows : (m,) intp
         Candidates about which something can be said: those where noise is expected, so
-        that the beamlets that listened are known.
+        that the beamlets that listened are known; in no particular order.
     chance : (m,) float64
         Probability that each is an afterpulse.
     hard : (m,) bool
@@ -187,16 +187,17 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
         return Chances(np.empty(0, np.intp), np.empty(0), np.empty(0, np.bool_), np.empty(0))
     usable = ~table.has(EXCLUDED)
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
-    rows = np.flatnonzero(known)
+    places = _Places(table)
+    rows, at = places.in_turn(np.flatnonzero(known))
     sure = table["afterpulse"] >= AFTERPULSE_MIN
-    true = np.where(sure | ~usable, 0, UNIT).astype(np.int16)
+    true = places.listed(np.where(sure | ~usable, 0, UNIT).astype(np.int16))
     hard = sure[rows]
     open_ = np.flatnonzero(~hard)
-    true[rows[open_]] = _weights(1.0 - _from_shot(table["afterpulse"][rows[open_]]))
+    true[at[open_]] = _weights(1.0 - _from_shot(table["afterpulse"][rows[open_]]))
     per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
     rate = table["afterpulse_rate"][rows].astype(np.float64)
-    places = _Places(table)
-    behind, tilt, parents = places.behind_plane(rows, usable & (table["afterpulse_rate"] == 0))
+    alone = places.listed(usable & (table["afterpulse_rate"] == 0))
+    behind, tilt, parents = places.behind_plane(at, alone)
     hard |= behind
     chance = np.zeros(len(rows))
     clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
@@ -204,14 +205,14 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     for last in (False, True):
         if last:
             # Spheres would hold the surface itself, a level ellipsoid that of a steep roof.
-            flat = places.around(rows[hard], true, (FLAT_M,), tilt[hard])
+            flat = places.around(at[hard], true, (FLAT_M,), tilt[hard])
             returns = (flat[:, 0] / UNIT**2 + LEAST) / foliage.volume_m3(*FLAT_M)
             chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
-        counts = places.around(rows[open_], true, foliage.KERNELS_M, own=foliage.OWN)
+        counts = places.around(at[open_], true, foliage.KERNELS_M, own=foliage.OWN)
         returns = foliage.density(counts / UNIT**2, clumping[open_])
         chance[open_] = rate[open_] / (rate[open_] + returns * per_metre[open_])
-        true[rows[open_]] = _weights(1.0 - chance[open_])
+        true[at[open_]] = _weights(1.0 - chance[open_])
     return Chances(rows, chance, hard, foliage.clumped(clumping))
 
 
@@ -241,67 +242,67 @@ class _Places:
         self._place = np.empty(len(order), np.int32)
         self._place[order] = np.arange(len(order), dtype=np.int32)
 
+    def in_turn(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
+        """Rows in the order of their places, as neighbours then share memory; and the places."""
+        place = self._place[rows]
+        turn = _order(place)
+        return rows[turn], place[turn]
+
+    def listed(self, values: NDArray[Any]) -> NDArray[Any]:
+        """A column of the table by place."""
+        return values[self._listed.order]
+
     def around(
         self,
-        rows: NDArray[np.intp],
+        places: NDArray[np.int32],
         true: NDArray[np.int16],
         radii_m: tuple[tuple[float, float], ...],
         tilt: NDArray[np.float64] | None = None,
         own: float = 0.0,
     ) -> NDArray[np.int64]:
-        """True returns around rows, by kernel: (m, k) int64 [count / :data:`UNIT` ** 2].
+        """True returns around places, by kernel: (m, k) int64 [count / :data:`UNIT` ** 2].
 
-        One of the same beamlet above the row counts for ``own``; those below do not.
+        ``true`` has weights by place. One of the same beamlet above counts for ``own``; those below
+        do not.
         """
         listed = self._listed
-        place, turn = self._in_turn(rows)
-        sums = np.empty((len(rows), len(radii_m)), dtype=np.int64)
+        sums = np.empty((len(places), len(radii_m)), dtype=np.int64)
         weigh_around(
             self._xyz, self._time, self._channel,
-            true[listed.order], listed.starts, listed.shape, listed.edge, place,
+            true, listed.starts, listed.shape, listed.edge, places,
             np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64),
-            np.zeros((len(rows), 2)) if tilt is None else tilt[turn], round(own * UNIT), sums,
+            np.zeros((len(places), 2)) if tilt is None else tilt, round(own * UNIT), sums,
         )  # fmt: skip
-        out = np.empty_like(sums)
-        out[turn] = sums
-        return out
-
-    def _in_turn(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-        """Places of rows in ascending order, as neighbours then share memory; which is which."""
-        place = self._place[rows]
-        turn = _order(place)
-        return place[turn], turn
+        return sums
 
     def clumping(
-        self, rows: NDArray[np.intp], parents: NDArray[np.intp], true: NDArray[np.int16]
+        self, rows: NDArray[np.intp], parents: NDArray[np.int32], true: NDArray[np.int16]
     ) -> NDArray[np.float64]:
-        """How much leaves hang in clumps around rows, by parents: (m, k - 1) float64."""
+        """How much leaves hang in clumps around rows, by places of parents: (m, k - 1) float64."""
+        parents = np.sort(parents)
         counts = self.around(parents, true, foliage.KERNELS_M)
         x, y = self._table["x"], self._table["y"]
-        return foliage.clumping(x, y, parents, true[parents], counts, rows)
+        named = self._listed.order[parents].astype(np.intp)
+        return foliage.clumping(x, y, named, true[parents], counts, rows)
 
     def behind_plane(
-        self, rows: NDArray[np.intp], alone: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.intp]]:
-        """Which rows lie behind a hard surface of returns without a parent, and its slopes.
+        self, places: NDArray[np.int32], alone: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int32]]:
+        """Which places lie behind a hard surface of returns without a parent, and its slopes.
 
-        (m,) bool, and (m, 2) float64, 0 where there is none; then the rows of their parents,
-        (m,) intp, -1 for none.
+        (m,) bool, and (m, 2) float64, 0 where there is none; then the places of their parents,
+        (m,) int32, -1 for none. ``alone`` goes by place.
         """
         listed = self._listed
-        out, tilt = np.empty(len(rows), dtype=np.bool_), np.empty((len(rows), 2))
-        parents = np.empty(len(rows), dtype=np.int32)
+        out, tilt = np.empty(len(places), dtype=np.bool_), np.empty((len(places), 2))
+        parents = np.empty(len(places), dtype=np.int32)
         wide, high, thick = (quanta(m) for m in PLANE_M)
-        place, turn = self._in_turn(rows)
         behind_plane(
-            self._xyz, self._time, self._channel, alone[listed.order], listed.starts,
-            listed.shape, listed.edge, place, quanta(LAG_M), wide, high, thick,
-            PLANE_SHARE, PLANE_LEAST, out, tilt, parents,
+            self._xyz, self._time, self._channel, alone, listed.starts, listed.shape,
+            listed.edge, places, quanta(LAG_M), wide, high, thick, PLANE_SHARE, PLANE_LEAST,
+            out, tilt, parents,
         )  # fmt: skip
-        back = np.empty_like(turn)
-        back[turn] = np.arange(len(turn))
-        named = np.where(parents < 0, -1, listed.order[parents]).astype(np.intp)
-        return out[back], tilt[back], named[back]
+        return out, tilt, parents
 
 
 def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:
