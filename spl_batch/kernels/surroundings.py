@@ -68,12 +68,10 @@ def columns(
     i, j = xyz[0] // edge, xyz[1] // edge
     nx, ny = int(i.max()) + 1, int(j.max()) + 1
     column = i.astype(np.int64) * ny + j
-    del i, j
     count = np.bincount(column, minlength=nx * ny)
     height = int(xyz[2].max()) + 1
     column *= height
     column += xyz[2]
-    del i, j
     order = sort(column).astype(np.int32)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     return Columns(order, starts, (nx, ny), edge)
