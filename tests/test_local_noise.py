@@ -300,10 +300,13 @@ def test_between_the_centres_of_squares_and_layers_it_is_linear(seed: int) -> No
     place = rng.uniform(0, 1, (3, n)) * np.array(beamlets.shape)[:, None]
     square, offset = np.floor(place).astype(np.int64), place % 1 - 0.5
     voxel = square // np.array([4, 4, 1])[:, None]
-    found = np.empty(n)
+    rim = rng.random(beamlets.shape) < 0.3
+    found, partly = np.empty(n), np.empty(n, np.bool_)
     density_between(
-        beamlets, near, each, usual, mean, *voxel, *square[:2], *offset, 4.0, 50.0, 1.15, found
-    )
+        beamlets, near, each, usual, mean, *voxel, *square[:2], *offset, 4.0, 50.0, 1.15, rim,
+        found, partly,
+    )  # fmt: skip
+    np.testing.assert_array_equal(partly, rim[tuple(square)])
     for p in range(n):
         z, at = square[2, p], tuple(voxel[:2, p])
         k = z + (1 if offset[2, p] > 0 else -1)

@@ -23,7 +23,9 @@ def density_between(
     squares: float,
     prior: float,
     alike: float,
+    rim: NDArray[np.bool_],
     density: NDArray[np.float64],
+    partly: NDArray[np.bool_],
 ) -> None:
     """Density at points by the beamlets around, linear between the centres of eight squares.
 
@@ -54,31 +56,37 @@ def density_between(
         Beamlets that the voxel's mean is worth [count].
     alike : float
         Means of layers that differ by less have no gate's end between them [ratio].
+    rim : (nx, ny, nz) bool
+        Squares that are marked.
     density : (n,) float64
         Written [1/m3].
+    partly : (n,) bool
+        Written: points over such squares.
     """
     nx, ny, nz = beamlets.shape
     for p in range(len(layer)):
-        x, y, z = square_x[p], square_y[p], layer[p]
+        # Unsigned indices: a signed one costs numba a test for wrapping.
+        x, y, z = np.uint64(square_x[p]), np.uint64(square_y[p]), np.uint64(layer[p])
+        partly[p] = rim[x, y, z]
         if not near[x, y, z]:
             density[p] = 0.0
             continue
-        vx, vy = voxel_x[p], voxel_y[p]
-        k, part, ratio = z + (1 if up[p] > 0.0 else -1), abs(up[p]), 1.0
-        if k < 0 or k == nz or mean[vx, vy, k] <= 0.0:
-            k = z
-        else:
+        vx, vy = np.uint64(voxel_x[p]), np.uint64(voxel_y[p])
+        beside, part, ratio = layer[p] + (1 if up[p] > 0.0 else -1), abs(up[p]), 1.0
+        k = z
+        if 0 <= beside < nz and mean[vx, vy, np.uint64(beside)] > 0.0:
+            k = np.uint64(beside)
             ratio = mean[vx, vy, z] / mean[vx, vy, k]
             if ratio < alike and ratio * alike > 1.0:
                 ratio = 1.0
-        i = min(max(x + (1 if across[p] > 0.0 else -1), 0), nx - 1)
-        j = min(max(y + (1 if along[p] > 0.0 else -1), 0), ny - 1)
+        i = np.uint64(min(max(square_x[p] + (1 if across[p] > 0.0 else -1), 0), nx - 1))
+        j = np.uint64(min(max(square_y[p] + (1 if along[p] > 0.0 else -1), 0), ny - 1))
         right, ahead = abs(across[p]), abs(along[p])
         own = (1.0 - right) * _between(beamlets, x, y, z, k, part, ratio)
         own += right * _between(beamlets, i, y, z, k, part, ratio)
-        beside = (1.0 - right) * _between(beamlets, x, j, z, k, part, ratio)
-        beside += right * _between(beamlets, i, j, z, k, part, ratio)
-        count = (1.0 - ahead) * own + ahead * beside
+        other = (1.0 - right) * _between(beamlets, x, j, z, k, part, ratio)
+        other += right * _between(beamlets, i, j, z, k, part, ratio)
+        count = (1.0 - ahead) * own + ahead * other
         known = squares * count
         found = known * count * each[vx, vy, z] + prior * usual[vx, vy, z]
         density[p] = found / (known + prior)

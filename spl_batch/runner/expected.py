@@ -119,8 +119,11 @@ def expected_noise(
         place = [axis[some] for axis in xyz]
         voxel = box.voxels(place)
         near = around(heard, voxel, box.squares(place), box.offsets(place))
-        local[some] = np.where(near > 0.0, near, within[voxel])
-        mean.append(density[voxel][told[some]])
+        none = np.flatnonzero(~(near > 0.0))
+        near[none] = within[tuple(axis[none] for axis in voxel)]
+        local[some] = near
+        chosen = np.flatnonzero(told[some])
+        mean.append(density[tuple(axis[chosen] for axis in voxel)])
     return Expected(np.concatenate(mean), local)
 
 

@@ -137,17 +137,17 @@ class Listened(NamedTuple):
             Covered part around the points [0..1].
         """
         n = len(voxel[0])
-        density, part = np.empty(n), np.ones(n)
+        density, part, partly = np.empty(n), np.ones(n), np.empty(n, np.bool_)
         density_between(
             self.beamlets, self.near, self.each, self.usual, self.mean,
             voxel[0], voxel[1], voxel[2], square[0], square[1], offset[0], offset[1], offset[2],
-            AROUND, PRIOR, UNEVEN, density,
+            AROUND, PRIOR, UNEVEN, self.rim, density, partly,
         )  # fmt: skip
-        rim = np.flatnonzero(self.rim[square[0], square[1], voxel[2]])
+        rim = np.flatnonzero(partly)
         part[rim] = self._part(
             (square[0][rim], square[1][rim], voxel[2][rim]), tuple(axis[rim] for axis in offset)
         )
-        density[part == 0.0] = 0.0
+        density[rim[part[rim] == 0.0]] = 0.0
         last = np.flatnonzero(self.ends.side[voxel] != 0)
         part[last] *= self.ends.part(
             tuple(axis[last] for axis in voxel), _of_voxels(square, offset, last)
