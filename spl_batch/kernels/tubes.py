@@ -45,7 +45,7 @@ STRETCH: Final = np.uint64(256)
 WORDS: Final = 5
 """Words of four cells that the widest window may touch [count]."""
 
-UW, U7 = np.uint64(WORDS), np.uint64(7)
+UW = np.uint64(WORDS)
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -205,29 +205,21 @@ def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _offsets(points, low, begin, end, x, y, z, bend, dx, dy, flat, rise):  # type: ignore[no-untyped-def]
-    """Offsets of the points from slot ``low`` on to a place, without the parabola.
+def _cone(  # type: ignore[no-untyped-def]
+    points, low, high, x, y, z, bend, steep, outer, inner, near, dx, dy, flat, rise
+):
+    """Add the offsets, without the parabola, of what of a stretch is in the double cone of a place.
 
-    Whole vectors: up to seven more are written, and read, than are wanted.
+    Four of ten are. Returns how many there are then.
     """
-    for i in range((end - begin + U7) >> U3 << U3):
-        j, k = low + i, begin + i
-        across, up = np.float64(points[U0, j]) - x, np.float64(points[U1, j]) - y
-        apart = across * across + up * up
-        dx[k], dy[k], flat[k] = across, up, apart
-        rise[k] = np.float64(points[U2, j]) - z - bend * apart
-
-
-@njit(nogil=True, cache=True)
-def _within(dx, dy, flat, rise, size, steep, outer, inner):  # type: ignore[no-untyped-def]
-    """Keep those in the double cone, four of ten: their number."""
-    near = U0
-    for k in range(U0, size, UL):
-        apart, up = load(flat, k), load(rise, k)
+    for slot in range(low, high, UL):
+        across, along = load(points, (U0, slot)) - spread(x), load(points, (U1, slot)) - spread(y)
+        apart = across * across + along * along
+        up = load(points, (U2, slot)) - spread(z) - spread(bend) * apart
         taken = (up * up <= spread(steep) * apart) & (apart <= spread(outer))
-        taken = taken & (apart >= spread(inner)) & (ascending(k) < spread(size))
-        pack(dx, near, load(dx, k), taken)
-        pack(dy, near, load(dy, k), taken)
+        taken = taken & (apart >= spread(inner)) & (ascending(slot) < spread(high))
+        pack(dx, near, across, taken)
+        pack(dy, near, along, taken)
         pack(flat, near, apart, taken)
         pack(rise, near, up, taken)
         near += number(taken)
@@ -334,13 +326,10 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                     while high > low and points[2, high - 1] > top:
                         high -= 1
                     first[k], last[k] = low, high
-                    beyond = near + np.uint64(high - low)
-                    _offsets(
-                        points, np.uint64(low), near, beyond, np.float64(x), np.float64(y),
-                        np.float64(z), bend, dx, dy, flat, rise,
+                    near = _cone(
+                        points, np.uint64(low), np.uint64(high), np.float64(x), np.float64(y),
+                        np.float64(z), bend, steep, outer, inner, near, dx, dy, flat, rise,
                     )  # fmt: skip
-                    near = beyond
-                near = _within(dx, dy, flat, rise, near, steep, outer, inner)
                 step, turns, levels = grid(reach, radius, slope_max)
                 _directions(
                     dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level,
