@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from spl_batch.kernels import lanes
 from spl_batch.kernels.lanes import (
     LANES,
+    absolute,
     ascending,
     greater,
     greatest,
     least,
     lesser,
     load,
+    middles,
     number,
     pack,
     root,
@@ -82,12 +84,14 @@ def reckon(a, b, out):  # type: ignore[no-untyped-def]
     store(out, (np.uint64(5), U0), lesser(x, y))
     store(out, (np.uint64(6), U0), spread(greatest(x)))
     store(out, (np.uint64(7), U0), spread(least(x)))
+    store(out, (np.uint64(8), U0), x / y)
+    store(out, (np.uint64(9), U0), absolute(x))
 
 
 @settings(deadline=None)
 @given(EIGHT, EIGHT)
 def test_floats_are_reckoned_as_one_by_one(a: list[float], b: list[float]) -> None:
-    x, y, out = np.array(a), np.array(b), np.empty((8, LANES))
+    x, y, out = np.array(a), np.array(b), np.empty((10, LANES))
     reckon(x, y, out)
     with np.errstate(all="ignore"):
         for found, expected in zip(
@@ -95,6 +99,7 @@ def test_floats_are_reckoned_as_one_by_one(a: list[float], b: list[float]) -> No
             strict=False,
         ):  # fmt: skip
             np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(out[8:], [x / y, np.abs(x)])
     if not np.isnan(x).any():
         assert (out[6, 0], out[7, 0]) == (x.max(), x.min())
 
@@ -156,6 +161,22 @@ def test_whole_numbers_of_a_table_are_read_as_floats() -> None:
     out = np.empty(LANES)
     from_row(table, np.uint64(1), out)
     assert out.tolist() == table[1, 2:10].tolist()
+
+
+def test_the_middle_of_what_is_compared_is_given_by_lane() -> None:
+    # 0 and 1, then 2 and 3, then the greater of the former and the lesser of the latter.
+    middle = middles([(0, 1), (2, 3), (1, 2)], 4)
+
+    @njit
+    def between(values, out):  # type: ignore[no-untyped-def]
+        lower, upper = middle(values, U0)
+        store(out, (np.uint64(0), U0), lower)
+        store(out, (np.uint64(1), U0), upper)
+
+    values, out = np.random.default_rng(7).random((4, LANES)), np.empty((2, LANES))
+    between(values.reshape(-1), out)
+    greater_, lesser_ = values[:2].max(axis=0), values[2:].min(axis=0)
+    np.testing.assert_array_equal(out, np.sort([greater_, lesser_], axis=0))
 
 
 @pytest.mark.parametrize(

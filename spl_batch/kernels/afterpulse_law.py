@@ -10,7 +10,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.dcc import dcc_keep
-from spl_batch.kernels.hard_surfaces import SHARP, Rules, fit_surface, on_surface
+from spl_batch.kernels.hard_surfaces import (
+    RETURNS_MIN,
+    SHARP,
+    Rules,
+    fit_surfaces,
+    on_surface,
+)
 from spl_batch.kernels.robust_plane import residual
 
 CLEAN = 0.9
@@ -21,30 +27,42 @@ PARENTS_MIN = 12
 
 
 @njit(nogil=True, cache=True)
-def beam_axes(
-    direction: NDArray[np.float64], offset: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Coordinates of a shot's points across its first beam: two (n,) float64 [m].
+def across_beams(
+    shots: NDArray[np.int64],
+    direction: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+) -> None:
+    """Coordinates of points across the first beam of their shot.
 
     Any two axes will do, as long as they depend on the beam alone.
 
     Parameters
     ----------
-    direction : (3,) float64
-        Unit vector along the beam.
+    shots : (s + 1,) int64
+        First row of each shot, then n.
+    direction : (n, 3) float64
+        Unit vectors along the beams.
     offset : (n, 3) float64
-        Points relative to one of them [m].
+        Points relative to one of their shot [m].
+    u, v : (n or more,) float64
+        Filled [m].
     """
-    dx, dy, dz = direction
-    if abs(dx) < 0.7:
-        ux, uy, uz = 0.0, dz, -dy
-    else:
-        ux, uy, uz = -dz, 0.0, dx
-    norm = math.sqrt(ux * ux + uy * uy + uz * uz)
-    ux, uy, uz = ux / norm, uy / norm, uz / norm
-    vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
-    x, y, z = offset[:, 0], offset[:, 1], offset[:, 2]
-    return ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
+    for shot in range(len(shots) - 1):
+        at = shots[shot]
+        dx, dy, dz = direction[at, 0], direction[at, 1], direction[at, 2]
+        if abs(dx) < 0.7:
+            ux, uy, uz = 0.0, dz, -dy
+        else:
+            ux, uy, uz = -dz, 0.0, dx
+        norm = math.sqrt(ux * ux + uy * uy + uz * uz)
+        ux, uy, uz = ux / norm, uy / norm, uz / norm
+        vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
+        for i in range(shots[shot], shots[shot + 1]):
+            x, y, z = offset[i, 0], offset[i, 1], offset[i, 2]
+            u[i] = ux * x + uy * y + uz * z
+            v[i] = vx * x + vy * y + vz * z
 
 
 @njit(nogil=True, cache=True)
@@ -80,35 +98,62 @@ def observe_lags(
     int
         First returns that could have been followed.
     """
+    n = len(range_m)
+    u, v = np.empty(n), np.empty(n)
+    across_beams(starts, direction, offset, u, v)
+    member, first = np.empty(n, np.uint64), np.zeros(len(chosen) + 1, np.int64)
+    owner = np.empty(len(chosen), np.int64)
+    sets = _candidates(starts, chosen, range_m, lag, rules, member, first, owner)
+    plane, trusted, spreads = np.empty((sets, 3)), np.empty(sets, np.bool_), np.empty(sets)
+    fit_surfaces(sets, first, member, u, v, range_m, rules, plane, trusted, spreads)
     parents = 0
-    plane = np.empty(3)
+    for one in range(sets):
+        if trusted[one] and spreads[one] <= SHARP * rules.sigma_m:
+            rows = slice(starts[owner[one]], starts[owner[one] + 1])
+            distance = residual(plane[one], u[rows], v[rows], range_m[rows])
+            parents += _observe(
+                range_m[rows], channel[rows], lag[rows], distance, spreads[one], rules, bin_m, lags
+            )
+    return parents
+
+
+@njit(nogil=True, cache=True)
+def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # type: ignore[no-untyped-def]
+    """Sets of first returns of chosen shots that may be of a surface: their number."""
+    sets = 0
     for shot in chosen:
         low, high = starts[shot], starts[shot + 1]
         if high - low < PARENTS_MIN:
             continue
-        w, behind, channels = range_m[low:high], lag[low:high], channel[low:high]
-        first = behind == 0
         keep = np.empty(high - low, dtype=np.bool_)
-        dcc_keep(w, rules.gate_m, rules.coarse_m, rules.fine_m, keep)
-        at = np.flatnonzero(keep & first)
-        u, v = beam_axes(direction[low], offset[low:high])
-        trusted, spread = fit_surface(u[at], v[at], w[at], rules, plane)
-        if not trusted or spread > SHARP * rules.sigma_m:
-            continue
-        distance = residual(plane, u, v, w)
-        on = near = 0
-        for i in range(len(w)):
-            if on_surface(distance[i], spread, rules):
-                on += first[i]
-                continue
+        dcc_keep(range_m[low:high], rules.gate_m, rules.coarse_m, rules.fine_m, keep)
+        end = first[sets]
+        for i in range(low, high):
+            if keep[i - low] and lag[i] == 0:
+                member[end] = i
+                end += 1
+        if end - first[sets] >= RETURNS_MIN:
+            owner[sets], first[sets + 1] = shot, end
+            sets += 1
+    return sets
+
+
+@njit(nogil=True, cache=True)
+def _observe(w, channel, lag, distance, spread, rules, bin_m, lags):  # type: ignore[no-untyped-def]
+    """Count the lags of a shot if its plane is alone in it: first returns on that, else 0."""
+    first = lag == 0
+    on = near = 0
+    for i in range(len(w)):
+        if on_surface(distance[i], spread, rules):
+            on += first[i]
+        else:
             near += first[i] and 0.0 < distance[i] <= rules.lag_max_m
-        if on < PARENTS_MIN or on < CLEAN * (on + near):
-            continue
-        parents += on
-        for i in range(len(w)):
-            if behind[i] > 0:
-                _count(i, w, channels, first, distance, spread, rules, bin_m, lags)
-    return parents
+    if on < PARENTS_MIN or on < CLEAN * (on + near):
+        return 0
+    for i in range(len(w)):
+        if lag[i] > 0:
+            _count(i, w, channel, first, distance, spread, rules, bin_m, lags)
+    return on
 
 
 @njit(nogil=True, cache=True)

@@ -8,10 +8,12 @@ compiled kernels, and the few operations on them that these need:
 ============================== ===========================================================
 ``load, store``                eight values of an array from an index on
 ``spread, ascending``          a number in every lane; a number and the seven after it
-``+ - *``, ``root``            of floats, each rounded as the single operation is
+``+ - * /``, ``root``          of floats, each rounded as the single operation is
+``absolute``                   of floats
 ``where``                      ``a if mask else b`` by lane
 ``greater, lesser``            ``a > b ? a : b`` and ``a < b ? a : b`` by lane
 ``greatest, least``            the same over all lanes
+``middles``                    the two in the middle of a number of values, by lane
 ``< <= > >= == !=``            a mask; False wherever a NaN takes part, but for ``!=``
 ``& |``, ``number``            of masks, ``&`` of bits too; how many lanes a mask holds
 ``pack``                       store the lanes of a mask side by side
@@ -26,7 +28,7 @@ by one, as the loop does.
 """
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -221,18 +223,24 @@ def number(_: Any, mask: Any) -> Any:
     return types.uint64(mask), codegen
 
 
-@_intrinsic
-def root(_: Any, values: Any) -> Any:
-    """Square root of each lane."""
-    if values != FLOATS:
-        return None
+def _each(name: str) -> Any:
+    """What LLVM calls so, of each lane."""
 
-    def codegen(_: Any, builder: ir.IRBuilder, __: Any, args: Any) -> ir.Value:
-        kind = ir.FunctionType(args[0].type, [args[0].type])
-        name = f"llvm.sqrt.v{LANES}f64"
-        return builder.call(builder.module.declare_intrinsic(name, (), kind), args)
+    def apply(_: Any, values: Any) -> Any:
+        if values != FLOATS:
+            return None
 
-    return FLOATS(values), codegen
+        def codegen(_: Any, builder: ir.IRBuilder, __: Any, args: Any) -> ir.Value:
+            kind = ir.FunctionType(args[0].type, [args[0].type])
+            called = builder.module.declare_intrinsic(f"llvm.{name}.v{LANES}f64", (), kind)
+            return builder.call(called, args)
+
+        return FLOATS(values), codegen
+
+    return apply
+
+
+root, absolute = _intrinsic(_each("sqrt")), _intrinsic(_each("fabs"))
 
 
 @_intrinsic
@@ -250,6 +258,45 @@ def where(_: Any, mask: Any, a: Any, b: Any) -> Any:
 def _compare(builder: ir.IRBuilder, kind: Lanes, sign: str, a: ir.Value, b: ir.Value) -> ir.Value:
     compare = builder.fcmp_ordered if kind == FLOATS else builder.icmp_unsigned
     return compare(sign, a, b)
+
+
+def middles(pairs: Sequence[tuple[int, int]], size: int) -> Any:
+    """What gives the two values in the middle of some, by lane, without storing any.
+
+    Parameters
+    ----------
+    pairs : sequence of (int, int)
+        Comparisons, in order: where the lesser and where the greater value is to stand.
+    size : int
+        Number of values, even.
+
+    Returns
+    -------
+    callable
+        Of an array and an index, from which on ``size`` times eight values lie.
+    """
+
+    def middle(_: Any, array: Any, at: Any) -> Any:
+        if not _is_place(array, at) or array.dtype != types.float64:
+            return None
+
+        def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+            place, align = _place(context, builder, sig.args[0], *args)
+            values = [
+                builder.load(builder.gep(place, [_INDEX(k)]), align=align) for k in range(size)
+            ]
+            for i, j in pairs:
+                one, other = values[i], values[j]
+                less, more = (builder.fcmp_ordered(s, one, other) for s in "<>")
+                values[i] = builder.select(less, one, other)
+                values[j] = builder.select(more, one, other)
+            found = values[size // 2 - 1 : size // 2 + 1]
+            return context.make_tuple(builder, sig.return_type, found)
+
+        pair = types.UniTuple(FLOATS, 2)  # type: ignore[no-untyped-call]
+        return pair(array, at), codegen
+
+    return _intrinsic(middle)
 
 
 def _chosen(sign: str) -> Any:
@@ -335,6 +382,7 @@ def _compared(sign: str) -> dict[Lanes, Callable[[ir.IRBuilder, ir.Value, ir.Val
 _operate(operator.add, {FLOATS: ir.IRBuilder.fadd})
 _operate(operator.sub, {FLOATS: ir.IRBuilder.fsub})
 _operate(operator.mul, {FLOATS: ir.IRBuilder.fmul})
+_operate(operator.truediv, {FLOATS: ir.IRBuilder.fdiv})
 _operate(operator.and_, {MASK: ir.IRBuilder.and_, WHOLES: ir.IRBuilder.and_})
 _operate(operator.or_, {MASK: ir.IRBuilder.or_})
 for _function, _sign in (
