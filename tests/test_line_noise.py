@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.kernels.intervals import densest_window
-from spl_batch.kernels.shots import lag_behind, run_starts
+from spl_batch.kernels.shots import interval_rows, lag_behind, run_starts, share_out
 from spl_batch.model import PointTable
 from spl_batch.sensor import load_preset
 from spl_batch.settings import NoiseSettings
@@ -206,3 +206,43 @@ def test_lag_is_to_the_nearest_parent(rows: list[tuple[int, float]]) -> None:
     for i, (c, r) in enumerate(rows):
         lags = [r - q for d, q in rows if d == c and 0.2 <= r - q <= 5.0]
         assert lag[i] == pytest.approx(min(lags, default=0.0), rel=1e-6)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.integers(-40, 40), max_size=60),
+    st.sets(st.integers(-4, 4), min_size=1),
+    st.integers(1, 12),
+)
+def test_shots_find_their_interval_or_the_one_before(
+    shots: list[int], numbers: set[int], length: int
+) -> None:
+    shot, interval = np.array(shots, np.int64), np.array(sorted(numbers), np.int64)
+    row = np.full(len(shot), -1)
+    interval_rows(shot, length, interval, row)
+    expected = np.searchsorted(interval, shot // length, side="right") - 1
+    np.testing.assert_array_equal(row, np.maximum(expected, 0))
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(-30, 30), st.integers(0, 1)), min_size=1, max_size=60),
+    st.sampled_from([1, 2, 5]),
+    st.lists(st.integers(0, 9), min_size=14, max_size=14),
+)
+def test_windows_count_the_shots_fired_and_the_beamlets_seen(
+    beamlets: list[tuple[int, int]], window: int, ends: list[int]
+) -> None:
+    # Two shots may share a number: the second of each pair is a little later.
+    shot, late = np.array(sorted(beamlets), np.int64).T.copy()
+    time = shot + 0.25 * late
+    low, high = np.sort(np.array(ends).reshape(2, 7), axis=0)
+    fired, seen = np.empty((2, len(shot)), np.int64)
+    row = shot // 10 + 3
+    share_out(shot, time, window, 10, row, low, high, fired, seen)
+    for i in range(len(shot)):
+        mine = shot // window == shot[i] // window
+        start = shot[i] // window * window - shot[i] // 10 * 10
+        span = min(start + window - 1, high[row[i]]) - max(start, low[row[i]]) + 1
+        assert seen[i] == mine.sum()
+        assert fired[i] == max(span, len(set(time[mine])))

@@ -26,11 +26,14 @@ def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:
     n = len(keys[0])
     if n == 0:
         return np.zeros(1, dtype=np.int64)
-    change = np.zeros(n - 1, dtype=np.bool_)
-    for key in keys:
+    change: NDArray[np.bool_] = keys[0][1:] != keys[0][:-1]
+    for key in keys[1:]:
         change |= key[1:] != key[:-1]
-    inner = np.flatnonzero(change) + 1
-    return np.concatenate([[0], inner, [n]]).astype(np.int64)
+    inner = np.flatnonzero(change)
+    starts = np.empty(len(inner) + 2, dtype=np.int64)
+    starts[0], starts[-1] = 0, n
+    np.add(inner, 1, out=starts[1:-1])
+    return starts
 
 
 @njit(nogil=True, cache=True)
@@ -128,3 +131,75 @@ def blind_behind(
                 if 0.0 < ahead < gap or (ahead == 0.0 and j > i):
                     gap = ahead
             blind_m[i] = gap
+
+
+@njit(nogil=True, cache=True)
+def interval_rows(
+    shot: NDArray[np.int64], length: int, interval: NDArray[np.int64], row: NDArray[np.int64]
+) -> None:
+    """Row of the interval that each shot lies in, or of the nearest one before it.
+
+    Parameters
+    ----------
+    shot : (n,) int64
+        Shot numbers, in any order; quick where neighbours are of one shot.
+    length : int
+        Shots per interval.
+    interval : (m,) int64
+        Numbers of the intervals, increasing, at least one.
+    row : (n,) int64
+        Filled; 0 for what lies before all of them.
+    """
+    at = np.int64(0)
+    for i in range(len(shot)):
+        if i == 0 or shot[i] != shot[i - 1]:
+            number = shot[i] // length
+            here = interval[at] <= number and (at + 1 == len(interval) or number < interval[at + 1])
+            if not here:
+                at = np.int64(max(int(np.searchsorted(interval, number, side="right")) - 1, 0))
+        row[i] = at
+
+
+@njit(nogil=True, cache=True)
+def share_out(
+    shot: NDArray[np.int64],
+    time: NDArray[np.float64],
+    window_shots: int,
+    interval_shots: int,
+    row: NDArray[np.int64],
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+    fired: NDArray[np.int64],
+    seen: NDArray[np.int64],
+) -> None:
+    """Shots fired and beamlets seen in the window of each seen beamlet.
+
+    Parameters
+    ----------
+    shot : (n,) int64
+        Shot of each beamlet, in time order.
+    time : (n,) float64
+        Times [s]; two shots may share a number where the times jitter.
+    window_shots, interval_shots : int
+        Shots of a window, and of an interval, which windows divide.
+    row : (n,) int64
+        From :func:`interval_rows`.
+    first, last : (m,) int64
+        First and last shot that was fired of each interval, from its beginning.
+    fired, seen : (n,) int64
+        Filled.
+    """
+    begin = 0
+    while begin < len(shot):
+        window = shot[begin] // window_shots
+        end, times = begin, 0
+        while end < len(shot) and shot[end] // window_shots == window:
+            times += end == begin or time[end] != time[end - 1]
+            end += 1
+        start = window * window_shots - shot[begin] // interval_shots * interval_shots
+        low = max(start, first[row[begin]])
+        high = min(start + window_shots - 1, last[row[begin]])
+        for i in range(begin, end):
+            # No fewer were fired than are seen.
+            fired[i], seen[i] = max(high - low + 1, times), end - begin
+        begin = end

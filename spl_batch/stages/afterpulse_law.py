@@ -111,7 +111,7 @@ def observe(
         lag_behind(run_starts(time, channel), range_m, least_m, rules.longest_m, lag)
         parents = observe_lags(
             shots, np.flatnonzero(_several(channel, shots)), shot_offsets(table.take(rows), shots),
-            np.ascontiguousarray(beams.direction[rows]), range_m, channel, lag, rules, BIN_M, lags,
+            beams.direction.take(rows, axis=0), range_m, channel, lag, rules, BIN_M, lags,
         )  # fmt: skip
     return {"afterpulse_parents": np.array([parents], np.int64), "afterpulse_lags": lags}
 

@@ -6,6 +6,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.kernels.shots import interval_rows
 from spl_batch.stages.gate import Kind
 
 
@@ -59,25 +60,20 @@ class LineModel:
     seen_shots: int
     warnings: tuple[str, ...]
 
-    def row(self, shot: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Row of each shot's interval, or of the nearest one before it: (n,) intp."""
-        interval = np.floor_divide(shot, self.interval_shots)
-        if not len(interval):
-            return interval.astype(np.intp)
-        # Shots are many and their intervals few: each of these is looked for once.
-        first = interval.min()
-        spanned = np.arange(first, interval.max() + 1)
-        rows = np.searchsorted(self.interval, spanned, side="right") - 1
-        row: NDArray[np.intp] = np.maximum(rows, 0).take(interval - first)
+    def row(self, shot: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Row of each shot's interval, or of the nearest one before it: (n,) int64; 0 for none."""
+        row = np.zeros(len(shot), np.int64)
+        if len(self.interval):
+            interval_rows(shot, self.interval_shots, self.interval, row)
         return row
 
     def at(
-        self, shot: NDArray[np.int64], values: NDArray[np.float64], missing: float
+        self, row: NDArray[np.int64], values: NDArray[np.float64], missing: float
     ) -> NDArray[np.float64]:
-        """Value of each shot's interval; ``missing`` where the model is empty: (n,) float64."""
+        """Value by :meth:`row`; ``missing`` where the model is empty: (n,) float64."""
         if len(values) == 0:
-            return np.full(len(shot), missing)
-        taken: NDArray[np.float64] = values[self.row(shot)]
+            return np.full(len(row), missing)
+        taken: NDArray[np.float64] = values.take(row)
         return taken
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

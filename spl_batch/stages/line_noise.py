@@ -270,9 +270,9 @@ def line_density(table: PointTable, model: LineModel) -> NDArray[np.float32]:
     (n,) float32
         Noise returns per metre of beamlet [1/m].
     """
-    rate = model.at(table["shot"], model.rate, model.mean_rate)
-    density: NDArray[np.float32] = (rate * model.gain[table["channel"]]).astype(np.float32)
-    return density
+    density = model.at(model.row(table["shot"]), model.rate, model.mean_rate)
+    density *= model.gain.take(table["channel"])
+    return density.astype(np.float32)
 
 
 def gate_of(
@@ -294,8 +294,8 @@ def gate_of(
     near_m, far_m : (n,) float64
         Slant ranges [m].
     """
-    near = model.at(table["shot"], model.near, 0.0)
-    far = model.at(table["shot"], model.far, 0.0)
+    row = model.row(table["shot"])
+    near, far = model.at(row, model.near, 0.0), model.at(row, model.far, 0.0)
     if model.kind == "range":
         return near, far
     z = beams.origin_m[:, 2]

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from spl_batch.constants import QUANTUM_M
 from spl_batch.kernels.beams import in_voxels, reach
 from spl_batch.kernels.chords import deposit_beamlets
-from spl_batch.kernels.shots import run_starts
-from spl_batch.model import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart
+from spl_batch.kernels.shots import run_starts, share_out
+from spl_batch.model import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart, rows_of
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages.line_model import LineModel
 from spl_batch.stages.line_noise import gate_of, line_density
@@ -68,11 +68,11 @@ def deposit(
         ``squares``.
     """
     published = settings.correction == "published"
-    rows = np.flatnonzero(beams.known)
+    known = rows_of(beams.known)
+    table, beams = table.select(COLUMNS_NEEDED).take(known), beams.take(known)
     if model.beamlets > 1:
-        rows = rows[run_starts(table["gps_time"][rows], table["channel"][rows])[:-1]]
-    table = table.select(COLUMNS_NEEDED).take(rows)
-    beams = beams.take(rows)
+        rows = run_starts(table["gps_time"], table["channel"])[:-1]
+        table, beams = table.take(rows), beams.take(rows)
     near, far = gate_of(table, beams, model)
     usable = far > near
     if not usable.all():
@@ -94,7 +94,9 @@ def deposit(
     amount = np.zeros(shape, dtype=np.int64)
     counted = np.zeros((2, *(shape if published else (0, 0, 0))), dtype=np.int64)
     squares = np.zeros((0, 0, 0, 16) if published else (*shape, 16), dtype=np.uint16)
-    shot = np.cumsum(np.diff(table["gps_time"], prepend=-np.inf) != 0)
+    shot = table["shot"]
+    if published:
+        shot = np.cumsum(np.diff(table["gps_time"], prepend=-np.inf) != 0)
     deposit_beamlets(
         voxel, relative, direction, near, far,
         per_m.astype(np.float64) * VOXEL_FIXED_POINT, settings.voxel_m, radius, shot,
@@ -123,20 +125,16 @@ def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
         shots [1/m].
     """
     shot = table["shot"]
-    window = np.floor_divide(shot, model.seen_shots)
-    runs = run_starts(window)
-    seen = np.repeat(np.diff(runs), np.diff(runs))
     row = model.row(shot)
-    start = window * model.seen_shots - np.floor_divide(shot, model.interval_shots) * (
-        model.interval_shots
-    )
-    first = np.maximum(start, model.first[row])
-    last = np.minimum(start + model.seen_shots - 1, model.last[row])
-    # Two shots may share a number where the times jitter: no fewer were fired than are seen.
-    own = run_starts(window, table["gps_time"])[:-1]
-    shots = np.repeat(np.diff(np.searchsorted(own, runs)), np.diff(runs))
-    fired = np.maximum(last - first + 1, shots) * model.beamlets
-    density: NDArray[np.float64] = model.rate[row] * fired / seen
+    fired, seen = np.empty((2, len(shot)), np.int64)
+    share_out(
+        shot, table["gps_time"], model.seen_shots, model.interval_shots, row,
+        model.first, model.last, fired, seen,
+    )  # fmt: skip
+    fired *= model.beamlets
+    density: NDArray[np.float64] = model.rate.take(row)
+    density *= fired
+    density /= seen
     return density
 
 
