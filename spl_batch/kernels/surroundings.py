@@ -94,32 +94,36 @@ def _most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
 @njit(nogil=True, cache=True)
 def _near(
     xyz: NDArray[np.int32], counts: NDArray[np.bool_], starts: NDArray[np.int64],
-    shape: tuple[int, int], edge: int, row: int, wide: int, limit: int, span: int,
-    near: NDArray[np.uint64],
+    shape: tuple[int, int], edge: int, row: int, wide: int, span: int,
+    offsets: NDArray[np.float64],
 ) -> np.int64:  # fmt: skip
     """List what counts in an upright cylinder around a point: how many they are.
 
-    ``near`` (m,) uint64 is filled with their rows, and beyond them. None is beyond ``span`` in z;
-    aside, squared distances are below ``limit``, none of which is beyond ``wide`` <= ``edge``.
+    ``offsets`` (3, m) is filled with their offsets, and beyond them. None is farther than ``span``
+    up or down, and ``wide`` <= ``edge`` aside.
     """
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
     last, size = np.uint64(xyz.shape[1]) - UL, U0
+    most, high = spread(np.float64(wide * wide)), spread(np.float64(span))
     for i in range(max((x - wide) // edge, 0), min((x + wide) // edge + 1, nx)):
         for j in range(max((y - wide) // edge, 0), min((y + wide) // edge + 1, ny)):
             low, stop = starts[i * ny + j], starts[i * ny + j + 1]
-            low = first_above(xyz, low, stop, z - span)
-            begin = np.uint64(low)
-            end = np.uint64(first_above(xyz, low, stop, z + span + 1))
+            begin, end = np.uint64(first_above(xyz, low, stop, z - span)), np.uint64(stop)
             for p in range(begin, end, UL):
+                if xyz[U2, p] > z + span:
+                    break
                 # The last eight of the table, where fewer are left of it.
                 at = min(p, last)
                 rows = ascending(at)
                 dx = load(xyz, (U0, at)) - spread(np.float64(x))
                 dy = load(xyz, (U1, at)) - spread(np.float64(y))
+                dz = load(xyz, (U2, at)) - spread(np.float64(z))
                 taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
-                taken = taken & (dx * dx + dy * dy < spread(np.float64(limit)))
-                pack(near, size, rows, taken)
+                taken = taken & (dx * dx + dy * dy <= most) & (dz <= high)
+                pack(offsets, (U0, size), dx, taken)
+                pack(offsets, (U1, size), dy, taken)
+                pack(offsets, (U2, size), dz, taken)
                 size += number(taken)
     return np.int64(size)
 
@@ -344,21 +348,13 @@ def _mate(row, xyz, time, channel, begin, stop, top, aside):  # type: ignore[no-
     return -1
 
 
-@njit(nogil=True, cache=True)
-def _moments(
-    xyz: NDArray[np.int32],
-    place: int,
-    near: NDArray[np.uint64],
-    size: np.int64,
-    sums: NDArray[np.int64],
-) -> None:
-    """Sums of 1, u, v, w, uu, uv, vv, uw and vw of what is listed, from a place."""
-    x, y, z = xyz[U0, place], xyz[U1, place], xyz[U2, place]
-    u1 = v1 = w1 = np.int64(0)
-    uu = uv = vv = uw = vw = np.int64(0)
+@njit(nogil=True, cache=True, fastmath={"reassoc"})
+def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.float64]) -> None:
+    """Sums of 1, u, v, w, uu, uv, vv, uw and vw of offsets: whole numbers, in any order."""
+    u1 = v1 = w1 = 0.0
+    uu = uv = vv = uw = vw = 0.0
     for i in range(np.uint64(size)):
-        p = near[i]
-        u, v, w = xyz[U0, p] - x, xyz[U1, p] - y, xyz[U2, p] - z
+        u, v, w = offsets[U0, i], offsets[U1, i], offsets[U2, i]
         u1 += u
         v1 += v
         w1 += w
@@ -373,17 +369,14 @@ def _moments(
 
 @njit(nogil=True, cache=True)
 def _on_planes(
-    xyz: NDArray[np.int32], place: int, near: NDArray[np.uint64], size: np.int64,
-    plane: NDArray[np.float64], level: float, thick: float,
+    offsets: NDArray[np.float64], size: np.int64, plane: NDArray[np.float64], level: float,
+    thick: float,
 ) -> tuple[np.int64, np.int64]:  # fmt: skip
     """How many are within ``thick`` of a plane, and of one off by ``level`` but not of it."""
     here = there = np.int64(0)
     a, b, c = plane[0], plane[1], plane[2]
-    x, y, z = xyz[U0, place], xyz[U1, place], xyz[U2, place]
     for i in range(np.uint64(size)):
-        p = near[i]
-        u, v, w = xyz[U0, p] - x, xyz[U1, p] - y, xyz[U2, p] - z
-        distance = w - (a + b * u + c * v)
+        distance = offsets[U2, i] - (a + b * offsets[U0, i] + c * offsets[U1, i])
         beside = abs(distance) > thick
         here += not beside
         there += (abs(distance - level) <= thick) & beside
@@ -391,9 +384,9 @@ def _on_planes(
 
 
 @njit(nogil=True, cache=True)
-def _plane_of(sums: NDArray[np.int64], plane: NDArray[np.float64]) -> bool:
+def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
     """Least squares plane w = a + b u + c v of such sums; False where there is none."""
-    n = float(sums[0])
+    n = sums[0]
     mu, mv, mw = sums[1] / n, sums[2] / n, sums[3] / n
     uu, uv, vv = sums[4] - n * mu * mu, sums[5] - n * mu * mv, sums[6] - n * mv * mv
     uw, vw = sums[7] - n * mu * mw, sums[8] - n * mv * mw
@@ -434,8 +427,8 @@ def behind_plane(
     parents : (m,) int32
         Filled with the points' parents, -1 for none.
     """
-    sums, plane = np.empty(9, dtype=np.int64), np.zeros(3)
-    near = np.empty(_most_around(starts, shape) + LANES, np.uint64)
+    sums, plane = np.empty(9), np.zeros(3)
+    offsets = np.empty((3, _most_around(starts, shape) + LANES))
     spare = _spare_rows(xyz.shape[1])
     if len(spare):
         xyz, time, true = xyz[:, spare], time[spare], true[spare]
@@ -450,17 +443,17 @@ def behind_plane(
         parents[q] = parent
         if parent < 0:
             continue
-        size = _near(xyz, true, starts, shape, edge, parent, wide, wide * wide + 1, high, near)
+        size = _near(xyz, true, starts, shape, edge, parent, wide, high, offsets)
         if size < least:
             continue
-        _moments(xyz, parent, near, size, sums)
+        _moments(offsets, size, sums)
         if not _plane_of(sums, plane):
             continue
         x, y = xyz[U0, row] - xyz[U0, parent], xyz[U1, row] - xyz[U1, parent]
         level = xyz[U2, row] - xyz[U2, parent] - (plane[0] + plane[1] * x + plane[2] * y)
         if abs(plane[0]) > thick or level >= -thick:
             continue
-        here, there = _on_planes(xyz, parent, near, size, plane, level, thick)
+        here, there = _on_planes(offsets, size, plane, level, thick)
         if here >= share * size:
             tilt[q, 0], tilt[q, 1] = plane[1], plane[2]
             out[q] = 20 * there <= size
