@@ -37,29 +37,35 @@ U0, U1, HALF = np.uint64(0), np.uint64(1), np.uint64(32)
 LOW, FULL = np.uint64(0xFFFF_FFFF), np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 
 
-def arrange(
-    xyz: NDArray[np.int32], points: NDArray[np.int32], boxes: NDArray[np.int32], depth: int
-) -> None:
+def arrange(xyz: NDArray[np.int32], boxes: NDArray[np.int32], depth: int) -> NDArray[np.int32]:
     """Put points into tree order.
 
     Parameters
     ----------
     xyz : (n, 3) int32
         Coordinates [quanta], n >= 1.
-    points : (4, n) int32
-        Receives x, y, z and the row of each slot.
     boxes : (2**(depth + 1), 6) int32
         Receives the smallest x, y, z and the largest of each node, from node 1 on.
     depth : int
         Level of the leaves, none of which is empty.
+
+    Returns
+    -------
+    (4, n) int32
+        x, y, z and the row of each slot; whole vectors can be read from any of them.
     """
-    words = np.zeros((2, len(xyz) + LANES), np.uint64)
-    lowest = np.empty(3, np.int64)
+    n = len(xyz)
+    words, lowest = np.empty((2, n + LANES), np.uint64), np.empty(3, np.int64)
     _to_words(xyz, words, lowest)
     spare = np.empty_like(words)
-    _divide_all(words[0], words[1], spare[0], spare[1], len(xyz), lowest, boxes, depth)
+    _divide_all(words[0], words[1], spare[0], spare[1], n, lowest, boxes, depth)
+    # What comes next fits into the same memory.
     del spare
+    flat = np.empty(4 * n + LANES, np.int32)
+    flat[4 * n :] = 0
+    points = flat[: 4 * n].reshape(4, n)
     _from_words(words, lowest, points)
+    return points
 
 
 @njit(nogil=True, cache=True)

@@ -17,7 +17,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.arrange import arrange
-from spl_batch.kernels.lanes import LANES
 
 LEAF: Final = 32
 """Most points in a leaf [count]; a power of two."""
@@ -66,10 +65,7 @@ def build(xyz: NDArray[np.int32]) -> KdTree:
     while (LEAF << depth) < n:
         depth += 1
     boxes = np.zeros((2 << depth, 6), dtype=np.int32)
-    # Searches read whole vectors: a few values beyond the last are there, and not used.
-    points = np.zeros(4 * n + LANES, np.int32)[: 4 * n].reshape(4, n)
-    if n:
-        arrange(xyz, points, boxes, depth)
+    points = arrange(xyz, boxes, depth) if n else np.empty((4, 0), np.int32)
     return KdTree(points, boxes, depth)
 
 
