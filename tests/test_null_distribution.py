@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import map_coordinates
 
-from spl_batch.kernels.null_table import level_of, value_of
+from spl_batch.kernels.null_table import between, level_of, place_of, value_of
 from spl_batch.settings import FilterSettings
 from spl_batch.stages import null_distribution
 from spl_batch.stages.evidence import evidence
@@ -34,6 +35,22 @@ def test_look_ups_are_bilinear_and_each_others_inverse(seed: int, rows: int, col
         both = quantile[row[k]] * (1 - part[k]) + quantile[row[k] + 1] * part[k]
         assert found[k] == pytest.approx(np.interp(-level[k], -levels, both), abs=1e-9)
     np.testing.assert_allclose(level_of(at, found, quantile, levels, 0.7), level, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 50), st.integers(2, 12))
+@settings(max_examples=40, deadline=None)
+def test_look_ups_are_those_of_numpy_and_scipy_to_the_bit(
+    seed: int, rows: int, columns: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    grid = np.sort(rng.normal(size=rows))
+    values = np.concatenate([grid, rng.normal(size=60) * 1.5, [-np.inf, np.inf]])
+    row = place_of(values, grid)
+    np.testing.assert_array_equal(row, np.interp(values, grid, np.arange(rows)))
+    column = rng.choice([0.0, 1.0, columns - 1.0, *rng.uniform(0, columns - 1, 30)], len(row))
+    table = rng.normal(size=(rows, columns))
+    expected = map_coordinates(table, [row, column], order=1, mode="nearest")
+    np.testing.assert_array_equal(between(row, column, table), expected)
 
 
 def test_look_ups_go_on_beyond_the_last_level_and_stop_at_the_first() -> None:

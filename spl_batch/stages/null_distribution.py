@@ -32,10 +32,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from spl_batch.kernels.kdtree import build
-from spl_batch.kernels.null_table import level_of, value_of
+from spl_batch.kernels.null_table import between, level_of, place_of, value_of
 from spl_batch.kernels.spacing import peer_distances
 from spl_batch.settings import FilterSettings
 from spl_batch.stages.evidence import Evidence, evidence
@@ -143,16 +142,14 @@ class NullTable:
         """Exponential of a table's value, linear between its rows and columns: (n,)."""
         row = self._row(density)
         wanted = -np.log(np.broadcast_to(alpha, density.shape))
-        column = np.interp(wanted, -self.alpha, np.arange(len(self.alpha)))
-        found: NDArray[np.float64] = np.exp(
-            map_coordinates(table, [row, column], order=1, mode="nearest")
-        )
+        column = place_of(wanted, -self.alpha)
+        found: NDArray[np.float64] = np.exp(between(row, column, table))
         return found
 
     def _row(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
         """Row of the table, with its fraction; its ends beyond them."""
         log_density = np.log(np.maximum(density, np.finfo(np.float64).tiny))
-        return np.interp(log_density, self.density, np.arange(len(self.density)))
+        return place_of(log_density, self.density)
 
     def _slope(self) -> float:
         """Change of log p with log score over the last decade of the table, mean over densities."""
