@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.kernels.surroundings import UNIT, behind_plane, columns, weigh_around
+from spl_batch.kernels.planes_behind import behind_plane
+from spl_batch.kernels.surroundings import UNIT, columns, weigh_around
 from spl_batch.model import PointFlag, PointTable, canonical_order
 from spl_batch.runner import KINDS
 from spl_batch.settings import AfterpulseSettings

@@ -44,7 +44,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.kernels.surroundings import UNIT, behind_plane, columns, weigh_around
+from spl_batch.kernels.planes_behind import behind_plane
+from spl_batch.kernels.surroundings import UNIT, columns, weigh_around
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.order import lexicographic_order
 from spl_batch.settings import AfterpulseSettings
