@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spl_batch.kernels.beams import in_voxels, meet_planes, reach
-from spl_batch.kernels.shot_pattern import motion
+from spl_batch.kernels.shot_pattern import TERMS, motion, normal_equations
 from spl_batch.kernels.shots import offsets
 
 STEP_M = 0.001
@@ -89,6 +89,25 @@ def test_the_sensor_flies_straight_during_a_block(seed: int) -> None:
         scale = np.abs(at).max() / (1.0 if still else np.ptp(t))
         np.testing.assert_allclose(found[b, 0], line[0], atol=1e-9 * scale)
         np.testing.assert_allclose(found[b, 1], 0.0 if still else line[1], atol=1e-9 * scale)
+
+
+@settings(deadline=None)
+@given(seeds)
+def test_sums_of_the_fit_are_those_of_its_terms(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start = np.concatenate([[0], np.cumsum(rng.integers(0, 80, 3))])
+    n, pattern = int(start[-1]), rng.uniform(-1, 1, (3, 5, 2))
+    pattern[0, 2] = np.nan
+    tau, channel = rng.uniform(-1, 1, n), rng.integers(0, 5, n).astype(np.uint8)
+    place = rng.normal(size=(n, 2))
+    matrix, right = np.empty((3, TERMS, TERMS)), np.empty((3, TERMS, 2))
+    normal_equations(start, tau, channel, place, pattern, matrix, right)
+    for b, (low, high) in enumerate(pairwise(start)):
+        rows = np.arange(low, high)[~np.isnan(pattern[b, channel[low:high], 0])]
+        t, (gx, gy) = tau[rows], pattern[b, channel[rows]].T
+        terms = np.array([t**0, t, t**2, t**3, gx, gx * t, gy, gy * t])
+        np.testing.assert_allclose(matrix[b], terms @ terms.T, atol=1e-9)
+        np.testing.assert_allclose(right[b], terms @ place[rows], atol=1e-9)
 
 
 @settings(deadline=None)

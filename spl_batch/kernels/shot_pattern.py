@@ -12,8 +12,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spl_batch.kernels.lanes import load, spread, store
+
 TERMS = 8
-"""Coefficients of each coordinate."""
+"""Coefficients of each coordinate: as many as there are lanes."""
+
+_TOGETHER = 32
+"""Returns whose terms are reckoned before they are added up [count]."""
 
 
 @njit(nogil=True, cache=True)
@@ -64,24 +69,40 @@ def normal_equations(
     pattern : (m, c, 2) float64
         Place of each channel in the array; rows of a channel without one (NaN) are left out.
     matrix : (m, TERMS, TERMS) float64
-        Filled, but for what lies above the diagonal.
+        Filled.
     right : (m, TERMS, 2) float64
         Filled.
     """
-    term = np.empty(TERMS)
-    matrix[:] = 0.0
-    right[:] = 0.0
+    term, right_of, zero = np.empty((_TOGETHER, TERMS)), np.empty((_TOGETHER, 2)), np.uint64(0)
     for b in range(len(start) - 1):
-        for row in range(start[b], start[b + 1]):
-            gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
-            if np.isnan(gx):
-                continue
-            basis(tau[row], gx, gy, term)
-            for i in range(TERMS):
-                for j in range(i + 1):
-                    matrix[b, i, j] += term[i] * term[j]
-                right[b, i, 0] += term[i] * place[row, 0]
-                right[b, i, 1] += term[i] * place[row, 1]
+        # A register for each row of the matrix: what stands in arrays is stored after each return.
+        a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = x = y = spread(0.0)
+        for begin in range(start[b], start[b + 1], _TOGETHER):
+            # What has just been stored number by number cannot be loaded at once yet.
+            count = 0
+            for row in range(begin, min(begin + _TOGETHER, start[b + 1])):
+                gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
+                basis(tau[row], gx, gy, term[count])
+                right_of[count, 0], right_of[count, 1] = place[row, 0], place[row, 1]
+                count += not np.isnan(gx)
+            for k in range(count):
+                terms = load(term, (np.uint64(k), zero))
+                a0 = a0 + terms
+                a1 = a1 + spread(term[k, 1]) * terms
+                a2 = a2 + spread(term[k, 2]) * terms
+                a3 = a3 + spread(term[k, 3]) * terms
+                a4 = a4 + spread(term[k, 4]) * terms
+                a5 = a5 + spread(term[k, 5]) * terms
+                a6 = a6 + spread(term[k, 6]) * terms
+                a7 = a7 + spread(term[k, 7]) * terms
+                x = x + spread(right_of[k, 0]) * terms
+                y = y + spread(right_of[k, 1]) * terms
+        for i, line in enumerate((a0, a1, a2, a3, a4, a5, a6, a7)):
+            store(matrix, (np.uint64(b), np.uint64(i), zero), line)
+        store(term, (zero, zero), x)
+        store(term, (np.uint64(1), zero), y)
+        for i in range(TERMS):
+            right[b, i, 0], right[b, i, 1] = term[0, i], term[1, i]
 
 
 @njit(nogil=True, cache=True)

@@ -257,8 +257,6 @@ def _fit(
     m = len(data[0]) - 1
     matrix, right = np.empty((m, TERMS, TERMS)), np.empty((m, TERMS, 2))
     normal_equations(*data, pattern, matrix, right)
-    below = np.tril(matrix, -1)
-    matrix += np.swapaxes(below, 1, 2)
     diagonal = np.arange(TERMS)
     matrix[:, diagonal, diagonal] += _RIDGE * np.maximum(np.diff(data[0]), 1)[:, None]
     coefficient: NDArray[np.float64] = np.linalg.solve(matrix, right).astype(np.float64)
