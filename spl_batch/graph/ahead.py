@@ -30,7 +30,7 @@ class Ahead:
     done: bool = False
 
     def share_out(self, client: Any, workers: Sequence[str], observer: Observer) -> None:
-        """Have each worker do its share, unless that is done or there is one worker only.
+        """Have each worker do its share, unless that is done.
 
         What fails is told and left to the tasks, which do it when they need it.
 
@@ -46,8 +46,6 @@ class Ahead:
         if self.done:
             return
         self.done = True
-        if len(workers) < 2:
-            return
         from distributed import wait  # noqa: PLC0415 - slow import, only when used
 
         shares = [
