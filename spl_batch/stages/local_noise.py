@@ -29,9 +29,9 @@ its mean is too small for the points in it, which all lie on one side. So, for e
 The flightlines add up by these parts. Where edges and ends are blurred over metres, as scans and
 gates leave them, that is the true density at the point. A sharp edge, as that of a delivery, would
 be blurred by it, so from the middle of an edge inwards a flightline counts for no less than
-:data:`BESIDE_NOTHING`: an ellipsoid that reaches across finds fewer neighbours, and alpha is kept
-with 0.8 to 0.9 of the density in the last metre. ``benchmarks/null_calibration.py`` and
-``benchmarks/null_edges.py`` print what the filter keeps of noise along edges.
+:data:`BESIDE_NOTHING`: an ellipsoid that reaches across finds fewer neighbours, so a little less
+than the density keeps alpha in the last metre. ``benchmarks/null_calibration.py`` prints what the
+filter keeps of noise along sharp edges, ``benchmarks/null_edges.py`` along those of surveys.
 """
 
 from collections.abc import Callable, Sequence
