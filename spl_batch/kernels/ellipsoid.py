@@ -37,7 +37,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.ellipsoid_shape import Shape, fit, half_extents, quadric_of
+from spl_batch.kernels.ellipsoid_shape import (
+    Shape,
+    covariance,
+    fit,
+    half_extents,
+    lone_body,
+    no_bodies,
+    offsets,
+)
 from spl_batch.kernels.ellipsoid_walk import measure, walk
 from spl_batch.kernels.kdtree import (
     LEAF,
@@ -46,6 +54,7 @@ from spl_batch.kernels.kdtree import (
     U2,
     U3,
     U4,
+    U5,
     KdTree,
     check_cap,
     leaf_of,
@@ -145,48 +154,50 @@ def count_inside(
 
 
 @njit(nogil=True, cache=True)
-def _flags(near, found, quadric):  # type: ignore[no-untyped-def]
-    """Flags of the neighbours as the last row of ``near``, and of what lies behind them."""
-    q0, q1, q2 = spread(quadric[0]), spread(quadric[1]), spread(quadric[2])
-    q3, q4, q5 = spread(quadric[3]), spread(quadric[4]), spread(quadric[5])
+def _flags(near, member, found, quadrics):  # type: ignore[no-untyped-def]
+    """Flags of a member's neighbours as a row of ``near``, and of what lies behind them."""
+    q0, q1, q2 = quadrics[U0, member], quadrics[U1, member], quadrics[U2, member]
+    q3, q4, q5 = quadrics[U3, member], quadrics[U4, member], quadrics[U5, member]
     for i in range(U0, np.uint64(found), UL):
-        dx, dy, dz = load(near, (U0, i)), load(near, (U1, i)), load(near, (U2, i))
-        square = q0 * dx * dx + q3 * dy * dy + q5 * dz * dz
-        store(near, (U3, i), square + spread(2.0) * (q1 * dx * dy + q2 * dx * dz + q4 * dy * dz))
+        dx, dy = load(near, (member, U0, i)), load(near, (member, U1, i))
+        dz = load(near, (member, U2, i))
+        square = spread(q0) * dx * dx + spread(q3) * dy * dy + spread(q5) * dz * dz
+        mixed = spread(q1) * dx * dy + spread(q2) * dx * dz + spread(q4) * dy * dz
+        store(near, (member, U3, i), square + spread(2.0) * mixed)
 
 
 @njit(nogil=True, cache=True)
-def _spacings(near, found, others, at, space):  # type: ignore[no-untyped-def]
-    """Spacings of the neighbours in front of their offsets; whether any inside is unknown."""
+def _spacings(near, member, found, others, at, space):  # type: ignore[no-untyped-def]
+    """Spacings of the neighbours behind their flags; whether any inside is unknown."""
     for i in range(found):
-        near[U4, i] = space[np.uint64(others[at, i])]
+        near[member, U4, i] = space[np.uint64(others[at, i])]
     end, unknown = np.uint64(found), U0
     for i in range(U0, end, UL):
-        inside = (load(near, (U3, i)) < spread(1.0)) & (ascending(i) < spread(end))
-        unknown += number(inside & (load(near, (U4, i)) < spread(0.0)))
+        inside = (load(near, (member, U3, i)) < spread(1.0)) & (ascending(i) < spread(end))
+        unknown += number(inside & (load(near, (member, U4, i)) < spread(0.0)))
     return unknown > U0
 
 
 @njit(nogil=True, cache=True)
-def _learn(points, boxes, depth, near, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
+def _learn(points, boxes, depth, near, member, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
     """Find out the spacings of the neighbours inside."""
     for i in range(found):
-        if near[3, i] < 1.0 and near[4, i] < 0.0:
+        if near[member, U3, i] < 1.0 and near[member, U4, i] < 0.0:
             other = np.uint64(others[at, i])
             if space[other] < 0.0:
                 measure(points, boxes, depth, other, space, rule, scratch)
-            near[4, i] = space[other]
+            near[member, U4, i] = space[other]
 
 
 @njit(nogil=True, cache=True)
-def _among(near, found, least, ratio2, outer):  # type: ignore[no-untyped-def]
+def _among(near, member, found, least, ratio2, outer):  # type: ignore[no-untyped-def]
     """Peers inside among the neighbours that shaped the ellipsoid."""
     end, count, none = np.uint64(found), U0, spread(0.0)
     outermost = none
     for i in range(U0, end, UL):
-        flags = load(near, (U3, i))
+        flags = load(near, (member, U3, i))
         inside = (flags < spread(1.0)) & (ascending(i) < spread(end))
-        inside = inside & (load(near, (U4, i)) * spread(ratio2) >= spread(least))
+        inside = inside & (load(near, (member, U4, i)) * spread(ratio2) >= spread(least))
         count += number(inside)
         outermost = greater(where(inside, flags, none), outermost)
     outer[0] = greatest(outermost)
@@ -264,47 +275,57 @@ def _count_all(  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _count_some(  # type: ignore[no-untyped-def]
+def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
     points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, others,
     found, last, count, expected, tail,
 ):  # fmt: skip
     """Points asked for of a range of slots; arrays but those of the tree start with the first."""
     n = np.uint64(points.shape[1])
-    near = np.zeros((5, shape.neighbours + LANES))
-    stack = np.empty(64, dtype=np.uint64)
-    moments, quadric = np.empty(6), np.empty(6)
-    values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
-    vectors, spare = np.empty((3, 3)), spacing_scratch(rule)
+    near = np.zeros((LANES, 5, shape.neighbours + LANES))
+    bodies, members, held = no_bodies(), np.empty(LANES, np.uint64), U0
+    stack, spare = np.empty(64, dtype=np.uint64), spacing_scratch(rule)
+    quadric, vectors = np.empty(6), np.empty((3, 3))
+    axes, half, outer = np.empty(3), np.empty(3), np.empty(1)
     known, level, stop, least, log_mean = -1.0, -1.0, 1, 1.0, 0.0
     logs = log_factorials(LOGS)
-    for slot in range(slots[0], slots[1]):
-        at = slot - slots[0]
-        if not asked[at]:
+    for last_slot in range(slots[0], slots[1]):
+        at = last_slot - slots[0]
+        if asked[at]:
+            offsets(points, last_slot, others, at, found[at], near, held)
+            covariance(near, held, found[at], bodies.moments, held)
+            bodies.found[held], members[held] = found[at], last_slot
+            held += U1
+        # Eight are shaped at a time.
+        if held == U0 or (held < UL and last_slot + U1 < slots[1]):
             continue
-        if space[slot] < 0.0:
-            measure(points, boxes, depth, slot, space, rule, spare)
-        volume = fit(
-            points, slot, others, at, found[at], near, shape, moments, values, vectors, axes
-        )
-        mean = density[at] * volume
-        if mean != known or alpha[at] != level:
-            known, level = mean, alpha[at]
-            log_mean = math.log(mean) if mean > 0.0 else 0.0
-            stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
-        quadric_of(vectors, axes, quadric)
-        _flags(near, found[at], quadric)
-        if _spacings(near, found[at], others, at, space):
-            _learn(points, boxes, depth, near, found[at], others, at, space, rule, spare)
-        inside = _among(near, found[at], space[slot], ratio2, outer)
-        reach = float(shape.neighbour_cap)
-        if found[at] == shape.neighbours:
-            reach = math.sqrt(last[at])
-        if inside < stop and axes[0] > reach:
-            half_extents(vectors, axes, half)
-            inside = walk(
-                points, boxes, depth, leaf_of(slot, depth, n), slot, quadric, vectors, axes,
-                half, stop, stack, space, rule, ratio2, spare, outer,
-            )  # fmt: skip
-        count[at], expected[at], tail[at] = min(inside, stop), mean, least
-        if inside < stop:
-            tail[at] = _score(inside, mean, outer[0], tie, stop, least, log_mean, logs)
+        fit(bodies, shape)
+        for member in range(held):
+            slot = members[member]
+            at = slot - slots[0]
+            if space[slot] < 0.0:
+                measure(points, boxes, depth, slot, space, rule, spare)
+            mean = density[at] * bodies.volume[member]
+            if mean != known or alpha[at] != level:
+                known, level = mean, alpha[at]
+                log_mean = math.log(mean) if mean > 0.0 else 0.0
+                stop, least = critical_by_logs(mean, level, stop, log_mean, logs)
+            _flags(near, member, found[at], bodies.quadrics)
+            if _spacings(near, member, found[at], others, at, space):
+                _learn(
+                    points, boxes, depth, near, member, found[at], others, at, space, rule, spare
+                )
+            inside = _among(near, member, found[at], space[slot], ratio2, outer)
+            reach = float(shape.neighbour_cap)
+            if found[at] == shape.neighbours:
+                reach = math.sqrt(last[at])
+            if inside < stop and bodies.axes[U0, member] > reach:
+                lone_body(bodies, member, quadric, vectors, axes)
+                half_extents(vectors, axes, half)
+                inside = walk(
+                    points, boxes, depth, leaf_of(slot, depth, n), slot, quadric, vectors, axes,
+                    half, stop, stack, space, rule, ratio2, spare, outer,
+                )  # fmt: skip
+            count[at], expected[at], tail[at] = min(inside, stop), mean, least
+            if inside < stop:
+                tail[at] = _score(inside, mean, outer[0], tie, stop, least, log_mean, logs)
+        held = U0

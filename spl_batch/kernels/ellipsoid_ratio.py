@@ -11,7 +11,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.ellipsoid_shape import Shape, fit, flag, half_extents, quadric_of
+from spl_batch.kernels.ellipsoid_shape import (
+    Shape,
+    covariance,
+    fit,
+    flag,
+    half_extents,
+    lone_body,
+    no_bodies,
+    offsets,
+)
 from spl_batch.kernels.ellipsoid_walk import walk
 from spl_batch.kernels.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, leaf_slots
 from spl_batch.kernels.neighbours import neighbours_of_leaves
@@ -56,10 +65,9 @@ def passes_ratio(
 def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ignore[no-untyped-def]
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
-    near = np.empty((3, shape.neighbours), dtype=np.float64)
+    near, bodies = np.empty((1, 3, shape.neighbours)), no_bodies()
     stack, levels = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
-    moments, quadric = np.empty(6), np.empty(6)
-    values, axes, half, outer = np.empty(3), np.empty(3), np.empty(3), np.empty(1)
+    quadric, axes, half, outer = np.empty(6), np.empty(3), np.empty(3), np.empty(1)
     vectors = np.empty((3, 3))
     asked, others = np.empty(LEAF, np.bool_), np.empty((LEAF, shape.neighbours), np.int32)
     found, last, few = np.empty(LEAF, np.int64), np.empty(LEAF), np.empty(LEAF)
@@ -85,11 +93,14 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
             if not asked[at]:
                 continue
             stop = np.int64(math.ceil(ratio * sphere[at]))
-            fit(points, slot, others, at, found[at], near, shape, moments, values, vectors, axes)
-            quadric_of(vectors, axes, quadric)
+            offsets(points, slot, others, at, found[at], near, U0)
+            covariance(near, U0, found[at], bodies.moments, U0)
+            bodies.found[0] = found[at]
+            fit(bodies, shape)
+            lone_body(bodies, U0, quadric, vectors, axes)
             inside = 0
             for i in range(found[at]):
-                inside += flag(quadric, near[0, i], near[1, i], near[2, i]) < 1.0
+                inside += flag(quadric, near[0, 0, i], near[0, 1, i], near[0, 2, i]) < 1.0
             if inside < stop:
                 half_extents(vectors, axes, half)
                 inside = walk(

@@ -20,8 +20,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from spl_batch.kernels.eigen import eigen_symmetric
+from spl_batch.kernels.eigen_lanes import eigen_of_eight
+from spl_batch.kernels.kdtree import U0, U1, U2, U3, U4, U5
+from spl_batch.kernels.lanes import LANES, load, spread, store
 
 SHAPE_MIN: Final = 4
 """Neighbours below which the ellipsoid is the sphere [count]."""
@@ -49,12 +52,16 @@ class Shape(NamedTuple):
 
 
 @njit(nogil=True, cache=True, fastmath={"reassoc"})
-def _covariance(near, found, moments):  # type: ignore[no-untyped-def]
-    """Covariance of the neighbours; the sums are whole numbers, so their order is free."""
+def covariance(near, member, found, moments, column):  # type: ignore[no-untyped-def]
+    """Covariance of neighbours; the sums are whole numbers, so their order is free.
+
+    ``near`` (m, 3, k) has the offsets of the neighbours of some members, a column of ``moments``
+    (6, m) receives xx, xy, xz, yy, yz, zz.
+    """
     sx = sy = sz = 0.0
     sxx = sxy = sxz = syy = syz = szz = 0.0
     for i in range(found):
-        dx, dy, dz = near[0, i], near[1, i], near[2, i]
+        dx, dy, dz = near[member, U0, i], near[member, U1, i], near[member, U2, i]
         sx += dx
         sy += dy
         sz += dz
@@ -66,17 +73,17 @@ def _covariance(near, found, moments):  # type: ignore[no-untyped-def]
         szz += dz * dz
     n = np.float64(found)
     scale = 1.0 / (n * n)
-    moments[0] = (n * sxx - sx * sx) * scale
-    moments[1] = (n * sxy - sx * sy) * scale
-    moments[2] = (n * sxz - sx * sz) * scale
-    moments[3] = (n * syy - sy * sy) * scale
-    moments[4] = (n * syz - sy * sz) * scale
-    moments[5] = (n * szz - sz * sz) * scale
+    moments[0, column] = (n * sxx - sx * sx) * scale
+    moments[1, column] = (n * sxy - sx * sy) * scale
+    moments[2, column] = (n * sxz - sx * sz) * scale
+    moments[3, column] = (n * syy - sy * sy) * scale
+    moments[4, column] = (n * syz - sy * sz) * scale
+    moments[5, column] = (n * szz - sz * sz) * scale
 
 
 @njit(nogil=True, cache=True)
-def _axes(values, shape, axes):  # type: ignore[no-untyped-def]
-    """Semi-axes from eigenvalues [W18 Eq. 3]; returns the volume.
+def _axes(values, shape, axes, member):  # type: ignore[no-untyped-def]
+    """Semi-axes (3, m) of a member from eigenvalues [W18 Eq. 3]; returns the volume.
 
     Without a cap it is the sphere's to the last bit, so that the critical count of one
     point serves the next.
@@ -84,33 +91,35 @@ def _axes(values, shape, axes):  # type: ignore[no-untyped-def]
     floor = shape.floor * shape.floor
     product = 1.0
     for i in range(3):
-        value = max(values[i], floor)
-        axes[i] = value if shape.power == 1.0 else value**shape.power
-        product *= axes[i]
+        value = max(values[i, member], floor)
+        axes[i, member] = value if shape.power == 1.0 else value**shape.power
+        product *= axes[i, member]
     scale = shape.radius / np.cbrt(product)
     volume = 4.0 / 3.0 * math.pi * shape.radius**3
     for i in range(3):
-        axes[i] *= scale
-        if axes[i] > shape.axis_cap:
-            volume *= shape.axis_cap / axes[i]
-            axes[i] = shape.axis_cap
+        axes[i, member] *= scale
+        if axes[i, member] > shape.axis_cap:
+            volume *= shape.axis_cap / axes[i, member]
+            axes[i, member] = shape.axis_cap
     return volume
 
 
 @njit(nogil=True, cache=True)
-def quadric_of(vectors, axes, quadric):  # type: ignore[no-untyped-def]
-    """Upper triangle of the matrix Q with flag = d' Q d [W18 Eq. 4-5]."""
-    for i in range(6):
-        quadric[i] = 0.0
-    for i in range(3):
-        weight = 1.0 / (axes[i] * axes[i])
-        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-        quadric[0] += weight * x * x
-        quadric[1] += weight * x * y
-        quadric[2] += weight * x * z
-        quadric[3] += weight * y * y
-        quadric[4] += weight * y * z
-        quadric[5] += weight * z * z
+def _quadrics(vectors, axes, quadrics):  # type: ignore[no-untyped-def]
+    """Upper triangles (6, 8) of the matrices Q with flag = d' Q d [W18 Eq. 4-5]."""
+    q0 = q1 = q2 = q3 = q4 = q5 = spread(0.0)
+    for i in range(U3):
+        axis, x = load(axes, (i, U0)), load(vectors, (U3 * i, U0))
+        y, z = load(vectors, (U3 * i + U1, U0)), load(vectors, (U3 * i + U2, U0))
+        weight = spread(1.0) / (axis * axis)
+        q0, q1, q2 = q0 + weight * x * x, q1 + weight * x * y, q2 + weight * x * z
+        q3, q4, q5 = q3 + weight * y * y, q4 + weight * y * z, q5 + weight * z * z
+    store(quadrics, (U0, U0), q0)
+    store(quadrics, (U1, U0), q1)
+    store(quadrics, (U2, U0), q2)
+    store(quadrics, (U3, U0), q3)
+    store(quadrics, (U4, U0), q4)
+    store(quadrics, (U5, U0), q5)
 
 
 @njit(nogil=True, cache=True)
@@ -134,35 +143,75 @@ def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
         half[axis] = math.sqrt(total) + 1.0
 
 
-@njit(nogil=True, cache=True, inline="always")
-def fit(points, slot, others, at, found, near, shape, moments, values, vectors, axes):  # type: ignore[no-untyped-def]
-    """Ellipsoid of a slot's neighbours; returns its volume and fills in their offsets.
+class Bodies(NamedTuple):
+    """Ellipsoids of eight points at a time, one to a column.
 
     Parameters
     ----------
-    points : (4, n) int32
-        Of the tree.
-    slot, others, at, found
-        The slot; those of its neighbours, which are row ``at`` of ``others``; their number.
-    near : (3, k) float64
-        Receives the offsets of the neighbours [quanta].
-    shape : Shape
-        How neighbours become an ellipsoid.
-    moments, values, vectors : (6,), (3,), (3, 3) float64
-        Scratch; ``vectors`` receives the unit axes as rows.
-    axes : (3,) float64
-        Receives the semi-axes, longest first [quanta].
+    found : (8,) int64
+        Neighbours that shape each [count].
+    moments, quadrics : (6, 8) float64
+        Covariance of the neighbours, and the matrix of the ellipsoid, upper triangles.
+    values, axes : (3, 8) float64
+        Eigenvalues and semi-axes, longest first [quanta].
+    vectors : (9, 8) float64
+        Unit axes, x, y, z of each.
+    volume : (8,) float64
+        [quanta3].
+    spare : (3, 8) float64
+        Scratch.
     """
-    for axis in range(3):
+
+    found: NDArray[np.int64]
+    moments: NDArray[np.float64]
+    quadrics: NDArray[np.float64]
+    values: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    vectors: NDArray[np.float64]
+    volume: NDArray[np.float64]
+    spare: NDArray[np.float64]
+
+
+@njit(nogil=True, cache=True)
+def no_bodies():  # type: ignore[no-untyped-def]
+    """Room for :class:`Bodies`."""
+    return Bodies(
+        np.zeros(LANES, np.int64), np.zeros((6, LANES)), np.zeros((6, LANES)),
+        np.zeros((3, LANES)), np.zeros((3, LANES)), np.zeros((9, LANES)), np.zeros(LANES),
+        np.zeros((3, LANES)),
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True)
+def fit(bodies, shape):  # type: ignore[no-untyped-def]
+    """Ellipsoids of eight points by how many neighbours they have, and by their covariance."""
+    found, moments, quadrics, values, axes, vectors, volume, spare = bodies
+    eigen_of_eight(moments, values, vectors, spare)
+    for member in range(LANES):
+        if found[member] < SHAPE_MIN:
+            for i in range(3):
+                values[i, member] = 1.0
+                for j in range(3):
+                    vectors[3 * i + j, member] = 1.0 if i == j else 0.0
+        volume[member] = _axes(values, shape, axes, member)
+    _quadrics(vectors, axes, quadrics)
+
+
+@njit(nogil=True, cache=True)
+def lone_body(bodies, member, quadric, vectors, axes):  # type: ignore[no-untyped-def]
+    """One of them as arrays of its own: (6,), (3, 3) by rows, (3,)."""
+    for i in range(3):
+        axes[i] = bodies.axes[i, member]
+        for j in range(3):
+            vectors[i, j] = bodies.vectors[3 * i + j, member]
+    for i in range(6):
+        quadric[i] = bodies.quadrics[i, member]
+
+
+@njit(nogil=True, cache=True, inline="always")
+def offsets(points, slot, others, at, found, near, member):  # type: ignore[no-untyped-def]
+    """Fill in the offsets of a slot's neighbours, row ``at`` of ``others`` [quanta]."""
+    for axis in range(U3):
         own = np.float64(points[axis, slot])
         for i in range(found):
-            near[axis, i] = points[axis, np.uint64(others[at, i])] - own
-    if found >= SHAPE_MIN:
-        _covariance(near, found, moments)
-        eigen_symmetric(moments, values, vectors)
-    else:
-        values[:] = 1.0
-        for i in range(3):
-            for j in range(3):
-                vectors[i, j] = 1.0 if i == j else 0.0
-    return _axes(values, shape, axes)
+            near[member, axis, i] = points[axis, np.uint64(others[at, i])] - own
