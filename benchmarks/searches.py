@@ -22,7 +22,7 @@ from spl_batch.kernels.kdtree import (
     leaf_slots,
     nearest_keys,
 )
-from spl_batch.kernels.neighbours import neighbours_of_leaves
+from spl_batch.kernels.neighbours import edges_of_leaves, neighbours_of_leaves
 from spl_batch.kernels.spacing import Spacing, spacing_at, spacing_scratch
 
 CHUNK: Final = 64
@@ -154,7 +154,7 @@ def _one_by_one(points, boxes, depth, query, cap, rows, found):  # type: ignore[
 def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
     """Neighbours of every query point, in tree order, so that the cache stays warm."""
     n, depth, k = np.uint64(points.shape[1]), np.uint64(depth), rows.shape[1]
-    leaves, chunk = U1 << depth, np.uint64(CHUNK)
+    leaves, chunk, edges = U1 << depth, np.uint64(CHUNK), edges_of_leaves(boxes, depth)
     room = CHUNK * LEAF
     asked, others = np.empty(room, np.bool_), np.empty((room, k), np.int32)
     count, last, few = np.empty(room, np.int64), np.empty(room), np.empty(room)
@@ -165,7 +165,7 @@ def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[n
         for at in range(high - low):
             asked[at] = query[points[U3, low + at]]
         neighbours_of_leaves(
-            points, boxes, depth, (begin, end), asked, k, cap, 0, others, count, last, few
+            points, boxes, edges, depth, (begin, end), asked, k, cap, 0, others, count, last, few
         )
         for at in range(high - low):
             if asked[at]:

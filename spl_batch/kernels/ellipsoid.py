@@ -72,7 +72,7 @@ from spl_batch.kernels.lanes import (
     store,
     where,
 )
-from spl_batch.kernels.neighbours import neighbours_of_leaves
+from spl_batch.kernels.neighbours import edges_of_leaves, neighbours_of_leaves
 from spl_batch.kernels.poisson import critical_by_logs, log_factorials, tail_by_logs
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
 
@@ -218,7 +218,9 @@ def _score(inside, mean, outermost, tie, stop, least, log_mean, logs):  # type: 
 
 
 @njit(nogil=True, cache=True)
-def _neighbours(points, boxes, depth, leaves, asked, shape, space, rule, others, found, last):  # type: ignore[no-untyped-def]
+def _neighbours(
+    points, boxes, edges, depth, leaves, asked, shape, space, rule, others, found, last
+):  # type: ignore[no-untyped-def]
     """Neighbours of the points asked for of some leaves, with the spacings that come with them.
 
     ``asked`` (m,), ``others`` (m, k), ``found`` (m,) and ``last`` (m,), the slots of the
@@ -230,7 +232,7 @@ def _neighbours(points, boxes, depth, leaves, asked, shape, space, rule, others,
     shared = rule.neighbours <= shape.neighbours and rule.cap <= shape.neighbour_cap
     few = np.empty(len(asked))
     neighbours_of_leaves(
-        points, boxes, depth, leaves, asked, shape.neighbours, shape.neighbour_cap,
+        points, boxes, edges, depth, leaves, asked, shape.neighbours, shape.neighbour_cap,
         rule.neighbours if shared else 0, others, found, last, few,
     )  # fmt: skip
     low, _ = leaf_slots(leaves[0], depth, n)
@@ -247,6 +249,7 @@ def _count_all(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    edges = edges_of_leaves(boxes, depth)
     leaves, chunk = U1 << depth, np.uint64(CHUNK)
     room = min(chunk, leaves) * np.uint64(LEAF)
     others = np.empty((room, shape.neighbours), dtype=np.int32)
@@ -262,7 +265,18 @@ def _count_all(  # type: ignore[no-untyped-def]
             row = points[U3, low + at]
             asked[at], noise[at], level[at] = query[row], density[row], alpha[row]
         _neighbours(
-            points, boxes, depth, (begin, end), asked, shape, space, rule, others, found, last
+            points,
+            boxes,
+            edges,
+            depth,
+            (begin, end),
+            asked,
+            shape,
+            space,
+            rule,
+            others,
+            found,
+            last,
         )
         _count_some(
             points, boxes, depth, (low, high), asked, noise, shape, level, space, rule, ratio2,

@@ -23,7 +23,7 @@ from spl_batch.kernels.ellipsoid_shape import (
 )
 from spl_batch.kernels.ellipsoid_walk import walk
 from spl_batch.kernels.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, leaf_slots
-from spl_batch.kernels.neighbours import neighbours_of_leaves
+from spl_batch.kernels.neighbours import edges_of_leaves, neighbours_of_leaves
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
 from spl_batch.kernels.volumes import within
 
@@ -65,6 +65,7 @@ def passes_ratio(
 def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ignore[no-untyped-def]
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    edges = edges_of_leaves(boxes, depth)
     near, bodies = np.empty((1, 3, shape.neighbours)), no_bodies()
     stack, levels = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
     quadric, axes, half, outer = np.empty(6), np.empty(3), np.empty(3), np.empty(1)
@@ -85,7 +86,7 @@ def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ign
                 sphere[at] = within(points, boxes, depth, x, y, z, limit, stack, levels) - 1
                 asked[at] = sphere[at] > 0
         neighbours_of_leaves(
-            points, boxes, depth, (leaf, leaf + U1), asked, shape.neighbours,
+            points, boxes, edges, depth, (leaf, leaf + U1), asked, shape.neighbours,
             shape.neighbour_cap, 0, others, found, last, few,
         )  # fmt: skip
         for slot in range(low, high):

@@ -63,50 +63,79 @@ FAR: Final = 1e18
 
 
 @njit(nogil=True, cache=True)
-def _list_leaves(points, boxes, depth, leaf, reach2, stack, slots, sides):  # type: ignore[no-untyped-def]
-    """List the leaves within a squared distance of a leaf's box, its own first.
+def edges_of_leaves(boxes, depth):  # type: ignore[no-untyped-def]
+    """Boxes of the leaves, each of their six numbers side by side: (6, m) int32, m > leaves."""
+    first = U1 << np.uint64(depth)
+    edges = np.zeros((6, np.int64(first) + LANES), np.int32)
+    for leaf in range(first):
+        for i in range(6):
+            edges[i, leaf] = boxes[first + leaf, i]
+    return edges
+
+
+@njit(nogil=True, cache=True)
+def _list_eight(edges, begin, end, box, reach2, listed, numbers, sides):  # type: ignore[no-untyped-def]
+    """List those of up to eight leaves within a squared distance of a box; how many are listed."""
+    none = spread(0.0)
+    x0, y0, z0 = load(edges, (U0, begin)), load(edges, (U1, begin)), load(edges, (U2, begin))
+    x1, y1, z1 = load(edges, (U3, begin)), load(edges, (U4, begin)), load(edges, (U5, begin))
+    dx = greater(greater(x0 - spread(box[U3]), spread(box[U0]) - x1), none)
+    dy = greater(greater(y0 - spread(box[U4]), spread(box[U1]) - y1), none)
+    dz = greater(greater(z0 - spread(box[U5]), spread(box[U2]) - z1), none)
+    leaves = ascending(begin)
+    taken = (dx * dx + dy * dy + dz * dz <= spread(reach2)) & (leaves < spread(end))
+    pack(numbers, listed, leaves, taken)
+    pack(sides, (U0, listed), x0, taken)
+    pack(sides, (U1, listed), y0, taken)
+    pack(sides, (U2, listed), z0, taken)
+    pack(sides, (U3, listed), x1, taken)
+    pack(sides, (U4, listed), y1, taken)
+    pack(sides, (U5, listed), z1, taken)
+    return listed + number(taken)
+
+
+@njit(nogil=True, cache=True)
+def _list_leaves(points, boxes, edges, depth, leaf, reach2, stack, box, numbers, slots, sides):  # type: ignore[no-untyped-def]
+    """List the leaves within a squared distance of a leaf's box, those beside it first.
 
     ``slots`` (2, m) receives their first slots and those of the next ones, ``sides`` (6, m) their
-    boxes. Returns how many there are, 0 where they are too many.
+    boxes, m being eight more than are listed at most. Returns how many there are, 0 where they are
+    too many. The last three levels of the tree are looked at at once.
     """
     n, first = np.uint64(points.shape[1]), U1 << depth
-    x0, y0, z0 = (
-        np.float64(boxes[leaf, U0]),
-        np.float64(boxes[leaf, U1]),
-        np.float64(boxes[leaf, U2]),
-    )
-    x1, y1, z1 = (
-        np.float64(boxes[leaf, U3]),
-        np.float64(boxes[leaf, U4]),
-        np.float64(boxes[leaf, U5]),
-    )
-    listed, climb = U0, leaf
-    stack[0] = leaf
+    below = min(depth, U3)
+    eights = first >> below
+    for i in range(6):
+        box[i] = boxes[leaf, i]
+    listed, climb = U0, leaf >> below
+    stack[0] = climb
     while True:
         top = U1
         while top > U0:
             top -= U1
             node = stack[top]
-            dx = max(boxes[node, U0] - x1, x0 - boxes[node, U3], 0.0)
-            dy = max(boxes[node, U1] - y1, y0 - boxes[node, U4], 0.0)
-            dz = max(boxes[node, U2] - z1, z0 - boxes[node, U5], 0.0)
+            if node >= eights:
+                begin = (node << below) - first
+                end = begin + (U1 << below)
+                listed = _list_eight(edges, begin, end, box, reach2, listed, numbers, sides)
+                if listed > np.uint64(LISTED):
+                    return U0
+                continue
+            dx = max(boxes[node, U0] - box[U3], box[U0] - boxes[node, U3], 0.0)
+            dy = max(boxes[node, U1] - box[U4], box[U1] - boxes[node, U4], 0.0)
+            dz = max(boxes[node, U2] - box[U5], box[U2] - boxes[node, U5], 0.0)
             if dx * dx + dy * dy + dz * dz > reach2:
                 continue
-            if node < first:
-                stack[top] = node + node
-                stack[top + U1] = node + node + U1
-                top += U1 + U1
-                continue
-            if listed == LISTED:
-                return U0
-            slots[U0, listed], slots[U1, listed] = leaf_slots(node, depth, n)
-            for i in range(6):
-                sides[i, listed] = boxes[node, i]
-            listed += U1
+            stack[top] = node + node
+            stack[top + U1] = node + node + U1
+            top += U1 + U1
         if climb <= U1:
-            return listed
+            break
         stack[0] = climb ^ U1
         climb >>= U1
+    for i in range(listed):
+        slots[U0, i], slots[U1, i] = leaf_slots(first + numbers[i], depth, n)
+    return listed
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -190,7 +219,7 @@ def _from_tree(  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
-    points, boxes, depth, leaves, asked, k, cap, wanted, others, found, last, few
+    points, boxes, edges, depth, leaves, asked, k, cap, wanted, others, found, last, few
 ):
     """Nearest neighbours of the points asked for of some leaves.
 
@@ -199,8 +228,8 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
 
     Parameters
     ----------
-    points, boxes, depth
-        The tree; the depth as uint64.
+    points, boxes, edges, depth
+        The tree, with what :func:`edges_of_leaves` makes of it; the depth as uint64.
     leaves : (2,) uint64
         Node numbers of the first leaf, and of the one after the last.
     asked : (m,) bool
@@ -226,7 +255,8 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
         np.empty(room),
         np.empty(room, np.uint64),
     )
-    slots, sides = np.empty((2, LISTED), np.uint64), np.zeros((6, LISTED))
+    slots, sides = np.empty((2, LISTED), np.uint64), np.zeros((6, LISTED + LANES))
+    box, numbers = np.empty(6), np.empty(LISTED + LANES, np.uint64)
     stack, beside = np.empty(64, np.uint64), np.zeros((4, BESIDE))
     reached = np.empty(LISTED + LANES, np.uint64)
     beside[3] = FAR
@@ -248,7 +278,10 @@ def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
             while True:
                 if reach2 < limit < too_far:
                     reach2 = MARGIN * limit
-                    listed = _list_leaves(points, boxes, depth, leaf, reach2, stack, slots, sides)
+                    listed = _list_leaves(
+                        points, boxes, edges, depth, leaf, reach2, stack, box, numbers, slots,
+                        sides,
+                    )  # fmt: skip
                     if listed == U0:
                         reach2, too_far = -1.0, limit
                 if limit <= reach2:
