@@ -9,7 +9,17 @@ import math
 import numpy as np
 from numba import njit
 
-from spl_batch.kernels.lanes import LANES, absolute, greater, lesser, load, root, spread, store, where
+from spl_batch.kernels.lanes import (
+    LANES,
+    absolute,
+    greater,
+    lesser,
+    load,
+    root,
+    spread,
+    store,
+    where,
+)
 
 _ROW = tuple(np.uint64(i) for i in range(9))
 R0, R1, R2, R3, R4, R5, R6, R7, R8 = _ROW

@@ -218,9 +218,9 @@ def _score(inside, mean, outermost, tie, stop, least, log_mean, logs):  # type: 
 
 
 @njit(nogil=True, cache=True)
-def _neighbours(
+def _neighbours(  # type: ignore[no-untyped-def]
     points, boxes, edges, depth, leaves, asked, shape, space, rule, others, found, last
-):  # type: ignore[no-untyped-def]
+):
     """Neighbours of the points asked for of some leaves, with the spacings that come with them.
 
     ``asked`` (m,), ``others`` (m, k), ``found`` (m,) and ``last`` (m,), the slots of the
