@@ -119,7 +119,7 @@ def test_confirmed_tops_equal_the_count_of_every_pair(counts, ratio):
     ground = (rng.random(n) < 0.3) & (xyz[:, 2] < 100)
     by = Support(np.array([600, 1100, 2300]), np.array(counts), 3, ratio)
     tops = np.empty(rows * cols)
-    confirmed_tops(xyz, ground, start, by, tops)
+    confirmed_tops(xyz, ground, start, (cols, SIZE), by, tops)
     np.testing.assert_array_equal(tops, slow_tops(xyz, ground, start, by))
 
 
@@ -141,7 +141,7 @@ def test_noise_above_a_dense_roof_stays_out_and_a_thin_crown_stays_in():
     xyz, _, start = cells_of(np.concatenate([roof, crown, noise]).astype(np.int64), 10, 20)
     tops = np.empty(200)
     by = Support(np.array([500, 1000, 1500]), np.array([3, 5, 8]), 3, 1.5)
-    confirmed_tops(xyz, np.zeros(len(xyz), bool), start, by, tops)
+    confirmed_tops(xyz, np.zeros(len(xyz), bool), start, (20, SIZE), by, tops)
     tops = tops.reshape(10, 20)
     assert tops[:, :10].max() < 300
     assert np.nanmedian(tops[:, 10:]) > 6000

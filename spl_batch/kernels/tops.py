@@ -7,6 +7,9 @@ is not much smaller. The top of a crown has the twigs around it; noise above a r
 only other noise. Spheres of several radii are tried: a roof is confirmed within half a
 metre, whatever its tilt, a thin crown within two.
 
+Few returns are asked about, and the farthest neighbour that counts is a cell or two away: neighbours
+are looked for cell by cell, from a return's own height in each up and down, and not in a tree.
+
 Ground returns need no confirmation and give none: noise just above sparse ground must not
 live on it.
 
@@ -21,8 +24,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spl_batch.kernels.kdtree import U0, U1, U3, box_distance, build, check_cap, leaf_of, leaf_slots
-from spl_batch.kernels.spacing import Spacing, spacing_at, spacing_scratch
 
 PIT_NEIGHBOURS = 6
 """Of eight cells around, those that have to stand above a pit [count]."""
@@ -53,6 +54,7 @@ def confirmed_tops(
     xyz: NDArray[np.int32],
     ground: NDArray[np.bool_],
     start: NDArray[np.int64],
+    grid: tuple[int, int],
     by: Support,
     tops: NDArray[np.float64],
 ) -> None:
@@ -61,113 +63,163 @@ def confirmed_tops(
     Parameters
     ----------
     xyz : (n, 3) int32
-        Coordinates relative to any anchor [quanta], in the order of
+        Coordinates relative to the corner of the raster [quanta], in the order of
         :func:`spl_batch.kernels.raster.sort_into_cells`: by cell, highest first.
     ground : (n,) bool
         Returns that need no confirmation and give none.
     start : (cells + 1,) int64
         Where each cell begins.
+    grid : (int, int)
+        Cells of a row, and edge of a cell [quanta].
     by : Support
         What confirms a return.
     tops : (cells,) float64, written
         Heights [quanta]; NaN where no return is confirmed.
     """
     tops[:] = np.nan
-    if not len(xyz):
-        return
-    tree = build(xyz)
-    rule = Spacing(by.neighbours, int(by.radius.max()))
-    check_cap(rule.cap)
     _tops(
-        tree.points, tree.boxes, tree.depth, rule, by.peer_ratio**2, xyz, ground, start,
+        xyz, ground, start, grid, by.neighbours, float(by.radius.max()) ** 2, by.peer_ratio**2,
         by.radius.astype(np.float64) ** 2, by.needed, tops,
     )  # fmt: skip
 
 
 @njit(nogil=True, cache=True)
-def _tops(  # type: ignore[no-untyped-def]
-    points, boxes, depth, rule, ratio2, xyz, ground, start, limit, needed, tops
-):
+def _tops(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, tops):  # type: ignore[no-untyped-def]
     """From the highest return of each cell down to the first that is confirmed.
 
-    Few returns are asked about, so a spacing is found when it is needed, and kept.
+    A spacing is found when it is needed, and kept.
     """
-    stack, scratch = np.empty(64, dtype=np.uint64), spacing_scratch(rule)
-    depth = np.uint64(depth)
-    spacing = np.full(len(xyz), np.nan)
-    slot_of = np.empty(len(xyz), dtype=np.uint32)
-    for slot in range(points.shape[1]):
-        slot_of[points[U3, slot]] = slot
-    tree = points, boxes, depth
+    nearest, spacing = np.empty(neighbours), np.full(len(xyz), np.nan)
     for cell in range(len(tops)):
         for p in range(start[cell], start[cell + 1]):
             accepted = ground[p]
             if not accepted:
-                _find_spacing(tree, np.uint64(slot_of[p]), rule, scratch, spacing)
+                _find_spacing(xyz, start, grid, p, cell, cap2, nearest, spacing)
             for scale in range(len(limit)):
                 if accepted:
                     break
-                wanted = needed[scale] + 1
-                found = _peers(
-                    tree, rule, scratch, ratio2, ground, spacing, xyz[p], spacing[p], limit[scale],
-                    wanted, stack,
+                accepted = _has_peers(
+                    xyz, ground, start, grid, p, cell, limit[scale], needed[scale] + 1, ratio2,
+                    cap2, nearest, spacing,
                 )  # fmt: skip
-                accepted = found >= wanted
             if accepted:
                 tops[cell] = xyz[p, 2]
                 break
 
 
 @njit(nogil=True, cache=True)
-def _find_spacing(tree, slot, rule, scratch, spacing):  # type: ignore[no-untyped-def]
-    """Squared spacing of a slot, if it is not known yet [quanta2]."""
-    points, boxes, depth = tree
-    row = points[U3, slot]
-    if np.isnan(spacing[row]):
-        leaf = leaf_of(slot, depth, np.uint64(points.shape[1]))
-        keys, distance, fresh, stack, bound = scratch
-        spacing[row] = spacing_at(
-            points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
-        )
+def _place_of(xyz, z, low, high):  # type: ignore[no-untyped-def]
+    """First return of a cell that is no higher than ``z``."""
+    while low < high:
+        middle = (low + high) >> 1
+        if xyz[middle, 2] > z:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @njit(nogil=True, cache=True)
-def _peers(  # type: ignore[no-untyped-def]
-    tree, rule, scratch, ratio2, ground, spacing, place, own, limit, wanted, stack
+def _gap2(xyz, p, row, col, size):  # type: ignore[no-untyped-def]
+    """Squared distance from a return to a cell, seen from above [quanta2]."""
+    x, y = np.float64(xyz[p, 0]), np.float64(xyz[p, 1])
+    east, north = np.float64(col) * size, np.float64(row) * size
+    dx, dy = max(east - x, x - (east + size), 0.0), max(north - y, y - (north + size), 0.0)
+    return dx * dx + dy * dy
+
+
+@njit(nogil=True, cache=True)
+def _find_spacing(xyz, start, grid, p, cell, cap2, nearest, spacing):  # type: ignore[no-untyped-def]
+    """Squared spacing of a return, if it is not known yet [quanta2].
+
+    Rings of cells around its own are looked through until none can hold a nearer neighbour.
+    """
+    if not np.isnan(spacing[p]):
+        return
+    cols, size = grid
+    rows, row, col = (len(start) - 1) // cols, cell // cols, cell % cols
+    last = len(nearest) - 1
+    nearest[:] = cap2
+    west, south = np.float64(xyz[p, 0] - col * size), np.float64(xyz[p, 1] - row * size)
+    aside = min(west, size - west, south, size - south)
+    ring = 0
+    while ring == 0 or (aside + (ring - 1) * size) ** 2 < nearest[last]:
+        for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
+            step = 1 if abs(r - row) == ring else 2 * ring
+            for c in range(col - ring, col + ring + 1, step):
+                if 0 <= c < cols and _gap2(xyz, p, r, c, size) < nearest[last]:
+                    other = r * cols + c
+                    _look_through(xyz, p, start[other], start[other + 1], nearest)
+        ring += 1
+    spacing[p] = nearest[last]
+
+
+@njit(nogil=True, cache=True)
+def _look_through(xyz, p, low, high, nearest):  # type: ignore[no-untyped-def]
+    """Put squared distances to a cell's returns among the nearest ones, in order."""
+    x, y, z = np.float64(xyz[p, 0]), np.float64(xyz[p, 1]), np.float64(xyz[p, 2])
+    last, middle = len(nearest) - 1, _place_of(xyz, xyz[p, 2], low, high)
+    for way in (1, -1):
+        q = middle if way > 0 else middle - 1
+        while low <= q < high:
+            dz = xyz[q, 2] - z
+            if dz * dz >= nearest[last]:
+                break
+            dx, dy = xyz[q, 0] - x, xyz[q, 1] - y
+            distance = dx * dx + dy * dy + dz * dz
+            if distance < nearest[last] and q != p:
+                k = last
+                while k > 0 and nearest[k - 1] > distance:
+                    nearest[k] = nearest[k - 1]
+                    k -= 1
+                nearest[k] = distance
+            q += way
+
+
+@njit(nogil=True, cache=True)
+def _has_peers(  # type: ignore[no-untyped-def]
+    xyz, ground, start, grid, p, cell, limit, wanted, ratio2, cap2, nearest, spacing
 ):
-    """Peers within a distance of a return, itself among them; stops at ``wanted``.
+    """Whether a return has so many peers within a distance, itself among them.
 
     As :func:`spl_batch.kernels.spacing.peers_within`, which is given all spacings; here few are
     asked for and each costs a search, so they are found on the way, and no more than wanted.
     """
-    points, boxes, depth = tree
-    n, first = np.uint64(points.shape[1]), U1 << depth
-    x, y, z = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
-    count = 0
-    stack[0] = U1
-    top = U1
-    while top > U0 and count < wanted:
-        top -= U1
-        node = stack[top]
-        if box_distance(boxes, node, x, y, z) > limit:
-            continue
-        if node >= first:
-            low, high = leaf_slots(node, depth, n)
-            for slot in range(low, high):
-                dx, dy, dz = points[U0, slot] - x, points[1, slot] - y, points[2, slot] - z
-                row = points[U3, slot]
-                if dx * dx + dy * dy + dz * dz <= limit and not ground[row]:
-                    _find_spacing(tree, slot, rule, scratch, spacing)
-                    count += spacing[row] * ratio2 >= own
-                    if count >= wanted:
-                        return count
-            continue
-        near, far = node + node, node + node + U1
-        if box_distance(boxes, far, x, y, z) < box_distance(boxes, near, x, y, z):
-            near, far = far, near
-        stack[top] = far
-        stack[top + U1] = near
-        top += U1 + U1
+    cols, size = grid
+    rows, row, col = (len(start) - 1) // cols, cell // cols, cell % cols
+    count, ring = 0, 0
+    while count < wanted and (ring == 0 or ((ring - 1) * size) ** 2 <= limit):
+        for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
+            step = 1 if abs(r - row) == ring else 2 * ring
+            for c in range(col - ring, col + ring + 1, step):
+                if 0 <= c < cols and count < wanted and _gap2(xyz, p, r, c, size) <= limit:
+                    count += _peers_in(
+                        xyz, ground, start, grid, p, r * cols + c, limit, wanted - count, ratio2,
+                        cap2, nearest, spacing,
+                    )  # fmt: skip
+        ring += 1
+    return count >= wanted
+
+
+@njit(nogil=True, cache=True)
+def _peers_in(  # type: ignore[no-untyped-def]
+    xyz, ground, start, grid, p, cell, limit, wanted, ratio2, cap2, nearest, spacing
+):
+    """Peers of a return in a cell, at most ``wanted``."""
+    x, y, z = np.float64(xyz[p, 0]), np.float64(xyz[p, 1]), np.float64(xyz[p, 2])
+    low, high = start[cell], start[cell + 1]
+    middle, count = _place_of(xyz, xyz[p, 2], low, high), 0
+    for way in (1, -1):
+        q = middle if way > 0 else middle - 1
+        while low <= q < high and count < wanted:
+            dz = xyz[q, 2] - z
+            if dz * dz > limit:
+                break
+            dx, dy = xyz[q, 0] - x, xyz[q, 1] - y
+            if dx * dx + dy * dy + dz * dz <= limit and not ground[q]:
+                _find_spacing(xyz, start, grid, q, cell, cap2, nearest, spacing)
+                count += spacing[q] * ratio2 >= spacing[p]
+            q += way
     return count
 
 

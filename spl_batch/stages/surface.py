@@ -332,7 +332,7 @@ def _tops(signal: PointTable, near: Bounds, size: int, support: Support) -> NDAr
     order, start = sort_into_cells(cell_number(signal, near, size), signal["z"], rows * cols)
     xyz = np.stack(_local(signal, order, near), axis=1)
     tops = np.empty(rows * cols)
-    confirmed_tops(xyz, signal["ground"][order] == 1, start, support, tops)
+    confirmed_tops(xyz, signal["ground"][order] == 1, start, (cols, size), support, tops)
     lifted = np.empty((rows, cols))
     z = np.ascontiguousarray(xyz[:, 2])
     lift_pits(z, start, tops.reshape(rows, cols), PIT_M / QUANTUM_M, lifted)
