@@ -1,16 +1,18 @@
 """Is pure noise kept evenly along gates and edges? ``python -m benchmarks.null_edges [SEED ...]``.
 
-Option: ``--scenes parallel crossing``, both of them without it. Simulates two flightlines that
-overlap in part, or that cross in a short gate under a changing sky; runs the chain up to the
-shuffle, and decides about the true background that is far from every true signal by the whole
-filter as shipped, its links and the scan for conductors: by layer along the gate, from its upper
-end and from its lower one; by the number of flightlines over it, away from edges; by distance from
-the edge of what is covered, and from the edge of the other flightline. Printed is the share kept
-over alpha with its standard error, with the density that the test is given
+Options: ``--scenes parallel crossing``, both of them without it; ``--true``. Simulates two
+flightlines that overlap in part, or that cross in a short gate under a changing sky; runs the chain
+up to the shuffle, and decides about the true background that is far from every true signal by the
+whole filter as shipped, its links and the scan for conductors: by layer along the gate, from its
+upper end and from its lower one; by the number of flightlines over it, away from edges; by distance
+from the edge of what is covered, and from the edge of the other flightline. Printed is the share
+kept over alpha with its standard error, with the density that the test is given
 (:mod:`~spl_batch.runner.expected`), and for comparison, without error, with the mean of the whole
-voxel [W18 Eq. 2]. Noise is kept in groups, strong points and what is linked to them, so the error
-is that of cubes of 25 m: the root of the sum of squares of what each keeps more or less than the
-mean.
+voxel [W18 Eq. 2]. With ``--true`` there stands what would be kept with the true density at each
+point, from the simulated beamlets (:mod:`benchmarks.true_density`), in place of the voxels' mean,
+and before it the density used over the true one. Noise is kept in groups, strong points and what is
+linked to them, so the error is that of cubes of 25 m: the root of the sum of squares of what each
+keeps more or less than the mean.
 """
 
 import argparse
@@ -28,12 +30,13 @@ from scipy.spatial import cKDTree
 from benchmarks.methods import AFTERPULSE, BACKGROUND, is_noise, load_truth
 from benchmarks.null_calibration import keeps
 from benchmarks.trajectories import read_trajectory
+from benchmarks.true_density import true_density
 from spl_batch import api
 from spl_batch.io.store import Store
 from spl_batch.runner.expected import expected_noise
 from spl_batch.settings import FilterSettings
 from spl_batch.simulate import simulate
-from spl_batch.simulate.scene import parse_scene
+from spl_batch.simulate.scene import Scene, parse_scene
 from spl_batch.stages.cloud import Cloud
 from spl_batch.workflow import load_workflow
 
@@ -79,9 +82,10 @@ Floats = NDArray[np.float64]
 
 
 class Noise(NamedTuple):
-    """Pure noise: kept at each alpha, by density used; distances [m]; number of the cube."""
+    """Pure noise: kept at each alpha, by density used; that; distances [m]; cube's number."""
 
     kept: dict[str, list[NDArray[np.bool_]]]
+    density: dict[str, Floats]
     distance: dict[str, Floats]
     cube: NDArray[np.int64]
 
@@ -91,6 +95,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("seeds", type=int, nargs="*", default=[1, 2])
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
+    parser.add_argument("--true", action="store_true", help="beside the true density's share")
     options = parser.parse_args()
     for name in options.scenes:
         found = []
@@ -98,15 +103,19 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as temporary:
                 folder = Path(temporary)
                 content = {**BASE, **SCENES[name], "name": name, "seed": seed}
-                simulate(parse_scene(content, name), folder)
-                found.append(survey(folder))
+                scene = parse_scene(content, name)
+                simulate(scene, folder)
+                found.append(survey(folder, scene if options.true else None))
         _print(f"{name}, kept / alpha", found)
 
 
 def _print(title: str, found: list[Noise]) -> None:
     columns = "".join(f"{f'alpha {alpha:g}':>18s}" for alpha in ALPHAS)
-    means = "".join(f"{f'mean, {alpha:g}':>14s}" for alpha in ALPHAS)
-    print(f"{title:36s}{'noise':>9s}{columns}{means}")
+    if "true" in found[0].kept:
+        beside = f"{'density / true':>16s}" + columns.replace("alpha", " true")
+    else:
+        beside = "".join(f"{f'mean, {alpha:g}':>14s}" for alpha in ALPHAS)
+    print(f"{title:36s}{'noise':>9s}{columns}{beside}")
     for name in found[0].distance:
         distance = np.concatenate([f.distance[name] for f in found])
         for text, low, high in _bins(name):
@@ -127,22 +136,34 @@ def _bins(name: str) -> list[tuple[str, float, float]]:
 
 
 def _row(found: list[Noise], mine: NDArray[np.bool_]) -> str:
-    """Share kept over alpha, with its error; then with the voxels' means."""
-    text = ""
+    """Share kept over alpha, with its error; then with the voxels' means or the true density."""
     cube = np.concatenate([f.cube + n * 10**6 for n, f in enumerate(found)])[mine]
-    for k, alpha in enumerate(ALPHAS):
-        kept = np.concatenate([f.kept["local"][k] for f in found])[mine]
-        number, size = np.bincount(cube), np.bincount(cube, weights=kept)
-        error = np.sqrt(((size - kept.mean() * number) ** 2).sum()) / len(kept)
-        text += f"{kept.mean() / alpha:10.2f} +-{error / alpha:5.2f}"
+    text = _shares(found, "local", mine, cube)
+    if "true" in found[0].kept:
+        used, true = (
+            np.concatenate([f.density[name] for f in found])[mine].mean()
+            for name in ("local", "true")
+        )
+        return f"{text}{used / true:16.3f}{_shares(found, 'true', mine, cube)}"
     for k, alpha in enumerate(ALPHAS):
         kept = np.concatenate([f.kept["voxel"][k] for f in found])
         text += f"{kept[mine].mean() / alpha:14.2f}"
     return text
 
 
-def survey(folder: Path) -> Noise:
-    """Test the pure noise of one simulated survey."""
+def _shares(found: list[Noise], name: str, mine: NDArray[np.bool_], cube: NDArray[np.int64]) -> str:
+    """Share kept over alpha with a density, and its error."""
+    text = ""
+    for k, alpha in enumerate(ALPHAS):
+        kept = np.concatenate([f.kept[name][k] for f in found])[mine]
+        number, size = np.bincount(cube), np.bincount(cube, weights=kept)
+        error = np.sqrt(((size - kept.mean() * number) ** 2).sum()) / len(kept)
+        text += f"{kept.mean() / alpha:10.2f} +-{error / alpha:5.2f}"
+    return text
+
+
+def survey(folder: Path, scene: Scene | None) -> Noise:
+    """Test the pure noise of one simulated survey; of a scene beside the true density."""
     workflow = folder / "workflow.yaml"
     api.run(workflow, workers=0, until="shuffle")
     truth = load_truth(folder)
@@ -161,15 +182,22 @@ def survey(folder: Path) -> Noise:
     order = np.lexsort((mm[2], mm[1], mm[0]))
     # afterpulses, of noise as well, are another stage's: they would be company
     order = order[truth["kind"][order] != AFTERPULSE]
-    kept: dict[str, list[NDArray[np.bool_]]] = {"voxel": [], "local": []}
-    for name, density in (("voxel", expected.mean), ("local", expected.local)):
-        for alpha in ALPHAS:
-            kept[name].append(_kept(mm, density, pure, order, alpha))
+    density = {"local": expected.local}
+    density |= {"voxel": expected.mean} if scene is None else {"true": true_density(scene, xyz)}
+    kept = {
+        name: [_kept(mm, values, pure, order, alpha) for alpha in ALPHAS]
+        for name, values in density.items()
+    }
     distance = _distances(folder, truth, xyz, background)
     rows = np.flatnonzero(pure)
     cell = np.floor(xyz[rows] / CUBE_M).astype(np.int64)
     cube = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
-    return Noise(kept, {name: values[rows] for name, values in distance.items()}, cube)
+    return Noise(
+        kept,
+        {name: values[rows] for name, values in density.items()},
+        {name: values[rows] for name, values in distance.items()},
+        cube,
+    )
 
 
 def _kept(
