@@ -7,8 +7,9 @@ is not much smaller. The top of a crown has the twigs around it; noise above a r
 only other noise. Spheres of several radii are tried: a roof is confirmed within half a
 metre, whatever its tilt, a thin crown within two.
 
-Few returns are asked about, and the farthest neighbour that counts is a cell or two away: neighbours
-are looked for cell by cell, from a return's own height in each up and down, and not in a tree.
+Few returns are asked about, and the farthest neighbour that counts is a cell or two away:
+neighbours are looked for cell by cell, from a return's own height in each up and down, and not in
+a tree.
 
 Ground returns need no confirmation and give none: noise just above sparse ground must not
 live on it.
@@ -23,7 +24,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-
 
 PIT_NEIGHBOURS = 6
 """Of eight cells around, those that have to stand above a pit [count]."""
