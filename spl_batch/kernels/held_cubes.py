@@ -81,10 +81,12 @@ def sum_of_largest(packed: NDArray[np.int64]) -> int:
     Parameters
     ----------
     packed : (n,) int64
-        Numbers of :func:`pack_cubes`, ascending.
+        Numbers of :func:`pack_cubes`, cube by cube in any order.
     """
-    total = 0
+    total = most = 0
     for i in range(len(packed)):
+        most = max(most, packed[i] & _MOST)
         if i + 1 == len(packed) or packed[i + 1] >> AMOUNT_BITS != packed[i] >> AMOUNT_BITS:
-            total += packed[i] & _MOST
+            total += most
+            most = 0
     return total

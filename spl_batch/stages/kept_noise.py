@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 
 from spl_batch.constants import NOISE_SIGNAL
-from spl_batch.kernels.held_cubes import pack_cubes, sum_of_largest
+from spl_batch.kernels.held_cubes import AMOUNT_BITS, pack_cubes, sum_of_largest
 from spl_batch.model import PointTable
+from spl_batch.order import sorted_by_digits
 from spl_batch.tiling import Bounds, quanta
 
 DOMAIN: Final = "space"
@@ -52,5 +53,6 @@ def within_signal(table: PointTable, cell: Bounds) -> int:
         EDGE_M**3 * PARTS, packed,
     )  # fmt: skip
     packed = packed[:count]
-    packed.sort()
-    return int(sum_of_largest(packed))
+    width = int(packed.max(initial=0)).bit_length() - AMOUNT_BITS
+    by_cube = sorted_by_digits(packed.view(np.uint64), AMOUNT_BITS, max(width, 0))
+    return int(sum_of_largest(by_cube.view(np.int64)))
