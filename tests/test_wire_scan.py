@@ -61,10 +61,14 @@ def conductor(
 
 
 @FAST
-@given(st.integers(0, 2**32 - 1), st.integers(1, 200), st.integers(-5000, 5000))
-def test_cubes_hold_what_all_pairs_say(seed: int, n: int, base: int) -> None:
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 200), st.integers(-5000, 5000),
+    st.sampled_from([0, 9000, 10**6]),
+)  # fmt: skip
+def test_cubes_hold_what_all_pairs_say(seed: int, n: int, base: int, gap: int) -> None:
+    # wide gaps count as single cells
     rng = np.random.default_rng(seed)
-    xyz = rng.integers(0, 6000, (n, 3)).astype(np.int32)
+    xyz = (rng.integers(0, 6000, (n, 3)) + gap * rng.integers(0, 4, (n, 3))).astype(np.int32)
     anchor = (base, 2 * base, -base)
     cell = (xyz.astype(np.int64) + np.array(anchor)) // 1000
     near = np.all(np.abs(cell[:, None] - cell[None]) <= 1, axis=2)
