@@ -37,7 +37,7 @@ Track = dict[str, NDArray[np.int64]]
 POSITIONS_S = 64
 """Span of the trajectory that has one hash [s]: what reads of it is done again if that changes."""
 
-CHUNK_POINTS = 1 << 20
+CHUNK_POINTS = 1 << 18
 """Points read at once from an input file [count]."""
 
 
