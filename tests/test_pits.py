@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.kernels.layers import group_by_cell, lowest_layers
+from spl_batch.kernels.grouping import group_by_cell
+from spl_batch.kernels.layers import lowest_layers
 from spl_batch.kernels.pits import in_pits
 from spl_batch.kernels.smrf import fill_gaps
 from spl_batch.model import PointTable

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.kernels.grouping import Cells
 
 SUPPORTED = 3
 """Points that make a layer trustworthy by itself [count]."""
@@ -30,25 +31,6 @@ _CLEAR_M = 1.5
 """A sheet is a hard surface, roof or bare ground: this many points in this thickness, as a
 tilt of 35 degrees gives it in a cell of 1 m, and this share of what lies between the node
 below it and this height above it. Leaves fill twice the thickness, and do not pass."""
-
-
-class Cells(NamedTuple):
-    """Points grouped by the cells of a grid, row by row.
-
-    Parameters
-    ----------
-    order : (n,) int64
-        Points, cell after cell.
-    start : (rows * columns + 1,) int64
-        Where each cell begins in ``order``.
-    rows, columns : int
-        Shape of the grid.
-    """
-
-    order: NDArray[np.int64]
-    start: NDArray[np.int64]
-    rows: int
-    columns: int
 
 
 class Nodes(NamedTuple):
@@ -74,43 +56,6 @@ class Nodes(NamedTuple):
     points: NDArray[np.int64]
     doubtful: NDArray[np.bool_]
     buried: NDArray[np.bool_]
-
-
-def group_by_cell(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> Cells:
-    """Group points by the cells of a grid whose lines are multiples of its cell size.
-
-    Parameters
-    ----------
-    x, y : (n,) float64
-        Places [m]; n > 0.
-    cell_m : float
-        Edge of a cell [m], > 0.
-    """
-    column = np.floor(x / cell_m).astype(np.int64)
-    row = np.floor(y / cell_m).astype(np.int64)
-    column -= column.min()
-    row -= row.min()
-    columns, rows = int(column.max()) + 1, int(row.max()) + 1
-    cell = row * columns + column
-    order = np.empty(len(x), dtype=np.int64)
-    start = np.zeros(rows * columns + 1, dtype=np.int64)
-    _counting_sort(cell, start, order)
-    return Cells(order, start, rows, columns)
-
-
-@njit(nogil=True, cache=True)
-def _counting_sort(
-    cell: NDArray[np.int64], start: NDArray[np.int64], order: NDArray[np.int64]
-) -> None:
-    """Stable grouping; fills ``start`` and ``order``."""
-    for c in cell:
-        start[c + 1] += 1
-    for c in range(len(start) - 1):
-        start[c + 1] += start[c]
-    cursor = start[:-1].copy()
-    for i in range(len(cell)):
-        order[cursor[cell[i]]] = i
-        cursor[cell[i]] += 1
 
 
 @njit(nogil=True, cache=True)
@@ -191,19 +136,27 @@ def _lowest_layers(
         if n == 0:
             continue
         own, heights = room[:, :n], sorted_z[:n]
+        low = np.inf
         for k in range(n):
             i = order[start[c] + k]
             own[0, k], own[1, k], own[2, k] = x[i], y[i], z[i]
-        _sort_heights(own[2], heights)
-        first, filled = _two_layers(heights, thickness)
+            low = min(low, z[i])
+        first, filled = 0, -1
+        # Most cells have their lowest layer filled, and heights need no order.
+        if not _is_filled(own[2], low, thickness):
+            _sort_heights(own[2], heights)
+            first, filled = _two_layers(heights, thickness)
         for bottom in (first, filled):
             if bottom < 0:
                 continue
-            low = heights[bottom]
+            low = heights[bottom] if bottom > 0 else low
             count[used] = _layer_mean(own, low, thickness, xyz[used])
             cell[used] = c
             doubtful[used] = n >= _CROWDED and count[used] < SUPPORTED
-            buried[used] = count[used] < SUPPORTED and _below_sheet(heights, bottom + count[used])
+            buried[used] = False
+            if count[used] < SUPPORTED:
+                _sort_heights(own[2], heights)
+                buried[used] = _below_sheet(heights, bottom + count[used])
             used += 1
     return used
 
@@ -221,6 +174,15 @@ def _sort_heights(z: NDArray[np.float64], out: NDArray[np.float64]) -> None:
             out[at] = out[at - 1]
             at -= 1
         out[at] = height
+
+
+@njit(nogil=True, cache=True)
+def _is_filled(z: NDArray[np.float64], low: float, thickness: float) -> bool:
+    """Whether the layer above the lowest height has enough points."""
+    held = 0
+    for k in range(len(z)):
+        held += z[k] - low <= thickness
+    return held >= min(SUPPORTED, len(z))
 
 
 @njit(nogil=True, cache=True)

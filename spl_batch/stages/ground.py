@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.kernels.grouping import Cells, chosen_places, group_by_cell
 from spl_batch.kernels.layers import (
     SUPPORTED,
-    Cells,
     Nodes,
     count_below,
     count_squares,
     count_support,
-    group_by_cell,
     lowest_layers,
 )
 from spl_batch.kernels.pits import REACH_M, in_pits
@@ -121,8 +120,9 @@ def ground_mask(
 
 def _metres(table: PointTable, chosen: NDArray[np.bool_]) -> Points:
     """Some points [m], on the absolute lattice."""
-    rows = np.flatnonzero(chosen)
-    return Points(*(table[name][rows] * QUANTUM_M for name in "xyz"))
+    found = np.empty((3, int(np.count_nonzero(chosen)) + 1))
+    chosen_places((table["x"], table["y"], table["z"]), chosen, QUANTUM_M, *found)
+    return Points(*found[:, :-1])
 
 
 def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bool_]:

@@ -1,0 +1,97 @@
+"""Points chosen from a table, and grouped by the cells of a grid."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+class Cells(NamedTuple):
+    """Points grouped by the cells of a grid, row by row.
+
+    Parameters
+    ----------
+    order : (n,) int64
+        Points, cell after cell.
+    start : (rows * columns + 1,) int64
+        Where each cell begins in ``order``.
+    rows, columns : int
+        Shape of the grid.
+    """
+
+    order: NDArray[np.int64]
+    start: NDArray[np.int64]
+    rows: int
+    columns: int
+
+
+def group_by_cell(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> Cells:
+    """Group points by the cells of a grid whose lines are multiples of its cell size.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m]; n > 0.
+    cell_m : float
+        Edge of a cell [m], > 0.
+    """
+    left, right, bottom, top = (
+        int(np.floor(end / cell_m)) for v in (x, y) for end in (v.min(), v.max())
+    )
+    columns, rows = right - left + 1, top - bottom + 1
+    order = np.empty(len(x), dtype=np.int64)
+    start = np.zeros(rows * columns + 1, dtype=np.int64)
+    _group(x, y, float(cell_m), (left, bottom, columns), start, order)
+    return Cells(order, start, rows, columns)
+
+
+@njit(nogil=True, cache=True)
+def _group(
+    x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float, grid: tuple[int, int, int],
+    start: NDArray[np.int64], order: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Stable grouping; fills ``start`` and ``order``. Grid: first column, first row, columns."""
+    left, bottom, columns = grid
+    cell = np.empty(len(x), np.int64)
+    for i in range(len(x)):
+        column, row = np.floor(x[i] / cell_m), np.floor(y[i] / cell_m)
+        cell[i] = (np.int64(row) - bottom) * columns + np.int64(column) - left
+    for c in cell:
+        start[c + 1] += 1
+    for c in range(len(start) - 1):
+        start[c + 1] += start[c]
+    cursor = start[:-1].copy()
+    for i in range(len(cell)):
+        order[cursor[cell[i]]] = i
+        cursor[cell[i]] += 1
+
+
+@njit(nogil=True, cache=True)
+def chosen_places(
+    place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
+    chosen: NDArray[np.bool_],
+    step_m: float,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+) -> None:
+    """Places of some points.
+
+    Parameters
+    ----------
+    place : three (n,) integer arrays
+        Easting, northing and height of all [steps].
+    chosen : (n,) bool
+        Which are wanted; m of them.
+    step_m : float
+        A step [m].
+    x, y, z : (m + 1,) float64
+        Filled, but for the last of each, which may be anything [m].
+    """
+    east, north, up = place
+    end = 0
+    # No branch, which would be guessed wrong wherever there is noise.
+    for i in range(len(chosen)):
+        x[end], y[end], z[end] = east[i] * step_m, north[i] * step_m, up[i] * step_m
+        end += chosen[i]
