@@ -57,8 +57,8 @@ def _group(
     for i in range(len(x)):
         column, row = np.floor(x[i] / cell_m), np.floor(y[i] / cell_m)
         cell[i] = (np.int64(row) - bottom) * columns + np.int64(column) - left
-    for c in cell:
-        start[c + 1] += 1
+    for i in range(len(cell)):
+        start[cell[i] + 1] += 1
     for c in range(len(start) - 1):
         start[c + 1] += start[c]
     cursor = start[:-1].copy()

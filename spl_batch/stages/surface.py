@@ -151,9 +151,9 @@ def _local(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
     """Sorted coordinates relative to a corner: three (n,) int32 [quanta]."""
     return (
-        (table["x"][order] - corner.xmin).astype(np.int32),
-        (table["y"][order] - corner.ymin).astype(np.int32),
-        table["z"][order],
+        (table["x"].take(order) - corner.xmin).astype(np.int32),
+        (table["y"].take(order) - corner.ymin).astype(np.int32),
+        table["z"].take(order),
     )
 
 
