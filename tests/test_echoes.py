@@ -353,3 +353,23 @@ def test_halo_and_order_do_not_matter() -> None:
         np.testing.assert_array_equal(
             chances(table.take(near), density[near])[own], chance[near][own]
         )
+
+
+def test_of_two_parents_as_high_the_table_does_not_decide() -> None:
+    def parent(edge: int, beyond: int) -> int:
+        """Of a return below two of its beamlet; another one says where columns begin."""
+        at = [[5000, 5000, 0], [4400, 5000, 300], [5600, 5000, 300], [beyond, 0, 900]]
+        xyz = np.array(at, np.int32).T
+        xyz = np.ascontiguousarray(xyz - xyz.min(axis=1, keepdims=True))
+        listed = columns(xyz, edge, lambda key: np.argsort(key, kind="stable"))
+        order = listed.order
+        out, tilt, parents = np.zeros(1, np.bool_), np.zeros((1, 2)), np.zeros(1, np.int32)
+        behind_plane(
+            np.ascontiguousarray(xyz[:, order]), np.array([1.0, 1.0, 1.0, 9.0])[order],
+            np.zeros(4, np.uint8), np.ones(4, np.bool_), listed.starts, listed.shape, edge,
+            np.flatnonzero(order == 0).astype(np.int32), 2000, 900, 800, 150, 0.6, 3, out, tilt,
+            parents,
+        )  # fmt: skip
+        return int(order[parents[0]])
+
+    assert {parent(1000, beyond) for beyond in (0, 300, 500, 700, 900)} == {1}

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from spl_batch.constants import NODATA
 from spl_batch.io.cells import create_raster_store, read_window, write_cell
 from spl_batch.io.store import Store, read_receipt, write_receipt
-from spl_batch.plan.ground_cells import GroundCells
+from spl_batch.plan.density import Box
+from spl_batch.plan.ground_cells import GroundCells, strip_q
 from spl_batch.runner.space_domain import _write_rasters
 from spl_batch.task import Receipt
 from spl_batch.tiling import (
@@ -129,7 +130,24 @@ def test_rasters_of_several_squares_come_back_in_their_places(tmp_path: Path) ->
     np.testing.assert_array_equal(read_window(store, "dtm", bounds), values)
 
 
-def test_a_receipt_does_not_speak_for_chunks_that_another_cell_writes_over(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("before", "name", "now", "left"),
+    [
+        # the survey lost a strip: the cell beside it takes over what was a cell by itself
+        ({"0_0": (0, 1), "1_0": (1, 2), "2_0": (2, 3)}, "1_0", (0, 2), ["1_0", "2_0"]),
+        # it grew: what belonged to the cell beside it is a cell by itself
+        ({"1_0": (0, 2), "2_0": (2, 3)}, "0_0", (0, 1), ["2_0"]),
+        # as it was
+        ({"0_0": (0, 1), "1_0": (1, 2), "2_0": (2, 3)}, "1_0", (1, 2), ["0_0", "1_0", "2_0"]),
+    ],
+)
+def test_a_receipt_does_not_speak_for_chunks_that_another_cell_writes_over(
+    tmp_path: Path,
+    before: dict[str, tuple[int, int]],
+    name: str,
+    now: tuple[int, int],
+    left: list[str],
+) -> None:
     survey = {"name": "s", "flightlines": "*.laz", "trajectory": "t.txt"}
     workflow = parse_workflow({"survey": survey, "output": "o"}, "w")
     edge, pixel = quanta(workflow.ground.cell_m), quanta(workflow.products.cell_m)
@@ -138,10 +156,46 @@ def test_a_receipt_does_not_speak_for_chunks_that_another_cell_writes_over(tmp_p
         workflow=workflow, store=store, rasters=store.rasters(edge, pixel)
     )
     create_raster_store(context.rasters, ["dtm"], ground_cell=edge, raster_cell=pixel)
-    for name in ("0_0", "1_0", "2_0"):
-        write_receipt(store, Receipt("surface", name, "k", "d", "", {}, {}, 1, 0.0, 0.0))
-    side = edge // pixel
-    arrays = {"dtm": np.ones((side, 2 * side), np.float32)}
-    paths = _write_rasters("1_0", Bounds(0, 0, 2 * edge, edge), arrays, context)
-    assert [path.is_file() for path in paths] == [True, True]
-    assert [n for n in ("0_0", "1_0", "2_0") if read_receipt(store, "surface", n)] == ["1_0", "2_0"]
+    for cell, (west, east) in before.items():
+        facts = {"core": [west * edge, 0, east * edge, edge]}
+        write_receipt(store, Receipt("surface", cell, "k", "d", "", {}, facts, 1, 0.0, 0.0))
+    write_receipt(store, Receipt("surface", "1_1", "k", "", "failed", {}, {}, 0, 0.0, 0.0))
+    side, wide = edge // pixel, now[1] - now[0]
+    arrays = {"dtm": np.ones((side, wide * side), np.float32)}
+    core = Bounds(now[0] * edge, 0, now[1] * edge, edge)
+    paths = _write_rasters(name, core, arrays, context)
+    assert [path.is_file() for path in paths] == [True] * wide
+    names = ["0_0", "1_0", "2_0", "1_1"]
+    assert [n for n in names if read_receipt(store, "surface", n)] == [*left, "1_1"]
+
+
+@given(boxes)
+@settings(max_examples=100, deadline=None)
+def test_a_region_without_strips_touches_the_cells_that_own_it(listed: list[Bounds]) -> None:
+    cells = GroundCells.of_boxes(listed, EDGE, BUFFER)
+    for box in listed:
+        touched = set(cells_touching(cells.kept(box), EDGE))
+        assert touched == {cells.keeper(square) for square in cells_touching(box, EDGE)}
+
+
+@given(boxes, st.sampled_from([0, 40, 60]))
+@settings(max_examples=60, deadline=None)
+def test_the_fullest_joined_cell_is_found(listed: list[Bounds], reach: int) -> None:
+    cells = GroundCells.of_boxes(listed, EDGE, BUFFER)
+    held = {}
+    for cell in {cells.keeper(square) for square in cells_touching(hull(listed), EDGE)}:
+        if cells.core(cell) != cell_bounds(cell, EDGE):
+            near = grow(cells.core(cell), reach)
+            held[cell] = sum(7.0 * shared(b, near).area_m2 / b.area_m2 for b in listed)
+    found = cells.fullest_joined([Box(b, 7.0) for b in listed], reach)
+    assert found.points == pytest.approx(max(held.values(), default=0.0))
+
+
+def test_strips_are_not_joined_where_squares_hold_many_raster_cells() -> None:
+    survey = {"name": "s", "flightlines": "*.laz", "trajectory": "t.txt"}
+
+    def width(pixel_m: float) -> int:
+        products = {"cell_m": pixel_m}
+        return strip_q(parse_workflow({"survey": survey, "output": "o", "products": products}, "w"))
+
+    assert (width(1.0), width(0.4), width(0.25)) == (60_000, 60_000, 0)

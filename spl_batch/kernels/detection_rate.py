@@ -72,9 +72,9 @@ def most_likely(
             value, fall = -silent[cell], 0.0
             for s in range(low, high):
                 # of what falls: the exponential of many photo-electrons is beyond all numbers
-                seen = -math.expm1(-amount[s] * rho)
-                value += amount[s] * (1.0 - seen) / seen
-                fall += amount[s] * amount[s] * (1.0 - seen) / (seen * seen)
+                unseen, seen = math.exp(-amount[s] * rho), -math.expm1(-amount[s] * rho)
+                value += amount[s] * unseen / seen
+                fall += amount[s] * amount[s] * unseen / (seen * seen)
             # The left side is convex and falls: from the right a step may go too far.
             new = max(rho + value / fall, 0.25 * rho)
             done = abs(new - rho) <= 1e-10 * rho

@@ -64,20 +64,31 @@ def _parent(
     nx, ny = shape
     x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
     own = int(x // edge) * ny + int(y // edge)
-    # Most stand in its own column, and others must be lower.
+    # Most stand in its own column, and others must be lower. Of two as high the one farther west
+    # or south is taken, wherever columns begin.
     found: int = _mate(row, xyz, time, channel, row + 1, starts[own + 1], z + lag, aside)
-    top = z + lag if found < 0 else xyz[U2, found] - 1
+    top = z + lag if found < 0 else xyz[U2, found]
     for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
         for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
             column = i * ny + j
-            if column == own or top <= z:
+            if column == own:
                 continue
             stop = starts[column + 1]
             begin = first_above(xyz, starts[column], stop, z + 1)
             mate = _mate(row, xyz, time, channel, begin, stop, top, aside)
-            if mate >= 0:
-                found, top = mate, xyz[U2, mate] - 1
+            if mate >= 0 and (found < 0 or _before(xyz, mate, found)):
+                found, top = mate, xyz[U2, mate]
     return found
+
+
+@njit(nogil=True, cache=True)
+def _before(xyz, one, other):  # type: ignore[no-untyped-def]
+    """Whether one point is lower than another, or as high and farther west, or south of it."""
+    if xyz[U2, one] != xyz[U2, other]:
+        return xyz[U2, one] < xyz[U2, other]
+    if xyz[U0, one] != xyz[U0, other]:
+        return xyz[U0, one] < xyz[U0, other]
+    return xyz[U1, one] < xyz[U1, other]
 
 
 @njit(nogil=True, cache=True)

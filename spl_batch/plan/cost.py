@@ -11,13 +11,14 @@ from spl_batch.plan import density, reference
 from spl_batch.plan.blocks import choose_sizes, count_blocks
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
-from spl_batch.plan.ground_cells import GroundCells
+from spl_batch.plan.ground_cells import GroundCells, strip_q
 from spl_batch.plan.inputs import Source
 from spl_batch.plan.memory import Need, halo_m, needs, stretch_points
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.context import Context
 from spl_batch.stages.surface import PRODUCTS
-from spl_batch.tiling import Bounds, quanta, shared
+from spl_batch.tiling import Bounds, quanta
+from spl_batch.workflow import Workflow
 
 STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""
@@ -89,9 +90,9 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     sizes = sizes or choose_sizes(pieces, *limits, survey.workers)
     blocks = count_blocks(pieces, *limits, sizes)
     tiles = sum(piece.units(survey.tile_q) for piece in pieces)
-    cells = _ground_cells(boxes, survey)
+    cells = _ground_cells(boxes, workflow)
     stretches = sum(-(-s.facts.n_points // stretch_points(survey.memory_bytes)) for s in sources)
-    heaviest = _heaviest(survey, pieces)
+    heaviest = _heaviest(survey, pieces, boxes)
     typical = {
         **RATES_POINTS_PER_S,
         "denoise": RATES_POINTS_PER_S["denoise"] / max(blocks.read, 1.0),
@@ -136,22 +137,22 @@ def _box(source: Source) -> Box:
     return Box(Bounds(west, south, east, north), source.facts.n_points)
 
 
-def _ground_cells(boxes: Sequence[Box], survey: Survey) -> int:
-    """Ground cells, without the strips that belong to the next one [count]."""
-    buffer = quanta(survey.workflow.ground.buffer_m)
-    alone = GroundCells.of_boxes([box.bounds for box in boxes], survey.cell_q, buffer).alone
-    within = (box._replace(bounds=shared(box.bounds, alone)) for box in boxes)
-    pieces = density.from_boxes((b for b in within if b.bounds.area_m2), survey.cell_q)
-    return sum(piece.units(survey.cell_q) for piece in pieces)
+def _ground_cells(boxes: Sequence[Box], workflow: Workflow) -> int:
+    """Ground cells that hold points [count]."""
+    edge = quanta(workflow.ground.cell_m)
+    cells = GroundCells.of_boxes([box.bounds for box in boxes], edge, strip_q(workflow))
+    kept = (box._replace(bounds=cells.kept(box.bounds)) for box in boxes)
+    return sum(piece.units(edge) for piece in density.from_boxes(kept, edge))
 
 
-def _heaviest(survey: Survey, pieces: Sequence[Piece]) -> Need:
+def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> Need:
     inputs = survey.inputs
     found: Iterable[Need] = needs(
         pieces,
         survey.workflow,
         survey.memory_bytes,
         points=sum(s.facts.n_points for s in inputs.sources),
+        boxes=boxes,
         trajectory=inputs.trajectory,
     )
     return max(found, key=lambda need: need.memory_bytes)

@@ -9,11 +9,25 @@ free to lie as they like.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
+import numpy as np
+
+from spl_batch.plan.density import Box, Peak, largest
 from spl_batch.plan.space import Unit, unit_within
 from spl_batch.task import Receipt
-from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching
+from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
+from spl_batch.workflow import Workflow
+
+MOST_ACROSS: Final = 500
+"""Raster cells along a square up to which strips are joined [count]: rasters of a joined cell are
+made for whole squares, nine of them where a survey is one square with strips all round."""
+
+
+def strip_q(workflow: Workflow) -> int:
+    """Width up to which a strip belongs to the cell beside it [quanta]."""
+    across = quanta(workflow.ground.cell_m) // quanta(workflow.products.cell_m)
+    return quanta(workflow.ground.buffer_m) if across <= MOST_ACROSS else 0
 
 
 class GroundCells(NamedTuple):
@@ -35,19 +49,19 @@ class GroundCells(NamedTuple):
     reached: Bounds
 
     @classmethod
-    def of_boxes(cls, boxes: Iterable[Sequence[int]], edge: int, buffer: int) -> Self:
+    def of_boxes(cls, boxes: Iterable[Sequence[int]], edge: int, strip: int) -> Self:
         """Cells of a survey.
 
         Parameters
         ----------
         boxes : iterable of (xmin, ymin, xmax, ymax)
             Bounding boxes of its files, half-open [quanta].
-        edge, buffer : int
-            Edge of a square and its buffer [quanta].
+        edge, strip : int
+            Edge of a square, and width up to which a strip is joined [quanta].
         """
         corners = list(zip(*boxes, strict=True)) or [(0,), (0,), (1,), (1,)]
-        columns = _axis(min(corners[0]), max(corners[2]), edge, buffer)
-        rows = _axis(min(corners[1]), max(corners[3]), edge, buffer)
+        columns = _axis(min(corners[0]), max(corners[2]), edge, strip)
+        rows = _axis(min(corners[1]), max(corners[3]), edge, strip)
         west, east, low_i, high_i = columns
         south, north, low_j, high_j = rows
         reached = Bounds(west * edge, south * edge, (east + 1) * edge, (north + 1) * edge)
@@ -80,6 +94,47 @@ class GroundCells(NamedTuple):
         """Squares that a cell owns, row by row."""
         return cells_touching(self.core(cell), self.edge)
 
+    def kept(self, region: Bounds) -> Bounds:
+        """The same region without strips: it shares area with the cells that own its squares."""
+        alone = self.alone
+        return Bounds(
+            min(max(region.xmin, alone.xmin), alone.xmax - 1),
+            min(max(region.ymin, alone.ymin), alone.ymax - 1),
+            max(min(region.xmax, alone.xmax), alone.xmin + 1),
+            max(min(region.ymax, alone.ymax), alone.ymin + 1),
+        )
+
+    def fullest_joined(self, boxes: Sequence[Box], reach: int) -> Peak:
+        """The cell with a strip that reads most, of points that spread evenly over boxes.
+
+        Parameters
+        ----------
+        boxes : sequence of Box
+            Bounding boxes of files and their points.
+        reach : int
+            What a cell reads around its core [quanta].
+        """
+        bounds = np.array([box.bounds for box in boxes], np.float64).reshape(-1, 4)
+        points = np.array([box.points for box in boxes])
+        sides = np.maximum(bounds[:, 2:] - bounds[:, :2], 1.0)
+        found = []
+        for cell in self._rim():
+            core = self.core(cell)
+            near = np.array(grow(core, reach), np.float64)
+            shared = np.minimum(bounds[:, 2:], near[2:]) - np.maximum(bounds[:, :2], near[:2])
+            parts = (np.maximum(shared, 0.0) / sides).prod(axis=1)
+            found.append(Peak(float(parts @ points), core))
+        return largest(found)
+
+    def _rim(self) -> Iterator[CellId]:
+        """Cells that own more than their square."""
+        first, last = self.low, self.high
+        for j in range(first.j, last.j + 1):
+            outer = j in {first.j, last.j}
+            for i in range(first.i, last.i + 1) if outer else sorted({first.i, last.i}):
+                if self.core(CellId(i, j)) != cell_bounds(CellId(i, j), self.edge):
+                    yield CellId(i, j)
+
     def units(self, counts: Mapping[CellId, int], tile_q: int, halo_q: int) -> Iterator[Unit]:
         """Cells that share area with a tile, with what they read; in their order.
 
@@ -109,12 +164,12 @@ class GroundCells(NamedTuple):
         return dict.fromkeys(map(self.keeper, squares))
 
 
-def _axis(first: int, past: int, edge: int, buffer: int) -> tuple[int, int, int, int]:
+def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, int]:
     """First and last column that a survey reaches, and those that are cells by themselves."""
     west, east = first // edge, (past - 1) // edge
     low, high = west, east
-    if low < high and (low + 1) * edge - first <= buffer:
+    if low < high and (low + 1) * edge - first <= strip:
         low += 1
-    if low < high and past - high * edge <= buffer:
+    if low < high and past - high * edge <= strip:
         high -= 1
     return west, east, low, high

@@ -12,7 +12,8 @@ from typing import Final, NamedTuple
 
 from spl_batch.constants import QUANTUM_M
 from spl_batch.io.trajectory_merge import WAITING_RECORDS
-from spl_batch.plan.density import Peak, Piece, largest
+from spl_batch.plan.density import Box, Peak, Piece, largest
+from spl_batch.plan.ground_cells import GroundCells, strip_q
 from spl_batch.runner.delivery import PASS_POINTS
 from spl_batch.runner.index import CHUNK_POINTS
 from spl_batch.stages import denoise, reflectance, surface
@@ -132,6 +133,7 @@ def needs(
     memory_bytes: int,
     *,
     points: int,
+    boxes: Sequence[Box] = (),
     trajectory: Iterable[Path] = (),
 ) -> list[Need]:
     """Memory of the heaviest task of each kind.
@@ -146,6 +148,8 @@ def needs(
         Memory limit of a worker [byte].
     points : int
         Points of the survey [count].
+    boxes : sequence of Box
+        Bounding boxes of its files: ground cells at its edge own what is left over there.
     trajectory : iterable of Path
         Trajectory files.
     """
@@ -155,12 +159,14 @@ def needs(
         "build_tile": (tile_q, 0.0),
         "denoise": (block, halo_m(workflow)),
         "ground": (cell_q, workflow.ground.buffer_m),
-        # a strip that a cell owns beside it is as wide as the buffer, at the most
-        "surface": (cell_q, max(surface_reach_m(workflow), workflow.ground.buffer_m)),
+        "surface": (cell_q, surface_reach_m(workflow)),
     }
+    cells = GroundCells.of_boxes([box.bounds for box in boxes], cell_q, strip_q(workflow))
     found = []
     for kind, (edge, reach) in reaches.items():
         peak = largest(piece.peak(edge, quanta(reach)) for piece in pieces)
+        if kind in {"ground", "surface"}:
+            peak = largest([peak, cells.fullest_joined(boxes, quanta(reach))])
         found.append(Need(_place(kind, peak), task_bytes(kind, peak.points), REMEDIES[kind]))
     tile = largest(piece.peak(tile_q, 0) for piece in pieces).points
     stretch = min(points, UNEVEN * stretch_points(memory_bytes))

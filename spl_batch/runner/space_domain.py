@@ -12,7 +12,7 @@ from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.io.cells import write_cell
 from spl_batch.io.labels import read_region, write_labels
 from spl_batch.io.polygons import contains, read_polygons
-from spl_batch.io.store import forget_receipt
+from spl_batch.io.store import forget_receipt, read_receipt
 from spl_batch.io.tables import read_arrays
 from spl_batch.kernels.raster import add_up_finite
 from spl_batch.model import PointFlag, PointTable
@@ -26,7 +26,16 @@ from spl_batch.stages.fired import FiredPart
 from spl_batch.stages.kept_noise import within_signal
 from spl_batch.stages.stray import stray
 from spl_batch.stages.water import submerged
-from spl_batch.tiling import Bounds, CellId, cells_touching, grow, inside, parse_cell, quanta
+from spl_batch.tiling import (
+    Bounds,
+    CellId,
+    cells_touching,
+    grow,
+    inside,
+    overlap,
+    parse_cell,
+    quanta,
+)
 
 Units = dict[CellId, list[tuple[str, str]]]
 
@@ -171,13 +180,14 @@ def _write_rasters(
     name: str, core: Bounds, arrays: dict[str, NDArray[np.float32]], context: Context
 ) -> list[Path]:
     """Raster cells of a ground cell; files of their chunks."""
-    squares = list(cells_touching(core, quanta(context.workflow.ground.cell_m)))
-    for other in map(str, squares):
-        # It was a cell by itself when the survey was another: its receipt must not speak for
-        # chunks that are written over.
-        if other != name:
+    edge = quanta(context.workflow.ground.cell_m)
+    for other in map(str, cells_touching(grow(core, edge), edge)):
+        # When the survey was another a cell beside it owned some of its squares, or one of them
+        # was a cell by itself: that receipt must not speak for chunks that are written over.
+        receipt = None if other == name else read_receipt(context.store, "surface", other)
+        if receipt and not receipt.failed and overlap(Bounds(*receipt.facts["core"]), core):
             forget_receipt(context.store, "surface", other)
-    return write_cell(context.rasters, squares[0], arrays)
+    return write_cell(context.rasters, CellId(core.xmin // edge, core.ymin // edge), arrays)
 
 
 def _mask_outside(arrays: dict[str, NDArray[np.float32]], core: Bounds, context: Context) -> None:
