@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from spl_batch.kernels.afterpulses import TOGETHER
 from spl_batch.kernels.robust_plane import percentile_68_below, spread
 from spl_batch.model import COLUMNS, PointTable, Trajectory
 from spl_batch.sensor import load_preset
@@ -169,8 +170,9 @@ def test_a_car_beside_its_ground_costs_no_ground() -> None:
 
 
 def test_shots_stand_alone_and_rows_may_be_cut_between_them() -> None:
-    table, track, _ = shots(eave, number=12)
+    table, track, _ = shots(eave, number=TOGETHER + 12)
     whole = found(table, track)
+    assert np.count_nonzero(whole) > TOGETHER
     parts = [found(table.take(table["gps_time"] == t), track) for t in np.unique(table["gps_time"])]
     assert np.array_equal(np.concatenate(parts), whole)
 
