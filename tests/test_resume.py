@@ -16,6 +16,7 @@ from spl_batch import api
 from spl_batch.api import planning
 from spl_batch.api.events import Note
 from spl_batch.errors import InputError, SplBatchError
+from spl_batch.io.store import Store, read_receipts
 from spl_batch.model import PointTable
 from spl_batch.runner import index, space_domain
 from spl_batch.runner import reference as reference_squares
@@ -145,6 +146,29 @@ def test_a_damaged_reference_costs_neither_the_report_nor_the_rest(survey: Path)
     assert (failure.stage, failure.place) == ("report", str(reference))
     assert "point 17" in failure.reason
     assert (result.output / "report.html").exists()
+
+
+def test_a_survey_that_grows_and_shrinks_ends_as_if_it_never_had(survey: Path) -> None:
+    """A line south of the others makes a cell of what was a strip, and a strip of the cell."""
+
+    def cells(output: Path) -> dict[str, list[int]]:
+        found = read_receipts(Store(output), "surface")
+        return {receipt.name: receipt.facts["core"] for receipt in found}
+
+    first = surveys.run(survey, until="deliver")
+    before, results = cells(first.output), surveys.results(first.output)
+    south = surveys.ORIGIN_M[0], surveys.ORIGIN_M[1] - 30.0
+    added = survey.parent / "lines" / "3.laz"
+    surveys.write_cloud(added, surveys.flightline(shots=60, psid=3, seed=3, origin_m=south))
+    grown = surveys.run(survey, until="deliver")
+    alone = surveys.run(surveys.copy_of(survey, survey.parent / "alone"), until="deliver")
+    assert surveys.results(grown.output) == surveys.results(alone.output)
+    assert cells(grown.output) == cells(alone.output), "no receipt of another shape is left"
+    assert before.keys() != cells(grown.output).keys()
+    added.unlink()
+    shrunk = surveys.run(survey, until="deliver")
+    assert surveys.results(shrunk.output) == results
+    assert cells(shrunk.output) == before
 
 
 def test_a_plan_says_what_is_left(survey: Path) -> None:
