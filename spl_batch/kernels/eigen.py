@@ -3,12 +3,34 @@
 Eigenvalues by the trigonometric solution of the cubic, eigenvectors by cross products
 starting from the eigenvalue that stands farthest apart (Eberly, "A robust eigensolver
 for 3 x 3 symmetric matrices", Geometric Tools, 2014). Degenerate matrices - planes,
-lines, a single place - give an orthonormal basis all the same.
+lines, a single place - give an orthonormal basis all the same. What has no branch serves numbers
+and lanes of eight alike (:mod:`~spl_batch.kernels.eigen_lanes`).
 """
 
 import math
 
 from numba import njit
+
+
+@njit(nogil=True, cache=True)
+def cross(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
+    """Cross product of two vectors."""
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@njit(nogil=True, cache=True)
+def restricted(axx, axy, axz, ayy, ayz, azz, ux, uy, uz, vx, vy, vz, value):  # type: ignore[no-untyped-def]
+    """A matrix less ``value`` within the plane of two unit vectors: its three elements."""
+    aux = axx * ux + axy * uy + axz * uz
+    auy = axy * ux + ayy * uy + ayz * uz
+    auz = axz * ux + ayz * uy + azz * uz
+    avx = axx * vx + axy * vy + axz * vz
+    avy = axy * vx + ayy * vy + ayz * vz
+    avz = axz * vx + ayz * vy + azz * vz
+    m00 = ux * aux + uy * auy + uz * auz - value
+    m01 = ux * avx + uy * avy + uz * avz
+    m11 = vx * avx + vy * avy + vz * avz - value
+    return m00, m01, m11
 
 
 @njit(nogil=True, cache=True)
@@ -20,18 +42,17 @@ def _complement(wx, wy, wz):  # type: ignore[no-untyped-def]
     else:
         scale = 1.0 / math.sqrt(wy * wy + wz * wz)
         ux, uy, uz = 0.0, wz * scale, -wy * scale
-    return ux, uy, uz, wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
+    vx, vy, vz = cross(wx, wy, wz, ux, uy, uz)
+    return ux, uy, uz, vx, vy, vz
 
 
 @njit(nogil=True, cache=True)
 def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-def]
     """Eigenvector of an isolated eigenvalue: the longest cross product of two rows of A - value."""
-    r0x, r0y, r0z = axx - value, axy, axz
-    r1x, r1y, r1z = axy, ayy - value, ayz
-    r2x, r2y, r2z = axz, ayz, azz - value
-    ax, ay, az = r0y * r1z - r0z * r1y, r0z * r1x - r0x * r1z, r0x * r1y - r0y * r1x
-    bx, by, bz = r0y * r2z - r0z * r2y, r0z * r2x - r0x * r2z, r0x * r2y - r0y * r2x
-    cx, cy, cz = r1y * r2z - r1z * r2y, r1z * r2x - r1x * r2z, r1x * r2y - r1y * r2x
+    xx, yy, zz = axx - value, ayy - value, azz - value
+    ax, ay, az = cross(xx, axy, axz, axy, yy, ayz)
+    bx, by, bz = cross(xx, axy, axz, axz, ayz, zz)
+    cx, cy, cz = cross(axy, yy, ayz, axz, ayz, zz)
     a = ax * ax + ay * ay + az * az
     b = bx * bx + by * by + bz * bz
     c = cx * cx + cy * cy + cz * cz
@@ -49,15 +70,9 @@ def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-d
 def _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, value):  # type: ignore[no-untyped-def]
     """Eigenvector of ``value`` within the plane at right angles to w."""
     ux, uy, uz, vx, vy, vz = _complement(wx, wy, wz)
-    aux = axx * ux + axy * uy + axz * uz
-    auy = axy * ux + ayy * uy + ayz * uz
-    auz = axz * ux + ayz * uy + azz * uz
-    avx = axx * vx + axy * vy + axz * vz
-    avy = axy * vx + ayy * vy + ayz * vz
-    avz = axz * vx + ayz * vy + azz * vz
-    m00 = ux * aux + uy * auy + uz * auz - value
-    m01 = ux * avx + uy * avy + uz * avz
-    m11 = vx * avx + vy * avy + vz * avz - value
+    m00, m01, m11 = restricted(
+        axx, axy, axz, ayy, ayz, azz, ux, uy, uz, vx, vy, vz, value
+    )  # fmt: skip
     if abs(m00) >= abs(m11):
         p, q = m01, -m00
     else:

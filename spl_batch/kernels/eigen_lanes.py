@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
+from spl_batch.kernels.eigen import cross, restricted
 from spl_batch.kernels.lanes import (
     LANES,
     absolute,
@@ -27,17 +28,12 @@ U0 = R0
 
 
 @njit(nogil=True, cache=True)
-def _cross(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-@njit(nogil=True, cache=True)
 def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-def]
     """Eigenvectors of isolated eigenvalues: the longest cross product of two rows of A - value."""
     xx, yy, zz = axx - value, ayy - value, azz - value
-    ax, ay, az = _cross(xx, axy, axz, axy, yy, ayz)
-    bx, by, bz = _cross(xx, axy, axz, axz, ayz, zz)
-    cx, cy, cz = _cross(axy, yy, ayz, axz, ayz, zz)
+    ax, ay, az = cross(xx, axy, axz, axy, yy, ayz)
+    bx, by, bz = cross(xx, axy, axz, axz, ayz, zz)
+    cx, cy, cz = cross(axy, yy, ayz, axz, ayz, zz)
     a = ax * ax + ay * ay + az * az
     b = bx * bx + by * by + bz * bz
     c = cx * cx + cy * cy + cz * cz
@@ -64,7 +60,7 @@ def _complement(wx, wy, wz):  # type: ignore[no-untyped-def]
     ux = where(wide, spread(-1.0) * wz * scale, none)
     uy = where(wide, none, wz * scale)
     uz = where(wide, wx * scale, spread(-1.0) * wy * scale)
-    vx, vy, vz = _cross(wx, wy, wz, ux, uy, uz)
+    vx, vy, vz = cross(wx, wy, wz, ux, uy, uz)
     return ux, uy, uz, vx, vy, vz
 
 
@@ -72,15 +68,9 @@ def _complement(wx, wy, wz):  # type: ignore[no-untyped-def]
 def _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, value):  # type: ignore[no-untyped-def]
     """Eigenvectors of ``value`` within the planes at right angles to w."""
     ux, uy, uz, vx, vy, vz = _complement(wx, wy, wz)
-    aux = axx * ux + axy * uy + axz * uz
-    auy = axy * ux + ayy * uy + ayz * uz
-    auz = axz * ux + ayz * uy + azz * uz
-    avx = axx * vx + axy * vy + axz * vz
-    avy = axy * vx + ayy * vy + ayz * vz
-    avz = axz * vx + ayz * vy + azz * vz
-    m00 = ux * aux + uy * auy + uz * auz - value
-    m01 = ux * avx + uy * avy + uz * avz
-    m11 = vx * avx + vy * avy + vz * avz - value
+    m00, m01, m11 = restricted(
+        axx, axy, axz, ayy, ayz, azz, ux, uy, uz, vx, vy, vz, value
+    )  # fmt: skip
     first, minus = absolute(m00) >= absolute(m11), spread(-1.0)
     p, q = where(first, m01, m11), where(first, minus * m00, minus * m01)
     norm = root(p * p + q * q)
@@ -136,7 +126,7 @@ def eigen_of_eight(matrices, values, vectors, spare):  # type: ignore[no-untyped
     upper = half >= none
     wx, wy, wz = _isolated(axx, axy, axz, ayy, ayz, azz, where(upper, largest, smallest))
     mx, my, mz = _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, middle)
-    ox, oy, oz = _cross(wx, wy, wz, mx, my, mz)
+    ox, oy, oz = cross(wx, wy, wz, mx, my, mz)
     store(values, (R0, U0), where(nothing, none, largest * size))
     store(values, (R1, U0), where(nothing, none, middle * size))
     store(values, (R2, U0), where(nothing, none, smallest * size))
