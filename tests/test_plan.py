@@ -40,8 +40,8 @@ from spl_batch.plan.layout import ORIGIN, Block, Layout, parse_block
 from spl_batch.plan.memory import UNEVEN
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, tile_counts, voxel_index
-from spl_batch.runner.index import merge_spans
 from spl_batch.runner.rate import BINS_PER_S, Rate, most_points
+from spl_batch.runner.tally import merge_spans
 from spl_batch.task import Receipt
 from spl_batch.tiling import Bounds, CellId, cell_bounds, overlap
 from spl_batch.workflow import Workflow, parse_workflow

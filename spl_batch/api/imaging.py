@@ -31,6 +31,7 @@ from spl_batch.workflow import Workflow
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
+        "index_part": "part of a file",
         "index_file": "file",
         "build_tile": "tile",
         "gather": "stretch",
@@ -124,7 +125,7 @@ class Imaging(Receiver[Survey, Context]):
         """Warn of what a phase has brought to light, or stop."""
         survey = prepared.ledger
         if phase.kind == "index_file":
-            yield from _judge_index(survey, [r for r in failed if r.kind == "index_file"])
+            yield from _judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
         if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
             failures = [r.reason for r in failed if r.kind == "trajectory"]
             if failures:

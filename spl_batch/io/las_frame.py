@@ -183,6 +183,12 @@ class Extent:
             self.high[axis] = max(self.high[axis], int(records[name].max()))
         self.returns += np.bincount(records["bit_fields"] & 15, minlength=16)
 
+    def join(self, other: "Extent") -> None:
+        """Count in what another one has counted."""
+        self.low = [min(pair) for pair in zip(self.low, other.low, strict=True)]
+        self.high = [max(pair) for pair in zip(self.high, other.high, strict=True)]
+        self.returns = self.returns + other.returns
+
     def box(self, frame: Frame) -> list[float]:
         """Max x, min x, max y, and so on: the header's order [m]."""
         if self.n_points == 0:

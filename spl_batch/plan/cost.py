@@ -16,6 +16,7 @@ from spl_batch.plan.inputs import Source
 from spl_batch.plan.memory import Need, halo_m, needs, stretch_points
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.context import Context
+from spl_batch.runner.index import parts_of
 from spl_batch.stages.surface import PRODUCTS
 from spl_batch.tiling import Bounds, quanta
 from spl_batch.workflow import Workflow
@@ -101,11 +102,12 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     compared = sum(facts.n_points for facts in survey.inputs.reference)
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
-    # every file is indexed and most likely is a flightline of its own; each stretch is
+    # every file is indexed, a large one by parts, and most likely is a flightline; each stretch is
     # gathered and scattered; the noise map is a mosaic too; without a trajectory flightlines have
     # a heading and a path, and stretches are observed after that
     mosaics = len(PRODUCTS) + 1
     tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered + mosaics
+    tasks += sum(parts_of(source.facts.n_points) for source in sources)
     tasks += len(survey.inputs.reference) + reference.squares(survey)
     if survey.filtering:
         tasks += 1 if survey.inputs.trajectory else 2 * len(sources) + stretches

@@ -11,7 +11,7 @@ from spl_batch.plan.flightlines import Flightline
 from spl_batch.plan.inputs import source_args
 from spl_batch.plan.ledger import Phase
 from spl_batch.plan.survey import Survey
-from spl_batch.runner.index import POSITIONS_S
+from spl_batch.runner.index import POSITIONS_S, part_name, part_range, parts_of
 from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Task
 
@@ -22,10 +22,31 @@ POSITIONS_MARGIN_S = 10.0
 """More than the longest gap of a trajectory that is interpolated over [s]."""
 
 
-def _index(survey: Survey) -> Iterator[Task]:
+def _index_part(survey: Survey) -> Iterator[Task]:
     for source in survey.inputs.sources:
-        args = {**source_args(source), "name": source.name, "stamp": stamp_if_there(source.path)}
-        yield Task("index_file", str(source.key), args, (), source.facts.n_points)
+        n_points, stamp = source.facts.n_points, stamp_if_there(source.path)
+        for part in range(parts_of(n_points)):
+            args = {**source_args(source), "stamp": stamp, "part": part}
+            start, stop = part_range(n_points, part)
+            yield Task("index_part", f"{source.key}/{part}", args, (), stop - start)
+
+
+def _index(survey: Survey) -> Iterator[Task]:
+    done = survey.of("index_part")
+    for source in survey.inputs.sources:
+        parts = [f"{source.key}/{part}" for part in range(parts_of(source.facts.n_points))]
+        if not all(part in done for part in parts):
+            continue
+        args = {
+            **source_args(source),
+            "name": source.name,
+            "stamp": stamp_if_there(source.path),
+            "parts": len(parts),
+            "again": [k for k, part in enumerate(parts) if "fault" in done[part].facts],
+        }
+        needs = tuple(("index_part", part) for part in parts)
+        points = 0 if parts else source.facts.n_points
+        yield Task("index_file", str(source.key), args, needs, points)
 
 
 def _trajectory(survey: Survey) -> Iterator[Task]:
@@ -151,6 +172,7 @@ def _scatter(survey: Survey) -> Iterator[Task]:
 
 
 PHASES = (
+    Phase("index_part", _index_part),
     Phase("index_file", _index),
     Phase("trajectory", _trajectory),
     Phase("heading", _heading),
@@ -193,11 +215,22 @@ def _stretch_args(survey: Survey, line: Flightline, name: str, k: int) -> dict[s
     return {
         **_line_args(survey, line),
         "stretch": name,
-        "sources": list(line.sources),
+        "sources": _within(survey, line, line.window_s(k)),
         "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
         "window_s": line.window_s(k),
         "span_s": [line.first_s, line.last_s],
     }
+
+
+def _within(survey: Survey, line: Flightline, window_s: tuple[float, float]) -> list[str]:
+    """Names of what the index has kept of each file, or of the parts with points of a time."""
+    names: list[str] = []
+    for source in line.sources:
+        parts = survey.of("index_file")[source].facts["parts"]
+        near = [s is not None and s[0] <= window_s[1] and s[1] >= window_s[0] for s in parts]
+        names += [part_name(source, k) for k, within in enumerate(near) if within]
+        names += [] if parts else [source]
+    return names
 
 
 def _files(line: Flightline) -> tuple[tuple[str, str], ...]:

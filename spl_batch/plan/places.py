@@ -155,6 +155,7 @@ def deliver(survey: Survey) -> Iterator[Task]:
             **source_args(source),
             "delivered": source.delivered,
             "points": receipt.points,
+            "parts": len(receipt.facts["parts"]),
             "hash": receipt.facts["hash"],
             "tiles": {str(tile): units_of for tile, units_of in labels.items()},
         }

@@ -83,6 +83,7 @@ LIBRARIES: Final = (
 )
 """Libraries whose versions can change a result."""
 
+_INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 _OBSERVED: Final = ("noise", "acquisition", "survey.sensor")
 _TIME: Final = (
     *("noise", "acquisition", "survey.sensor"),
@@ -92,11 +93,8 @@ _TIME: Final = (
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
-        "index_file": Kind(
-            "index",
-            "spl_batch.runner.index:index_file",
-            ("survey.channel_dimension", "survey.gap_s"),
-        ),
+        "index_part": Kind("index", "spl_batch.runner.index:index_part", _INDEXED),
+        "index_file": Kind("index", "spl_batch.runner.index:index_file", _INDEXED),
         "trajectory": Kind(
             "index", "spl_batch.runner.index:gather_trajectory", ("survey.trajectory_crs",)
         ),

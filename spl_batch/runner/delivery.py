@@ -17,8 +17,8 @@ from spl_batch.io.las_write import Decoded, write_classified, write_points
 from spl_batch.io.rasters import write_cog
 from spl_batch.io.tables import read_arrays, read_columns
 from spl_batch.model import COLUMNS, PointTable
+from spl_batch.runner import index
 from spl_batch.runner.context import Context, Produced
-from spl_batch.runner.index import CHUNK_POINTS
 from spl_batch.runner.unchanged import as_indexed, unchanged
 from spl_batch.tiling import Bounds, cells_of_runs, parse_cell, quanta
 
@@ -60,8 +60,8 @@ class _FileLabels:
         source = np.uint64(int(self.args["source"]))
         for table in self._tiles():
             mine = table.take(table["source"] == source)
-            index = mine["index"].astype(np.int64)
-            mine = mine.take((index >= self.start) & (index < self.stop))
+            place = mine["index"].astype(np.int64)
+            mine = mine.take((place >= self.start) & (place < self.stop))
             at = mine["index"].astype(np.int64) - self.start
             for name in self.names:
                 self.values[name][at] = mine[name]
@@ -111,25 +111,33 @@ def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:
     """What the index keeps of a file whose layers can be copied."""
     arrays = read_arrays(context.store.path("index", f"{args['source']}.npz"))
     extent = Extent.from_arrays(arrays)
-    path = context.store.path("given", f"{args['source']}.parquet")
-    return Decoded(_Given(path), extent) if extent.n_points else None
+    return Decoded(_Given(args, context), extent) if extent.n_points else None
 
 
 class _Given:
     """What the index keeps of each record, some row groups at a time."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, args: Mapping[str, Any], context: Context) -> None:
+        self.source, self.parts, self.store = args["source"], args["parts"], context.store
         self.start = 0
         self.values = np.empty(0, np.uint32)
 
     def __call__(self, start: int, stop: int) -> NDArray[np.uint32]:
         """Of records ``[start, stop)``."""
         if start < self.start or stop > self.start + len(self.values):
-            groups = range(start // CHUNK_POINTS, -(-stop // CHUNK_POINTS))
-            self.values = read_columns(self.path, [GIVEN], groups)[GIVEN]
-            self.start = start // CHUNK_POINTS * CHUNK_POINTS
+            first, last = start // index.CHUNK_POINTS, -(-stop // index.CHUNK_POINTS)
+            size = index.PART_CHUNKS if self.parts else last
+            pieces = [
+                self._read(part, range(max(first - part * size, 0), min(last - part * size, size)))
+                for part in range(first // size, -(-last // size))
+            ]
+            self.values, self.start = np.concatenate(pieces), first * index.CHUNK_POINTS
         return self.values[start - self.start : stop - self.start]
+
+    def _read(self, part: int, groups: range) -> NDArray[np.uint32]:
+        """Row groups of a part, or of the whole file where it has none."""
+        name = index.part_name(self.source, part) if self.parts else self.source
+        return read_columns(self.store.path("given", f"{name}.parquet"), [GIVEN], groups)[GIVEN]
 
 
 def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:

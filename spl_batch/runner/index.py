@@ -1,8 +1,9 @@
 """Stage ``index``: what is in each input file, its points by time; the trajectory in one piece."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -10,29 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.errors import InputError
 from spl_batch.io.atomic import checksum
-from spl_batch.io.gpstime import bit_warning, time_standard
+from spl_batch.io.gpstime import bit_warning
 from spl_batch.io.las import inspect, iter_points
 from spl_batch.io.las_frame import Extent
 from spl_batch.io.las_layers import GIVEN, given_of
-from spl_batch.io.tables import read_arrays, write_arrays, writing
+from spl_batch.io.tables import GroupWriter, read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
-from spl_batch.model import COLUMNS, EXCLUDED, PointFlag, PointTable, rows_of
+from spl_batch.model import COLUMNS
 from spl_batch.runner.context import Context, Produced
-from spl_batch.runner.rate import Rate
 from spl_batch.runner.stretches import KEPT_COLUMNS, add_points
+from spl_batch.runner.tally import Tally
 from spl_batch.runner.unchanged import unchanged
-from spl_batch.stages.geometry import (
-    estimate_prf,
-    heading_from_track,
-    merge_track,
-    observe_track,
-    ordered_times,
-    shot_steps,
-)
-
-Track = dict[str, NDArray[np.int64]]
+from spl_batch.stages.geometry import heading_from_track, merge_track
 
 POSITIONS_S = 64
 """Span of the trajectory that has one hash [s]: what reads of it is done again if that changes."""
@@ -40,141 +33,149 @@ POSITIONS_S = 64
 CHUNK_POINTS = 1 << 18
 """Points read at once from an input file [count]."""
 
+PART_CHUNKS = 8
+"""Chunks of a part of a large file: several workers index one file, a part each [count]."""
 
-_TIMED = ("gps_time", "point_source_id", "x", "y", "scan_angle")
-"""Columns that say when and whereto a flightline was flown."""
+
+def parts_of(points: int) -> int:
+    """Parts in which a file of so many points is indexed; 0 where it is in one go [count]."""
+    chunks = -(-points // CHUNK_POINTS)
+    return -(-chunks // PART_CHUNKS) if chunks > PART_CHUNKS else 0
 
 
-class _Tally:
-    """Running totals over the chunks of one file."""
+def part_range(points: int, part: int) -> tuple[int, int]:
+    """First point of a part of a file, and the one after its last."""
+    size = CHUNK_POINTS * PART_CHUNKS
+    return part * size, min((part + 1) * size, points)
 
-    def __init__(self, gap_s: float) -> None:
-        self.gap_s = gap_s
-        self.counts: dict[str, int] = dict.fromkeys(
-            ("points", "timeless", "withheld", "vendor_noise", "excluded"), 0
-        )
-        self.spans: dict[int, list[list[float]]] = {}
-        self.steps: dict[int, NDArray[np.int64]] = {}
-        self.tracks: dict[int, Track] = {}
-        self.rates: dict[int, Rate] = {}
-        self.low = np.full(3, np.iinfo(np.int64).max)
-        self.high = np.full(3, np.iinfo(np.int64).min)
-        self.channels: set[int] = set()
-        self.sample: list[float] = []
 
-    def add(self, table: PointTable) -> None:
-        """Count one chunk in."""
-        time = table["gps_time"]
-        valid = np.isfinite(time)
-        excluded = table.has(EXCLUDED)
-        self.counts["points"] += len(table)
-        self.counts["timeless"] += int(np.count_nonzero(~valid & ~excluded))
-        self.counts["withheld"] += int(np.count_nonzero(table.has(PointFlag.WITHHELD)))
-        self.counts["vendor_noise"] += int(np.count_nonzero(table.has(PointFlag.VENDOR_NOISE)))
-        self.counts["excluded"] += int(np.count_nonzero(excluded))
-        for axis, name in enumerate("xyz"):
-            self.low[axis] = min(self.low[axis], int(table[name].min()))
-            self.high[axis] = max(self.high[axis], int(table[name].max()))
-        self.channels.update(np.flatnonzero(np.bincount(table["channel"])).tolist())
-        self._add_times(table.select(_TIMED).take(rows_of(valid & ~excluded)))
+def part_name(source: str, part: int) -> str:
+    """What the files of the store that hold a part of an input are called."""
+    return f"{source}-{part}"
 
-    def _add_times(self, table: PointTable) -> None:
-        time = table["gps_time"]
-        if not len(time):
-            return
-        self.sample.extend((float(time.min()), float(time.max())))
-        line = table["point_source_id"]
-        for psid in np.flatnonzero(np.bincount(line)).tolist():
-            mine = table.take(rows_of(line == psid))
-            ordered = ordered_times(mine["gps_time"])
-            cuts = np.flatnonzero(np.diff(ordered) > self.gap_s) + 1
-            for piece in np.split(ordered, cuts):
-                self.spans.setdefault(psid, []).append(
-                    [float(piece[0]), float(piece[-1]), len(piece)]
-                )
-            self.rates.setdefault(psid, Rate()).add(ordered)
-            steps = shot_steps(ordered)
-            self.steps[psid] = self.steps[psid] + steps if psid in self.steps else steps
-            earlier = [self.tracks[psid]] if psid in self.tracks else []
-            self.tracks[psid] = merge_track([*earlier, observe_track(mine)])
+
+def index_part(args: Mapping[str, Any], context: Context) -> Produced:
+    """Read a part of a large file: prove that it is readable, find what is in it, keep it.
+
+    What cannot be read is left to :func:`index_file`, which tries it again and fails as a whole.
+    """
+    path = Path(args["path"])
+    try:
+        with unchanged(path, args["stamp"]):
+            found = _read(args, context, args["part"])
+    except InputError as error:
+        return Produced((), {"fault": str(error)})
+    kept = _kept(args, context, args["part"])
+    write_arrays(kept, found.tally.to_arrays() | found.extent.to_arrays())
+    return Produced([kept, *found.outputs], {}, found.tally.counts["points"])
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
-    """Read a file once from end to end: prove that it is readable, find what is in it, keep it."""
+    """Read a file once from end to end: prove that it is readable, find what is in it, keep it.
+
+    Of a large one the parts are read already, except those in ``again``.
+    """
     path = Path(args["path"])
-    settings = context.workflow.survey
-    tally = _Tally(settings.gap_s)
-    points = context.store.path("points", f"{args['source']}.parquet")
-    dtypes = {name: COLUMNS[name].dtype for name in KEPT_COLUMNS}
-    given = _Given(context.store.path("given", f"{args['source']}.parquet"))
-    with ExitStack() as stack:
-        stack.enter_context(unchanged(path, args["stamp"]))
-        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",), sharing=True))
+    with unchanged(path, args["stamp"]):
         digest = checksum(path)
         header = inspect(path)
-        if header.layers_can_be_copied:
-            given.open(stack)
-        for table in iter_points(
-            path,
-            channel_dimension=settings.channel_dimension,
-            source=int(args["source"]),
-            chunk=CHUNK_POINTS,
-            watch=given.add if given.outputs else None,
-        ):
-            tally.add(table)
-            add_points(writer, table)
+        parts = [_part(args, context, part) for part in range(args["parts"])]
+        found = _joined(parts, context) if parts else _read(args, context, None)
+    tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
-    write_arrays(index, tracks | given.extent.to_arrays())
-    standard = time_standard(np.array(tally.sample))
-    contradiction = bit_warning(standard, adjusted_bit=header.adjusted_standard_bit)
+    write_arrays(index, tracks | found.extent.to_arrays())
+    contradiction = bit_warning(tally.standard, adjusted_bit=header.adjusted_standard_bit)
     facts = {
         "name": args["name"],
         "path": str(path),
         "hash": digest,
         "size": args["stamp"][0],
-        **tally.counts,
-        "bounds": [*tally.low.tolist(), *tally.high.tolist()] if tally.counts["points"] else None,
-        "channels": [min(tally.channels), max(tally.channels)] if tally.channels else None,
-        "spans": {str(k): merge_spans(v, settings.gap_s) for k, v in sorted(tally.spans.items())},
-        "fullest": {str(k): v.fullest() for k, v in sorted(tally.rates.items())},
-        "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(tally.steps.items())},
-        "standard": standard,
+        **tally.facts(),
+        "parts": [part.tally.span_s for part in parts],
+        "standard": tally.standard,
         "warnings": [*header.warnings, *([contradiction] if contradiction else [])],
     }
     inputs = {str(path): args["stamp"]}
-    return Produced([index, points, *given.outputs], facts, tally.counts["points"], inputs)
+    return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
 
 
-class _Given:
-    """Keeps what delivery needs of the records of a file whose layers can be copied."""
+class _Found:
+    """What is known of a file, or of a part of it, and what is kept of its points.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    Parameters
+    ----------
+    gap_s : float
+        A pause of more than this ends a span of time [s].
+    """
+
+    def __init__(self, gap_s: float) -> None:
+        self.tally = Tally(gap_s)
         self.extent = Extent()
         self.outputs: list[Path] = []
 
-    def open(self, stack: ExitStack) -> None:
-        """Begin to write."""
-        self._writer = stack.enter_context(writing(self.path, {GIVEN: np.uint32}))
-        self.outputs.append(self.path)
 
-    def add(self, records: NDArray[Any]) -> None:
-        """Keep what is needed of records, in the order of the file."""
-        self.extent.add(records)
-        self._writer.write({GIVEN: given_of(records)})
+def _read(args: Mapping[str, Any], context: Context, part: int | None) -> _Found:
+    """Read a file, or a part of it, and keep its points and what delivery needs of the records."""
+    path, settings = Path(args["path"]), context.workflow.survey
+    name = args["source"] if part is None else part_name(args["source"], part)
+    header = inspect(path)
+    start, stop = (0, header.n_points) if part is None else part_range(header.n_points, part)
+    found = _Found(settings.gap_s)
+    points = context.store.path("points", f"{name}.parquet")
+    given = context.store.path("given", f"{name}.parquet")
+    dtypes = {name: COLUMNS[name].dtype for name in KEPT_COLUMNS}
+    with ExitStack() as stack:
+        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",), sharing=True))
+        found.outputs.append(points)
+        watch: Callable[[NDArray[Any]], None] | None = None
+        if header.layers_can_be_copied:
+            beside = stack.enter_context(writing(given, {GIVEN: np.uint32}))
+            found.outputs.append(given)
+            watch = partial(_watch, found.extent, beside)
+        for table in iter_points(
+            path,
+            channel_dimension=settings.channel_dimension,
+            source=int(args["source"]),
+            start=start,
+            stop=stop,
+            chunk=CHUNK_POINTS,
+            watch=watch,
+        ):
+            found.tally.add(table)
+            add_points(writer, table)
+    return found
 
 
-def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
-    """Join time spans ``[first, last, points]`` that lie no farther apart than a gap [s]."""
-    merged: list[list[float]] = []
-    for first, last, points in sorted(spans):
-        if merged and first - merged[-1][1] <= gap_s:
-            merged[-1][1] = max(merged[-1][1], last)
-            merged[-1][2] += points
-        else:
-            merged.append([first, last, points])
-    return merged
+def _watch(extent: Extent, beside: GroupWriter, records: NDArray[Any]) -> None:
+    """Keep what delivery needs of records, in the order of the file."""
+    extent.add(records)
+    beside.write({GIVEN: given_of(records)})
+
+
+def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
+    """Where a part leaves what it has found."""
+    return context.store.path("index", f"{part_name(args['source'], part)}.npz")
+
+
+def _part(args: Mapping[str, Any], context: Context, part: int) -> _Found:
+    """What a part of a file has left; read now where it could not be before."""
+    if part in args["again"]:
+        return _read(args, context, part)
+    arrays, found = read_arrays(_kept(args, context, part)), _Found(context.workflow.survey.gap_s)
+    found.tally.join(arrays)
+    found.extent = Extent.from_arrays(arrays)
+    return found
+
+
+def _joined(parts: Iterable[_Found], context: Context) -> _Found:
+    """All parts of a file together; outputs are those of the parts that were read again."""
+    whole = _Found(context.workflow.survey.gap_s)
+    for part in parts:
+        whole.tally.join(part.tally.to_arrays())
+        whole.extent.join(part.extent)
+        whole.outputs += part.outputs
+    return whole
 
 
 def find_heading(args: Mapping[str, Any], context: Context) -> Produced:

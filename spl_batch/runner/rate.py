@@ -32,6 +32,14 @@ class Rate:
         if len(self._parts) > _MERGE_AT:
             self._parts = [self._joined()]
 
+    def join(self, bins: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+        """Add what :meth:`counted` gave of another part of the file."""
+        self._parts.append((bins, counts))
+
+    def counted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Bins that hold points, in order, and how many [count]."""
+        return self._joined()
+
     def fullest(self) -> list[int]:
         """Most points within 1, 2, 4, ... bins wherever they begin, up to all points [count]."""
         bins, counts = self._joined()

@@ -61,7 +61,8 @@ def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]
     Parameters
     ----------
     args : mapping
-        ``sources``, ``psid``, ``t0_s``, ``prf_hz``, ``shots``, ``window_s`` and ``span_s``.
+        ``sources``, the names of files or of their parts, ``psid``, ``t0_s``, ``prf_hz``,
+        ``shots``, ``window_s`` and ``span_s``.
     context : Context
         The run.
     names : sequence of str
@@ -75,8 +76,8 @@ def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]
     columns = list(dict.fromkeys((*TIME_ORDER, *names)))
     pieces = [
         _of_stretch(piece, args, clock)
-        for source in args["sources"]
-        for piece in _pieces(source, args["window_s"], context, (*columns, "point_source_id"))
+        for name in args["sources"]
+        for piece in _pieces(name, args["window_s"], context, (*columns, "point_source_id"))
     ]
     table = _in_time_order(concat(pieces, [*columns, "shot"]))
     # Kernels are compiled for arrays that can be written to, and what was read cannot.
@@ -84,17 +85,18 @@ def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]
 
 
 def _pieces(
-    source: str, window_s: tuple[float, float], context: Context, names: Sequence[str]
+    kept: str, window_s: tuple[float, float], context: Context, names: Sequence[str]
 ) -> Iterator[PointTable]:
-    """Parts of a file that can hold points of a time span."""
-    path = context.store.path("points", f"{source}.parquet")
+    """Row groups of a file, or of a part of one, that can hold points of a time span."""
+    path = context.store.path("points", f"{kept}.parquet")
+    source = np.uint64(int(kept.partition("-")[0]))
     ranges = np.array(group_ranges(path, "gps_time"), dtype=np.float64).reshape(-1, 2)
     hits = np.flatnonzero((ranges[:, 0] <= window_s[1]) & (ranges[:, 1] >= window_s[0]))
-    kept = [name for name in names if name != "source"]
+    columns = [name for name in names if name != "source"]
     for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
         if len(run):
-            table = read_table(path, kept, run.tolist())
-            yield table.with_columns(source=np.full(len(table), int(source), np.uint64))
+            table = read_table(path, columns, run.tolist())
+            yield table.with_columns(source=np.full(len(table), source))
 
 
 def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:
