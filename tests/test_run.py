@@ -195,6 +195,20 @@ def test_a_second_run_does_nothing(small: Path) -> None:
     assert second.report.counts == first.report.counts
 
 
+def test_what_does_not_wait_for_each_other_is_done_at_once(small: Path) -> None:
+    _, watcher = watched(small, "outputs.tiles=laz", until="deliver")
+    left: dict[str, int] = {}
+    beside: set[str] = set()
+    for event in watcher.events:
+        if isinstance(event, PhaseStarted):
+            beside |= {event.kind} if any(left.values()) else set()
+            left[event.kind] = event.tasks
+        elif isinstance(event, TaskEnded):
+            left[event.kind] -= 1
+    assert beside == {"deliver_tile", "mosaic"}, "all others wait for those before"
+    assert not any(left.values())
+
+
 def test_a_report_stands_until_it_would_say_something_else(small: Path) -> None:
     output = surveys.run(small).output
 

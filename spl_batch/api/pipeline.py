@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,6 +34,7 @@ from spl_batch.api.withdrawal import withdraw_stale
 from spl_batch.errors import SplBatchError, StoppedError, WorkflowError
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
+from spl_batch.plan.ledger import Phase, waves
 from spl_batch.plan.worklist import Worklist
 from spl_batch.receivers import report_model
 from spl_batch.runner import kinds, stages
@@ -254,24 +256,50 @@ def _run_phases(
 ) -> None:
     ledger, receiver, order = prepared.ledger, prepared.receiver, stages_of(prepared)
     last = order.index(until) if until else len(order)
-    for phase in receiver.phases:
-        if order.index(progress.stage(phase.kind)) > last:
-            return
-        receiver.before(phase, prepared)
-        work = Worklist(phase, ledger, prepared.context, verify=verify)
-        _run_phase(work, phase.kind, prepared, pool, progress)
+    for wave in waves(receiver.phases):
+        phases = [p for p in wave if order.index(progress.stage(p.kind)) <= last]
+        _run_wave(phases, prepared, pool, progress, verify=verify)
         if progress.repairs.wanted(progress.failed, ledger):
             return
-        for text in receiver.after(phase, prepared, progress.failed):
-            progress.warn(text)
-        for text in _warnings(ledger.of(phase.kind)):
-            progress.warn(text)
+        for phase in phases:
+            for text in receiver.after(phase, prepared, progress.failed):
+                progress.warn(text)
+            for text in _warnings(ledger.of(phase.kind)):
+                progress.warn(text)
 
 
-def _run_phase(
+def _run_wave(
+    phases: Sequence[Phase],
+    prepared: Prepared[Any, Any],
+    pool: Executor,
+    progress: Progress,
+    *,
+    verify: bool,
+) -> None:
+    """Do what phases that do not wait for each other have left to do."""
+    work: dict[str, Worklist] = {}
+    for phase in phases:
+        prepared.receiver.before(phase, prepared)
+        work[phase.kind] = Worklist(phase, prepared.ledger, prepared.context, verify=verify)
+        _begin_phase(work[phase.kind], phase.kind, prepared, pool, progress)
+
+    def on_receipt(receipt: Receipt) -> None:
+        progress.ended(work[receipt.kind].ended(receipt), receipt)
+
+    for some in work.values():
+        for receipt in some.refused:
+            on_receipt(receipt)
+    if any(some.left for some in work.values()):
+        jobs = chain.from_iterable(some.jobs() for some in work.values())
+        pool.run(jobs, prepared.context, on_receipt)
+    for kind in work:
+        prepared.ledger.of(kind).sort()
+
+
+def _begin_phase(
     work: Worklist, kind: str, prepared: Prepared[Any, Any], pool: Executor, progress: Progress
 ) -> None:
-    """Do what one phase has left to do."""
+    """See what one phase has left to do, and tell of it."""
     ledger, stage = prepared.ledger, progress.stage(kind)
     left: list[str] = []
     ready: list[str] = []
@@ -288,18 +316,7 @@ def _run_phase(
         if progress.invocation.workers:
             _load_meanwhile(prepared.receiver)
     tiles = _tile_map(prepared.receiver.edge_m(kind, ledger), left, ready)
-    left.clear()
-    ready.clear()
     progress.tell(PhaseStarted(stage, kind, work.left, work.ready, work.points, tiles))
-
-    def on_receipt(receipt: Receipt) -> None:
-        progress.ended(work.ended(receipt), receipt)
-
-    for receipt in work.refused:
-        on_receipt(receipt)
-    if work.left:
-        pool.run(work.jobs(), prepared.context, on_receipt)
-    ledger.of(kind).sort()
 
 
 @cache

@@ -3,7 +3,7 @@
 Every receiver's plan is a list of :class:`Phase` over a :class:`Ledger` of its own.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -75,7 +75,22 @@ class Phase:
         Kind of the tasks.
     tasks : callable
         Makes them of the receiver's ledger; it looks at earlier phases only.
+    beside : bool
+        Whether it does not look at the phase before it either: both are done at once.
     """
 
     kind: str
     tasks: Callable[[Any], Iterator[Task]]
+    beside: bool = False
+
+
+def waves(phases: Iterable[Phase]) -> Iterator[list[Phase]]:
+    """Phases that are done at once, in order."""
+    wave: list[Phase] = []
+    for phase in phases:
+        if wave and not phase.beside:
+            yield wave
+            wave = []
+        wave.append(phase)
+    if wave:
+        yield wave

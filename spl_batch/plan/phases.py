@@ -177,7 +177,7 @@ PHASES = (
     Phase("trajectory", _trajectory),
     Phase("heading", _heading),
     Phase("gather", _gather),
-    Phase("gather_range", _gather_range),
+    Phase("gather_range", _gather_range, beside=True),
     Phase("sensor_path", _sensor_path),
     Phase("observe", _observe),
     Phase("fit_line", _fit),
@@ -187,9 +187,9 @@ PHASES = (
     Phase("ground", places.ground),
     Phase("surface", places.surface),
     Phase("deliver_file", places.deliver),
-    Phase("deliver_tile", places.deliver_tiles),
-    Phase("mosaic", places.mosaic),
-    Phase("reference", reference.reference),
+    Phase("deliver_tile", places.deliver_tiles, beside=True),
+    Phase("mosaic", places.mosaic, beside=True),
+    Phase("reference", reference.reference, beside=True),
     Phase("accuracy", reference.accuracy),
 )
 """Every phase of a run, in order."""

@@ -28,7 +28,7 @@ COMPARED: Final = ("dtm", "dsm", "chm")
 
 def reference(survey: Survey) -> Iterator[Task]:
     """Reference files, each to be cut into squares."""
-    if not {"dtm", "dsm"} <= survey.of("mosaic").keys():
+    if not survey.of("surface"):
         return
     edge, margin = _lattice(survey)
     for facts in survey.inputs.reference:
@@ -45,6 +45,8 @@ def reference(survey: Survey) -> Iterator[Task]:
 
 def accuracy(survey: Survey) -> Iterator[Task]:
     """Squares that hold reference points."""
+    if not {"dtm", "dsm"} <= survey.of("mosaic").keys():
+        return
     files: dict[str, list[str]] = {}
     points: dict[str, int] = {}
     for name, receipt in sorted(survey.of("reference").items()):
