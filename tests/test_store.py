@@ -139,6 +139,10 @@ def test_content_is_on_disk_before_its_name_and_the_name_before_the_end(
         (temporary / "c" / "0").write_bytes(b"chunk")
     assert sorted(steps[:3]) == sorted([temporary.name, "c", "0"])
     assert steps[3:] == ["rename", "deep"]
+    steps.clear()
+    with replacing(tmp_path / "store" / "file.bin", durable=False) as temporary:
+        temporary.write_bytes(b"content")
+    assert steps == ["rename"], "what tells by itself that it is damaged does not wait for the disk"
 
 
 def test_only_what_is_unfinished_and_ours_is_swept_away(tmp_path: Path) -> None:

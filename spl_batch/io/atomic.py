@@ -1,4 +1,8 @@
-"""Files that are either whole or not there: temporary name, fsync, rename, fsync of the folder."""
+"""Files that are either whole or not there: temporary name, rename; fsync of what is delivered.
+
+A file of the working store does not wait for the disk: each tells when it is not what was written,
+as after a loss of power, and is made again.
+"""
 
 import errno
 import hashlib
@@ -67,15 +71,16 @@ def _stop_if_disowned() -> None:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Give a temporary name beside ``path``; rename it into place when the block succeeds.
-
-    Content is on disk before the rename, the rename before this returns.
 
     Parameters
     ----------
     path : Path
         Final name, of a file or a directory; its folder is made where missing.
+    durable : bool
+        Whether it outlives a loss of power: content is on disk before the rename, the rename
+        before this returns. That takes milliseconds a file, or many where disks are busy.
 
     Yields
     ------
@@ -100,10 +105,10 @@ def replacing(path: Path) -> Iterator[Path]:
         return
     temporary = scratch_name(path)
     try:
-        _make_folder(path.parent)
+        _make_folder(path.parent, durable=durable)
         yield temporary
         _stop_if_disowned()
-        _put_in_place(temporary, path)
+        _put_in_place(temporary, path, durable=durable)
     except OSError as error:
         stop_if_full(error, path)
         if error.errno in _NOT_ALLOWED:
@@ -117,7 +122,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def scratch_folder(path: Path) -> Iterator[Path]:
     """A folder beside ``path`` for by-products; gone when the block ends."""
     folder = scratch_name(path)
-    _make_folder(folder)
+    _make_folder(folder, durable=False)
     try:
         yield folder
     finally:
@@ -172,9 +177,9 @@ def sweep(folder: Path) -> tuple[int, int]:
     return count, total
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a small file atomically."""
-    with replacing(path) as temporary:
+def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
+    """Write a small file atomically; see :func:`replacing`."""
+    with replacing(path, durable=durable) as temporary:
         temporary.write_bytes(content)
 
 
@@ -257,19 +262,20 @@ def _files(path: Path) -> list[Path]:
     return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
 
 
-def _make_folder(path: Path) -> None:
-    """Make a folder, and those above it, so that they outlive a loss of power."""
+def _make_folder(path: Path, *, durable: bool) -> None:
+    """Make a folder, and those above it, durably so that they outlive a loss of power."""
     if path.is_dir():
         return
     missing = [p for p in (path, *path.parents) if not p.exists()]
     path.mkdir(parents=True, exist_ok=True)
-    for folder in missing:
+    for folder in missing if durable else ():
         sync_folder(folder.parent)
 
 
-def _put_in_place(temporary: Path, path: Path) -> None:
+def _put_in_place(temporary: Path, path: Path, *, durable: bool) -> None:
     try:
-        _sync(temporary)
+        if durable:
+            _sync(temporary)
         if temporary.is_dir():
             remove(path)
         temporary.replace(path)
@@ -277,7 +283,8 @@ def _put_in_place(temporary: Path, path: Path) -> None:
         raise StoppedError(
             f"{path}: its temporary file is gone; another run has taken over this output"
         ) from error
-    sync_folder(path.parent)
+    if durable:
+        sync_folder(path.parent)
 
 
 def _sync(path: Path) -> None:

@@ -49,7 +49,7 @@ def create_raster_store(
     facts: dict[str, Any] = {"ground_cell_quanta": ground_cell, "raster_cell_quanta": raster_cell}
     group = b'{"attributes": {}, "node_type": "group", "zarr_format": 3}'
     if size(path / METADATA) < 0:
-        write_bytes(path / METADATA, group)
+        write_bytes(path / METADATA, group, durable=False)
     for name in names:
         content = describe(
             shape=(side, side), chunks=(px, px), dtype="f4", fill_value=NODATA, attributes=facts
@@ -58,7 +58,7 @@ def create_raster_store(
             found = read_metadata(path / name)
         except DamagedError:
             # Its chunks are sound or not by themselves.
-            write_bytes(path / name / METADATA, content)
+            write_bytes(path / name / METADATA, content, durable=False)
             continue
         if found != parse(content, path / name):
             raise StoreError(f"{path}: {name} was made for {found['attributes']}, not {facts}")
@@ -101,7 +101,7 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
         for row, column in product(range(top, top + rows), range(left, left + columns)):
             chunk = f"c/{row}/{column}"
             if chunk in contents:
-                write_bytes(path / name / chunk, contents[chunk])
+                write_bytes(path / name / chunk, contents[chunk], durable=False)
                 written.append(path / name / chunk)
             else:
                 remove(path / name / chunk)

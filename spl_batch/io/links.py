@@ -54,7 +54,7 @@ def _place(path: Path, name: Path) -> None:
     if is_remote(path):
         copy_object(path, name)
         return
-    with replacing(name) as temporary:
+    with replacing(name, durable=False) as temporary:
         if path.is_dir():
             shutil.copytree(path, temporary, copy_function=_link)
         else:

@@ -124,10 +124,11 @@ class Store:
         return self.path("receipts", kind, f"{name.replace('/', '~')}.json")
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write plain JSON values with a hash of themselves, atomically."""
     whole = {**content, _DIGEST: _digest(content)}
-    write_bytes(path, json.dumps(whole, indent=1, sort_keys=True, allow_nan=False).encode())
+    text = json.dumps(whole, indent=1, sort_keys=True, allow_nan=False)
+    write_bytes(path, text.encode(), durable=durable)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -155,7 +156,8 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 def write_receipt(store: Store, receipt: Receipt) -> None:
     """Leave a receipt; the last thing that a task does."""
-    write_json(store.receipt(receipt.kind, receipt.name), dataclasses.asdict(receipt))
+    path = store.receipt(receipt.kind, receipt.name)
+    write_json(path, dataclasses.asdict(receipt), durable=False)
 
 
 def forget_receipt(store: Store, kind: str, name: str) -> None:

@@ -84,6 +84,7 @@ def writing(
     *,
     sought: Sequence[str] | None = None,
     sharing: bool = False,
+    durable: bool = False,
 ) -> Iterator[GroupWriter]:
     """Write a Parquet file by row groups, atomically.
 
@@ -98,13 +99,15 @@ def writing(
     sharing : bool
         Whether columns of one byte share columns. :func:`read_groups` and all that call it find
         them by their own names; other readers of Parquet do not. None of them can be sought.
+    durable : bool
+        As :func:`~spl_batch.io.atomic.replacing` has it: for what is delivered.
     """
     fields = shared(dtypes) if sharing else dtypes
     schema = pa.schema(
         # What cannot be missing is written and read a quarter faster.
         [pa.field(k, pa.from_numpy_dtype(np.dtype(v)), nullable=False) for k, v in fields.items()]
     )
-    with replacing(path) as temporary:
+    with replacing(path, durable=durable) as temporary:
         writer = GroupWriter(temporary, schema, sought)
         try:
             yield writer
@@ -305,7 +308,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     np.savez(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
     # The archive ends with the length of its comment, which is 0.
     content = buffer.getvalue()[:-2] + struct.pack("<H", _HASH_CHARACTERS)
-    write_bytes(path, content + _hash(content))
+    write_bytes(path, content + _hash(content), durable=False)
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:

@@ -25,7 +25,7 @@ def write_voxels(path: Path, part: VoxelPart) -> None:
         "squares": part.squares,
     }
     attributes = {"corner": list(part.corner)}
-    with replacing(path) as temporary:
+    with replacing(path, durable=False) as temporary:
         zarr.create_group(str(temporary), attributes=attributes)
         for name, values in arrays.items():
             if values is None:

@@ -43,7 +43,7 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a beam's photons in the order of the file, and its profile."""
     photons = context.output / "photons" / f"{args['delivered']}.parquet"
     counts = np.zeros(256, np.int64)
-    with writing(photons, DELIVERED) as writer:
+    with writing(photons, DELIVERED, durable=True) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             for start in range(0, len(part["signal"]), GROUP_PHOTONS):

@@ -57,7 +57,7 @@ def deliver_points(args: Mapping[str, Any], context: WaterContext) -> Produced:
     per, prf_hz = workflow.surface.frames_per_acquisition, workflow.camera.prf_hz
     path = context.output / "points" / f"{args['delivered']}.parquet"
     count, k = 0, 0
-    with writing(path, POINT_COLUMNS) as writer:
+    with writing(path, POINT_COLUMNS, durable=True) as writer:
         for piece in read_pieces(context, args["pieces"]):
             places, normals = piece["places_m"], piece["normals"].astype(np.float64)
             ends = np.full(places.shape, np.nan)
