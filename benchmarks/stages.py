@@ -33,7 +33,7 @@ def main(output: Path) -> None:
         )
     print(f"{'all':10s}{total / millions:9.2f}{report['counts']['points_in'] / total:12.0f}")
     ours = {"denoise": stages["denoise"]["wall_s"] / millions, "all": total / millions}
-    print_ratios(max((output / "laz").rglob("*.laz"), key=lambda file: file.stat().st_size), ours)
+    print_ratios(output, ours)
 
 
 if __name__ == "__main__":
