@@ -5,7 +5,8 @@ returns and worker, points per second and peak memory of each stage, and the sha
 whole. Run it on a machine that does nothing else; a first run compiles its kernels, so
 run once with ``--fresh`` before measuring. Then, on points of the same survey and in this run,
 what others take for a part of it (:mod:`benchmarks.peers`), with the ratio of the denoise stage
-and of all stages to each.
+and of all stages to each. Where ``pdal`` is on the PATH and the survey was simulated, also what
+share of its noise PDAL's outlier filters find.
 """
 
 import json

@@ -25,7 +25,7 @@ if sys.argv[1] == "--version":
     print("-----\\npdal 9.8.7 (git-version: 654321)\\n-----")
     sys.exit()
 sum(i * i for i in range(300_000))  # time that can be measured
-stages = json.loads(Path(sys.argv[2]).read_text())["pipeline"]
+stages = json.loads(Path(sys.argv[-1]).read_text())["pipeline"]
 with open({log!r}, "a") as log:
     log.write(json.dumps(stages) + "\\n")
 read = [laspy.read(stage["filename"]) for stage in stages if stage["type"] == "readers.las"]
