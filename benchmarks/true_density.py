@@ -62,10 +62,25 @@ def true_density(scene: Scene, xyz: Floats) -> Floats:
                 centre - gate * scene.acquisition.gate_above, gate,
                 noise.at(run.sky(time_s)), optics, cells,
             )  # fmt: skip
+    return density_at(cells, (xyz - low) / CELL_M)
+
+
+def density_at(cells: NDArray[np.float32], place: Floats) -> Floats:
+    """Density around places: (n,) [1/m3].
+
+    Parameters
+    ----------
+    cells : (nx, ny, nz) float32
+        What beamlets are expected to record in each cell [count].
+    place : (n, 3) float64
+        From the corner of the cells [cells].
+    """
     heard = ndimage.uniform_filter((cells > 0).astype(np.float32), AROUND)
     cells = ndimage.uniform_filter(cells, AROUND) / CELL_M**3
-    index = np.clip(np.floor((xyz - low) / CELL_M).astype(int), 0, np.array(cells.shape) - 1)
-    at = tuple(index.T)
+    # an even number of cells lies around the lower end of one
+    middle = np.where(np.array(AROUND) % 2 == 0, 0.5, 0.0)
+    index = np.floor(place + middle).astype(int)
+    at = tuple(np.clip(index, 0, np.array(cells.shape) - 1).T)
     found: Floats = np.maximum(cells[at] / np.maximum(heard[at], 0.1), LEAST).astype(np.float64)
     return found
 

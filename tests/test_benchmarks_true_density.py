@@ -1,8 +1,9 @@
 """The true density of simulated noise that tables along edges are compared with."""
 
 import numpy as np
+import pytest
 
-from benchmarks.true_density import LEAST, true_density
+from benchmarks.true_density import LEAST, density_at, true_density
 from spl_batch.simulate.scene import parse_scene
 
 SCENE = {
@@ -23,3 +24,15 @@ def test_it_is_what_the_scene_asks_for_between_the_ends_of_the_gate() -> None:
     np.testing.assert_allclose(found.mean(), 0.2, rtol=0.05)
     beyond = true_density(scene, place + np.array([0.0, 0.0, 45.0]))
     np.testing.assert_allclose(beyond, LEAST, rtol=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_it_is_moved_neither_up_nor_down(axis: int) -> None:
+    """The ends of a gate lie 0.5 m beyond a place on either side, or on none."""
+    cells = np.zeros((24, 24, 24), dtype=np.float32)
+    cells[6:18, 6:18, 6:18] = 1.0
+    place = np.full((400, 3), 12.0)
+    place[:, axis] = np.linspace(0.01, 23.99, 400)
+    found = density_at(cells, place)
+    assert found.max() > 100 * found.min()
+    np.testing.assert_allclose(found, found[::-1])
