@@ -28,7 +28,7 @@ def test_it_is_what_the_scene_asks_for_between_the_ends_of_the_gate() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_it_is_moved_neither_up_nor_down(axis: int) -> None:
-    """The ends of a gate lie 0.5 m beyond a place on either side, or on none."""
+    """On either side of what beamlets cross it ends as far from the middle."""
     cells = np.zeros((24, 24, 24), dtype=np.float32)
     cells[6:18, 6:18, 6:18] = 1.0
     place = np.full((400, 3), 12.0)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spl_batch.stages.gate_ends import ends
+from spl_batch.stages.gate_ends import BELOW_AN_END, at_least, ends
 from spl_batch.stages.voxel_noise import sphere_radius_m
 
 SIZE = (7, 7, 7)
@@ -37,13 +37,14 @@ def test_the_part_is_that_below_the_plane(
     rng = np.random.default_rng(4)
     xyz = rng.uniform((30, 30, 30), (40, 40, 40), (400, 3))
     over = end_m + (xyz[:, :2] - 35.0) @ np.array(lean)
-    expected = rest + (1 - rest) * np.clip(0.5 + (over - xyz[:, 2]) / 2.5, 0, 1)
+    listened = np.clip(0.5 + (over - xyz[:, 2]) / 2.5, 0, 1)
+    expected = rest + (1 - rest) * at_least(listened, BELOW_AN_END, 0.5)
     height = 35.0 + way * (xyz[:, 2] - 35.0)
     voxel = (np.full(400, 3),) * 3
     assert found.side[3, 3, 3] == way
     part = found.part(voxel, (xyz[:, 0] / 10 - 3.5, xyz[:, 1] / 10 - 3.5, height / 10 - 3.5))
     assert np.abs(part - expected).mean() < 0.04
-    assert np.abs(part - expected).max() < (0.02 if lean == (0.0, 0.0) else 0.5)
+    assert np.abs(part - expected).max() < (0.08 if lean == (0.0, 0.0) else 0.6)
 
 
 @given(st.integers(0, 10_000))
@@ -55,3 +56,14 @@ def test_whatever_the_amounts_a_part_is_one(seed: int) -> None:
     part = found.part(voxel, tuple(rng.uniform(-0.5, 0.5, (3, 50))))
     assert np.isfinite(found.height).all()
     assert ((part >= found.rest[voxel] - 1e-12) & (part <= 1.0 + 1e-12)).all()
+
+
+def test_below_an_end_it_counts_in_part_and_beyond_it_as_listened_to() -> None:
+    part = np.linspace(0, 1, 201)
+    found = at_least(part, 0.75, 0.5)
+    np.testing.assert_array_equal(found[part <= 0.5], part[part <= 0.5])
+    np.testing.assert_array_equal(found[part >= 0.75], part[part >= 0.75])
+    assert (found[(part > 0.57) & (part < 0.75)] == 0.75).all()
+    assert (np.diff(found) >= 0).all()
+    # an edge so blurred that its least part lies below where it would begin
+    np.testing.assert_array_equal(at_least(part, 0.3, 0.4), part)

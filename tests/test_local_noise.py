@@ -9,6 +9,7 @@ from spl_batch.kernels.squares import density_between
 from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.stages import local_noise
 from spl_batch.stages.beamlet_counts import square_shares
+from spl_batch.stages.gate_ends import BELOW_AN_END, at_least
 from spl_batch.stages.voxel_noise import sphere_radius_m
 
 PER_M3 = 0.2
@@ -100,11 +101,12 @@ def test_beside_an_edge_flightlines_add_up_in_part() -> None:
     place = (square // 4, np.full(n, 4), np.full(n, MIDDLE)), (square, np.full(n, 17))
     beside = (x / 2.5 % 1 - 0.5, np.zeros(n), np.zeros(n))
     cut = made(spheres(47.0), lean(47.0))
-    density, part = cut.at(*place, beside)
-    counts = local_noise.counted(part)
-    assert np.all(counts[part >= 0.5] >= local_noise.BESIDE_NOTHING)
-    far = (part > local_noise.BESIDE_NOTHING) | (part < local_noise.BEYOND)
-    np.testing.assert_array_equal(counts[far], part[far])
+    density, counts = cut.at(*place, beside)
+    listened = np.clip(0.5 + (47.0 - x) / 5.0, 0, 1)
+    inside = x < 46.5
+    assert np.all(counts[inside] >= local_noise.BESIDE_NOTHING - 1e-9)
+    np.testing.assert_array_equal(counts[x < 43.7], 1.0)
+    assert np.all(counts[(listened < 0.1) & (density > 0)] < local_noise.BEYOND)
     assert np.all(np.diff(counts[density > 0]) <= 1e-9)
     for other in (0.3, 1.0):
         whole = made(np.full(SIZE[0], other), lean(1e3))
@@ -112,6 +114,24 @@ def test_beside_an_edge_flightlines_add_up_in_part() -> None:
         np.testing.assert_allclose(found, other * PER_M3 + density * counts)
     alone = local_noise.around([cut], *place, beside)
     np.testing.assert_allclose(alone, np.maximum(counts, local_noise.TAIL) * density)
+
+
+def test_an_edge_of_beamlets_that_get_fewer_is_not_taken_for_a_sharp_one() -> None:
+    """There a flightline counts in the very part that squares tell, down to nothing."""
+    sharp = lean(47.0)
+    across = np.clip((47.0 - 2.5 * (np.arange(SIZE[0] * 4) + 0.5)) / 15.0, 0, 1)
+    blurred = np.rint(sharp * across[:, None, None]).astype(np.uint32)
+    x = np.linspace(42.6, 47.0, 100)
+    square = np.floor(x / 2.5).astype(int)
+    place = (square // 4, np.full(100, 4), np.full(100, MIDDLE)), (square, np.full(100, 17))
+    beside = (x / 2.5 % 1 - 0.5, np.zeros(100), np.zeros(100))
+    parts = [made(spheres(47.0), beamlets).at(*place, beside)[1] for beamlets in (sharp, blurred)]
+    assert parts[0].min() > 0.75
+    assert parts[1].min() < 0.5
+    assert np.all(parts[1] <= parts[0] + 1e-9)
+    edges = [made(spheres(47.0), beamlets).sharp for beamlets in (sharp, blurred)]
+    np.testing.assert_array_equal(edges[0], 1.0)
+    assert 0.3 < edges[1][18, 17, MIDDLE] < 0.7
 
 
 def test_between_layers_a_leaning_edge_goes_on() -> None:
@@ -146,8 +166,9 @@ def test_where_a_gate_ends_in_a_layer_it_counts_in_part(end_m: float, other: flo
     x = np.linspace(20, 70, 20)
     # those that end where a sphere beyond is reached cannot be told from those that go on
     rest = 1.0 if other > 0.0 and end_m > 40.0 - RADIUS - 5.0 else other
-    for inside in (-0.9, -0.1, 0.1, 0.9, 2.5, 8.0):
-        z, part = end_m - inside, rest + (1.0 - rest) * np.clip(0.5 + inside / 2.5, 0, 1)
+    for inside in (-0.9, -0.3, 0.4, 0.9, 2.5, 8.0):
+        z, listened = end_m - inside, np.clip([0.5 + inside / 2.5], 0, 1)
+        part = rest + (1.0 - rest) * at_least(listened, BELOW_AN_END, 0.5)[0]
         if z // 10 == end_m // 10:
             np.testing.assert_allclose(along_x(heard, x, z), part * PER_M3, atol=0.02 * PER_M3)
     np.testing.assert_allclose(along_x(heard, x, 43.0), other * PER_M3, rtol=0.01)
@@ -320,9 +341,25 @@ def test_between_the_centres_of_squares_and_layers_it_is_linear(seed: int) -> No
         count = ndimage.map_coordinates(layer, place[:2, p : p + 1] - 0.5, order=1, mode="nearest")[
             0
         ]
-        sure = 4.0 * count / (4.0 * count + 50.0)
-        expected = sure * count * each[*at, z] + (1 - sure) * usual[*at, z]
+        told, known = count * each[*at, z], 4.0 * count
+        worth = 50.0
+        if known > 0 and told < usual[*at, z]:
+            worth /= 1 + 50.0 * max((1 - told / usual[*at, z]) ** 2 - 4.0 / known, 0)
+        sure = known / (known + worth)
+        expected = sure * told + (1 - sure) * usual[*at, z]
         assert found[p] == pytest.approx(expected if near[tuple(square[:, p])] else 0.0), p
+
+
+@pytest.mark.parametrize("per_square", [25.0, 100.0])
+def test_at_the_foot_of_a_slope_the_mean_of_the_voxel_counts_little(per_square: float) -> None:
+    """Beamlets that fall short of it by more than chance are believed, those by chance are not."""
+    rate = np.interp((np.arange(SIZE[0] * 4) + 0.5) * 2.5, [40.0, 50.0], [0.1, 1.9])
+    rate = np.repeat(rate[:, None], SIZE[2], axis=1)
+    even = np.rint(rate[:, None] * per_square).astype(int).repeat(SIZE[1] * 4, axis=1)
+    found = at_centres(strip(rate, even))[:, 12:-12] / PER_M3 / rate[:, :1]
+    # with the whole mean in it the first square had 1.6 to 2.3 times too much
+    assert found.min() > 0.85
+    assert found[14:22].max() < 1.4
 
 
 def test_between_layers_a_leaning_ridge_goes_on() -> None:

@@ -1,8 +1,13 @@
 """Noise at points from what beamlets over squares stand for."""
 
+from typing import Final
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+CHANCE: Final = 2.0
+"""Standard errors that beamlets may fall short by chance."""
 
 
 @njit(nogil=True, cache=True)
@@ -30,9 +35,11 @@ def density_between(
     """Density at points by the beamlets around, linear between the centres of eight squares.
 
     What b beamlets over ``squares`` squares say, b ``each``, counts as ``squares`` b, and the
-    voxel's ``usual`` density as ``prior`` beamlets do. The layer above or below tells where
-    beamlets are and not how many: where it has many more or fewer, a gate ends, and its counts are
-    brought to the mean of the point's own layer.
+    voxel's ``usual`` density as ``prior`` beamlets do, as fewer where beamlets fall short of it by
+    more than chance lets them: the mean of a voxel tells little of the foot of a slope in it. Tops
+    are not believed as soon, as chance makes some. The layer above or below tells where beamlets
+    are and not how many: where it has many more or fewer, a gate ends, and its counts are brought
+    to the mean of the point's own layer.
 
     Parameters
     ----------
@@ -53,7 +60,7 @@ def density_between(
     squares : float
         Squares whose beamlets tell what is over one of them.
     prior : float
-        Beamlets that the voxel's mean is worth [count].
+        Beamlets that the mean of an even voxel is worth [count].
     alike : float
         Means of layers that differ by less have no gate's end between them [ratio].
     rim : (nx, ny, nz) bool
@@ -87,9 +94,12 @@ def density_between(
         other = (1.0 - right) * _between(beamlets, x, j, z, k, part, ratio)
         other += right * _between(beamlets, i, j, z, k, part, ratio)
         count = (1.0 - ahead) * own + ahead * other
-        known = squares * count
-        found = known * count * each[vx, vy, z] + prior * usual[vx, vy, z]
-        density[p] = found / (known + prior)
+        known, told, around = squares * count, count * each[vx, vy, z], usual[vx, vy, z]
+        worth = prior
+        if known > 0.0 and told < around:
+            short = (1.0 - told / around) ** 2 - CHANCE**2 / known
+            worth = prior / (1.0 + prior * max(short, 0.0))
+        density[p] = (known * told + worth * around) / (known + worth)
 
 
 @njit(nogil=True, cache=True, inline="always")

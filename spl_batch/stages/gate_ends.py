@@ -5,10 +5,11 @@ how much less tells how high the end is: of a sphere of radius R a share ``(2 + 
 lies below the height ``t R`` over its centre. Between the centres of voxels the height is linear,
 since ends lean as beams do. It is that of a mean: arcs of a scan ahead and astern end metres
 apart. So near it the flightline counts in part, as it does near its edge: by the listened part of
-what is as high as a square is wide.
+what is as high as a square is wide. Below an end no less counts than :data:`BELOW_AN_END` of what
+ends there: one that is sharp would be blurred.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,14 @@ SLIVER: Final = 0.027
 """Share of a sphere that sticks out of its voxel on one side: beamlets that reach no more of the
 sphere beyond end within the layer."""
 
+BELOW_AN_END: Final = 0.75
+"""Part in which a flightline counts at least below an end: one that is sharp is linear over a
+square, and yet the noise is whole up to it."""
+
+STEEP: Final = 4.0
+"""Rise of the part in which a flightline counts, to the least one, over that of what is listened
+to."""
+
 
 class Ends(NamedTuple):
     """Ends of a flightline's gate.
@@ -54,7 +63,7 @@ class Ends(NamedTuple):
     def part(
         self, voxel: tuple[NDArray[np.int64], ...], offset: tuple[NDArray[np.float64], ...]
     ) -> NDArray[np.float64]:
-        """Listened part of what lies around points: (n,) float64 [0..1].
+        """In which part the flightline counts around points: (n,) float64 [0..1].
 
         Parameters
         ----------
@@ -78,7 +87,8 @@ class Ends(NamedTuple):
         ):
             height += weight * np.where(self.side[at] == side, self.height[at], own)
         beyond = side * (offset[2] - height) * SQUARES
-        part: NDArray[np.float64] = rest + (1.0 - rest) * np.clip(0.5 - beyond, 0.0, 1.0)
+        listened = at_least(np.clip(0.5 - beyond, 0.0, 1.0), BELOW_AN_END, 0.5)
+        part: NDArray[np.float64] = rest + (1.0 - rest) * listened
         return part
 
 
@@ -135,6 +145,26 @@ def ends(
     inside = np.clip(2.0 * listened - 1.0, -1.0, 1.0)
     height = sphere_radius_m(1.0) * 2.0 * np.sin(np.arcsin(inside) / 3.0)
     return Ends(side, np.where(side < 0, -height, height).astype(np.float64), rest)
+
+
+def at_least(
+    part: NDArray[np.float64], least: NDArray[np.floating[Any]] | float, beyond: float
+) -> NDArray[np.float64]:
+    """In which part a flightline counts where so much of what lies around is listened to: (n,).
+
+    Parameters
+    ----------
+    part : (n,) float64
+        What is listened to, linear over a square or as much height [0..1].
+    least : (n,) floating, or float
+        Part in which it counts at least, from soon after ``beyond`` on.
+    beyond : float
+        Up to there it counts in the very part.
+    """
+    found: NDArray[np.float64] = np.maximum(
+        part, np.minimum(least, beyond + STEEP * (part - beyond))
+    )
+    return found
 
 
 def _beside(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -23,15 +23,19 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   and, since beams lean, between layers: a turning scan makes ridges narrower than a voxel, the
   highest along the edge of a swath. A count is held for as much as its Poisson error lets it
   tell, first against those of the eight squares around and then against the voxel's mean
-  (:mod:`~spl_batch.stages.beamlet_counts`). The density at the point is what is needed, not its
-  integral over the ellipsoid: ``python -m benchmarks.null_calibration --only ridge``.
+  (:mod:`~spl_batch.stages.beamlet_counts`); where they fall short of that mean by more than chance
+  lets them, at the foot of a slope, it counts for less. The density at the point is what is
+  needed, not its integral over the ellipsoid: ``python -m benchmarks.null_calibration --only
+  ridge``.
 
 The flightlines add up by these parts. Where edges and ends are blurred over metres, as scans and
 gates leave them, that is the true density at the point. A sharp edge, as that of a delivery, would
 be blurred by it, so from the middle of an edge inwards a flightline counts for no less than
 :data:`BESIDE_NOTHING`: an ellipsoid that reaches across finds fewer neighbours, so a little less
-than the density keeps alpha in the last metre. ``benchmarks/null_calibration.py`` prints what the
-filter keeps of noise along sharp edges, ``benchmarks/null_edges.py`` along those of surveys.
+than the density keeps alpha in the last metre. The less the first row of squares within an edge has
+of the beamlets of the second one, the less sharp it is, and the lower is that limit.
+``benchmarks/null_calibration.py`` prints what the filter keeps of noise along sharp edges,
+``benchmarks/null_edges.py`` along those of surveys.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,7 +55,7 @@ from spl_batch.stages.beamlet_counts import (
     of_spheres,
     told,
 )
-from spl_batch.stages.gate_ends import Ends, ratio, to_the_ends
+from spl_batch.stages.gate_ends import Ends, at_least, ratio, to_the_ends
 from spl_batch.stages.voxel_noise import UNEVEN
 
 DOMAIN: Final = "space"
@@ -69,7 +73,7 @@ linear over a square, and yet the noise is whole there."""
 BEYOND: Final = 0.4
 """Part that none but a blurred edge leaves."""
 
-TAIL: Final = 0.3
+TAIL: Final = 0.15
 """Part of what is heard near by that is expected at least where something is heard."""
 
 AROUND: Final = 4.0
@@ -95,6 +99,8 @@ class Listened(NamedTuple):
         Part of each square that is covered [0..1].
     rim : (4 nx, 4 ny, nz) bool
         Squares where the flightline counts in part.
+    sharp : (4 nx, 4 ny, nz) float32
+        How sharp the edge is where the flightline counts in part [0..1].
     reached : (4 nx, 4 ny, nz) bool
         Squares so near to covered ones that what is not covered is beyond an edge; elsewhere a
         layer may be silent as a whole, where a gate ends.
@@ -109,6 +115,7 @@ class Listened(NamedTuple):
     mean: NDArray[np.float64]
     covered: NDArray[np.float32]
     rim: NDArray[np.bool_]
+    sharp: NDArray[np.float32]
     reached: NDArray[np.bool_]
     ends: Ends
 
@@ -148,6 +155,8 @@ class Listened(NamedTuple):
             (square[0][rim], square[1][rim], voxel[2][rim]), tuple(axis[rim] for axis in offset)
         )
         density[rim[part[rim] == 0.0]] = 0.0
+        least = BESIDE_NOTHING * self.sharp[square[0][rim], square[1][rim], voxel[2][rim]]
+        part[rim] = at_least(part[rim], least, BEYOND)
         last = np.flatnonzero(self.ends.side[voxel] != 0)
         part[last] *= self.ends.part(
             tuple(axis[last] for axis in voxel), _of_voxels(square, offset, last)
@@ -205,7 +214,8 @@ def listened(
     reached = joined(np.logical_or, joined(np.logical_or, closed))
     found = told(beamlets, covered)
     mean = ratio(nine(of_spheres(beamlets)), nine(of_spheres(covered)))
-    return Listened(found, near, each, per_m3, mean, covered, rim, reached, last)
+    sharp = _sharp(beamlets, closed, inner)
+    return Listened(found, near, each, per_m3, mean, covered, rim, sharp, reached, last)
 
 
 def around(
@@ -226,15 +236,9 @@ def around(
     total, largest = np.zeros(len(offset[0])), np.zeros(len(offset[0]))
     for line in lines:
         density, part = line.at(voxel, square, offset)
-        total += counted(part) * density
+        total += part * density
         np.maximum(largest, density, out=largest)
     return np.maximum(total, TAIL * largest)
-
-
-def counted(part: NDArray[np.float64]) -> NDArray[np.float64]:
-    """In which part a flightline counts where so much of what lies around is listened to: (n,)."""
-    steep = BEYOND + (BESIDE_NOTHING - BEYOND) / (0.5 - BEYOND) * (part - BEYOND)
-    return np.maximum(part, np.minimum(BESIDE_NOTHING, steep))
 
 
 def _of_voxels(
@@ -281,6 +285,28 @@ def _covered(
     part[inner] = 1.0
     part[~closed] = 0.0
     return part
+
+
+def _sharp(
+    beamlets: NDArray[np.float32], closed: NDArray[np.bool_], inner: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """How sharp an edge is by the first row of squares within it over the second one: [0..1].
+
+    Along a sharp edge the first row has as many beamlets as the second; the rims of scans have
+    fewer and fewer over many metres. 1 where that is not known.
+    """
+    none, second = np.float32(0.0), _inner(inner)
+    first = inner & ~second
+    beyond = beamlets_around(np.where(second, beamlets, none), second)
+    told = first & (beyond > 0.0)
+    more, fewer = (
+        beamlets_around(np.where(told, counts, none), told) for counts in (beyond, beamlets)
+    )
+    edge = closed & ~inner & (more > 0.0)
+    ratio = np.where(edge, np.minimum(fewer / np.where(edge, more, 1.0), 1.0), none)
+    found = beamlets_around(ratio.astype(np.float32), edge)
+    found[~joined(np.logical_or, edge)] = 1.0
+    return found
 
 
 def _of_covered(
