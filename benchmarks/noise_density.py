@@ -310,7 +310,7 @@ def _print_beams(folder: Path, overrides: tuple[str, ...]) -> None:
     loaded = read_trajectory([folder / "trajectory.csv"], survey_crs=None, trajectory_crs=None)
     angles = []
     for task in scatter.tasks(survey):
-        table = read_stretch(task.args, context, lines_of_sight.columns(task.args))
+        table, _ = read_stretch(task.args, context, lines_of_sight.columns(task.args))
         found = lines_of_sight.beams(table, context.store, task.args)
         true = geometry.beams(table, loaded.trajectory)
         angles.append(np.linalg.norm(np.cross(found.direction, true.direction), axis=1))

@@ -1,5 +1,6 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -126,6 +127,8 @@ class Imaging(Receiver[Survey, Context]):
         survey = prepared.ledger
         if phase.kind == "index_file":
             yield from _judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
+        if phase.kind == "gather":
+            yield from _copies(survey)
         if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
             failures = [r.reason for r in failed if r.kind == "trajectory"]
             if failures:
@@ -205,6 +208,21 @@ def _judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
         raise WorkflowError(
             f"{names}: no point has a usable gps_time, so there are no shots to filter by; "
             "set filter.method: none and afterpulse.enabled: false for ground and surfaces"
+        )
+
+
+def _copies(survey: Survey) -> Iterator[str]:
+    """Say which files hold returns that others hold too."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for receipt in survey.of("gather").values():
+        for copy, kept, count in receipt.facts.get("copies", ()):
+            counts[copy, kept] += count
+    names = {str(source.key): source.name for source in survey.inputs.sources}
+    for (copy, kept), count in sorted(counts.items()):
+        yield (
+            f"{names[copy]}: {count:,} of its returns are in {names[kept]} too, at the same time "
+            "and place; they count once, and the copies are delivered as not assessed: leave one "
+            "of the files out, or its overlap"
         )
 
 

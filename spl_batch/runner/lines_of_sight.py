@@ -81,7 +81,8 @@ def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Pro
 
 def observe(args: Mapping[str, Any], context: Context) -> Produced:
     """Noise statistics of a stretch that was gathered before its beams were known."""
-    return observe_table(read_stretch(args, context, columns(args)), args, context)
+    table, _ = read_stretch(args, context, columns(args))
+    return observe_table(table, args, context)
 
 
 def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:

@@ -5,6 +5,7 @@ to prove that it can be, keeps what it finds, and a stretch is read from there a
 needed, with the columns that are.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -55,8 +56,17 @@ def add_points(writer: GroupWriter, table: PointTable) -> None:
         writer.write(table.take(slice(start, start + step)).columns)
 
 
-def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]) -> PointTable:
+Copies = Counter[tuple[int, int]]
+"""Returns of a file that another one holds too, by the keys of both, the other one last [count]."""
+
+
+def read_stretch(
+    args: Mapping[str, Any], context: Context, names: Sequence[str]
+) -> tuple[PointTable, Copies]:
     """Points of a stretch from every file that has some, in time order.
+
+    A return that several files hold, as where one is delivered twice or tiles overlap, comes once,
+    from the file with the least key: copies would vouch for each other.
 
     Parameters
     ----------
@@ -70,7 +80,10 @@ def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]
 
     Returns
     -------
-    PointTable
+    table : PointTable
+        The points.
+    copies : Counter
+        What is left out.
     """
     clock = ShotClock(args["t0_s"], args["prf_hz"])
     columns = list(dict.fromkeys((*TIME_ORDER, *names)))
@@ -79,9 +92,25 @@ def read_stretch(args: Mapping[str, Any], context: Context, names: Sequence[str]
         for name in args["sources"]
         for piece in _pieces(name, args["window_s"], context, (*columns, "point_source_id"))
     ]
-    table = _in_time_order(concat(pieces, [*columns, "shot"]))
+    table, copies = _once(_in_time_order(concat(pieces, [*columns, "shot"])))
     # Kernels are compiled for arrays that can be written to, and what was read cannot.
-    return PointTable({k: np.require(v, None, ["C", "W"]) for k, v in table.columns.items()})
+    writable = {k: np.require(v, None, ["C", "W"]) for k, v in table.columns.items()}
+    return PointTable(writable), copies
+
+
+def _once(table: PointTable) -> tuple[PointTable, Copies]:
+    """Points in time order without those that a file with a lower key holds too, and these."""
+    source = table["source"]
+    if not len(source) or source.min() == source.max():
+        return table, Counter()
+    same = np.ones(len(source) - 1, np.bool_)
+    for name in TIME_ORDER[: TIME_ORDER.index("source")]:
+        same &= table[name][1:] == table[name][:-1]
+    starts = np.flatnonzero(np.concatenate([[True], ~same]))
+    first = np.repeat(source[starts], np.diff(starts, append=len(source)))
+    again = source != first
+    pairs = zip(source[again].tolist(), first[again].tolist(), strict=True)
+    return (table.take(rows_of(~again)) if again.any() else table), Counter(pairs)
 
 
 def _pieces(

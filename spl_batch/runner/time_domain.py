@@ -46,8 +46,9 @@ _POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
 
 def gather(args: Mapping[str, Any], context: Context) -> Produced:
     """Look at a stretch's points from every file that has some, and observe their noise."""
-    table = read_stretch(args, context, lines_of_sight.columns(args))
-    facts: dict[str, Any] = {"points": len(table), "uncovered": 0}
+    table, copies = read_stretch(args, context, lines_of_sight.columns(args))
+    again = [[str(copy), str(kept), count] for (copy, kept), count in sorted(copies.items())]
+    facts: dict[str, Any] = {"points": len(table), "uncovered": 0, "copies": again}
     if not len(table):
         return Produced((), facts)
     look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
@@ -93,7 +94,7 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
         path = context.store.path("stretches", f"{args['stretch']}.parquet")
         table = read_table(path, SOURCE_COLUMNS)
     else:
-        table = read_stretch(args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args)))
+        table, _ = read_stretch(args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args)))
     outputs: list[Path] = []
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
