@@ -202,6 +202,24 @@ class TestVerdicts:
         first = verdicts(make_report(counts=Counts(points_in=100, points_out=101)))[0]
         assert first.text.startswith("1 points more")
 
+    def test_what_was_not_read_is_said_beside_what_is_delivered(self) -> None:
+        counts = Counts(points_in=100, points_out=100, signal=100, not_read=40)
+        report = make_report(counts=counts)
+        (said,) = [v for v in verdicts(report) if "delivered" in v.text]
+        assert said.tone == "attention"
+        assert "about 40 in files that cannot be read are not" in said.text
+        assert dict(screen_summary(report))["points"] == "100 in, 100 out, about 40 not read"
+
+    def test_no_survey_of_which_nothing_was_assessed_looks_well(self) -> None:
+        counts = Counts(points_in=100, points_out=100, not_assessed=100)
+        (said,) = [v for v in verdicts(make_report(counts=counts)) if "delivered" in v.text]
+        assert (said.tone, "none was assessed" in said.text) == ("bad", True)
+        none = make_report(
+            counts=counts, noise=make_report().noise.model_copy(update={"method": "none"})
+        )
+        (said,) = [v for v in verdicts(none) if "delivered" in v.text]
+        assert said.tone == "good", "linear-mode clouds are not filtered"
+
     def test_failures_come_first(self) -> None:
         first = verdicts(make_report(failures=make_failures()))[0]
         assert first.tone == "bad"

@@ -72,8 +72,9 @@ def noise_removed(report: Report) -> float | None:
 def screen_summary(report: Report) -> list[tuple[str, str]]:
     """Label and value of each number that the console shows after a run."""
     counts, work = report.counts, report.performance
+    not_read = f", about {number(counts.not_read)} not read" if counts.not_read else ""
     rows = [
-        ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out"),
+        ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out{not_read}"),
         ("background noise", _with_share(counts.background, counts.points_in)),
         ("afterpulses", _with_share(counts.afterpulse, counts.points_in)),
         ("ground", _with_share(counts.ground, counts.points_in)),
@@ -172,10 +173,23 @@ def _conservation_verdict(report: Report) -> Verdict:
     if counts.points_in == 0:
         return Verdict("bad", "No points were read.")
     if counts.points_in == counts.points_out:
-        return Verdict("good", f"Every point is delivered: {number(counts.points_in)} in and out.")
+        return _all_delivered(report)
     gap = counts.points_in - counts.points_out
     change = f"{number(abs(gap))} points {'fewer' if gap > 0 else 'more'} out than in"
     return Verdict("bad", f"{change}: do not use the clouds before this is explained.")
+
+
+def _all_delivered(report: Report) -> Verdict:
+    """What there is to say where as many points come out as were read."""
+    counts, points = report.counts, number(report.counts.points_in)
+    if counts.not_assessed == counts.points_in and report.noise.method != "none":
+        text = f"{points} points are delivered, and none was assessed: the warnings say why."
+        return Verdict("bad", text)
+    if counts.not_read:
+        missing = f"about {number(counts.not_read)} in files that cannot be read are not"
+        text = f"Every point that could be read is delivered, {points} in and out; {missing}."
+        return Verdict("attention", text)
+    return Verdict("good", f"Every point is delivered: {points} in and out.")
 
 
 def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Verdict:
