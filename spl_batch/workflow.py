@@ -189,6 +189,25 @@ def _content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
     return content
 
 
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses a key given twice, of which YAML would keep the last."""
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            line = key.start_mark.line + 1
+            first = lines.pop(key.value, None)
+            if first is not None:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key.value!r} stands twice, on lines {first} and {line}"
+                )
+            lines[key.value] = line
+        return node
+
+
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     """Content of a YAML file that holds a mapping.
 
@@ -202,10 +221,10 @@ def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     Raises
     ------
     WorkflowError
-        If the file cannot be read, is not YAML, or holds no mapping.
+        If the file cannot be read, is not YAML, names a key twice, or holds no mapping.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = _Loader(path.read_text(encoding="utf-8")).get_single_data()
     except OSError as error:
         raise WorkflowError(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
