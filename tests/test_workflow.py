@@ -8,6 +8,7 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
+from spl_batch.api import simulate
 from spl_batch.errors import WorkflowError
 from spl_batch.sensor import Sensor, load_preset, preset_names
 from spl_batch.workflow import Workflow, load_any, load_workflow, parse_workflow
@@ -317,3 +318,9 @@ def test_a_key_given_twice_is_refused_with_its_lines(tmp_path: Path) -> None:
     path.write_text("output: a\nsurvey:\n  flightlines: a\n  flightlines: b\n")
     with pytest.raises(WorkflowError, match="key 'flightlines' stands twice, on lines 3 and 4"):
         load_workflow(path)
+
+
+def test_a_workflow_given_as_a_scene_is_called_one(tmp_path: Path) -> None:
+    path = write(tmp_path / "w.yaml", MINIMAL)
+    with pytest.raises(WorkflowError, match="this is a workflow, not a scene; `spl-batch run`"):
+        simulate(path, tmp_path / "out")

@@ -8,6 +8,7 @@ from typing import Any
 from spl_batch.api.events import Listener, ignore
 from spl_batch.api.pipeline import RunResult, run
 from spl_batch.api.preparing import DEFAULT_MEMORY
+from spl_batch.errors import WorkflowError
 from spl_batch.receivers import IMAGING, simulator
 from spl_batch.workflow import known_kind, read_mapping
 
@@ -36,9 +37,12 @@ def simulate(
     Raises
     ------
     WorkflowError
-        If the scene has a fault.
+        If the scene has a fault, or is a workflow.
     """
     content = read_mapping(Path(scene), "a scene is a mapping with extent_m: and flights:")
+    survey = content.get("survey")
+    if isinstance(survey, dict) and "flightlines" in survey:
+        raise WorkflowError(f"{scene}: this is a workflow, not a scene; `spl-batch run` is for it")
     kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
     return simulator(kind)(Path(scene), Path(output), progress=progress)
 
