@@ -324,3 +324,10 @@ def test_a_workflow_given_as_a_scene_is_called_one(tmp_path: Path) -> None:
     path = write(tmp_path / "w.yaml", MINIMAL)
     with pytest.raises(WorkflowError, match="this is a workflow, not a scene; `spl-batch run`"):
         simulate(path, tmp_path / "out")
+
+
+@pytest.mark.parametrize("prf_hz", [30, 3e7])
+def test_a_pulse_rate_in_another_unit_is_refused(prf_hz: float) -> None:
+    with pytest.raises(WorkflowError, match=r"acquisition\.prf_hz: .*30 kHz is 30000"):
+        parse_workflow(merged(acquisition={"prf_hz": prf_hz}), "w")
+    assert parse_workflow(merged(acquisition={"prf_hz": 1000}), "w").acquisition.prf_hz == 1000

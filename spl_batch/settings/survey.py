@@ -1,8 +1,8 @@
 """What was flown, how it is cut into work, and what is written."""
 
-from typing import Literal
+from typing import Final, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from spl_batch.sensor import Sensor
 from spl_batch.settings.base import Positive, Section, StoreSettings
@@ -49,11 +49,25 @@ class TilingSettings(Section):
     )
 
 
+PRF_HZ: Final = (1e3, 1e6)
+"""Pulse rates of airborne lidars lie well within; a slip of kHz or MHz does not [Hz]."""
+
+
 class AcquisitionSettings(Section):
     """What the instrument did; estimated from the data and reported where missing."""
 
     prf_hz: Positive | None = Field(None, description="Pulse repetition frequency [Hz].")
     gate_m: Positive | None = Field(None, description="Slant length of the range gate [m].")
+
+    @field_validator("prf_hz")
+    @classmethod
+    def _prf_in_hertz(cls, prf_hz: float | None) -> float | None:
+        if prf_hz is not None and not PRF_HZ[0] <= prf_hz <= PRF_HZ[1]:
+            raise ValueError(
+                f"{prf_hz:g} Hz is no pulse rate of an airborne lidar, which lies from "
+                f"{PRF_HZ[0]:g} to {PRF_HZ[1]:g} Hz; write hertz, 30 kHz is 30000"
+            )
+        return prf_hz
 
 
 class OutputSettings(StoreSettings):
