@@ -459,3 +459,30 @@ def test_status_and_report_of_nothing(tmp_path: Path) -> None:
         ended = surveys.command(name, tmp_path)
         assert ended.status == 2
         assert str(tmp_path) in ended.err
+
+
+@pytest.mark.parametrize(("dimension", "held"), [("user_data", "0"), ("return_number", "1")])
+def test_a_dimension_that_holds_no_beamlet_numbers_is_refused(
+    tmp_path: Path, dimension: str, held: str
+) -> None:
+    workflow = surveys.small_survey(tmp_path, survey={"channel_dimension": dimension})
+    for path in (tmp_path / "lines").glob("*.laz"):
+        columns = surveys.flightline(shots=120, psid=int(path.stem[-1]))
+        surveys.write_cloud(path, columns | {"user_data": np.zeros(len(columns["x"]), np.uint8)})
+    ended = surveys.command("run", workflow, "--workers", 0)
+    assert ended.status == 2
+    assert f"survey.channel_dimension: {dimension} holds only {held} in" in ended.err
+    assert "100 beamlets" in ended.err
+    assert (
+        surveys.command(
+            "run",
+            workflow,
+            "--workers",
+            0,
+            "--set",
+            "survey.channel_dimension=channel",
+            "--until",
+            "shots",
+        ).status
+        == 0
+    )

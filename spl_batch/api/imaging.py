@@ -47,6 +47,12 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
+FEW_CHANNELS: Final = 10
+"""A dimension that holds less than this part of the beamlets' numbers holds something else."""
+
+MANY_A_BEAMLET: Final = 20
+"""Points of a beamlet, on average, from which on all that are not broken have some [count]."""
+
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
 
@@ -190,6 +196,7 @@ def _judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     if not usable or not any(r.points for r in usable.values()):
         reasons = [*(str(b) for b in survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
+    _check_channels(survey)
     timeless = timeless_sources(survey)
     for source in timeless:
         yield (
@@ -209,6 +216,26 @@ def _judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
             f"{names}: no point has a usable gps_time, so there are no shots to filter by; "
             "set filter.method: none and afterpulse.enabled: false for ground and surfaces"
         )
+
+
+def _check_channels(survey: Survey) -> None:
+    """Stop where the dimension that was named cannot hold beamlet numbers."""
+    name, sensor = survey.workflow.survey.channel_dimension, survey.workflow.sensor
+    indexed = survey.of("index_file").values()
+    points = sum(r.facts["points"] for r in indexed)
+    if name is None or not survey.filtering or points < MANY_A_BEAMLET * sensor.beamlets:
+        return
+    seen = 0
+    for receipt in indexed:
+        seen |= int(receipt.facts["channels_seen"], 16)
+    if FEW_CHANNELS * seen.bit_count() > sensor.beamlets or sensor.beamlets <= FEW_CHANNELS:
+        return
+    listed = ", ".join(str(k) for k in range(256) if seen >> k & 1)
+    raise WorkflowError(
+        f"survey.channel_dimension: {name} holds only {listed} in {points:,} points, and a "
+        f"{sensor.name} has {sensor.beamlets} beamlets; name the dimension that holds their "
+        "numbers, or leave the key out: a shot is one beamlet then"
+    )
 
 
 def _copies(survey: Survey) -> Iterator[str]:

@@ -105,6 +105,7 @@ class Tally:
             if self.counts["points"]
             else None,
             "channels": [min(self._channels), max(self._channels)] if self._channels else None,
+            "channels_seen": f"{sum(1 << channel for channel in self._channels):x}",
             "spans": {str(k): merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())},
             "fullest": {str(k): v.fullest() for k, v in sorted(self._rates.items())},
             "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(self._steps.items())},
