@@ -25,7 +25,7 @@ from spl_batch.stages import surface as surfacing
 from spl_batch.stages.fired import FiredPart
 from spl_batch.stages.kept_noise import within_signal
 from spl_batch.stages.stray import stray
-from spl_batch.stages.water import submerged
+from spl_batch.stages.water import off_surface
 from spl_batch.tiling import (
     Bounds,
     CellId,
@@ -206,7 +206,7 @@ def _usable(table: PointTable) -> NDArray[np.bool_]:
     """Signal that a surface may rest on."""
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     usable = usable & ~table.has(PointFlag.OUTSIDE_AOI) & ~stray(table)
-    return usable & ~submerged(table, usable)
+    return usable & ~off_surface(table, usable)
 
 
 def _cells(names: Sequence[str]) -> list[CellId]:

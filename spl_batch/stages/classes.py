@@ -24,7 +24,7 @@ from spl_batch.constants import (
     QUANTUM_M,
 )
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
-from spl_batch.stages.water import BELOW_M
+from spl_batch.stages.water import APART_M, NEAR_M
 from spl_batch.tiling import Bounds, inside
 
 DOMAIN: Final = "space"
@@ -36,9 +36,6 @@ COLUMNS_ADDED: Final = ("classification",)
 
 WIRE_ABOVE_M: Final = 3.0
 """Conductors hang at least so high [m]."""
-
-WATER_ABOVE_M: Final = 1.0
-"""Returns in a water polygon up to this high above the DTM are water: waves and spread [m]."""
 
 
 def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -58,9 +55,9 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     -------
     (n,) uint8
         2 ground; 7 noise below the surface, 18 above it; 9 water: the input's, or in a
-        water polygon from :data:`~spl_batch.stages.water.BELOW_M` below the DTM, which is the
-        water's surface there, to :data:`WATER_ABOVE_M` above it, or above none; its bottom, as
-        whatever else lies deeper, is 1; 6 where the input says building; 14 where ``wire`` is
+        water polygon within :data:`~spl_batch.stages.water.NEAR_M` of the DTM, which is the
+        water's surface there, or where there is none; its bottom, as whatever else lies deeper
+        or higher, is 1; 6 where the input says building; 14 where ``wire`` is
         given and 1, at least :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that
         nothing assessed keep the input's class, except that class 2 is this project's ground only.
 
@@ -73,7 +70,7 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     ground, assessed = table["ground"] == 1, noise_class != NOISE_NOT_ASSESSED
     surface, void = _surface_below(table, cell, dtm)
     height = table["z"] * QUANTUM_M - surface
-    at_surface = (height <= WATER_ABOVE_M) & (height >= -BELOW_M)
+    at_surface = np.abs(height) <= NEAR_M + np.where(ground, APART_M, 0.0)
     water = table.has(PointFlag.WATER) & (void | at_surface)
     result = np.where(
         np.isin(given, (CLASS_BUILDING, CLASS_WATER)) | ~assessed, given, CLASS_UNCLASSIFIED
