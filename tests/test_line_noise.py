@@ -246,3 +246,15 @@ def test_windows_count_the_shots_fired_and_the_beamlets_seen(
         span = min(start + window - 1, high[row[i]]) - max(start, low[row[i]]) + 1
         assert seen[i] == mine.sum()
         assert fired[i] == max(span, len(set(time[mine])))
+
+
+def test_intervals_with_signal_in_their_noise_region_are_no_background() -> None:
+    rng = np.random.default_rng(5)
+    interval = np.arange(400)
+    exposure = np.full(400, 5e4)
+    counted = rng.poisson(20.0, 400)
+    tower = (interval >= 200) & (interval < 215)
+    counted[tower] += 60
+    quiet = line_noise._quiet(interval, counted, exposure, 40)
+    assert not quiet[tower].any()
+    assert quiet[~tower].mean() > 0.99

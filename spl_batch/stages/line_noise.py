@@ -40,6 +40,12 @@ SEEN_TARGET: Final = 15.0
 RETURNS_MIN: Final = 20.0
 """Fewer beamlets seen per interval than this, and the median is one of the noise returns."""
 
+CLIP_SIGMA: Final = 4.0
+"""Poisson deviations above its neighbourhood from which an interval's count holds signal."""
+
+CLIP_ROUNDS: Final = 5
+"""Times that the neighbourhood is counted again without such intervals."""
+
 
 def fit(
     merged: dict[str, NDArray[Any]],
@@ -78,6 +84,9 @@ def fit(
         exposure = fired * (length[:, :, region.buffer] @ sides)
         blinded = np.where(present, merged["blinded"][rows, :, region.buffer] @ sides, 0.0)
         heard = np.maximum(exposure - blinded, 0.0)
+        if region.buffer > 0:
+            quiet = _quiet(interval, counted, heard, settings.smooth_intervals)
+            counted, heard = counted * quiet, heard * quiet
         rate = _smooth(interval, counted, heard, settings.smooth_intervals)
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
         gain = _gains(by_channel, gain_active)
@@ -219,6 +228,25 @@ def _smooth(
     weight = _prior_weight(n, np.add.reduceat(wide * exposure, starts))
     rate: NDArray[np.float64] = (near_n + weight) / (near_e + weight / wide)
     return rate
+
+
+def _quiet(
+    interval: NDArray[np.int64],
+    counted: NDArray[np.int64],
+    exposure: NDArray[np.float64],
+    half: int,
+) -> NDArray[np.bool_]:
+    """Intervals whose count can be background alone: (m,) bool.
+
+    A shrunk buffer is lower than towers are tall: where an interval sees roof and ground, one
+    of them lies in its noise region. Signal only adds, and the sky changes over many intervals.
+    """
+    quiet = np.ones(len(interval), dtype=np.bool_)
+    for _ in range(CLIP_ROUNDS):
+        near_n, near_e = (_moving(interval, v * quiet, half) for v in (counted, exposure))
+        expected = near_n / np.maximum(near_e, 1.0) * exposure
+        quiet = counted <= expected + CLIP_SIGMA * np.sqrt(expected + 1.0)
+    return quiet
 
 
 def _prior_weight(n: NDArray[np.int64], expected: NDArray[np.float64]) -> float:
