@@ -12,7 +12,8 @@ Sources: [W17] Eq. 5.1, [W18] 2.2.1.
 Deviations: silent shots count as fired; R is a slant length and what the gate really
 leaves; the buffer shrinks where the gate is short; the rate of an interval is shrunk
 towards that of its neighbours as far as Poisson statistics explain their differences
-(empirical Bayes with a gamma prior), and so are the channels' gains towards one.
+(empirical Bayes with a gamma prior), and so are the channels' gains towards one; where the
+buffer has shrunk, intervals that count far more than those around hold signal and are left out.
 """
 
 from typing import Any, Final
