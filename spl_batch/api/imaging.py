@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
@@ -52,6 +53,9 @@ FEW_CHANNELS: Final = 10
 
 MANY_A_BEAMLET: Final = 20
 """Points of a beamlet, on average, from which on all that are not broken have some [count]."""
+
+LOOKS_AHEAD: Final = 0.05
+"""Returns lie ahead of a sensor on average by no more than this part of its height."""
 
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
@@ -135,6 +139,7 @@ class Imaging(Receiver[Survey, Context]):
             yield from _judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
         if phase.kind == "gather":
             yield from _copies(survey)
+            yield from _looks_ahead(survey)
         if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
             failures = [r.reason for r in failed if r.kind == "trajectory"]
             if failures:
@@ -251,6 +256,29 @@ def _copies(survey: Survey) -> Iterator[str]:
             "and place; they count once, and the copies are delivered as not assessed: leave one "
             "of the files out, or its overlap"
         )
+
+
+def _looks_ahead(survey: Survey) -> Iterator[str]:
+    """Say where the sensor is not above what it sees, as with times that are off."""
+    lines: dict[str, list[list[float]]] = {}
+    for name, receipt in survey.of("gather").items():
+        if "ahead" in receipt.facts:
+            lines.setdefault(name.split("/", maxsplit=1)[0], []).append(receipt.facts["ahead"])
+    off: dict[str, float] = {}
+    for line, stretches in lines.items():
+        ahead_m, height_m, speed_m_s = (median(values) for values in zip(*stretches, strict=True))
+        if abs(ahead_m) > LOOKS_AHEAD * height_m:
+            off[line] = ahead_m / speed_m_s
+    for side, late in (("behind", "early"), ("ahead of", "late")):
+        those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
+        if those:
+            names = ", ".join(those[:5]) + (f" and {len(those) - 5} more" if those[5:] else "")
+            yield (
+                f"{names}: the returns lie {side} the sensor on average, so that the trajectory's "
+                f"times seem {abs(median(off[line] for line in those)):.1f} s {late} (UTC is 18 s "
+                "behind GPS time); noise and reflectance are reckoned along wrong beams then. "
+                "Where only a part of each scan is delivered all is well"
+            )
 
 
 def _contradicted_rates(survey: Survey) -> Iterator[str]:

@@ -93,6 +93,9 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
         "uncovered": len(unknown),
         "uncovered_span_s": [float(unknown.min()), float(unknown.max())] if len(unknown) else None,
     }
+    ahead = geometry.look_ahead(known, table["gps_time"]) if args["trajectory"] else None
+    if ahead is not None:
+        facts["ahead"] = [round(value, 3) for value in ahead]
     observed = line_noise.observe(table, known, context.workflow.noise)
     observed |= afterpulse.observe(table, known, context.workflow.sensor)
     stats = context.store.path("observed", f"{args['stretch']}.npz")

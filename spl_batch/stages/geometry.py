@@ -10,7 +10,7 @@ a beam and a gate cut at a height stays one. Nothing depends on how a flightline
 """
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,12 @@ STEP_BIN_S: Final = 1e-8
 
 STEP_BINS: Final = 100_000
 """Bins of that histogram: steps up to 1 ms, so PRFs from 1 kHz."""
+
+AHEAD_S: Final = 1.0
+"""Time in which a scan looks ahead and astern many times over [s]."""
+
+AHEAD_RETURNS: Final = 20_000
+"""Returns by which it is asked how far ahead they lie [count]."""
 
 MIN_ANGLES: Final = 16
 """Fewer distinct scan angles than this are a label of the line, not a geometry."""
@@ -170,6 +176,53 @@ def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
     if travelled < 50.0 or float(np.median(spread)) > 0.1 * travelled:
         return None
     return float(np.arctan2(speed[0], speed[1]))
+
+
+class Ahead(NamedTuple):
+    """How far ahead of the sensor, or astern, its returns lie on average.
+
+    Parameters
+    ----------
+    ahead_m : float
+        Along the direction of flight [m].
+    height_m : float
+        Of the sensor above them [m].
+    speed_m_s : float
+        Of the sensor over ground [m/s].
+    """
+
+    ahead_m: float
+    height_m: float
+    speed_m_s: float
+
+
+def look_ahead(beams: BeamTable, time_s: NDArray[np.float64]) -> Ahead | None:
+    """Mean look along the flight direction: near zero, as scans look both ways.
+
+    Parameters
+    ----------
+    beams : BeamTable
+        Beams of returns in time order, from positions that are not derived from them: (n,).
+    time_s : (n,) float64
+        Their times [s].
+
+    Returns
+    -------
+    Ahead or None
+        None where the sensor is known for less than :data:`AHEAD_S`, or stands still.
+    """
+    rows = np.flatnonzero(beams.known)
+    rows = rows[:: max(len(rows) // AHEAD_RETURNS, 1)]
+    if not len(rows) or time_s[rows[-1]] - time_s[rows[0]] < AHEAD_S:
+        return None
+    time, place = time_s[rows] - time_s[rows].mean(), beams.origin_m[rows, :2]
+    velocity = time @ (place - place.mean(axis=0)) / (time @ time)
+    speed = float(np.hypot(*velocity))
+    if speed < 1.0:
+        return None
+    to_return = beams.direction[rows] * beams.range_m[rows, None]
+    ahead = float(np.mean(to_return[:, :2] @ velocity)) / speed
+    return Ahead(ahead, float(-np.mean(to_return[:, 2])), speed)
 
 
 def ordered_times(time_s: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,67 @@
+"""A trajectory whose times are off is noticed: its sensor is not above what it sees."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spl_batch.api.events import Event, Note
+from spl_batch.model import BeamTable
+from spl_batch.stages.geometry import look_ahead
+from tests import surveys
+
+
+def told(folder: Path, shift_m: float) -> list[str]:
+    """Warnings of a run whose sensor is off by so much along the flight."""
+    for k in (1, 2):
+        line = surveys.flightline(shots=1500, psid=k, seed=k)
+        surveys.write_cloud(folder / "lines" / f"line_{k}.laz", line)
+    surveys.write_trajectory(folder / "trajectory.csv", shift_m=shift_m)
+    events: list[Event] = []
+    surveys.run(surveys.write_workflow(folder), until="shots", listener=events.append)
+    texts = [e.text for e in events if isinstance(e, Note)]
+    return [text for text in texts if "trajectory's times" in text]
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "side", "late"),
+    [(120.0, "behind", "2.0 s early"), (-90.0, "ahead of", "1.5 s late")],
+)
+def test_times_that_are_off_are_told_once_for_all_lines(
+    tmp_path: Path, shift_m: float, side: str, late: str
+) -> None:
+    (text,) = told(tmp_path, shift_m)
+    assert text.startswith("00001_371000000, 00002_371000000: the returns lie ")
+    assert side in text
+    assert late in text
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 15.0, -15.0])
+def test_what_is_near_above_is_not(tmp_path: Path, shift_m: float) -> None:
+    assert not told(tmp_path, shift_m)
+
+
+def a_scan(seconds: float, speed_m_s: float, ahead_m: float) -> tuple[BeamTable, np.ndarray]:
+    """A cone of 300 m around a place so far ahead of the sensor, flying north-east at 1 km."""
+    time = np.linspace(0.0, seconds, 50_000)
+    flown = (time * speed_m_s)[:, None] * np.array([[np.sqrt(0.5), np.sqrt(0.5), 0.0]])
+    turn = 2 * np.pi * 11.0 * time
+    to_return = np.column_stack(
+        [300 * np.cos(turn), 300 * np.sin(turn), np.full(len(time), -1000.0)]
+    )
+    to_return[:, :2] += ahead_m * np.sqrt(0.5)
+    length = np.linalg.norm(to_return, axis=1)
+    known = np.ones(len(time), np.bool_)
+    return BeamTable(flown, to_return / length[:, None], length, known), time
+
+
+def test_the_mean_of_a_scan_is_where_it_was_put() -> None:
+    beams, time = a_scan(4.0, 80.0, 55.0)
+    found = look_ahead(beams, time)
+    assert found is not None
+    assert found == pytest.approx((55.0, 1000.0, 80.0), abs=2.0)
+    beams.known[: len(time) // 2] = False
+    assert look_ahead(beams, time) is not None
+    beams.known[: 4 * len(time) // 5] = False
+    assert look_ahead(beams, time) is None, "too short to tell"
+    assert look_ahead(*a_scan(4.0, 0.1, 55.0)) is None, "a sensor that stands has no direction"
