@@ -17,19 +17,28 @@ from spl_batch.stages.ground import ground_mask, spacing_around_m, spacing_m
 from spl_batch.tiling import Bounds, grow, inside, quanta
 
 
-def pits(xyz: np.ndarray, cell: np.ndarray, shape: tuple[int, int], reach: int = 2) -> np.ndarray:
+def pits(
+    xyz: np.ndarray,
+    cell: np.ndarray,
+    shape: tuple[int, int],
+    doubtful: np.ndarray | None = None,
+) -> np.ndarray:
     out = np.empty(len(cell), dtype=np.bool_)
-    in_pits(xyz, cell, np.ones(len(cell), dtype=np.bool_), *shape, reach, out)
+    if doubtful is None:
+        doubtful = np.zeros(len(cell), dtype=np.bool_)
+    in_pits(xyz, cell, np.ones(len(cell), dtype=np.bool_), doubtful, *shape, 2, out)
     return out
 
 
-def plain_pit(xyz: np.ndarray, cell: np.ndarray, shape: tuple[int, int], i: int) -> bool:
+def plain_pit(
+    xyz: np.ndarray, cell: np.ndarray, shape: tuple[int, int], doubtful: np.ndarray, i: int
+) -> bool:
     """The rule once more, pair by pair, with dictionaries and no sorting tricks."""
     lowest: dict[tuple[int, int], int] = {}
     for j, c in enumerate(cell):
         lowest.setdefault((int(c) // shape[1], int(c) % shape[1]), j)
     row, column = int(cell[i]) // shape[1], int(cell[i]) % shape[1]
-    heights = []
+    heights, ends = [], []
     for dr in range(-2, 3):
         for dc in range(-2, 3):
             a, b = lowest.get((row - dr, column - dc)), lowest.get((row + dr, column + dc))
@@ -38,11 +47,17 @@ def plain_pit(xyz: np.ndarray, cell: np.ndarray, shape: tuple[int, int], i: int)
             u = xyz[b, :2] - xyz[a, :2]
             t = (xyz[i, :2] - xyz[a, :2]) @ u / (u @ u)
             heights.append(xyz[a, 2] + t * (xyz[b, 2] - xyz[a, 2]))
-    h = np.array(heights)
+            ends.append(np.mean([not doubtful[a], not doubtful[b]]))
+    h, firm = np.array(heights), np.array(ends)
     own = np.sum(np.abs(h - xyz[i, 2]) <= 0.2) if len(h) else 0
     for low in h[h > xyz[i, 2] + 0.25]:
-        agreeing = np.sum((h >= low) & (h <= low + 0.4))
-        if agreeing >= max(4, 6 * own) and 2 * agreeing >= len(h):
+        agree = (h >= low) & (h <= low + 0.4)
+        if agree.sum() < max(4, 6 * own):
+            continue
+        if low <= xyz[i, 2] + 2 and agree.sum() >= np.sum(h <= low + 0.4) / 2:
+            return True
+        told = not doubtful[i] or firm[agree].mean() >= 0.5
+        if agree.sum() >= len(h) / 2 and told:
             return True
     return False
 
@@ -53,16 +68,18 @@ def sparse_grid(seed: int, rough_m: float) -> tuple[np.ndarray, np.ndarray]:
     cell = np.flatnonzero(rng.random(81) < 0.8)
     x, y = cell % 9 + rng.uniform(0, 1, len(cell)), cell // 9 + rng.uniform(0, 1, len(cell))
     z = 0.6 * x - 0.3 * y + rng.normal(0, rough_m, len(cell))
-    z[rng.random(len(cell)) < 0.15] -= rng.uniform(0.2, 3)
+    z[rng.random(len(cell)) < 0.15] -= rng.uniform(0.2, 5)
+    z[rng.random(len(cell)) < 0.2] += rng.uniform(1, 9)
     return np.column_stack([x, y, z]), cell
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from([0.03, 0.3, 2.0]))
-def test_pits_agree_with_a_plain_twin(seed: int, rough_m: float) -> None:
+@given(st.integers(0, 10_000), st.sampled_from([0.03, 0.3, 2.0]), st.sampled_from([0.0, 0.4, 0.9]))
+def test_pits_agree_with_a_plain_twin(seed: int, rough_m: float, share: float) -> None:
     xyz, cell = sparse_grid(seed, rough_m)
-    expected = [plain_pit(xyz, cell, (9, 9), i) for i in range(len(cell))]
-    assert pits(xyz, cell, (9, 9)).tolist() == expected
+    doubtful = np.random.default_rng(seed + 1).random(len(cell)) < share
+    expected = [plain_pit(xyz, cell, (9, 9), doubtful, i) for i in range(len(cell))]
+    assert pits(xyz, cell, (9, 9), doubtful).tolist() == expected
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 2.0])
@@ -79,6 +96,37 @@ def test_ground_below_rough_leaves_is_no_pit() -> None:
     z = np.random.default_rng(3).uniform(2, 12, 81)
     z[40] = 0.0
     assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9)).any()
+
+
+@pytest.mark.parametrize(
+    ("height_m", "doubtful", "below"),
+    [
+        (3.5, "all", False),  # lowest leaves of a crown that happen to agree
+        (3.5, "node", True),  # a roof, and trees over it
+        (3.5, "none", True),  # open ground far above what noise left
+        (1.5, "all", True),  # no crown begins so low
+    ],
+)
+def test_what_agrees_high_above_returns_below_leaves_must_be_firm(
+    height_m: float, doubtful: str, *, below: bool
+) -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.where((x.astype(int) + y.astype(int)) % 2, height_m, height_m + 0.1)
+    z[40] = 0.0
+    asked = {"all": np.ones(81, bool), "node": np.arange(81) == 40, "none": np.zeros(81, bool)}
+    assert pits(np.column_stack([x, y, z]), np.arange(81), (9, 9), asked[doubtful])[40] == below
+
+
+def test_a_pit_at_the_edge_of_a_crown_is_one() -> None:
+    """Most heights around it are of leaves, metres above; the others agree on the ground."""
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    crown = (x > 6) | (y > 6)
+    z = np.where(crown, np.random.default_rng(5).uniform(9, 30, 81), 0.0)
+    z[40] = -1.7
+    found = pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))
+    assert found[40]
+    z[40] = 0.0
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[40]
 
 
 def test_the_bottom_of_a_ditch_is_no_pit() -> None:

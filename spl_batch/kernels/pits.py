@@ -7,6 +7,16 @@ neighbours on opposite sides of a node give a height at its place by linear inte
 which no tilt of the ground changes. Where most of these heights agree with each other and
 lie above the node, it is in a pit; where they scatter, nothing is said.
 
+Leaves scatter, but of the thousands of places where ground is seen through a crown, at some half
+of twelve heights agree by chance, metres above. What is asked depends on how far above the node
+they agree:
+
+- up to :data:`_LEAVES_M`, lower than crowns begin, heights above those that agree are of leaves
+  over the same ground and say nothing: a pit at the edge of a crown is one;
+- farther up, all heights count, and a node below many returns of its own cell, as ground seen
+  through a crown is, needs agreement among nodes that are not such single returns themselves:
+  a roof fills its layers, leaves do not.
+
 After the low-point tests of ground filters (isolated points below all neighbours
 [Axelsson 2000 uses them before the seeds]); the comparison of opposite pairs is our own.
 """
@@ -31,7 +41,10 @@ _OUTVOTE = 6
 """Agreeing pairs for each that speaks for the node: along a ditch, two do [count]."""
 
 _ENOUGH = 4
-"""Agreeing pairs that make a surface: at least these, and half of all pairs [count]."""
+"""Agreeing pairs that make a surface: at least these, and half of those that count [count]."""
+
+_LEAVES_M = 2.0
+"""Leaves of a crown are seldom this near to the ground below them [m]."""
 
 
 @njit(nogil=True, cache=True)
@@ -39,6 +52,7 @@ def in_pits(
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
     asked: NDArray[np.bool_],
+    doubtful: NDArray[np.bool_],
     rows: int,
     columns: int,
     reach: int,
@@ -54,6 +68,8 @@ def in_pits(
         Cell of each node, row by row.
     asked : (m,) bool
         Nodes to be judged; the others are surroundings only.
+    doubtful : (m,) bool
+        Nodes of one or two returns below many others in the same cell.
     rows, columns : int
         Shape of the grid.
     reach : int
@@ -64,27 +80,30 @@ def in_pits(
     lowest = np.full(rows * columns, -1, dtype=np.int64)
     for i in range(len(cell) - 1, -1, -1):
         lowest[cell[i]] = i
-    height = np.empty(((2 * reach + 1) ** 2 - 1) // 2)
+    most = ((2 * reach + 1) ** 2 - 1) // 2
+    height, firm = np.empty(most), np.empty(most, dtype=np.int64)
     for i in range(len(cell)):
         out[i] = False
         if not asked[i]:
             continue
-        pairs = _pair_heights(xyz, lowest, i, cell[i], rows, columns, reach, height)
-        out[i] = _below(height[:pairs], xyz[i, 2])
+        pairs = _pair_heights(xyz, lowest, doubtful, i, cell[i], rows, columns, reach, height, firm)
+        out[i] = _below(height[:pairs], firm[:pairs], xyz[i, 2], int(doubtful[i]))
 
 
 @njit(nogil=True, cache=True)
 def _pair_heights(
     xyz: NDArray[np.float64],
     lowest: NDArray[np.int64],
+    doubtful: NDArray[np.bool_],
     node: int,
     cell: int,
     rows: int,
     columns: int,
     reach: int,
     height: NDArray[np.float64],
+    firm: NDArray[np.int64],
 ) -> int:
-    """Heights that opposite neighbours give at a node's place; how many."""
+    """Heights that opposite neighbours give at a node's place, and their firm ends; how many."""
     row, column = cell // columns, cell % columns
     pairs = 0
     for dr in range(reach + 1):
@@ -101,26 +120,34 @@ def _pair_heights(
             length2 = ux * ux + uy * uy
             along = (xyz[node, 0] - xyz[a, 0]) * ux + (xyz[node, 1] - xyz[a, 1]) * uy
             height[pairs] = xyz[a, 2] + (along / length2) * (xyz[b, 2] - xyz[a, 2])
+            firm[pairs] = 2 - int(doubtful[a]) - int(doubtful[b])
             pairs += 1
     return pairs
 
 
 @njit(nogil=True, cache=True)
-def _below(height: NDArray[np.float64], z: float) -> bool:
-    """Whether most heights agree with each other above ``z`` and few with ``z``."""
+def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share: int) -> bool:
+    """Whether most heights agree with each other above ``z`` and few with ``z``.
+
+    Far above, they need ``share`` firm ends for each pair, of two.
+    """
     pairs = len(height)
     if pairs < _ENOUGH:
         return False
-    ordered = np.sort(height)
+    order = np.argsort(height)
     own = 0
-    for h in ordered:
+    for h in height:
         own += abs(h - z) <= _OWN_M
-    end = 0
+    end = ends = 0
     for first in range(pairs):
-        while end < pairs and ordered[end] <= ordered[first] + _AGREE_M:
+        low = height[order[first]]
+        while end < pairs and height[order[end]] <= low + _AGREE_M:
+            ends += firm[order[end]]
             end += 1
         agreeing = end - first
-        enough = agreeing >= max(_ENOUGH, _OUTVOTE * own) and 2 * agreeing >= pairs
-        if enough and ordered[first] > z + _DEPTH_M:
-            return True
+        if agreeing >= max(_ENOUGH, _OUTVOTE * own) and low > z + _DEPTH_M:
+            near = low <= z + _LEAVES_M and 2 * agreeing >= end
+            if near or (2 * agreeing >= pairs and ends >= share * agreeing):
+                return True
+        ends -= firm[order[first]]
     return False

@@ -270,7 +270,7 @@ def _sunk(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
     sunk = np.empty(len(nodes.cell), dtype=np.bool_)
     reach = max(round(REACH_M / cell_m), 1)
     asked = nodes.points < SUPPORTED
-    in_pits(nodes.xyz, nodes.cell, asked, cells.rows, cells.columns, reach, sunk)
+    in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, cells.rows, cells.columns, reach, sunk)
     return sunk | nodes.buried
 
 
