@@ -30,7 +30,7 @@ from scipy import ndimage
 from benchmarks.methods import is_noise
 from benchmarks.quality import KINDS
 from spl_batch import api
-from spl_batch.constants import CLASS_GROUND, CLASS_WATER
+from spl_batch.constants import CLASS_GROUND, CLASS_HIGH_NOISE, CLASS_LOW_NOISE, CLASS_WATER
 from spl_batch.settings import GroundSettings, ProductSettings
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import parse_scene
@@ -107,6 +107,8 @@ class Truth(NamedTuple):
         Highest return that is no noise, -inf without any [m].
     roof, water, ground : (rows, cols) bool
         Cells with returns of that kind, and with delivered ground returns.
+    struck, kept : (rows, cols) bool
+        Cells with returns that are of the ground in truth, and with such that the filter kept.
     """
 
     terrain: Grid
@@ -115,6 +117,8 @@ class Truth(NamedTuple):
     roof: Mask
     water: Mask
     ground: Mask
+    struck: Mask
+    kept: Mask
 
 
 def process(kind: str, seed: int, folder: Path) -> Path:
@@ -153,9 +157,10 @@ def terrain_figures(dtm: Grid, truth: Truth) -> dict[str, float]:
     above = truth.surface - truth.terrain
     known = ~np.isnan(off) & ~truth.water
     roof = core(truth.roof) & known
-    bare = known & ~ndimage.binary_dilation(truth.roof, np.ones((3, 3), dtype=np.bool_))
+    bare = known & ~beside(truth.roof)
     clear = known & (np.abs(above) < 0.2)
     canopy = known & ~truth.roof & (above >= 0.2)
+    wrong = bare & (np.abs(off) > 0.5)
     return {
         "DTM RMSE on open ground cm": 100 * float(np.sqrt(np.mean(off[clear] ** 2))),
         "DTM mean d on open ground cm": 100 * float(off[clear].mean()),
@@ -164,6 +169,9 @@ def terrain_figures(dtm: Grid, truth: Truth) -> dict[str, float]:
         "DTM mean |d| under roofs cm": 100 * float(np.abs(off[roof]).mean()),
         "DTM cells off by > 0.5 m per 10 000": 1e4 * float(np.mean(np.abs(off[known]) > 0.5)),
         "the same where no roof is": 1e4 * float(np.mean(np.abs(off[bare]) > 0.5)),
+        "cells of these": float(wrong.sum()),
+        "with true ground in or beside them": float((wrong & beside(truth.struck)).sum()),
+        "with such that the filter kept": float((wrong & beside(truth.kept)).sum()),
         "DTM largest |d| m": float(np.abs(off[known]).max()),
     }
 
@@ -217,6 +225,12 @@ def core(mask: Mask) -> Mask:
     return opened
 
 
+def beside(mask: Mask) -> Mask:
+    """A mask's cells and the eight around each."""
+    around: Mask = ndimage.binary_dilation(mask, np.ones((3, 3), dtype=np.bool_))
+    return around
+
+
 def cut(path: Path, survey: Path) -> Grid:
     """A product's cells over the scene [m]; NaN for nodata."""
     with rasterio.open(survey / "truth" / "dtm.tif") as frame:
@@ -236,7 +250,8 @@ def load_truth(survey: Path) -> Truth:
     with rasterio.open(survey / "truth" / "dsm.tif") as source:
         surface = source.read(1).astype(np.float64)
     top = np.full(terrain.shape, -np.inf)
-    held = {name: np.zeros(terrain.shape, dtype=np.bool_) for name in ("roof", "water", "ground")}
+    names = ("roof", "water", "ground", "struck", "kept")
+    held = {name: np.zeros(terrain.shape, dtype=np.bool_) for name in names}
     for path in sorted((survey / "truth").glob("line_*.parquet")):
         kind = pq.read_table(path, columns=["kind"])["kind"].to_numpy()
         las = laspy.read(survey / "out" / "laz" / "flightlines" / f"{path.stem}.laz")
@@ -250,9 +265,14 @@ def load_truth(survey: Path) -> Truth:
             chosen = inside & (kind == KINDS.index(name))
             held[name][row[chosen], col[chosen]] = True
         # Water is ground to the terrain, by another class.
-        chosen = inside & np.isin(np.asarray(las.classification), (CLASS_GROUND, CLASS_WATER))
+        label = np.asarray(las.classification)
+        chosen = inside & np.isin(label, (CLASS_GROUND, CLASS_WATER))
         held["ground"][row[chosen], col[chosen]] = True
-    return Truth(terrain, surface, top, held["roof"], held["water"], held["ground"])
+        struck = inside & (kind == KINDS.index("ground"))
+        held["struck"][row[struck], col[struck]] = True
+        kept = struck & ~np.isin(label, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE))
+        held["kept"][row[kept], col[kept]] = True
+    return Truth(terrain, surface, top, *(held[name] for name in names))
 
 
 def main(
