@@ -251,6 +251,8 @@ def test_ctrl_c_ends_a_run_in_order(small: Path, small_output: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
+        # Tests that run in the background of a shell have it ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
     children: list[psutil.Process] = []
 
