@@ -272,13 +272,18 @@ def _looks_ahead(survey: Survey) -> Iterator[str]:
     for side, late in (("behind", "early"), ("ahead of", "late")):
         those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
         if those:
-            names = ", ".join(those[:5]) + (f" and {len(those) - 5} more" if those[5:] else "")
             yield (
-                f"{names}: the returns lie {side} the sensor on average, so that the trajectory's "
-                f"times seem {abs(median(off[line] for line in those)):.1f} s {late} (UTC is 18 s "
-                "behind GPS time); noise and reflectance are reckoned along wrong beams then. "
+                f"{_some(those)}: the returns lie {side} the sensor on average, so that the "
+                f"trajectory's times seem {abs(median(off[line] for line in those)):.1f} s {late} "
+                "(UTC is 18 s behind GPS time); noise and reflectance are reckoned along "
+                "wrong beams then. "
                 "Where only a part of each scan is delivered all is well"
             )
+
+
+def _some(names: Sequence[str]) -> str:
+    """Up to five names, and how many more there are."""
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if names[5:] else "")
 
 
 def _contradicted_rates(survey: Survey) -> Iterator[str]:
@@ -291,13 +296,11 @@ def _contradicted_rates(survey: Survey) -> Iterator[str]:
         if line.prf_basis == "given" and far and len(far) == sum(map(bool, seen)):
             wrong[line.name] = float(far[0])
     if wrong:
-        names = ", ".join(list(wrong)[:5]) + (
-            f" and {len(wrong) - 5} more" if len(wrong) > 5 else ""
-        )
         yield (
-            f"{names}: gps_time tells a pulse rate of about {min(wrong.values()):.0f} Hz, not the "
-            f"{survey.workflow.sensor.prf_hz:.0f} Hz stated, by which noise is reckoned; leave "
-            "acquisition.prf_hz and the sensor's out, and what is told is taken"
+            f"{_some([*wrong])}: gps_time tells a pulse rate of about "
+            f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz "
+            "stated, by which noise is reckoned; leave acquisition.prf_hz and the sensor's out, "
+            "and what is told is taken"
         )
 
 

@@ -1,7 +1,7 @@
 """Stage ``index``: what is in each input file, its points by time; the trajectory in one piece."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
 from itertools import pairwise
@@ -23,7 +23,7 @@ from spl_batch.io.trajectory_files import Records
 from spl_batch.model import COLUMNS
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.stretches import KEPT_COLUMNS, add_points
-from spl_batch.runner.tally import Tally
+from spl_batch.runner.tally import Tally, span_of
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import heading_from_track, merge_track
 
@@ -66,7 +66,7 @@ def index_part(args: Mapping[str, Any], context: Context) -> Produced:
     except InputError as error:
         return Produced((), {"fault": str(error)})
     kept = _kept(args, context, args["part"])
-    write_arrays(kept, found.tally.to_arrays() | found.extent.to_arrays())
+    write_arrays(kept, found.to_arrays())
     return Produced([kept, *found.outputs], {}, found.tally.counts["points"])
 
 
@@ -79,8 +79,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
         header = inspect(path)
-        parts = [_part(args, context, part) for part in range(args["parts"])]
-        found = _joined(parts, context) if parts else _read(args, context, None)
+        found, spans = _joined(args, context) if args["parts"] else (_read(args, context, None), [])
     tally = found.tally
     index = context.store.path("index", f"{args['source']}.npz")
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
@@ -92,7 +91,7 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         "hash": digest,
         "size": args["stamp"][0],
         **tally.facts(),
-        "parts": [part.tally.span_s for part in parts],
+        "parts": spans,
         "standard": tally.standard,
         "warnings": [*header.warnings, *([contradiction] if contradiction else [])],
     }
@@ -113,6 +112,10 @@ class _Found:
         self.tally = Tally(gap_s)
         self.extent = Extent()
         self.outputs: list[Path] = []
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """What is known as arrays by name, to be stored."""
+        return self.tally.to_arrays() | self.extent.to_arrays()
 
 
 def _read(args: Mapping[str, Any], context: Context, part: int | None) -> _Found:
@@ -158,24 +161,23 @@ def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
     return context.store.path("index", f"{part_name(args['source'], part)}.npz")
 
 
-def _part(args: Mapping[str, Any], context: Context, part: int) -> _Found:
-    """What a part of a file has left; read now where it could not be before."""
-    if part in args["again"]:
-        return _read(args, context, part)
-    arrays, found = read_arrays(_kept(args, context, part)), _Found(context.workflow.survey.gap_s)
-    found.tally.join(arrays)
-    found.extent = Extent.from_arrays(arrays)
-    return found
+def _joined(args: Mapping[str, Any], context: Context) -> tuple[_Found, list[list[float] | None]]:
+    """All parts of a file together, and the span of time of each.
 
-
-def _joined(parts: Iterable[_Found], context: Context) -> _Found:
-    """All parts of a file together; outputs are those of the parts that were read again."""
-    whole = _Found(context.workflow.survey.gap_s)
-    for part in parts:
-        whole.tally.join(part.tally.to_arrays())
-        whole.extent.join(part.extent)
-        whole.outputs += part.outputs
-    return whole
+    Those that could not be read before are read now; outputs are those of these parts.
+    """
+    whole, spans = _Found(context.workflow.survey.gap_s), []
+    for part in range(args["parts"]):
+        if part in args["again"]:
+            found = _read(args, context, part)
+            whole.outputs += found.outputs
+            arrays = found.to_arrays()
+        else:
+            arrays = read_arrays(_kept(args, context, part))
+        whole.tally.join(arrays)
+        whole.extent.join(Extent.from_arrays(arrays))
+        spans.append(span_of(arrays))
+    return whole, spans
 
 
 def find_heading(args: Mapping[str, Any], context: Context) -> Produced:

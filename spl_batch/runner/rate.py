@@ -30,19 +30,15 @@ class Rate:
         bins = np.clip(np.floor(time_s * BINS_PER_S), -_FAR_BINS, _FAR_BINS).astype(np.int64)
         self._parts.append(_counted(bins, None))
         if len(self._parts) > _MERGE_AT:
-            self._parts = [self._joined()]
+            self._parts = [self.counted()]
 
     def join(self, bins: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
         """Add what :meth:`counted` gave of another part of the file."""
         self._parts.append((bins, counts))
 
-    def counted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Bins that hold points, in order, and how many [count]."""
-        return self._joined()
-
     def fullest(self) -> list[int]:
         """Most points within 1, 2, 4, ... bins wherever they begin, up to all points [count]."""
-        bins, counts = self._joined()
+        bins, counts = self.counted()
         before = np.concatenate([[0], np.cumsum(counts)])
         found: list[int] = []
         while not found or found[-1] < before[-1]:
@@ -50,7 +46,8 @@ class Rate:
             found.append(int((before[after] - before[:-1]).max()))
         return found
 
-    def _joined(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def counted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Bins that hold points, in order, and how many [count]."""
         bins, counts = (np.concatenate(columns) for columns in zip(*self._parts, strict=True))
         return _counted(bins, counts)
 

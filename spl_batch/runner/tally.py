@@ -92,11 +92,6 @@ class Tally:
         """How the times are counted, as :func:`~spl_batch.io.gpstime.time_standard` says."""
         return time_standard(np.array(self._sample))
 
-    @property
-    def span_s(self) -> list[float] | None:
-        """First and last time; none where no point has one [s]."""
-        return [min(self._sample), max(self._sample)] if self._sample else None
-
     def facts(self) -> dict[str, Any]:
         """What later phases and the report read of it."""
         return {
@@ -104,7 +99,6 @@ class Tally:
             "bounds": [*self._low.tolist(), *self._high.tolist()]
             if self.counts["points"]
             else None,
-            "channels": [min(self._channels), max(self._channels)] if self._channels else None,
             "channels_seen": f"{sum(1 << channel for channel in self._channels):x}",
             "spans": {str(k): merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())},
             "fullest": {str(k): v.fullest() for k, v in sorted(self._rates.items())},
@@ -143,6 +137,12 @@ class Tally:
             prefix = f"{psid}/track/"
             names = [name for name in arrays if name.startswith(prefix)]
             self._add_track(psid, {k.removeprefix(prefix): arrays[k] for k in names})
+
+
+def span_of(arrays: Mapping[str, NDArray[Any]]) -> list[float] | None:
+    """First and last time of what :meth:`Tally.to_arrays` gave; none where no point has one [s]."""
+    sample = arrays["sample"]
+    return [float(sample.min()), float(sample.max())] if len(sample) else None
 
 
 def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
