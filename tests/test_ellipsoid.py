@@ -120,6 +120,22 @@ def test_ties_are_broken_by_the_outermost_peer_inside(power: float) -> None:
     assert 0.1 < (score > stop).mean() < 0.9
 
 
+def test_scores_alone_and_limits_by_other_words_are_the_same() -> None:
+    xyz, rng = mixed_cloud(8, 500), np.random.default_rng(5)
+    density, stop = rng.choice([2e-11, 1e-9], len(xyz)), rng.choice([1e-12, 1e-3], len(xyz))
+    tree, query = build(xyz), rng.random(len(xyz)) < 0.7
+    lower = np.minimum(stop, 1e-6)
+    _, _, score = count_inside(xyz, tree, query, density, SHAPE, alpha=lower, tie=True)
+    count, expected, again = count_inside(
+        xyz, tree, query, density * 64, SHAPE, alpha=stop, at_most=1e-6, unit=4, tie=True,
+        scores_only=True,
+    )  # fmt: skip
+    np.testing.assert_array_equal(again, score)
+    assert len(count) == len(expected) == 0
+    _, _, wide = count_inside(xyz, tree, query, density, SHAPE, alpha=stop, tie=True)
+    assert (wide != score).any()
+
+
 def test_labels_do_not_hang_on_far_points_anchor_or_tree() -> None:
     xyz = mixed_cloud(11, 900)
     rng = np.random.default_rng(12)

@@ -22,9 +22,10 @@ from spl_batch.io.tables import (
     read_groups,
     read_table,
     reading,
+    rows_between,
     writing,
 )
-from spl_batch.model import COLUMNS, PointTable, empty_table, rows_of
+from spl_batch.model import COLUMNS, PointTable, rows_of
 from spl_batch.order import in_order, lexicographic_order
 from spl_batch.tiling import Bounds, CellId
 
@@ -295,36 +296,37 @@ def read_region(
     """
     names = [*columns, *labels]
     held = sorted(tiles) if ordered else sorted(tiles, key=lambda tile: (tile.j, tile.i))
-    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in (*names, "row")}
     span = {"x": (bounds.xmin, bounds.xmax - 1)}
+    # A region is the largest thing that a worker holds. It is read into its place: many small
+    # parts would leave gaps in a worker's memory in which nothing else fits. What of the room
+    # is not needed is never touched.
+    room = sum(rows_between(store.tile(str(tile)), span) for tile in held)
+    joined = {name: np.empty(room, COLUMNS[name].dtype) for name in names}
+    joined["row"] = np.empty(room, np.uint32)
+    joined["owner"] = np.empty(room, np.min_scalar_type(len(held)))
+    end = 0
     with LabelFiles(store) as files:
-        for tile in held:
+        for k, tile in enumerate(held):
             values, row = read_between(store.tile(str(tile)), columns, span)
             chosen = _within(values["x"], values["y"], bounds)
+            row = row[chosen]
+            start, end = end, end + len(row)
             for name in columns:
-                parts[name].append(_of(values.pop(name), chosen))
-            row = _of(row, chosen)
-            parts["row"].append(row.astype(np.uint32))
+                joined[name][start:end] = values.pop(name)[chosen]
+            joined["row"][start:end], joined["owner"][start:end] = row, k
             of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
             for name, found in _labels_of(files, tile, row, of_tile).items():
-                parts[name].append(found)
+                joined[name][start:end] = found
+    joined = {name: values[:end] for name, values in joined.items()}
+    if ordered:
+        # Tiles are in canonical order, and points of different ones differ in x or, where their
+        # tiles stand in one column, in y: a stable sort by x puts all in canonical order.
+        order = lexicographic_order([joined["x"]])
+        for name in joined:  # a column at a time
+            joined[name] = joined[name][order]
     cells = np.array(held, dtype=np.int32).reshape(-1, 2)
-    if not held:
-        nothing = np.empty(0, np.uint32)
-        return empty_table(names), Origin(cells, nothing, nothing)
-    index = np.min_scalar_type(len(held))
-    owner = np.repeat(np.arange(len(held), dtype=index), [len(part) for part in parts["row"]])
-    if not ordered:
-        joined = {name: np.concatenate(parts.pop(name)) for name in (*names, "row")}
-        in_file = joined.pop("row")
-        return PointTable(joined), Origin(cells, owner, in_file)
-    # Tiles are in canonical order, and points of different ones differ in x or, where their
-    # tiles stand in one column, in y: a stable sort by x puts all in canonical order.
-    order = lexicographic_order([np.concatenate(parts["x"])])
-    # A column at a time: a region is the largest thing that a worker holds.
-    merged = {name: np.concatenate(parts.pop(name))[order] for name in (*names, "row")}
-    in_file = merged.pop("row")
-    return PointTable(merged), Origin(cells, owner[order], in_file)
+    origin = Origin(cells, joined.pop("owner"), joined.pop("row"))
+    return PointTable(joined), origin
 
 
 def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.intp] | slice:
@@ -338,7 +340,3 @@ def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArr
         return slice(first + rows.start, first + rows.stop)
     found: NDArray[np.intp] = rows + first
     return found
-
-
-def _of(values: NDArray[Any], chosen: NDArray[np.intp] | slice) -> NDArray[Any]:
-    return values[chosen] if isinstance(chosen, slice) else values.take(chosen)

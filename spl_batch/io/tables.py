@@ -237,15 +237,34 @@ def read_between(
     """
     with reading(path) as file:
         footer = file.metadata
-        meets = np.ones(footer.num_row_groups, np.bool_)
-        for name, (low, high) in spans.items():
-            ranges = np.array(ranges_of(footer, name), dtype=np.int64).reshape(-1, 2)
-            meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
-        wanted = np.flatnonzero(meets).tolist()
+        wanted = _meeting(footer, spans)
         ends = np.cumsum([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
         rows = [np.arange(ends[g - 1] if g else 0, ends[g]) for g in wanted]
         row = np.concatenate(rows) if rows else np.arange(0)
         return read_groups(file, names, wanted), row
+
+
+def rows_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> int:
+    """Rows that :func:`read_between` gives, from the footer alone.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with reading(path) as file:
+        footer = file.metadata
+        return sum(footer.row_group(g).num_rows for g in _meeting(footer, spans))
+
+
+def _meeting(footer: pq.FileMetaData, spans: Mapping[str, tuple[int, int]]) -> list[int]:
+    """Row groups that may hold values within some spans."""
+    meets = np.ones(footer.num_row_groups, np.bool_)
+    for name, (low, high) in spans.items():
+        ranges = np.array(ranges_of(footer, name), dtype=np.int64).reshape(-1, 2)
+        meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
+    found: list[int] = np.flatnonzero(meets).tolist()
+    return found
 
 
 def read_with(

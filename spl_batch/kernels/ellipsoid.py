@@ -91,10 +91,13 @@ def count_inside(
     shape: Shape,
     *,
     alpha: float | NDArray[np.float64],
+    at_most: float = 1.0,
+    unit: int = 1,
     spacing: NDArray[np.float64] | None = None,
     rule: Spacing = Spacing(1, 1),  # noqa: B008 - a tuple
     peer_ratio: float = 1.0,
     tie: bool = False,
+    scores_only: bool = False,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
     """Count neighbours inside adaptive ellipsoids, up to the critical count.
 
@@ -107,11 +110,15 @@ def count_inside(
     query : (n,) bool
         Points to count for.
     density : (n,) float64
-        Expected noise at each point [1/quanta3].
+        Expected noise at each point [1/unit3].
     shape : Shape
         How neighbours become an ellipsoid.
     alpha : float or (n,) float64
         Counting stops at the smallest k with P(K >= k | lambda) <= alpha of the point.
+    at_most : float
+        Counts on to there where alpha is larger.
+    unit : int
+        Of the density [quanta].
     spacing : (n,) float64, optional
         Squared spacing at each point [quanta2]; without it every neighbour is a peer.
         What is negative is not known yet: it is found out and filled in where needed, at
@@ -123,6 +130,8 @@ def count_inside(
         divided by this; >= 1.
     tie : bool
         Break the ties of counts.
+    scores_only : bool
+        Whether the first two of what follows are not wanted, and are empty.
 
     Returns
     -------
@@ -136,18 +145,19 @@ def count_inside(
     """
     check_cap(shape.neighbour_cap)
     check_cap(rule.cap)
-    count = np.zeros(len(xyz), dtype=np.int32)
-    expected = np.zeros(len(xyz), dtype=np.float64)
+    wanted = 0 if scores_only else len(xyz)
+    count, expected = np.zeros(wanted, dtype=np.int32), np.zeros(wanted, dtype=np.float64)
     tail = np.ones(len(xyz), dtype=np.float64)
     if spacing is None:
         spacing = np.zeros(len(xyz), dtype=np.float64)
     if len(xyz):
         ratio2 = peer_ratio * peer_ratio
         limit = np.broadcast_to(np.asarray(alpha, dtype=np.float64), (len(xyz),))
+        limit = np.ascontiguousarray(limit)
         space = spacing[tree.points[3]]
         _count_all(
-            *tree, query, density, shape, np.ascontiguousarray(limit), space, rule, ratio2, tie,
-            count, expected, tail,
+            *tree, query, density, float(unit) ** 3, shape, limit, at_most, space, rule, ratio2,
+            tie, count, expected, tail,
         )  # fmt: skip
         spacing[tree.points[3]] = space
     return count, expected, tail
@@ -244,7 +254,7 @@ def _neighbours(  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def _count_all(  # type: ignore[no-untyped-def]
-    points, boxes, depth, query, density, shape, alpha, space, rule, ratio2, tie,
+    points, boxes, depth, query, density, volume, shape, alpha, at_most, space, rule, ratio2, tie,
     count, expected, tail,
 ):  # fmt: skip
     """Every query point in tree order, so that the cache stays warm."""
@@ -263,7 +273,8 @@ def _count_all(  # type: ignore[no-untyped-def]
         # Rows lie far apart in memory: they are fetched, and put back, many at a time.
         for at in range(high - low):
             row = points[U3, low + at]
-            asked[at], noise[at], level[at] = query[row], density[row], alpha[row]
+            asked[at], noise[at] = query[row], density[row] / volume
+            level[at] = min(alpha[row], at_most)
         _neighbours(
             points,
             boxes,
@@ -285,7 +296,9 @@ def _count_all(  # type: ignore[no-untyped-def]
         for at in range(high - low):
             if asked[at]:
                 row = points[U3, low + at]
-                count[row], expected[row], tail[row] = counted[at], mean[at], score[at]
+                tail[row] = score[at]
+                if len(count):
+                    count[row], expected[row] = counted[at], mean[at]
 
 
 @njit(nogil=True, cache=True)

@@ -237,10 +237,10 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
     ----------
     points, start, nx, ny, edge, corner
         The columns.
-    seed : (n,) bool
-        Points asked for, by row.
-    length, density : (n,) float64
-        Half-length [quanta] and background [1/quanta3], by row.
+    seed : (n,) int32
+        Number of the seed, from 0, by row; negative for points that are none.
+    length, density : (m,) float64
+        Half-length [quanta] and background [1/quanta3] of each seed.
     largest : (k,) float64
         Largest lambda at which so many returns make a tube worth keeping.
     radius, least : float
@@ -248,13 +248,12 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
     slope_max, bend : float
         Steepest tube [rise/run]; parabola z = bend h^2 [1/quanta].
     count, azimuth, slope, expected
-        (n,) by row, out: K, or 0 where the tube is not worth keeping; direction [rad, rise/run];
-        lambda. Only seeds are written.
+        (m,) of each seed, out: K, or 0 where the tube is not worth keeping; direction
+        [rad, rise/run]; lambda.
     """
     longest = 0.0
-    for slot in range(points.shape[1]):
-        if seed[points[3, slot]]:
-            longest = max(longest, length[points[3, slot]])
+    for i in range(len(length)):
+        longest = max(longest, length[i])
     span = np.int64(longest / edge) + 1
     steep = slope_max * slope_max
     # Neighbour columns: their slots between floor and stop in the window, their lower corners.
@@ -280,8 +279,8 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                 continue
             beside = -1
             for slot in range(start[own], start[own + 1]):
-                row = points[3, slot]
-                if not seed[row]:
+                at = seed[points[3, slot]]
+                if at < 0:
                     continue
                 if beside < 0:
                     beside = 0
@@ -302,7 +301,7 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                             place[1, beside] = corner[1] + j * edge
                             beside += 1
                 x, y, z = points[0, slot], points[1, slot], points[2, slot]
-                reach = length[row]
+                reach = length[at]
                 outer, inner = reach * reach, least * least
                 near = U0
                 for k in range(beside):
@@ -341,11 +340,11 @@ def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
                 _vote(words, masks, turn, level, size, near, turns, levels, stride)
                 most = _largest_count(cells, 4 * turns * stride)
                 cone = 4.0 / 3.0 * math.pi * slope_max * (reach**3 - least**3)
-                crowd = max(density[row], max(np.int64(near) - most, 0) / cone)
-                expected[row] = crowd * tube_volume(reach, least, step)
-                if expected[row] > largest[min(most, len(largest) - 1)]:
+                crowd = max(density[at], max(np.int64(near) - most, 0) / cone)
+                expected[at] = crowd * tube_volume(reach, least, step)
+                if expected[at] > largest[min(most, len(largest) - 1)]:
                     continue
-                count[row] = most
+                count[at] = most
                 around, up = _middle(cells, most, turns, levels + 2 * PAD, 4 * stride)
-                azimuth[row] = around * step
-                slope[row] = (up - PAD) * step - slope_max
+                azimuth[at] = around * step
+                slope[at] = (up - PAD) * step - slope_max

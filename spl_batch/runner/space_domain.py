@@ -64,16 +64,19 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     )
     del xyz
     found = denoising.resolve(table, noise.local, workflow.filter, workflow.afterpulse)
-    # What only the afterpulses are told by is not held while the rest is judged.
-    table = table.select(denoising.COLUMNS_JUDGED)
     density = noise.mean if by_voxel else noise.local
-    decided = denoising.judge(table, density, owned, found, workflow.filter)
+    chosen = denoising.independent(table, density, owned, found)
+    # What has told the afterpulses and the noise is not held while the rest is judged.
+    mean = noise.mean[owned[told]].astype(np.float32)
+    table = table.select(denoising.COLUMNS_JUDGED)
+    del density, noise, told
+    decided = denoising.judge(table, chosen, owned, found, workflow.filter)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {
         "noise_class": decided["noise_class"],
         "p_value": decided["p_value"],
         "wire": decided["wire"],
-        "noise_density": noise.mean[owned[told]],
+        "noise_density": mean,
     }
     write_labels(path, *origin.of(owned), labels)
     kinds, counts = np.unique(decided["noise_class"], return_counts=True)

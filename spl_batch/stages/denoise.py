@@ -44,7 +44,7 @@ from spl_batch.tiling import quanta
 COLUMNS_NEEDED: Final = echoes.COLUMNS_NEEDED
 """Columns of a table to filter."""
 
-COLUMNS_JUDGED: Final = ("x", "y", "z", "gps_time", "channel", "flags")
+COLUMNS_JUDGED: Final = ("z", "gps_time", "channel", "flags")
 """Those that :func:`judge` looks at."""
 
 
@@ -67,6 +67,21 @@ METHODS: Final = MappingProxyType(
     }
 )
 """The filters of the space domain by the name that ``filter.method`` has."""
+
+
+class Independent(NamedTuple):
+    """Returns that are judged by themselves, and what is judged with them.
+
+    Parameters
+    ----------
+    rows : (m,) int32
+        Where they are in the table, ascending.
+    cloud : Cloud
+        The same returns.
+    """
+
+    rows: NDArray[np.int32]
+    cloud: Cloud
 
 
 class NoiseColumns(TypedDict):
@@ -131,12 +146,38 @@ def denoise(
         1 for what is surely a conductor.
     """
     found = resolve(table, density, settings, afterpulse)
-    return judge(table, density, query, found, settings, exact=exact)
+    chosen = independent(table, density, query, found)
+    return judge(table, chosen, query, found, settings, exact=exact)
+
+
+def independent(
+    table: PointTable,
+    density: NDArray[np.float64],
+    query: NDArray[np.bool_],
+    found: echoes.Echoes,
+) -> Independent:
+    """Returns that are judged by themselves.
+
+    Parameters
+    ----------
+    table : PointTable
+        As for :func:`denoise`; ``x, y, z, flags`` at least.
+    density, query
+        As for :func:`denoise`.
+    found : Echoes
+        From :func:`resolve`.
+    """
+    echo, dependent = found
+    rows = np.flatnonzero(~table.has(EXCLUDED) & ~echo & ~dependent).astype(np.int32)
+    # A parent outside the area of interest is judged for the sake of who follows it.
+    wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
+    wanted &= ~table.has(EXCLUDED | PointFlag.NO_BEAM)
+    return Independent(rows, _cloud(table, rows, density, wanted))
 
 
 def judge(
     table: PointTable,
-    density: NDArray[np.float64],
+    chosen: Independent,
     query: NDArray[np.bool_],
     found: echoes.Echoes,
     settings: FilterSettings,
@@ -149,7 +190,9 @@ def judge(
     ----------
     table : PointTable
         As for :func:`denoise`, :data:`COLUMNS_JUDGED` at least.
-    density, query, settings, exact
+    chosen : Independent
+        From :func:`independent`.
+    query, settings, exact
         As for :func:`denoise`.
     found : Echoes
         From :func:`resolve`.
@@ -167,19 +210,14 @@ def judge(
     if settings.method == "none":
         noise_class[~excluded] = NOISE_SIGNAL
     else:
-        active = np.flatnonzero(~excluded & ~echo & ~dependent).astype(np.int32)
-        # A parent outside the area of interest is judged for the sake of who follows it.
-        beamless = table.has(EXCLUDED | PointFlag.NO_BEAM)
-        wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
-        cloud = _cloud(table, active, density, wanted & ~beamless)
-        del wanted
+        cloud = chosen.cloud
         verdict, conductor = verdict_on(cloud, settings, exact=exact)
-        rows = active[cloud.asked]
+        rows = chosen.rows[cloud.asked]
         wire[rows] = conductor
         noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
         p_value[rows] = verdict.p_value
         noise_class[echo] = NOISE_AFTERPULSE
-        noise_class[dependent & ~beamless] = NOISE_SIGNAL
+        noise_class[dependent & ~table.has(EXCLUDED | PointFlag.NO_BEAM)] = NOISE_SIGNAL
         if dependent.any():
             kin = np.flatnonzero(families(table, dependent & query) & ~excluded)
             family = table.select(("gps_time", "channel", "z")).take(kin)

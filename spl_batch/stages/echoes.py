@@ -100,6 +100,9 @@ SETTLED: Final = 0.3
 LEAST: Final = 0.1
 """Returns that a place behind a hard surface without any has."""
 
+BATCH: Final = 1 << 17
+"""Candidates in crowns that are weighed at once [count]."""
+
 
 class Chances(NamedTuple):
     """What the neighbourhood says of the time domain's candidates.
@@ -210,9 +213,12 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
             returns = (flat[:, 0] / UNIT**2 + LEAST) / foliage.volume_m3(*FLAT_M)
             chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
-        counts = places.around(at[open_], true, foliage.KERNELS_M, own=foliage.OWN)
-        returns = foliage.density(counts / UNIT**2, clumping[open_])
-        chance[open_] = rate[open_] / (rate[open_] + returns * per_metre[open_])
+        for first in range(0, len(open_), BATCH):
+            some = open_[first : first + BATCH]
+            counts = places.around(at[some], true, foliage.KERNELS_M, own=foliage.OWN)
+            returns = foliage.density(counts / UNIT**2, clumping[some])
+            chance[some] = rate[some] / (rate[some] + returns * per_metre[some])
+        # All at once: what one finds must not hang on which were looked at before.
         true[at[open_]] = _weights(1.0 - chance[open_])
     return Chances(rows, chance, hard, foliage.clumped(clumping))
 

@@ -103,27 +103,28 @@ def judge(
     """
     asked = cloud.asked
     if settings.test == "published":
-        found = evidence(cloud.xyz, cloud.density, asked, settings, _stop(PUBLISHED_ALPHA, exact))
+        stop = min(PUBLISHED_ALPHA, _at_most(settings, exact=exact))
+        found = evidence(cloud.xyz, cloud.density, asked, settings, stop)
         signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
     linked = settings.link_count > 0
     assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
-    limit, stop = _limits(cloud.density, assessed, settings, spent, exact=exact)
-    found = evidence(cloud.xyz, cloud.density, assessed, settings, stop)
-    del stop  # of a block of millions each array counts
+    limit = _limits(cloud.density, assessed, settings, spent)
+    most = _at_most(settings, exact=exact)
+    # Of a block of millions each array counts.
+    found = evidence(
+        cloud.xyz, cloud.density, assessed, settings, limit, at_most=most, scores_only=True
+    )
     signal = assessed & (found.score <= limit)
     if linked:
-        weak = np.flatnonzero(asked & ~signal)
-        rule = _links(cloud.density[weak], settings, _left(spent, settings, weak))
-        enough = found.score[weak] <= rule.weak
-        weak = weak[enough]
+        weak, link = _weak(cloud.density, found.score, asked & ~signal, settings, spent)
         # The tree of all is there already: a point that does not pass alone is nobody's peer.
         signal[weak] = enough_peers(
             found.tree,
             np.where(signal, found.spacing, -1.0),
             cloud.xyz[weak],
             found.spacing[weak],
-            rule.link[enough],
+            link,
             settings.link_count,
             settings.peer_ratio,
         )
@@ -140,20 +141,16 @@ def _limits(
     assessed: NDArray[np.bool_],
     settings: FilterSettings,
     spent: float | NDArray[np.float64],
-    *,
-    exact: bool,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Score that passes alone, and at which counting stops; two (n,) float64, 0 and 1 elsewhere.
+) -> NDArray[np.float64]:
+    """Score that passes alone: (n,) float64, 0 for what is not assessed.
 
-    They are found a batch of points at a time: a table's look-up takes many arrays.
+    It is found a batch of points at a time: a table's look-up takes many arrays.
     """
-    limit, stop = np.zeros(len(density)), np.ones(len(density))
+    limit = np.zeros(len(density))
     for first in range(0, len(density), BATCH):
         rows = first + np.flatnonzero(assessed[first : first + BATCH])
-        found = _limit(density[rows], settings, _left(spent, settings, rows))
-        told = np.minimum(found, TOLD_TO) if settings.test == "calibrated" else found
-        limit[rows], stop[rows] = found, _stop(told, exact)
-    return limit, stop
+        limit[rows] = _limit(density[rows], settings, _left(spent, settings, rows))
+    return limit
 
 
 def _left(
@@ -189,6 +186,24 @@ def _batched(
     return out
 
 
+def _weak(
+    density: NDArray[np.float64],
+    score: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    settings: FilterSettings,
+    spent: float | NDArray[np.float64],
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Chosen points that pass with links, and their longest links [quanta]; found by batches."""
+    rows, links = [], []
+    for first in range(0, max(len(density), 1), BATCH):
+        some = first + np.flatnonzero(chosen[first : first + BATCH])
+        rule = _links(density[some], settings, _left(spent, settings, some))
+        enough = score[some] <= rule.weak
+        rows.append(some[enough])
+        links.append(rule.link[enough])
+    return np.concatenate(rows), np.concatenate(links)
+
+
 class _Links(NamedTuple):
     """Limits at each point: score that passes with links, longest link [quanta]."""
 
@@ -209,9 +224,10 @@ def _links(
     return _Links(table.critical(density, settings.weak_alpha), link)
 
 
-def _stop(limit: float | NDArray[np.float64], exact: bool) -> float | NDArray[np.float64]:  # noqa: FBT001
-    """Score at which counting stops."""
-    return np.minimum(limit, EXACT_TO) if exact else limit
+def _at_most(settings: FilterSettings, *, exact: bool) -> float:
+    """Score down to which is counted where less would do for the decision."""
+    told = TOLD_TO if settings.test == "calibrated" else 1.0
+    return min(told, EXACT_TO) if exact else told
 
 
 def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.bool_]:

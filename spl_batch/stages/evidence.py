@@ -29,9 +29,9 @@ class Evidence(NamedTuple):
         Small means unlikely to be noise; 1 where not asked. See
         :func:`~spl_batch.kernels.ellipsoid.count_inside`.
     inside : (n,) int32
-        Neighbours counted, at most the critical count [count].
+        Neighbours counted, at most the critical count [count]; empty where not wanted.
     expected : (n,) float64
-        Noise points expected inside the ellipsoid [count].
+        Noise points expected inside the ellipsoid [count]; empty where not wanted.
     spacing : (n,) float64
         Squared spacing of the points asked for, and of some others; negative where it is not
         known; all zero for the published test [quanta2].
@@ -64,6 +64,9 @@ def evidence(
     asked: NDArray[np.bool_],
     settings: FilterSettings,
     stop: float | NDArray[np.float64],
+    *,
+    at_most: float = 1.0,
+    scores_only: bool = False,
 ) -> Evidence:
     """Scores of the points asked for.
 
@@ -80,6 +83,10 @@ def evidence(
         the calibrated one breaks the ties of counts.
     stop : float or (n,) float64
         Counting stops once the score is no larger.
+    at_most : float
+        Counts on to there where ``stop`` is larger.
+    scores_only : bool
+        Whether counts, found and expected, are not wanted.
 
     Returns
     -------
@@ -91,12 +98,15 @@ def evidence(
         xyz,
         tree,
         asked,
-        density / QUANTA_PER_M**3,
+        density,
         shape_of(settings),
         alpha=stop,
+        at_most=at_most,
+        unit=QUANTA_PER_M,
         spacing=spacing,
         rule=Spacing(settings.spacing_neighbours, quanta(settings.spacing_cap_m)),
         peer_ratio=settings.peer_ratio,
         tie=settings.test == "calibrated",
+        scores_only=scores_only,
     )
     return Evidence(score, count, expected, spacing, tree)

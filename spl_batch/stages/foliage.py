@@ -161,11 +161,12 @@ def clumping(
 
     sums = np.zeros((*shape, counts.shape[1]), np.int64)
     np.add.at(sums, column(parents), counts * weight[:, None].astype(np.int64))
-    near = _around(sums)[column(rows)]
     volume = np.array([volume_m3(*radii) for radii in KERNELS_M])
     lent = PAIRS * UNIT**3 / volume[1:]
-    out: NDArray[np.float64] = near[:, 1:] / volume[1:] + lent
-    out /= near[:, :1] / volume[0] + lent
+    near = _around(sums)
+    found = near[..., 1:] / volume[1:] + lent
+    found /= near[..., :1] / volume[0] + lent
+    out: NDArray[np.float64] = found[column(rows)]
     return out
 
 

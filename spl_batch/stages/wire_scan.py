@@ -57,8 +57,11 @@ COLUMN_M: Final = 8.0
 CROWD: Final = 100.0
 """Noise points in the double cone of the first look beyond which tubes get shorter [count]."""
 
+LOOKS: Final = (1.0, 1.5)
+"""Length of tubes in the first and in the second look [length of the first]."""
+
 SCREEN: Final = (0.1, 0.1)
-"""Share of pure noise that may pass the first, and the second, look."""
+"""Share of pure noise that may pass each of them."""
 
 DIRECTIONS: Final = 0.16
 """Independent directions per (r/L)^2 of azimuth times slope, from uniform noise."""
@@ -205,38 +208,35 @@ def _explained(cloud: Cloud, settings: WireSettings) -> NDArray[np.bool_]:
 
 def _tubes(cloud: Cloud, made: Columns, free: NDArray[np.intp], settings: WireSettings) -> Tubes:
     """Fullest tubes of the points to start from, those worth keeping."""
-    n = len(cloud.xyz)
     margin = quanta((1.0 + settings.stretch) * settings.half_length_m + BESIDE_M + 2.0)
-    seed = np.zeros(n, np.bool_)
-    seed[free] = _drawn(cloud, free, settings.seed_share)
-    seed &= cloud.around(margin, (0, 1))
+    near = cloud.around(margin, (0, 1))[free]
+    row = free[near][_drawn(cloud, free[near], settings.seed_share)]
     cone = 4.0 / 3.0 * np.pi * settings.slope_max
-    short_m = np.minimum(
-        settings.half_length_m / 1.5,
-        np.cbrt(CROWD / (cone * np.maximum(cloud.density, 1e-9))),
-    )
-    short_m = np.maximum(short_m, 2.0 * LEAST_M)
-    count = np.zeros(n, np.int32)
-    azimuth, slope, expected = np.zeros(n), np.zeros(n), np.zeros(n)
-    factor = 1.0
-    for step, screen in enumerate(SCREEN):
-        factor = (1.0, 1.5)[step]
-        look = np.zeros(n, np.int32)
+    seed = np.full(len(cloud.xyz), -1, np.int32)
+    for factor, screen in zip(LOOKS, SCREEN, strict=True):
+        seed[:] = -1
+        seed[row] = np.arange(len(row), dtype=np.int32)
+        density = cloud.density[row]
+        short_m = np.minimum(
+            settings.half_length_m / 1.5, np.cbrt(CROWD / (cone * np.maximum(density, 1e-9)))
+        )
+        length = np.maximum(short_m, 2.0 * LEAST_M) * factor * QUANTA_PER_M
         tried = _directions(settings, factor * settings.half_length_m / 1.5)
+        count = np.zeros(len(row), np.int32)
+        azimuth, slope, expected = (np.zeros(len(row)) for _ in range(3))
         fullest(
-            made.points, made.start, *made.shape, made.edge, made.corner, seed,
-            short_m * factor * QUANTA_PER_M, cloud.density / QUANTA_PER_M**3,
-            _largest_expected(tried, screen), settings.radius_m * QUANTA_PER_M,
-            LEAST_M * QUANTA_PER_M, settings.slope_max, _bend(settings),
-            look, azimuth, slope, expected,
+            made.points, made.start, *made.shape, made.edge, made.corner, seed, length,
+            density / QUANTA_PER_M**3, _largest_expected(tried, screen),
+            settings.radius_m * QUANTA_PER_M, LEAST_M * QUANTA_PER_M, settings.slope_max,
+            _bend(settings), count, azimuth, slope, expected,
         )  # fmt: skip
-        count, seed = look, look > 0
-    row = np.flatnonzero(seed)
-    length = short_m[row] * factor * QUANTA_PER_M
+        kept = count > 0
+        row, length, count = row[kept], length[kept], count[kept]
+        azimuth, slope, expected = azimuth[kept], slope[kept], expected[kept]
     tried = _directions(settings, settings.half_length_m)
-    p = np.minimum(1.0, tried * noise_tail_probability(count[row], expected[row]))
-    return _refined(cloud, made, Tubes(row, np.zeros((len(row), 3)), azimuth[row], slope[row],
-                                       length, p), settings)  # fmt: skip
+    p = np.minimum(1.0, tried * noise_tail_probability(count, expected))
+    tubes = Tubes(row, np.zeros((len(row), 3)), azimuth, slope, length, p)
+    return _refined(cloud, made, tubes, settings)
 
 
 def _refined(cloud: Cloud, made: Columns, tubes: Tubes, settings: WireSettings) -> Tubes:
