@@ -1,13 +1,13 @@
 """The whole chain on one worker and on two, and its cost by area and by share of noise.
 
-    python -m benchmarks.end_to_end FOLDER [workers] [area] [noise]
+    python -m benchmarks.end_to_end FOLDER [workers] [area] [noise] [--side-m 600]
 
 Simulates surveys of the kind of :mod:`benchmarks.whole_survey` into FOLDER, once, and runs each
 from LAZ to LAZ and COG. Prints seconds of work per million returns and core of each stage, the
 highest memory of a worker, and
 
-- ``workers``: a square of 600 m, nearly 40 % of it noise: how much faster two workers are than
-  one, from the first task of the chain to its last and in all, and the ratios of
+- ``workers``: a square of ``--side-m``, nearly 40 % of it noise: how much faster two workers are
+  than one, from the first task of the chain to its last and in all, and the ratios of
   :mod:`benchmarks.peers`;
 - ``area``: squares whose sides double, at a quarter of the density, one worker; and what each
   further million of a square costs beside the next smaller one;
@@ -31,6 +31,9 @@ from benchmarks.peers import print_ratios
 from benchmarks.whole_survey import scene
 
 SIDES_M = (100, 200, 400, 800)
+SIDE_M = 600.0
+"""Side of the square that workers share, by default [m]."""
+
 BACKGROUNDS = (0.01, 0.03, 0.08, 0.2, 0.5)
 """Background of the scenes [1/m3]."""
 
@@ -100,11 +103,12 @@ def chain_s(output: Path) -> float:
     return end - begin
 
 
-def by_workers(folder: Path) -> None:
+def by_workers(folder: Path, side_m: float) -> None:
     """One worker, and two; ratios to others."""
-    content = scene(600.0)
+    content = scene(side_m)
     content["sky"]["background_per_m3"] = FORTY
-    workflow = survey(folder, "forty", content)
+    name = "forty" if side_m == SIDE_M else f"forty{side_m:g}"
+    workflow = survey(folder, name, content)
     run(workflow, 2)
     walls, chains = {}, {}
     for workers in (1, 2):
@@ -149,17 +153,21 @@ def by_noise(folder: Path) -> None:
         print_run(f"{background:g}", costs, report, wall_s)
 
 
-PARTS = {"workers": by_workers, "area": by_area, "noise": by_noise}
-
-
 def main() -> None:
     """Read the arguments."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
+    parts = ["workers", "area", "noise"]
+    parser.add_argument("parts", nargs="*", choices=[*parts, []], default=[])
+    parser.add_argument("--side-m", type=float, default=SIDE_M)
     given = parser.parse_args()
-    for part in given.parts or PARTS:
-        PARTS[part](given.folder)
+    for part in given.parts or parts:
+        if part == "workers":
+            by_workers(given.folder, given.side_m)
+        elif part == "area":
+            by_area(given.folder)
+        else:
+            by_noise(given.folder)
 
 
 if __name__ == "__main__":

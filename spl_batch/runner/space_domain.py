@@ -62,14 +62,14 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     noise = expected_noise(
         xyz, told, args["voxels"], args["beamlets"], context.store, workflow.noise
     )
-    del xyz
-    found = denoising.resolve(table, noise.local, workflow.filter, workflow.afterpulse)
-    density = noise.mean if by_voxel else noise.local
+    mean = noise.mean[owned[told]].astype(np.float32)
+    local, density = noise.local, noise.mean if by_voxel else noise.local
+    del xyz, told, noise
+    found = denoising.resolve(table, local, workflow.filter, workflow.afterpulse)
     chosen = denoising.independent(table, density, owned, found)
     # What has told the afterpulses and the noise is not held while the rest is judged.
-    mean = noise.mean[owned[told]].astype(np.float32)
     table = table.select(denoising.COLUMNS_JUDGED)
-    del density, noise, told
+    del density, local
     decided = denoising.judge(table, chosen, owned, found, workflow.filter)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {
