@@ -255,6 +255,53 @@ def test_intervals_with_signal_in_their_noise_region_are_no_background() -> None
     counted = rng.poisson(20.0, 400)
     tower = (interval >= 200) & (interval < 215)
     counted[tower] += 60
-    quiet = line_noise._quiet(interval, counted, exposure, 40)
+    quiet = line_noise._quiet(interval, counted, exposure, 40, np.ones(400, np.bool_))
     assert not quiet[tower].any()
     assert quiet[~tower].mean() > 0.99
+    assert line_noise._quiet(interval, counted, exposure, 40, ~tower)[tower].all()
+
+
+def test_signal_beyond_the_buffer_is_told_from_a_bright_sky() -> None:
+    rng = np.random.default_rng(6)
+    even, sky = rng.poisson(90.0, (500, 2)), rng.poisson(270.0, (500, 2))
+    exposure = np.full((500, 2), 9e4)
+    flat = np.zeros((500, 10))
+    for counted in (even, sky):
+        assert line_noise._torn(counted, exposure, flat, 30.0).mean() < 0.01
+    roofs = even + np.array([60, 0])
+    assert line_noise._torn(roofs, exposure, flat, 30.0).mean() > 0.8
+    assert line_noise._torn(roofs[:, ::-1], exposure, flat, 30.0).mean() > 0.8
+    exposure[:, 0] = 0.0
+    assert not line_noise._torn(even * np.array([0, 1]), exposure, flat, 30.0).any(), (
+        "nothing to compare with"
+    )
+    both = flat + np.eye(10)[line_noise.SUMMARY.index("signal_sd")] * 8.0
+    assert line_noise._torn(even, exposure, both, 30.0).all()
+    assert not line_noise._torn(even * np.array([0, 1]), exposure, both, 40.0).any()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_short_gate_keeps_what_the_sky_and_bright_ground_add(seed: int) -> None:
+    """One side of the scan's turn twice as bright as the other, 17 intervals each."""
+
+    def sky(shot: np.ndarray) -> np.ndarray:
+        return 1e-3 * np.where(np.sin(2 * np.pi * 25.0 * shot / 50_000) > 0, 2.0, 1.0)
+
+    model = model_of(fly(noise_per_m=sky, shots=9000, gate_m=85, seed=seed), 85.0)
+    assert any("the buffer around the signal shrank" in text for text in model.warnings)
+    assert model.mean_rate == pytest.approx(1.5e-3, rel=0.03)
+    bright = sky(model.interval * 60 + 30) > 1.5e-3
+    assert model.rate[bright].mean() == pytest.approx(2e-3, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_towers_add_little_to_a_short_gate(seed: int) -> None:
+    def towers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        place = (np.floor(x / 60) * 73 + np.floor(y / 60) * 151) % 17 < 5
+        return 40.0 + np.where(place & (x % 60 < 35) & (y % 60 < 35), 36.0, 0.0)
+
+    flight = fly(surface=towers, noise_per_m=3e-4, shots=9000, gate_m=85, seed=seed)
+    assert model_of(flight, 85.0).mean_rate == pytest.approx(3e-4, rel=0.2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(line_noise, "CLIP_SIGMA", 1e9)
+        assert model_of(flight, 85.0).mean_rate > 1.3 * 3e-4

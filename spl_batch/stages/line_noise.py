@@ -13,7 +13,8 @@ Deviations: silent shots count as fired; R is a slant length and what the gate r
 leaves; the buffer shrinks where the gate is short; the rate of an interval is shrunk
 towards that of its neighbours as far as Poisson statistics explain their differences
 (empirical Bayes with a gamma prior), and so are the channels' gains towards one; where the
-buffer has shrunk, intervals that count far more than those around hold signal and are left out.
+buffer has shrunk, intervals that count far more than those around hold signal and are left out,
+if their two sides differ or the signal's height varies as much as the buffer lets it.
 """
 
 from typing import Any, Final
@@ -26,7 +27,7 @@ from spl_batch.sensor import Sensor
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages.gate import fit_gate
 from spl_batch.stages.line_model import LineModel
-from spl_batch.stages.line_observe import merge, observe
+from spl_batch.stages.line_observe import BUFFER_LADDER, SUMMARY, merge, observe
 from spl_batch.stages.noise_region import choose_region, offered_lengths, profile_rate
 
 __all__ = ["LineModel", "fit", "gate_of", "line_density", "merge", "observe"]
@@ -43,6 +44,14 @@ RETURNS_MIN: Final = 20.0
 
 CLIP_SIGMA: Final = 4.0
 """Poisson deviations above its neighbourhood from which an interval's count holds signal."""
+
+SIDES_SIGMA: Final = 3.0
+"""Poisson deviations by which an interval's counts above and below the signal differ, where one
+side holds some: a brighter sky, or brighter ground, adds to both alike."""
+
+SPREAD: Final = 0.25
+"""Standard deviation of the signal's height in an interval, over the buffer, from which there may
+be signal beyond it on both sides: a fifteenth of the interval is a buffer higher than the rest."""
 
 CLIP_ROUNDS: Final = 5
 """Times that the neighbourhood is counted again without such intervals."""
@@ -86,7 +95,10 @@ def fit(
         blinded = np.where(present, merged["blinded"][rows, :, region.buffer] @ sides, 0.0)
         heard = np.maximum(exposure - blinded, 0.0)
         if region.buffer > 0:
-            quiet = _quiet(interval, counted, heard, settings.smooth_intervals)
+            buffer_m = settings.buffer_m * BUFFER_LADDER[region.buffer]
+            sided = fired[:, None] * length[:, :, region.buffer]
+            torn = _torn(outside[:, :, region.buffer], sided, summary, buffer_m)
+            quiet = _quiet(interval, counted, heard, settings.smooth_intervals, torn)
             counted, heard = counted * quiet, heard * quiet
         rate = _smooth(interval, counted, heard, settings.smooth_intervals)
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
@@ -236,18 +248,60 @@ def _quiet(
     counted: NDArray[np.int64],
     exposure: NDArray[np.float64],
     half: int,
+    torn: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """Intervals whose count can be background alone: (m,) bool.
 
     A shrunk buffer is lower than towers are tall: where an interval sees roof and ground, one
-    of them lies in its noise region. Signal only adds, and the sky changes over many intervals.
+    of them lies in its noise region. Signal only adds.
+
+    Parameters
+    ----------
+    interval : (m,) int64
+        Numbers of the intervals, increasing.
+    counted : (m,) int64
+        Noise returns of each.
+    exposure : (m,) float64
+        Length that was listened to, over all beamlets [m].
+    half : int
+        Intervals on each side that are around one [count].
+    torn : (m,) bool
+        From :func:`_torn`; the others are quiet, however many they count: what shines on them may
+        change from one to the next, as they are a piece of a scan's turn each.
     """
     quiet = np.ones(len(interval), dtype=np.bool_)
     for _ in range(CLIP_ROUNDS):
         near_n, near_e = (_moving(interval, v * quiet, half) for v in (counted, exposure))
         expected = near_n / np.maximum(near_e, 1.0) * exposure
-        quiet = counted <= expected + CLIP_SIGMA * np.sqrt(expected + 1.0)
+        quiet = ~torn | (counted <= expected + CLIP_SIGMA * np.sqrt(expected + 1.0))
     return quiet
+
+
+def _torn(
+    counted: NDArray[np.integer[Any]],
+    exposure: NDArray[np.float64],
+    summary: NDArray[np.float64],
+    buffer_m: float,
+) -> NDArray[np.bool_]:
+    """Intervals in which there may be signal beyond the buffer: (m,) bool.
+
+    Parameters
+    ----------
+    counted : (m, 2) integer
+        Noise returns above and below the signal.
+    exposure : (m, 2) float64
+        Length that was listened to there, over all beamlets [m].
+    summary : (m, 10) float64
+        As :func:`~spl_batch.stages.line_observe.observe` has it.
+    buffer_m : float
+        Half-height around the signal that is left out [m].
+    """
+    (up, down), (e_up, e_down) = counted.T.astype(np.float64), exposure.T
+    # Of one rate up e_down - down e_up is 0 but for chance, with this variance.
+    chance = (up + down) * e_up * e_down
+    differ = np.abs(up * e_down - down * e_up) > SIDES_SIGMA * np.sqrt(chance)
+    torn: NDArray[np.bool_] = differ | (summary[:, SUMMARY.index("signal_sd")] > SPREAD * buffer_m)
+    return torn
 
 
 def _prior_weight(n: NDArray[np.int64], expected: NDArray[np.float64]) -> float:
