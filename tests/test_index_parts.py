@@ -131,6 +131,37 @@ def test_a_fault_that_passes_leaves_nothing_behind(
     assert surveys.results(again.output) == surveys.results(small_output)
 
 
+@pytest.mark.parametrize("between_parts", [True, False])
+def test_a_file_that_changes_after_a_part_was_read_is_not_mixed(
+    small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch, *, between_parts: bool
+) -> None:
+    path = min((small.parent / "lines").glob("*.laz"))
+    before, read = path.read_bytes(), index.iter_points
+    line = surveys.flightline(shots=200, psid=1, seed=77)
+    as_many = surveys.take(line, slice(0, len(surveys.cloud(path)["X"])))
+
+    def reading(file: Path, *, start: int, **options: Any) -> Any:
+        if between_parts and file == path and start == POINTS and path.read_bytes() == before:
+            surveys.write_cloud(path, as_many)
+        return read(file, start=start, **options)
+
+    def listen(event: Event) -> None:
+        if not between_parts and isinstance(event, PhaseStarted) and event.kind == "index_file":
+            surveys.write_cloud(path, as_many)
+
+    monkeypatch.setattr(index, "iter_points", reading)
+    result = surveys.run(small, until="deliver", listener=listen)
+    assert result.exit_status == 1
+    (failure,) = api.status(result.output).failures
+    assert f"{path}: has changed since the run began" in failure.reason
+    assert not (result.output / "laz" / "lines" / path.name).exists()
+    monkeypatch.setattr(index, "iter_points", read)
+    path.write_bytes(before)
+    again = surveys.run(small, until="deliver")
+    assert again.exit_status == 0
+    assert surveys.results(again.output) == surveys.results(small_output)
+
+
 def test_tallies_of_parts_add_up(tmp_path: Path) -> None:
     lines = (surveys.flightline(psid=p, start_s=surveys.START_S + 40 * p) for p in (1, 2))
     cloud = surveys.join(*lines)

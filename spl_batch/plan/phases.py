@@ -37,12 +37,17 @@ def _index(survey: Survey) -> Iterator[Task]:
         parts = [f"{source.key}/{part}" for part in range(parts_of(source.facts.n_points))]
         if not all(part in done for part in parts):
             continue
+        facts = [done[part].facts for part in parts]
+        now = stamp_if_there(source.path)
+        # A file that has changed since some part of it was read is not the one that it was, and
+        # none that can be joined of parts.
+        then = [fact["stamp"] for fact in facts if fact["stamp"] != now]
         args = {
             **source_args(source),
             "name": source.name,
-            "stamp": stamp_if_there(source.path),
+            "stamp": then[0] if then else now,
             "parts": len(parts),
-            "again": [k for k, part in enumerate(parts) if "fault" in done[part].facts],
+            "again": [k for k, fact in enumerate(facts) if "fault" in fact],
         }
         needs = tuple(("index_part", part) for part in parts)
         points = 0 if parts else source.facts.n_points

@@ -59,15 +59,15 @@ def index_part(args: Mapping[str, Any], context: Context) -> Produced:
 
     What cannot be read is left to :func:`index_file`, which tries it again and fails as a whole.
     """
-    path = Path(args["path"])
+    path, facts = Path(args["path"]), {"stamp": args["stamp"]}
     try:
         with unchanged(path, args["stamp"]):
             found = _read(args, context, args["part"])
     except InputError as error:
-        return Produced((), {"fault": str(error)})
+        return Produced((), {**facts, "fault": str(error)})
     kept = _kept(args, context, args["part"])
     write_arrays(kept, found.to_arrays())
-    return Produced([kept, *found.outputs], {}, found.tally.counts["points"])
+    return Produced([kept, *found.outputs], facts, found.tally.counts["points"])
 
 
 def index_file(args: Mapping[str, Any], context: Context) -> Produced:
