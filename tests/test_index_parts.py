@@ -13,7 +13,7 @@ from spl_batch.api.events import Event, PhaseStarted, TaskEnded
 from spl_batch.errors import InputError
 from spl_batch.io.las import iter_points
 from spl_batch.runner import index
-from spl_batch.runner.tally import Tally, span_of
+from spl_batch.runner.tally import Tally, spans_of
 from tests import surveys
 
 POINTS = 700
@@ -181,6 +181,6 @@ def test_tallies_of_parts_add_up(tmp_path: Path) -> None:
     assert whole.facts()["points"] == len(cloud["x"])
     assert len(whole.facts()["spans"]) == 2
     assert joined.standard == whole.standard
-    assert span_of(joined.to_arrays()) == span_of(whole.to_arrays())
+    assert spans_of(joined.to_arrays()) == spans_of(whole.to_arrays())
     for psid, track in whole.tracks.items():
         assert all(np.array_equal(joined.tracks[psid][k], v) for k, v in track.items())

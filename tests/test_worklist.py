@@ -117,6 +117,37 @@ def test_tiles_are_built_of_every_piece_in_the_order_of_stretches() -> None:
     assert list(build(survey())) == []
 
 
+def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> None:
+    known = survey()
+    far = 1e4  # another lift of the same flightline
+    spans = {"7": [[0.0, 99.0, 600], [far, far + 9.0, 100]]}
+    parts = [{"7": [0.0, 30.0]}, {"7": [30.0, 99.0], "8": [0.0, 0.5]}, {"8": [1.0, 2.0]}, {}]
+    files: dict[str, dict[str, Any]] = {
+        "1": {"spans": {"7": [[90.0, 120.0, 500]]}, "parts": []},
+        "2": {"spans": {**spans, "8": [[0.0, 2.0, 9]]}, "parts": [*parts, {"7": [far, far + 9.0]}]},
+        "3": {"spans": {"7": [[50.0, 50.0, 10_000]]}, "parts": []},  # no times to speak of
+        "4": {"spans": {}, "parts": []},
+    }
+    for name, found in files.items():
+        points = sum(int(n) for listed in found["spans"].values() for _, _, n in listed)
+        facts = {"prf_hz": {}, "fullest": {psid: [points] for psid in found["spans"]}}
+        known.of("index_file").put(receipt("index_file", name, points=points, **found, **facts))
+    gather = next(phase for phase in PHASES if phase.kind == "gather")
+    read: dict[str, set[str]] = {}
+    for task in gather.tasks(known):
+        read.setdefault(task.name.split("/")[0], set()).update(task.args["sources"])
+    assert read == {
+        "00007_0": {"1", "2-0", "2-1"},
+        "00007_10000": {"2-4"},
+        "00008_0": {"2-1", "2-2"},
+    }
+    held = known.pieces[7]
+    assert held.within(0.0, 29.0) == ["2-0"]
+    assert held.within(30.0, 30.0) == ["2-0", "2-1"]
+    assert held.within(100.0, 110.0) == ["1"]
+    assert held.within(130.0, 140.0) == []
+
+
 def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     limit = 2**30
     full = int((usable_bytes(limit) - memory.WORKER_BASE_BYTES) / 0.9)

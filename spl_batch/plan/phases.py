@@ -11,7 +11,7 @@ from spl_batch.plan.flightlines import Flightline
 from spl_batch.plan.inputs import source_args
 from spl_batch.plan.ledger import Phase
 from spl_batch.plan.survey import Survey
-from spl_batch.runner.index import POSITIONS_S, part_name, part_range, parts_of
+from spl_batch.runner.index import POSITIONS_S, part_range, parts_of
 from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Task
 
@@ -217,25 +217,16 @@ def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
 
 def _stretch_args(survey: Survey, line: Flightline, name: str, k: int) -> dict[str, object]:
     """Where the points of a stretch are, and what is known of its flightline."""
+    low_s, high_s = line.window_s(k)
+    held = survey.pieces[line.psid].within(max(low_s, line.first_s), min(high_s, line.last_s))
     return {
         **_line_args(survey, line),
         "stretch": name,
-        "sources": _within(survey, line, line.window_s(k)),
+        "sources": held,
         "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
-        "window_s": line.window_s(k),
+        "window_s": [low_s, high_s],
         "span_s": [line.first_s, line.last_s],
     }
-
-
-def _within(survey: Survey, line: Flightline, window_s: tuple[float, float]) -> list[str]:
-    """Names of what the index has kept of each file, or of the parts with points of a time."""
-    names: list[str] = []
-    for source in line.sources:
-        parts = survey.of("index_file")[source].facts["parts"]
-        near = [s is not None and s[0] <= window_s[1] and s[1] >= window_s[0] for s in parts]
-        names += [part_name(source, k) for k, within in enumerate(near) if within]
-        names += [] if parts else [source]
-    return names
 
 
 def _files(line: Flightline) -> tuple[tuple[str, str], ...]:

@@ -3,6 +3,10 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.plan.blocks import Holders, Sizes, blocks, choose_sizes, layout_of
 from spl_batch.plan.density import from_counts
@@ -13,8 +17,30 @@ from spl_batch.plan.ledger import Ledger
 from spl_batch.plan.memory import halo_m, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, tile_counts
+from spl_batch.runner.index import part_name
 from spl_batch.tiling import Bounds, CellId, parse_cell, quanta
 from spl_batch.workflow import Workflow
+
+
+class Pieces(NamedTuple):
+    """Input files, or parts of large ones, that hold points of a point source id.
+
+    Parameters
+    ----------
+    names : list of str
+        What the files of the store that hold them are called.
+    first_s, last_s : (p,) float64
+        Times of the first and the last of these points [s].
+    """
+
+    names: list[str]
+    first_s: NDArray[np.float64]
+    last_s: NDArray[np.float64]
+
+    def within(self, low_s: float, high_s: float) -> list[str]:
+        """Names of those that can have points of a time [s]."""
+        near = np.flatnonzero((self.first_s <= high_s) & (self.last_s >= low_s))
+        return [self.names[k] for k in near.tolist()]
 
 
 @dataclass
@@ -44,6 +70,24 @@ class Survey(Ledger[Inputs, Workflow]):
             return []
         points = stretch_points(self.memory_bytes)
         return find_flightlines(self.of("index_file"), self.workflow, points)
+
+    @cached_property
+    def pieces(self) -> dict[int, Pieces]:
+        """What of the input holds points of each point source id; complete once the index is."""
+        found: dict[int, list[tuple[str, float, float]]] = {}
+        for key, receipt in sorted(self.of("index_file").items()):
+            if is_timeless(receipt, self.workflow):
+                continue
+            spans, parts = receipt.facts["spans"], receipt.facts["parts"]
+            whole = {psid: [mine[0][0], mine[-1][1]] for psid, mine in spans.items()}
+            named = [(part_name(key, k), of_part) for k, of_part in enumerate(parts)]
+            for name, held in named or [(key, whole)]:
+                for psid, (first, last) in held.items():
+                    found.setdefault(int(psid), []).append((name, first, last))
+        return {
+            psid: Pieces([n for n, _, _ in listed], *np.array([ends for _, *ends in listed]).T)
+            for psid, listed in found.items()
+        }
 
     @cached_property
     def counts(self) -> dict[CellId, int]:

@@ -23,7 +23,7 @@ from spl_batch.io.trajectory_files import Records
 from spl_batch.model import COLUMNS
 from spl_batch.runner.context import Context, Produced
 from spl_batch.runner.stretches import KEPT_COLUMNS, add_points
-from spl_batch.runner.tally import Tally, span_of
+from spl_batch.runner.tally import Tally, spans_of
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import heading_from_track, merge_track
 
@@ -161,8 +161,10 @@ def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
     return context.store.path("index", f"{part_name(args['source'], part)}.npz")
 
 
-def _joined(args: Mapping[str, Any], context: Context) -> tuple[_Found, list[list[float] | None]]:
-    """All parts of a file together, and the span of time of each.
+def _joined(
+    args: Mapping[str, Any], context: Context
+) -> tuple[_Found, list[dict[str, list[float]]]]:
+    """All parts of a file together, and the first and last time of each flightline in each.
 
     Those that could not be read before are read now; outputs are those of these parts.
     """
@@ -176,7 +178,7 @@ def _joined(args: Mapping[str, Any], context: Context) -> tuple[_Found, list[lis
             arrays = read_arrays(_kept(args, context, part))
         whole.tally.join(arrays)
         whole.extent.join(Extent.from_arrays(arrays))
-        spans.append(span_of(arrays))
+        spans.append(spans_of(arrays))
     return whole, spans
 
 

@@ -139,10 +139,10 @@ class Tally:
             self._add_track(psid, {k.removeprefix(prefix): arrays[k] for k in names})
 
 
-def span_of(arrays: Mapping[str, NDArray[Any]]) -> list[float] | None:
-    """First and last time of what :meth:`Tally.to_arrays` gave; none where no point has one [s]."""
-    sample = arrays["sample"]
-    return [float(sample.min()), float(sample.max())] if len(sample) else None
+def spans_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
+    """First and last time of each flightline in what :meth:`Tally.to_arrays` gave [s]."""
+    spans = {psid: arrays[f"{psid}/spans"] for psid in arrays["lines"].tolist()}
+    return {str(k): [float(v[:, 0].min()), float(v[:, 1].max())] for k, v in spans.items()}
 
 
 def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
