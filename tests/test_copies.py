@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from spl_batch.api.events import Event, Note
 from spl_batch.plan.inputs import source_key
 from tests import surveys
 
@@ -69,3 +70,28 @@ def test_equal_returns_of_one_file_stay(small: Path, times: int) -> None:
     surveys.write_cloud(path, surveys.join(columns, again))
     result = surveys.run(small, until="deliver")
     assert assessed(result.output)[f"lines/{path.name}"].all()
+
+
+def test_of_many_files_that_overlap_few_are_named(small: Path) -> None:
+    path = lines(small)[0]
+    columns = surveys.flightline(shots=120, psid=1, seed=1)
+    path.unlink()
+    shared = 10
+    for k in range(8):
+        piece = surveys.take(columns, slice(k * 100, (k + 1) * 100 + shared + k))
+        surveys.write_cloud(path.with_name(f"tile_{k}.laz"), piece)
+    events: list[Event] = []
+    surveys.run(small, until="shots", listener=events.append)
+    texts = [e.text for e in events if isinstance(e, Note)]
+    named = [text for text in texts if "of its returns are in" in text]
+    assert len(named) == 5
+    assert [text.split(" of its")[0].split(": ")[1] for text in named] == [
+        "16",
+        "15",
+        "14",
+        "13",
+        "12",
+    ]
+    (rest,) = [text for text in texts if "returns in common" in text]
+    assert rest.startswith("2 more pairs of files have returns in common, up to 11")
+    assert rest.endswith("21 in all")

@@ -54,6 +54,10 @@ FEW_CHANNELS: Final = 10
 MANY_A_BEAMLET: Final = 20
 """Points of a beamlet, on average, from which on all that are not broken have some [count]."""
 
+PAIRS_NAMED: Final = 5
+"""Pairs of files with the same returns that are named; of tiles that overlap there are thousands
+[count]."""
+
 LOOKS_AHEAD: Final = 0.05
 """Returns lie ahead of a sensor on average by no more than this part of its height."""
 
@@ -250,11 +254,17 @@ def _copies(survey: Survey) -> Iterator[str]:
         for copy, kept, count in receipt.facts.get("copies", ()):
             counts[copy, kept] += count
     names = {str(source.key): source.name for source in survey.inputs.sources}
-    for (copy, kept), count in sorted(counts.items()):
+    most = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
+    for (copy, kept), count in most[:PAIRS_NAMED]:
         yield (
             f"{names[copy]}: {count:,} of its returns are in {names[kept]} too, at the same time "
             "and place; they count once, and the copies are delivered as not assessed: leave one "
             "of the files out, or its overlap"
+        )
+    if others := most[PAIRS_NAMED:]:
+        yield (
+            f"{len(others):,} more pairs of files have returns in common, up to {others[0][1]:,} "
+            f"of a pair and {sum(count for _, count in others):,} in all"
         )
 
 
