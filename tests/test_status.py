@@ -187,6 +187,21 @@ def test_the_state_of_a_run_in_its_middle() -> None:
     assert status.stages["index"].left == 1, "a new run starts from nothing"
 
 
+def test_what_is_done_beside_a_later_stage_is_still_to_come() -> None:
+    expected = {"surfaces": 500.0, "deliver": 60.0, "report": 7.0}
+    status = fed(
+        [
+            RunStarted("w.yaml", 2, "0.1+x", expected),
+            PhaseStarted("surfaces", "surface", 0, 4, 0),
+            PhaseStarted("deliver", "deliver_file", 3, 0, 300),
+            PhaseStarted("report", "reference", 1, 0, 10),
+        ]
+    )
+    assert status.left_s == pytest.approx(67.0)
+    status.feed(as_record(TaskEnded("report", "reference", "1", 10, 1.0, "", 9.0)))
+    assert status.left_s == pytest.approx(60.0), "surfaces were found finished"
+
+
 def test_the_rate_is_that_of_all_workers_together() -> None:
     records = [as_record(event) for event in a_run()]
     for k, record in enumerate(records):

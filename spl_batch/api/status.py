@@ -177,7 +177,9 @@ class RunStatus:
     def left_s(self) -> float:
         """Time that the run will still take, as far as can be told [s]."""
         known = [stage for stage in self.stages.values() if stage.began_s]
-        first = self.order.index(known[-1].stage) if known else 0
+        # Phases of two stages may be done at once.
+        busy = [stage for stage in known if stage.left] or known[-1:]
+        first = self.order.index(busy[0].stage) if busy else 0
         return sum(self.stages[name].left_s for name in self.order[first:])
 
     def feed(self, record: Mapping[str, Any]) -> None:
