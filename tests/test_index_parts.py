@@ -97,6 +97,7 @@ def test_a_part_that_cannot_be_read_fails_its_file_once(small: Path, small_outpu
     assert failure.place.endswith(path.name)
     assert "damaged" in failure.reason
     assert failure.task.startswith("index_file ")
+    assert failure.inputs == (f"lines/{path.name}",), "and no keys of parts"
     counts = result.report.counts
     assert counts.points_in == counts.points_out > 0
     assert counts.not_read > 0

@@ -33,7 +33,6 @@ from spl_batch.workflow import Workflow
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "index_part": "part of a file",
         "index_file": "file",
         "build_tile": "tile",
         "gather": "stretch",
