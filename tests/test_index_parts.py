@@ -179,6 +179,7 @@ def test_tallies_of_parts_add_up(tmp_path: Path) -> None:
             part.add(table)
         joined.join(part.to_arrays())
     assert joined.facts() == whole.facts()
+    assert sum(array.nbytes for array in whole.to_arrays().values()) < 100_000, "one for each part"
     assert whole.facts()["points"] == len(cloud["x"])
     assert len(whole.facts()["spans"]) == 2
     assert joined.standard == whole.standard

@@ -10,6 +10,7 @@ from spl_batch.io.gpstime import TimeStandard, time_standard
 from spl_batch.model import EXCLUDED, PointFlag, PointTable, rows_of
 from spl_batch.runner.rate import Rate
 from spl_batch.stages.geometry import (
+    STEP_BINS,
     estimate_prf,
     merge_track,
     observe_track,
@@ -116,7 +117,8 @@ class Tally:
         }
         for psid, rate in self._rates.items():
             arrays[f"{psid}/spans"] = np.array(self._spans[psid])
-            arrays[f"{psid}/steps"] = self._steps[psid]
+            some = np.flatnonzero(self._steps[psid])
+            arrays[f"{psid}/steps"] = np.array([some, self._steps[psid][some]])
             arrays[f"{psid}/rate"] = np.array(rate.counted())
             arrays |= {f"{psid}/track/{k}": v for k, v in self.tracks[psid].items()}
         return arrays
@@ -133,7 +135,9 @@ class Tally:
             spans = arrays[f"{psid}/spans"].tolist()
             self._spans.setdefault(psid, []).extend([a, b, int(n)] for a, b, n in spans)
             self._rates.setdefault(psid, Rate()).join(*arrays[f"{psid}/rate"])
-            self._add_steps(psid, arrays[f"{psid}/steps"])
+            steps = np.zeros(STEP_BINS, np.int64)
+            steps[arrays[f"{psid}/steps"][0]] = arrays[f"{psid}/steps"][1]
+            self._add_steps(psid, steps)
             prefix = f"{psid}/track/"
             names = [name for name in arrays if name.startswith(prefix)]
             self._add_track(psid, {k.removeprefix(prefix): arrays[k] for k in names})
