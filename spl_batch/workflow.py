@@ -202,7 +202,7 @@ class _Loader(yaml.SafeLoader):
             first = lines.pop(key.value, None)
             if first is not None:
                 raise yaml.MarkedYAMLError(
-                    problem=f"key {key.value!r} stands twice, on lines {first} and {line}"
+                    problem=f"key {key.value!r} stands twice, on lines {first} and {line}: keep one"
                 )
             lines[key.value] = line
         return node

@@ -5,7 +5,9 @@
     store/receipts/KIND/NAME.json      what is done, what failed and why
     store/trajectory.parquet           positions in the survey's CRS and the points' time
     store/index/SOURCE.npz             how the points of an input file drift, second by second
+    store/given/SOURCE.parquet         of its records, what delivery needs to copy their layers
     store/points/SOURCE.parquet        points of an input file in time order
+                                       (of a large file SOURCE-K, a part, in each of these three)
     store/stretches/FILE/K.parquet     points of a file without times, where nothing filters
     store/sights/LINE/K.npz            lines of sight of a stretch, without a trajectory
     store/paths/LINE.parquet           where they meet: the path of the sensor
