@@ -263,14 +263,20 @@ def test_intervals_with_signal_in_their_noise_region_are_no_background() -> None
 
 def test_signal_beyond_the_buffer_is_told_from_a_bright_sky() -> None:
     rng = np.random.default_rng(6)
-    even, sky = rng.poisson(90.0, (500, 2)), rng.poisson(270.0, (500, 2))
     exposure = np.full((500, 2), 9e4)
     flat = np.zeros((500, 10))
-    for counted in (even, sky):
-        assert line_noise._torn(counted, exposure, flat, 30.0).mean() < 0.01
-    roofs = even + np.array([60, 0])
-    assert line_noise._torn(roofs, exposure, flat, 30.0).mean() > 0.8
-    assert line_noise._torn(roofs[:, ::-1], exposure, flat, 30.0).mean() > 0.8
+    even = rng.poisson(90.0, (500, 2))
+    light = np.where(np.arange(500) % 50 < 25, 3.0, 1.0)[:, None]
+    for sky in (1.0, light):
+        for sides in (90.0, (2300.0, 2000.0)):
+            counted = rng.poisson(sky * np.broadcast_to(sides, (500, 2)))
+            assert line_noise._torn(counted, exposure, flat, 30.0).mean() < 0.02
+    roofs = even.copy()
+    roofs[:50, 0] += 90
+    for sides in (roofs, roofs[:, ::-1]):
+        torn = line_noise._torn(sides, exposure, flat, 30.0)
+        assert torn[:50].mean() > 0.8
+        assert torn[50:].mean() < 0.03
     exposure[:, 0] = 0.0
     assert not line_noise._torn(even * np.array([0, 1]), exposure, flat, 30.0).any(), (
         "nothing to compare with"

@@ -296,8 +296,10 @@ def _torn(
     buffer_m : float
         Half-height around the signal that is left out [m].
     """
-    (up, down), (e_up, e_down) = counted.T.astype(np.float64), exposure.T
-    # Of one rate up e_down - down e_up is 0 but for chance, with this variance.
+    # One side may hear more than the other all along, as where returns blind what is behind them.
+    usual = counted.sum(axis=0) / np.maximum(exposure.sum(axis=0), 1.0)
+    (up, down), (e_up, e_down) = counted.T.astype(np.float64), (exposure * usual).T
+    # Of one sky up e_down - down e_up is 0 but for chance, with this variance.
     chance = (up + down) * e_up * e_down
     differ = np.abs(up * e_down - down * e_up) > SIDES_SIGMA * np.sqrt(chance)
     torn: NDArray[np.bool_] = differ | (summary[:, SUMMARY.index("signal_sd")] > SPREAD * buffer_m)
