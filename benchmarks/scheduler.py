@@ -73,7 +73,7 @@ def made_up_survey(side: int, memory_bytes: int) -> Survey:
     sources = tuple(_source(k, side) for k in range(lines * FILES_PER_LINE))
     survey = Survey(Inputs(sources, (), (), (), None, ()), workflow, memory_bytes, 16)
     for source in sources:
-        facts = {"hash": _hash(source.name), "points": 1, "bounds": _bounds(side)}
+        facts = {"hash": _hash(source.name), "points": 1, "bounds": _bounds(side), "parts": []}
         survey.of("index_file").put(_receipt("index_file", str(source.key), facts, 10**8))
     for line, k in itertools.product(range(lines), range(side)):
         survey.of("scatter").put(_scatter(f"{line:05d}_371000000/{k}", line, k, side))
@@ -85,6 +85,7 @@ def _source(k: int, side: int) -> Source:
         Path(f"line_{k}.laz"), 1, 10**8, (1, 4), 6, (0.001,) * 3, (0.0,) * 3,
         (0.0,) * 3, (side * TILE_M, side * TILE_M, 100.0), None,
         adjusted_standard_bit=True, has_gps_time=True, dimensions=(), warnings=(),
+        layers_can_be_copied=True,
     )  # fmt: skip
     return Source(facts.path, facts.path.name, facts.path.name, k + 10**18, facts)
 
