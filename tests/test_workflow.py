@@ -330,4 +330,7 @@ def test_a_workflow_given_as_a_scene_is_called_one(tmp_path: Path) -> None:
 def test_a_pulse_rate_in_another_unit_is_refused(prf_hz: float) -> None:
     with pytest.raises(WorkflowError, match=r"acquisition\.prf_hz: .*30 kHz is 30000"):
         parse_workflow(merged(acquisition={"prf_hz": prf_hz}), "w")
+    own = {"name": "mine", "prf_hz": prf_hz}
+    with pytest.raises(WorkflowError, match=r"survey\.sensor: .*30 kHz is 30000"):
+        parse_workflow(merged(survey={"sensor": own}), "w")
     assert parse_workflow(merged(acquisition={"prf_hz": 1000}), "w").acquisition.prf_hz == 1000

@@ -7,6 +7,18 @@ from pydantic import Field, field_validator
 from spl_batch.sensor import Sensor
 from spl_batch.settings.base import Positive, Section, StoreSettings
 
+PRF_HZ: Final = (1e3, 1e6)
+"""Pulse rates of airborne lidars lie well within; a slip of kHz or MHz does not [Hz]."""
+
+
+def _in_hertz(prf_hz: float | None) -> None:
+    """Refuse a pulse rate in another unit."""
+    if prf_hz is not None and not PRF_HZ[0] <= prf_hz <= PRF_HZ[1]:
+        raise ValueError(
+            f"{prf_hz:g} Hz is no pulse rate of an airborne lidar, which lies from "
+            f"{PRF_HZ[0]:g} to {PRF_HZ[1]:g} Hz; write hertz, 30 kHz is 30000"
+        )
+
 
 class SurveySettings(Section):
     """What was flown and where its files are."""
@@ -29,6 +41,13 @@ class SurveySettings(Section):
     )
     gap_s: Positive = Field(60.0, description="A pause that starts another lift [s].")
 
+    @field_validator("sensor")
+    @classmethod
+    def _prf_in_hertz(cls, sensor: str | Sensor) -> str | Sensor:
+        if isinstance(sensor, Sensor):
+            _in_hertz(sensor.prf_hz)
+        return sensor
+
 
 class ReferenceSettings(Section):
     """Linear-mode lidar that the results are compared with."""
@@ -49,10 +68,6 @@ class TilingSettings(Section):
     )
 
 
-PRF_HZ: Final = (1e3, 1e6)
-"""Pulse rates of airborne lidars lie well within; a slip of kHz or MHz does not [Hz]."""
-
-
 class AcquisitionSettings(Section):
     """What the instrument did; estimated from the data and reported where missing."""
 
@@ -62,11 +77,7 @@ class AcquisitionSettings(Section):
     @field_validator("prf_hz")
     @classmethod
     def _prf_in_hertz(cls, prf_hz: float | None) -> float | None:
-        if prf_hz is not None and not PRF_HZ[0] <= prf_hz <= PRF_HZ[1]:
-            raise ValueError(
-                f"{prf_hz:g} Hz is no pulse rate of an airborne lidar, which lies from "
-                f"{PRF_HZ[0]:g} to {PRF_HZ[1]:g} Hz; write hertz, 30 kHz is 30000"
-            )
+        _in_hertz(prf_hz)
         return prf_hz
 
 
