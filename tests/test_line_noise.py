@@ -1,5 +1,7 @@
 """Line noise density, gate and gains of one flightline."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,10 +10,13 @@ from hypothesis import strategies as st
 from spl_batch.kernels.intervals import densest_window
 from spl_batch.kernels.shots import interval_rows, lag_behind, run_starts, share_out
 from spl_batch.model import PointTable
+from spl_batch.runner.summary import _flightlines
 from spl_batch.sensor import load_preset
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages import geometry, line_noise
+from spl_batch.stages.gate import fit_gate
 from spl_batch.stages.line_model import LineModel
+from spl_batch.stages.line_observe import BUFFER_LADDER, SUMMARY
 from tests.flightlines import ALTITUDE_M, Flight, cut, fly, relief
 
 SETTINGS = NoiseSettings()
@@ -94,6 +99,48 @@ def test_stated_gate_is_used_and_contradiction_reported() -> None:
     wrong = model_of(flight, 150.0)
     assert wrong.gate_m == pytest.approx(300, abs=2)
     assert "150 m stated" in wrong.warnings[0]
+
+
+def windows(extents_m: dict[float, int], *, noise: int) -> tuple[np.ndarray, ...]:
+    """Intervals, extremes and counts of noise of windows that fill so much of the range."""
+    interval = np.concatenate(
+        [64 * w + np.arange(n) for w, n in enumerate(extents_m.values())], dtype=np.int64
+    )
+    filled = np.repeat([*extents_m], [*extents_m.values()])
+    summary = np.zeros((len(interval), len(SUMMARY)))
+    column = {name: k for k, name in enumerate(SUMMARY)}
+    summary[:, column["cosine"]] = 1.0
+    for low, high in (("range_min", "range_max"), ("z_min", "z_max"), ("behind_min", "behind_max")):
+        summary[:, column[low]], summary[:, column[high]] = -filled / 2, filled / 2
+    outside = np.full((len(interval), 2, len(BUFFER_LADDER)), noise, dtype=np.int32)
+    return interval, summary, outside
+
+
+@pytest.mark.parametrize("stated", [None, 300.0])
+@pytest.mark.parametrize("noise", [1000, 0])
+def test_a_gate_has_one_length_whatever_is_said_of_it(stated: float | None, noise: int) -> None:
+    # The longer window is shorter: the median over windows is none of what intervals have.
+    counted = windows({400.0: 64, 520.0: 10}, noise=noise)
+    gate = fit_gate(*counted, buffer_m=50.0, gate_m=stated)
+    assert gate.length_m == pytest.approx(400.0, abs=0.1)
+    if stated is not None:
+        assert "fill a gate of 400 m, not the 300 m stated" in gate.warnings[0]
+    elif not noise:
+        assert "400 m assumed" in gate.warnings[0]
+    else:
+        assert gate.warnings == ()
+
+
+@pytest.mark.parametrize(("gate_m", "basis"), [(300.0, "given"), (300.1, "estimated")])
+def test_a_stated_gate_that_is_not_used_counts_as_estimated(gate_m: float, basis: str) -> None:
+    facts = dict.fromkeys(("points", "prf_hz", "prf_basis", "seen_fraction", "noise_per_m"), 1)
+    facts |= {"span_s": (0.0, 1.0), "basis": "vertical", "gate_m": gate_m}
+    workflow = SimpleNamespace(sensor=SENSOR.model_copy(update={"gate_m": 300.0}))
+    (line,) = _flightlines(
+        {"fit_line": {"1": SimpleNamespace(facts=facts)}},  # type: ignore[dict-item]
+        SimpleNamespace(workflow=workflow),  # type: ignore[arg-type]
+    )
+    assert (line.gate_m, line.gate_basis) == (gate_m, basis)
 
 
 def test_dead_and_weak_channels() -> None:

@@ -71,7 +71,11 @@ class Flightline(Part):
     prf_basis: Literal["given", "estimated", "none"] = Field(
         "none", description="Where the pulse repetition frequency comes from."
     )
-    gate_m: Number = Field(None, description="Slant length of the range gate [m].")
+    gate_m: Number = Field(
+        None,
+        description="Median slant length of the range gate; what the returns fill where that is "
+        "not the length stated [m].",
+    )
     gate_basis: Literal["given", "estimated", "none"] = Field(
         "none", description="Where the length of the range gate comes from."
     )

@@ -1,5 +1,6 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -85,7 +86,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
 
 
 def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
-    given = context.workflow.sensor.gate_m is not None
+    stated = context.workflow.sensor.gate_m
     for name, receipt in done.get("fit_line", {}).items():
         facts = receipt.facts
         yield Flightline(
@@ -97,11 +98,16 @@ def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
             prf_hz=facts["prf_hz"],
             prf_basis="given" if facts["prf_basis"] == "given" else "estimated",
             gate_m=facts["gate_m"],
-            gate_basis="given" if given else "estimated",
+            gate_basis="given" if _is(facts["gate_m"], stated) else "estimated",
             beam_basis=facts["basis"],
             seen_fraction=facts["seen_fraction"],
             noise_per_m=facts["noise_per_m"],
         )
+
+
+def _is(gate_m: float, stated_m: float | None) -> bool:
+    """Whether a flightline's gate is the one stated; returns may contradict it."""
+    return stated_m is not None and math.isclose(gate_m, stated_m, rel_tol=1e-6)
 
 
 def _shots(span_s: Sequence[float], prf_hz: float | None) -> int | None:

@@ -10,6 +10,7 @@ ground), or the delivered points may be cut at a height. Each is tried; the one 
 explains the same returns with the shortest gate is taken.
 """
 
+from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -25,11 +26,6 @@ GATE_MIN_M: Final = 60.0
 
 GATE_ASSUMED_M: Final = 300.0
 """Gate where neither the workflow nor the points say one [m]."""
-
-_NO_NOISE: Final = (
-    "too few returns away from the surface to see the range gate: "
-    f"{GATE_ASSUMED_M:.0f} m assumed; state acquisition.gate_m"
-)
 
 Kind = Literal["range", "height"]
 
@@ -106,10 +102,18 @@ def fit_gate(
     for other in candidates[1:]:
         if other.extent < best.extent - max(2.0, 0.02 * best.extent):
             best = other
-    low, high, warnings = _known_length(best, gate_m)
     size = np.diff(np.append(starts, len(interval)))
+    filled = _length_m(best, best.low, best.high, size)
+    if gate_m is None:
+        # Points whose noise somebody has removed fill no gate: their extent is the scene's,
+        # and taking it for a gate would call trees noise.
+        seen = best.supported and filled >= GATE_MIN_M
+    else:
+        seen = best.supported and _differ(filled, gate_m)
+    low, high = (best.low, best.high) if seen else _of_length(best, gate_m or GATE_ASSUMED_M)
+    length = _length_m(best, low, high, size)
+    warnings = tuple(_remarks(length, gate_m, seen=seen))
     low, high = np.repeat(low, size), np.repeat(high, size)
-    length = float(np.median(high - low)) / best.scale
     if best.name == "height":
         return Gate("height", -low, -high, length, warnings)
     if best.name == "surface":
@@ -142,24 +146,34 @@ def _edges(
     return _Edges(*named, low, high, slant, supported=True)
 
 
-def _known_length(
-    edges: _Edges, gate_m: float | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...]]:
-    """Put a known length in, unless the returns contradict it."""
-    low, high = edges.low, edges.high
-    warnings: tuple[str, ...] = ()
-    if gate_m is None:
-        if edges.supported and edges.extent >= GATE_MIN_M:
-            return low, high, ()
-        # Points whose noise somebody has removed fill no gate: their extent is the scene's,
-        # and taking it for a gate would call trees noise.
-        gate_m, warnings = GATE_ASSUMED_M, (_NO_NOISE,)
-    elif edges.supported and abs(edges.extent - gate_m) > 0.1 * gate_m:
-        text = (
-            f"the returns fill a gate of {edges.extent:.0f} m, not the {gate_m:.0f} m stated; "
+def _length_m(
+    edges: _Edges, low: NDArray[np.float64], high: NDArray[np.float64], size: NDArray[np.int64]
+) -> float:
+    """Median slant length over intervals, of which each window has ``size`` [m]."""
+    return float(np.median(np.repeat(high - low, size))) / edges.scale
+
+
+def _differ(length_m: float, stated_m: float) -> bool:
+    return abs(length_m - stated_m) > 0.1 * stated_m
+
+
+def _of_length(edges: _Edges, gate_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Edges of a gate of this length, longer where nothing but returns tells of edges."""
+    middle = 0.5 * (edges.low + edges.high)
+    extent = edges.high - edges.low
+    half = np.maximum(0.5 * gate_m * edges.scale, 0.0 if edges.supported else 0.5 * extent)
+    return middle - half, middle + half
+
+
+def _remarks(length_m: float, stated_m: float | None, *, seen: bool) -> Iterator[str]:
+    """What to say of a gate, by the one length that everything else uses."""
+    if stated_m is None and not seen:
+        yield (
+            "too few returns away from the surface to see the range gate: "
+            f"{length_m:.0f} m assumed; state acquisition.gate_m"
+        )
+    elif stated_m is not None and _differ(length_m, stated_m):
+        yield (
+            f"the returns fill a gate of {length_m:.0f} m, not the {stated_m:.0f} m stated; "
             "what they fill is used"
         )
-        return low, high, (text,)
-    middle = 0.5 * (low + high)
-    half = np.maximum(0.5 * gate_m * edges.scale, 0.0 if edges.supported else 0.5 * (high - low))
-    return middle - half, middle + half, warnings
