@@ -7,6 +7,12 @@ The command line prints it without a traceback and exits with ``exit_status``.
 from collections.abc import Sequence
 
 
+def named(names: Sequence[object], most: int = 5) -> str:
+    """Up to ``most`` names, and how many more there are."""
+    left = len(names) - most
+    return ", ".join(map(str, names[:most])) + (f" and {left} more" if left > 0 else "")
+
+
 class SplBatchError(Exception):
     """Base of every error that this project raises on purpose."""
 

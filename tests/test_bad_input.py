@@ -472,6 +472,7 @@ def test_a_dimension_that_holds_no_beamlet_numbers_is_refused(
     ended = surveys.command("run", workflow, "--workers", 0)
     assert ended.status == 2
     assert f"survey.channel_dimension: {dimension} holds only {held} in" in ended.err
+    assert all(f"lines/{path.name}" in ended.err for path in (tmp_path / "lines").glob("*.laz"))
     assert "100 beamlets" in ended.err
     assert (
         surveys.command(

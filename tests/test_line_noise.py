@@ -153,7 +153,31 @@ def test_dead_and_weak_channels() -> None:
     per_channel = model.gain[1:101] * model.mean_rate / 1.3e-3
     assert per_channel[[7, 8]] == pytest.approx([0.1, 0.1], abs=0.04)
     assert per_channel[20:50] == pytest.approx(np.ones(30), abs=0.15)
-    assert any("2 of 100 channels" in text for text in model.warnings)
+    assert "2 of 100 channels give no returns: 4, 53" in model.warnings
+
+
+@pytest.mark.parametrize(
+    ("live", "said"),
+    [
+        ([2, 3, 5, 8], "3 of 7 channels give no returns: 4, 6, 7"),
+        ([3, 4, 5, 7], "3 of 7 channels give no returns: 6, and 2 below 3 or above 7"),
+        ([3, 4, 5, 6], "3 of 7 channels give no returns: 3 below 3 or above 6"),
+        ([0, 40, 41, 90], "3 of 7 channels give no returns: 3 among 1, 2, 3, 4, 5 and 82 more"),
+    ],
+)
+def test_dead_channels_are_named(live: list[int], said: str) -> None:
+    seen = np.zeros(256, dtype=np.int64)
+    seen[live] = 100
+    assert line_noise._channels(seen, 7)[2] == (said,)
+
+
+def test_channels_that_are_too_many_are_named_by_the_rarest() -> None:
+    seen = np.zeros(256, dtype=np.int64)
+    seen[1:8] = 100
+    seen[[3, 200]] = 1
+    _, _, (text,) = line_noise._channels(seen, 6)
+    assert text.startswith("8 channels are seen where the sensor has 6")
+    assert text.endswith("least often 3, 200")
 
 
 def test_rate_follows_the_sky_and_density_the_model() -> None:

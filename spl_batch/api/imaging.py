@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, named
 from spl_batch.io.cells import create_raster_store
 from spl_batch.kernels.ahead import compile_share
 from spl_batch.plan.blocks import remember_sizes, remembered_sizes
@@ -214,15 +214,15 @@ def _judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     guessed = [line.name for line in survey.flightlines if line.prf_basis == "assumed"]
     if guessed:
         yield (
-            f"{', '.join(guessed[:5])}: gps_time does not tell the pulse rate; "
+            f"{named(guessed)}: gps_time does not tell the pulse rate; "
             f"{FALLBACK_PRF_HZ:.0f} Hz assumed; state acquisition.prf_hz"
         )
     yield from _contradicted_rates(survey)
     if survey.filtering and not survey.flightlines:
-        names = ", ".join(source.name for source in timeless[:5])
         raise WorkflowError(
-            f"{names}: no point has a usable gps_time, so there are no shots to filter by; "
-            "set filter.method: none and afterpulse.enabled: false for ground and surfaces"
+            f"{named([source.name for source in timeless])}: no point has a usable gps_time, so "
+            "there are no shots to filter by; set filter.method: none and afterpulse.enabled: "
+            "false for ground and surfaces"
         )
 
 
@@ -239,9 +239,10 @@ def _check_channels(survey: Survey) -> None:
     if FEW_CHANNELS * seen.bit_count() > sensor.beamlets or sensor.beamlets <= FEW_CHANNELS:
         return
     listed = ", ".join(str(k) for k in range(256) if seen >> k & 1)
+    files = named([r.facts["name"] for r in indexed], 3)
     raise WorkflowError(
-        f"survey.channel_dimension: {name} holds only {listed} in {points:,} points, and a "
-        f"{sensor.name} has {sensor.beamlets} beamlets; name the dimension that holds their "
+        f"survey.channel_dimension: {name} holds only {listed} in {points:,} points ({files}), and "
+        f"a {sensor.name} has {sensor.beamlets} beamlets; name the dimension that holds their "
         "numbers, or leave the key out: a shot is one beamlet then"
     )
 
@@ -282,17 +283,12 @@ def _looks_ahead(survey: Survey) -> Iterator[str]:
         those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
         if those:
             yield (
-                f"{_some(those)}: the returns lie {side} the sensor on average, so that the "
+                f"{named(those)}: the returns lie {side} the sensor on average, so that the "
                 f"trajectory's times seem {abs(median(off[line] for line in those)):.1f} s {late} "
                 "(UTC is 18 s behind GPS time); noise and reflectance are reckoned along "
                 "wrong beams then. "
                 "Where only a part of each scan is delivered all is well"
             )
-
-
-def _some(names: Sequence[str]) -> str:
-    """Up to five names, and how many more there are."""
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if names[5:] else "")
 
 
 def _contradicted_rates(survey: Survey) -> Iterator[str]:
@@ -306,7 +302,7 @@ def _contradicted_rates(survey: Survey) -> Iterator[str]:
             wrong[line.name] = float(far[0])
     if wrong:
         yield (
-            f"{_some([*wrong])}: gps_time tells a pulse rate of about "
+            f"{named([*wrong])}: gps_time tells a pulse rate of about "
             f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz "
             "stated, by which noise is reckoned; leave acquisition.prf_hz and the sensor's out, "
             "and what is told is taken"

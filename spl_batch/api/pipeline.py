@@ -31,7 +31,7 @@ from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
-from spl_batch.errors import SplBatchError, StoppedError, WorkflowError
+from spl_batch.errors import SplBatchError, StoppedError, WorkflowError, named
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
@@ -339,5 +339,4 @@ def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
         for text in receipt.facts.get("warnings", ()):
             sharing.setdefault(text, []).append(name)
     for text, names in sharing.items():
-        shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        yield f"{shown}: {text}"
+        yield f"{named(names, 3)}: {text}"

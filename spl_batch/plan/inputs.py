@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pyproj import CRS
 
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import InputError, WorkflowError, named
 from spl_batch.io.atomic import checksum
 from spl_batch.io.crs import crs_problems, horizontal, parse_crs, same_crs
 from spl_batch.io.las import LasFacts, inspect
@@ -155,11 +155,10 @@ def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str])
     faults : list of str
         Receives it.
     """
-    own = [str(path) for path in paths if output in path.parents]
+    own = [path for path in paths if output in path.parents]
     if own:
-        more = f" and {len(own) - 1} more" if len(own) > 1 else ""
         faults.append(
-            f"{key}: {own[0]}{more} in the output folder {output}; name the raw files, or "
+            f"{key}: {named(own, 1)} in the output folder {output}; name the raw files, or "
             "another output"
         )
 

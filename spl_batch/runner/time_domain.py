@@ -78,6 +78,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     seen = model.seen_fraction
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis")},
+        "name": f"flightline {args['line']}",
         "basis": lines_of_sight.basis(args),
         "gate_m": model.gate_m,
         "noise_per_m": model.mean_rate,

@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.errors import named
 from spl_batch.model import BeamTable, PointTable
 from spl_batch.sensor import Sensor
 from spl_batch.settings import NoiseSettings
@@ -206,12 +207,28 @@ def _channels(
     live = seen > 0
     alive = int(live.sum())
     if alive > beamlets:
-        text = f"{alive} channels are seen where the sensor has {beamlets}: {alive} are assumed"
+        least = np.argsort(np.where(live, seen, seen.max() + 1), kind="stable")[: alive - beamlets]
+        text = (
+            f"{alive} channels are seen where the sensor has {beamlets}: {alive} are assumed; "
+            f"least often {named(least.tolist())}"
+        )
         return alive, live.astype(np.float64), (text,)
     if seen.sum() < 10 * beamlets or alive == beamlets:
         return beamlets, np.ones(256), ()
     gain = live.astype(np.float64) * (beamlets / alive)
-    return beamlets, gain, (f"{beamlets - alive} of {beamlets} channels give no returns",)
+    return beamlets, gain, (_dead(np.flatnonzero(live), beamlets),)
+
+
+def _dead(live: NDArray[np.int64], beamlets: int) -> str:
+    """Name the channels without returns, as far as those beside them tell their numbers."""
+    within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
+    dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
+    text = f"{dead} of {beamlets} channels give no returns: "
+    if not within:
+        return f"{text}{dead} {ends}"
+    if len(within) > dead:
+        return f"{text}{dead} among {named(within)}"
+    return text + named(within) + (f", and {dead - len(within)} {ends}" * (dead > len(within)))
 
 
 def _moving(interval: NDArray[np.int64], value: NDArray[Any], half: int) -> NDArray[np.float64]:
