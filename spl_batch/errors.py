@@ -1,16 +1,35 @@
 """The project's own exceptions.
 
 Every message is one clear line that names the file, the value and the remedy.
-The command line prints it without a traceback and exits with ``exit_status``.
+The command line prints it without a traceback and exits with ``exit_status``. So do warnings
+say all at once whom they concern.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 
 def named(names: Sequence[object], most: int = 5) -> str:
     """Up to ``most`` names, and how many more there are."""
     left = len(names) - most
     return ", ".join(map(str, names[:most])) + (f" and {left} more" if left > 0 else "")
+
+
+def shared(told: Iterable[tuple[str, str]], nouns: str = "") -> Iterator[str]:
+    """Give each sentence once, behind the names of all that it concerns.
+
+    Parameters
+    ----------
+    told : iterable of (str, str)
+        Name, and what is said of it.
+    nouns : str
+        What several of them are counted as, e.g. ``files``; not counted without.
+    """
+    names: dict[str, list[str]] = {}
+    for name, text in told:
+        names.setdefault(text, []).append(name)
+    for text, those in names.items():
+        count = f"{len(those)} {nouns}: " if nouns and len(those) > 1 else ""
+        yield f"{count}{named(those, 3)}: {text}"
 
 
 class SplBatchError(Exception):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shapely
 
+from spl_batch import api
 from spl_batch.simulate.files import write_polygons
 from tests import surveys
 from tests.io_files import patch
@@ -487,3 +488,13 @@ def test_a_dimension_that_holds_no_beamlet_numbers_is_refused(
         ).status
         == 0
     )
+
+
+def test_what_headers_tell_is_said_once_and_for_all_files(survey: Path) -> None:
+    lines = survey.parent / "lines"
+    for name in ("first", "good", "third"):
+        surveys.write_cloud(lines / f"{name}.laz", surveys.flightline(shots=120), scale=0.00025)
+    (said,) = [text for text in surveys.run(survey).report.warnings if "rounded" in text]
+    names = "3 files: lines/first.laz, lines/good.laz, lines/third.laz: the scale (0.00025, "
+    assert said.startswith(names)
+    assert [text for text in api.plan(survey).warnings if "rounded" in text] == [said]

@@ -94,7 +94,11 @@ def test_mixed_and_fine_scales_are_rounded_and_said(tmp_path: Path) -> None:
     error = table["x"] - np.asarray(oracle.x) * 1000
     assert 0.2 < np.abs(error).max() <= 0.5 + 1e-6
     np.testing.assert_array_equal(table["y"], np.asarray(oracle.Y, np.int64) * 10 + 1000)
-    assert any("rounded" in w for w in inspect(path).warnings)
+    (said,) = inspect(path).warnings
+    assert said.startswith("the scale (0.00025, 0.01, 0.001) is not whole millimetres")
+    for offset in (0.0005, 7.0001):
+        (said,) = inspect(write_las(tmp_path / "b.laz", offsets=(offset, 1.0, 2.0))).warnings
+        assert said.startswith("the offset is not whole millimetres: working coordinates are")
 
 
 @pytest.mark.parametrize("point_format", [1, 6])

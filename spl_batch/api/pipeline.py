@@ -31,7 +31,7 @@ from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
-from spl_batch.errors import SplBatchError, StoppedError, WorkflowError, named
+from spl_batch.errors import SplBatchError, StoppedError, WorkflowError, shared
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
@@ -333,10 +333,8 @@ def _tile_map(edge_m: float, left: Sequence[str], ready: Sequence[str]) -> dict[
 
 def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
     """What tasks warn of; a warning that many share is given once."""
-    sharing: dict[str, list[str]] = {}
-    for receipt in receipts.values():
-        name = str(receipt.facts.get("name", receipt.name))
-        for text in receipt.facts.get("warnings", ()):
-            sharing.setdefault(text, []).append(name)
-    for text, names in sharing.items():
-        yield f"{named(names, 3)}: {text}"
+    return shared(
+        (str(receipt.facts.get("name", receipt.name)), str(text))
+        for receipt in receipts.values()
+        for text in receipt.facts.get("warnings", ())
+    )

@@ -85,11 +85,6 @@ def inspect(path: Path) -> LasFacts:
         layout = reader.layout
         layered = can_be_copied(reader)
     crs, crs_warnings = header_crs(header)
-    exact = all(_whole(header.scales[a], header.offsets[a]) is not None for a in range(3))
-    rounding = (
-        f"scale {header.scales} and offset {header.offsets} are not whole millimetres:"
-        " working coordinates are rounded to the nearest millimetre"
-    )
     return LasFacts(
         path=path,
         size_bytes=header.size_bytes,
@@ -104,8 +99,19 @@ def inspect(path: Path) -> LasFacts:
         adjusted_standard_bit=bool(header.global_encoding & 1),
         has_gps_time="gps_time" in layout.names,
         dimensions=layout.names,
-        warnings=header.warnings + crs_warnings + (() if exact else (rounding,)),
+        warnings=(*header.warnings, *crs_warnings, *_rounding(header)),
         layers_can_be_copied=layered,
+    )
+
+
+def _rounding(header: LasHeader) -> Iterator[str]:
+    """Say that coordinates are rounded; in words that files of other offsets share."""
+    if all(_whole(header.scales[a], header.offsets[a]) is not None for a in range(3)):
+        return
+    steps = all(_whole(scale, 0.0) is not None for scale in header.scales)
+    what = "the offset is" if steps else f"the scale {header.scales} is"
+    yield (
+        f"{what} not whole millimetres: working coordinates are rounded to the nearest millimetre"
     )
 
 

@@ -93,7 +93,8 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         **tally.facts(),
         "parts": spans,
         "standard": tally.standard,
-        "warnings": [*header.warnings, *([contradiction] if contradiction else [])],
+        # What the header alone tells, the plan has said.
+        "warnings": [contradiction] if contradiction else [],
     }
     inputs = {str(path): args["stamp"]}
     return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
