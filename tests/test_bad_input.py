@@ -392,7 +392,20 @@ def test_mixed_scales(survey: Path) -> None:
 def test_missing_channel_dimension(survey: Path) -> None:
     path = survey.parent / "lines/good.laz"
     surveys.write_cloud(path, surveys.flightline(shots=TINY), channel=False)
-    refused(run(survey), "good.laz", "channel", "user_data")
+    surveys.write_cloud(path.with_stem("more"), surveys.flightline(shots=TINY), channel=False)
+    refused(run(survey), "good.laz, ", "more.laz; there are X, ", "no dimension 'channel'")
+    ended = run(survey, "--set", "survey.channel_dimension=userdata")
+    refused(ended, "survey.channel_dimension: no dimension 'userdata' in ", "more.laz; the nearest")
+    assert ended.err.count("user_data") == 1
+    assert ended.err.rstrip().endswith("the nearest is 'user_data'")
+    surveys.write_cloud(path, surveys.flightline(shots=TINY))
+    (fault,) = api.plan(survey).faults
+    assert fault.endswith(
+        "more.laz: no dimension 'channel' (survey.channel_dimension), which other files have; "
+        "add it, or process the file apart"
+    )
+    path.with_stem("more").unlink()
+    surveys.write_cloud(path, surveys.flightline(shots=TINY), channel=False)
     warned(run(survey, "--set", "survey.channel_dimension=null"))
 
 

@@ -1,5 +1,6 @@
 """Which files a workflow names, and what is wrong with all of them at once; headers only."""
 
+import difflib
 import glob
 import hashlib
 from collections import Counter
@@ -243,18 +244,28 @@ def _inspect(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
 def _with_channel(
     files: Sequence[LasFacts], dimension: str | None
 ) -> tuple[list[LasFacts], list[InputError]]:
-    """Files that have the dimension with the beamlet number, and those that lack it."""
+    """Files that have the dimension with the beamlet number, and those that lack it.
+
+    Where all lack it the key is wrong, not the files.
+    """
     if dimension is None:
         return list(files), []
-    bad = [
-        InputError(
-            str(facts.path),
-            f"no dimension {dimension!r} (survey.channel_dimension); it has "
-            f"{', '.join(facts.dimensions)}",
+    lacking = [facts for facts in files if dimension not in facts.dimensions]
+    if not lacking:
+        return list(files), []
+    if len(lacking) == len(files):
+        there = list(dict.fromkeys(name for facts in files for name in facts.dimensions))
+        near = difflib.get_close_matches(dimension, there, n=1, cutoff=0.7)
+        remedy = f"the nearest is {near[0]!r}" if near else f"there are {', '.join(there)}"
+        paths = named([facts.path for facts in files], 3)
+        raise WorkflowError(
+            f"survey.channel_dimension: no dimension {dimension!r} in {paths}; {remedy}"
         )
-        for facts in files
-        if dimension not in facts.dimensions
-    ]
+    text = (
+        f"no dimension {dimension!r} (survey.channel_dimension), which other files have; "
+        "add it, or process the file apart"
+    )
+    bad = [InputError(str(facts.path), text) for facts in lacking]
     return [facts for facts in files if dimension in facts.dimensions], bad
 
 
