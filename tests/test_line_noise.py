@@ -14,6 +14,7 @@ from spl_batch.runner.summary import _flightlines
 from spl_batch.sensor import load_preset
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages import geometry, line_noise
+from spl_batch.stages.channel_gains import active_channels
 from spl_batch.stages.gate import fit_gate
 from spl_batch.stages.line_model import LineModel
 from spl_batch.stages.line_observe import BUFFER_LADDER, SUMMARY
@@ -168,14 +169,14 @@ def test_dead_and_weak_channels() -> None:
 def test_dead_channels_are_named(live: list[int], said: str) -> None:
     seen = np.zeros(256, dtype=np.int64)
     seen[live] = 100
-    assert line_noise._channels(seen, 7)[2] == (said,)
+    assert active_channels(seen, 7)[2] == (said,)
 
 
 def test_channels_that_are_too_many_are_named_by_the_rarest() -> None:
     seen = np.zeros(256, dtype=np.int64)
     seen[1:8] = 100
     seen[[3, 200]] = 1
-    _, _, (text,) = line_noise._channels(seen, 6)
+    _, _, (text,) = active_channels(seen, 6)
     assert text.startswith("8 channels are seen where the sensor has 6")
     assert text.endswith("least often 3, 200")
 

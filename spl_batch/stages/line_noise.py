@@ -22,10 +22,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import named
 from spl_batch.model import BeamTable, PointTable
 from spl_batch.sensor import Sensor
 from spl_batch.settings import NoiseSettings
+from spl_batch.stages.channel_gains import active_channels, channel_gains, prior_weight
 from spl_batch.stages.gate import fit_gate
 from spl_batch.stages.line_model import LineModel
 from spl_batch.stages.line_observe import BUFFER_LADDER, SUMMARY, merge, observe
@@ -80,7 +80,7 @@ def fit(
     summary = merged["summary"][rows]
     present = np.diff(rows, prepend=-1) > 0
     outside = np.where(present[:, None, None], merged["outside"][rows], 0)
-    beamlets, gain_active, warnings = _channels(merged["seen_channel"], sensor.beamlets)
+    beamlets, gain_active, warnings = active_channels(merged["seen_channel"], sensor.beamlets)
     gate = fit_gate(interval, summary, outside, settings.buffer_m, sensor.gate_m)
     fired = (last - first + 1).astype(np.float64) * beamlets
     length = offered_lengths(gate, summary, settings.buffer_m)
@@ -103,7 +103,7 @@ def fit(
             counted, heard = counted * quiet, heard * quiet
         rate = _smooth(interval, counted, heard, settings.smooth_intervals)
         by_channel = sides.astype(np.int64) @ merged["by_channel"][:, region.buffer]
-        gain = _gains(by_channel, gain_active)
+        gain = channel_gains(by_channel, gain_active)
     seen = np.where(present, merged["beamlets"][rows], 0)
     # Where channels are not told apart every return is a beamlet's, as far as anyone knows.
     looks = seen if beamlets > 1 else np.where(present, merged["returns"][rows], 0)
@@ -191,46 +191,6 @@ def _empty_share(
     return min(missing, silent**interval_shots)
 
 
-def _channels(
-    seen: NDArray[np.int64], beamlets: int
-) -> tuple[int, NDArray[np.float64], tuple[str, ...]]:
-    """Beamlets per shot, and gains as far as live and dead channels decide them.
-
-    Returns
-    -------
-    beamlets : int
-        Beamlets per shot.
-    gain : (256,) float64
-        0 for dead channels, the same for all others, mean one over the beamlets.
-    warnings : tuple of str
-    """
-    live = seen > 0
-    alive = int(live.sum())
-    if alive > beamlets:
-        least = np.argsort(np.where(live, seen, seen.max() + 1), kind="stable")[: alive - beamlets]
-        text = (
-            f"{alive} channels are seen where the sensor has {beamlets}: {alive} are assumed; "
-            f"least often {named(least.tolist())}"
-        )
-        return alive, live.astype(np.float64), (text,)
-    if seen.sum() < 10 * beamlets or alive == beamlets:
-        return beamlets, np.ones(256), ()
-    gain = live.astype(np.float64) * (beamlets / alive)
-    return beamlets, gain, (_dead(np.flatnonzero(live), beamlets),)
-
-
-def _dead(live: NDArray[np.int64], beamlets: int) -> str:
-    """Name the channels without returns, as far as those beside them tell their numbers."""
-    within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
-    dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
-    text = f"{dead} of {beamlets} channels give no returns: "
-    if not within:
-        return f"{text}{dead} {ends}"
-    if len(within) > dead:
-        return f"{text}{dead} among {named(within)}"
-    return text + named(within) + (f", and {dead - len(within)} {ends}" * (dead > len(within)))
-
-
 def _moving(interval: NDArray[np.int64], value: NDArray[Any], half: int) -> NDArray[np.float64]:
     """Sum over the intervals within ``half`` of each: (m,) float64."""
     total = np.concatenate([[0], np.cumsum(value)])
@@ -255,7 +215,7 @@ def _smooth(
     block = interval // (2 * near + 1)
     starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
     n = np.add.reduceat(counted, starts)
-    weight = _prior_weight(n, np.add.reduceat(wide * exposure, starts))
+    weight = prior_weight(n, np.add.reduceat(wide * exposure, starts))
     rate: NDArray[np.float64] = (near_n + weight) / (near_e + weight / wide)
     return rate
 
@@ -321,31 +281,6 @@ def _torn(
     differ = np.abs(up * e_down - down * e_up) > SIDES_SIGMA * np.sqrt(chance)
     torn: NDArray[np.bool_] = differ | (summary[:, SUMMARY.index("signal_sd")] > SPREAD * buffer_m)
     return torn
-
-
-def _prior_weight(n: NDArray[np.int64], expected: NDArray[np.float64]) -> float:
-    """Counts that a gamma prior is worth: 1 / relative variance beyond Poisson."""
-    excess = float(np.sum((n - expected) ** 2 - expected))
-    square = float(np.sum(expected**2))
-    return square / excess if excess > 1e-9 * square > 0 else 1e9
-
-
-def _gains(by_channel: NDArray[np.int64], active: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Gain of each channel, mean as in ``active``: (256,) float64."""
-    # A live channel without noise returns keeps its mean share: it was seen, not counted.
-    used = np.flatnonzero((active > 0) & (by_channel > 0))
-    if len(used) == 0:
-        return active
-    n = by_channel[used].astype(np.float64)
-    # Weak channels are a kind of their own: only the ordinary ones share a prior.
-    usual = float(np.median(n))
-    ordinary = np.abs(n - usual) <= 5.0 * np.sqrt(usual + 1.0)
-    expected = float(n[ordinary].mean())
-    weight = _prior_weight(by_channel[used][ordinary], np.full(ordinary.sum(), expected))
-    raw = np.where(ordinary, (n + weight) / (expected + weight), n / expected)
-    gain = active.copy()
-    gain[used] = raw * (active[used].sum() / raw.sum())
-    return gain
 
 
 def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_shots: int) -> int:

@@ -1,0 +1,102 @@
+"""How much of a flightline's noise each channel of the receiver hears.
+
+Domain: time. Dead channels hear nothing; the others' gains are counted, and shrunk towards one as
+far as chance explains their differences (empirical Bayes with a gamma prior).
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.errors import named
+
+DOMAIN: Final = "time"
+
+
+def active_channels(
+    seen: NDArray[np.int64], beamlets: int
+) -> tuple[int, NDArray[np.float64], tuple[str, ...]]:
+    """Beamlets per shot, and gains as far as live and dead channels decide them.
+
+    Parameters
+    ----------
+    seen : (256,) int64
+        Beamlets seen of each channel [count].
+    beamlets : int
+        Beamlets per shot that the sensor has.
+
+    Returns
+    -------
+    beamlets : int
+        Beamlets per shot.
+    gain : (256,) float64
+        0 for dead channels, the same for all others, mean one over the beamlets.
+    warnings : tuple of str
+    """
+    live = seen > 0
+    alive = int(live.sum())
+    if alive > beamlets:
+        least = np.argsort(np.where(live, seen, seen.max() + 1), kind="stable")[: alive - beamlets]
+        text = (
+            f"{alive} channels are seen where the sensor has {beamlets}: {alive} are assumed; "
+            f"least often {named(least.tolist())}"
+        )
+        return alive, live.astype(np.float64), (text,)
+    if seen.sum() < 10 * beamlets or alive == beamlets:
+        return beamlets, np.ones(256), ()
+    gain = live.astype(np.float64) * (beamlets / alive)
+    return beamlets, gain, (_dead(np.flatnonzero(live), beamlets),)
+
+
+def _dead(live: NDArray[np.int64], beamlets: int) -> str:
+    """Name the channels without returns, as far as those beside them tell their numbers."""
+    within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
+    dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
+    text = f"{dead} of {beamlets} channels give no returns: "
+    if not within:
+        return f"{text}{dead} {ends}"
+    if len(within) > dead:
+        return f"{text}{dead} among {named(within)}"
+    return text + named(within) + (f", and {dead - len(within)} {ends}" * (dead > len(within)))
+
+
+def channel_gains(
+    by_channel: NDArray[np.int64], active: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Gain of each channel: (256,) float64.
+
+    Parameters
+    ----------
+    by_channel : (256,) int64
+        Noise returns of each channel [count].
+    active : (256,) float64
+        Gains from :func:`active_channels`; their mean is kept.
+    """
+    # A live channel without noise returns keeps its mean share: it was seen, not counted.
+    used = np.flatnonzero((active > 0) & (by_channel > 0))
+    if len(used) == 0:
+        return active
+    n = by_channel[used].astype(np.float64)
+    # Weak channels are a kind of their own: only the ordinary ones share a prior.
+    usual = float(np.median(n))
+    ordinary = np.abs(n - usual) <= 5.0 * np.sqrt(usual + 1.0)
+    expected = float(n[ordinary].mean())
+    weight = prior_weight(by_channel[used][ordinary], np.full(ordinary.sum(), expected))
+    raw = np.where(ordinary, (n + weight) / (expected + weight), n / expected)
+    gain = active.copy()
+    gain[used] = raw * (active[used].sum() / raw.sum())
+    return gain
+
+
+def prior_weight(n: NDArray[np.int64], expected: NDArray[np.float64]) -> float:
+    """Counts that a gamma prior is worth: 1 / relative variance beyond Poisson.
+
+    Parameters
+    ----------
+    n, expected : (k,) int64 and float64
+        Counts, and what was expected of each.
+    """
+    excess = float(np.sum((n - expected) ** 2 - expected))
+    square = float(np.sum(expected**2))
+    return square / excess if excess > 1e-9 * square > 0 else 1e9
