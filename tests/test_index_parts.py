@@ -106,6 +106,34 @@ def test_a_part_that_cannot_be_read_fails_its_file_once(small: Path, small_outpu
     assert surveys.results(surveys.run(small).output) == surveys.results(small_output)
 
 
+def test_a_part_that_is_lost_leaves_its_file_out_and_is_tried_again_alone(
+    small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = min((small.parent / "lines").glob("*.laz"))
+    read = index.iter_points
+
+    def failing(file: Path, *, start: int, **options: Any) -> Any:
+        if file == path and start == POINTS:
+            raise MemoryError("no room")
+        return read(file, start=start, **options)
+
+    monkeypatch.setattr(index, "iter_points", failing)
+    result, told = events(small)
+    assert result.exit_status == 1
+    (failure,) = result.report.failures
+    assert failure.task.startswith("index_part ")
+    assert failure.place == str(path)
+    assert failure.inputs == (f"lines/{path.name}",)
+    counts = result.report.counts
+    assert counts.points_in == counts.points_out > 0
+    assert counts.not_read == len(surveys.cloud(path)["X"])
+    assert len(done(told, "index_file")) == 1
+    monkeypatch.setattr(index, "iter_points", read)
+    again, told = events(small)
+    assert done(told, "index_part") == [failure.task.split()[1]]
+    assert surveys.results(again.output) == surveys.results(small_output)
+
+
 def test_a_fault_that_passes_leaves_nothing_behind(
     small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
