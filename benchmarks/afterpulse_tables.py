@@ -100,10 +100,12 @@ def prepare(content: dict[str, Any], folder: Path, *, polygons: bool = True) -> 
         )
         flags = table["flags"] | np.where(water, np.uint8(PointFlag.WATER), np.uint8(0))
         table = table.with_columns(flags=flags)
-    truth = [np.concatenate([getattr(line, name) for line in lines])[order]
-             for name in ("kind", "parent", "bound", "place")]  # fmt: skip
+    kind, parent, bound, place = (
+        np.concatenate([getattr(line, name) for line in lines])[order]
+        for name in ("kind", "parent", "bound", "place")
+    )
     density = _density(table, [line.part for line in lines], workflow)
-    return Prepared(table, density, *truth, [line.law for line in lines])
+    return Prepared(table, density, kind, parent, bound, place, [line.law for line in lines])
 
 
 @dataclass(frozen=True)

@@ -115,10 +115,7 @@ def choices() -> None:
         "no limit on far photons": lambda t: ours(
             t, SIGNAL.model_copy(update={"false_share": 0.999})
         ),
-        **{
-            f"contrast {c}": lambda t, c=c: ours(t, table=fixed(float(c)))  # type: ignore[misc]
-            for c in (2, 5, 20, 100)
-        },
+        **{f"contrast {c}": lambda t, c=c: ours(t, table=fixed(float(c))) for c in (2, 5, 20, 100)},
     }
     for canopy in (0.0, 0.4):
         rows: dict[str, list[list[float]]] = {name: [] for name in kinds}
@@ -167,12 +164,12 @@ def agreement(atl03: Path, atl08: Path) -> None:
         print(f"  {'':34}{'kept':>8}{'precision':>11}{'recall':>9}{'F1':>8}")
         noise: dict[str, float] = {}
         for source in ("auto", "window", "product"):
-            beam = Beam(photons, stated, source=source)  # type: ignore[arg-type]
+            beam = Beam(photons, stated, source=source)
             kept = beam.keep(beam.score()) & inside
             _agree(f"ours, rate from {source}", kept, signal)
             noise[source] = float(beam.scale.noise.sum())
         print(f"  noise by product over by window: {noise['product'] / noise['window']:.3f}")
-        beam = Beam(photons, stated)  # type: ignore[arg-type]
+        beam = Beam(photons, stated)
         for along, height in ELLIPSES:
             for scaled, word in ((True, "scaled"), (False, "not scaled")):
                 chosen = BaselineSettings(scaled=scaled, along_m=along, height_m=height)
@@ -200,7 +197,7 @@ def speed() -> None:
     track = simulate_track(wanted.model_copy(update=light.model_dump()))
     photons = lattice(track.along_m, track.height_m)
     small = tuple(values[:5000] for values in photons)
-    warm = Beam(small, None)  # type: ignore[arg-type]
+    warm = Beam(small, None)
     warm.keep(warm.score())
     short = simulate_track(wanted.model_copy(update={"length_m": 400.0}))
     measures(short, short.truth > 0)

@@ -38,7 +38,12 @@ from spl_batch.geiger.coincidence import accuracy
 from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.kernels.scene import Targets, painted, tube_distance
 from spl_batch.geiger.coincidence.simulate import simulate
-from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
+from spl_batch.geiger.coincidence.simulate.scene import (
+    PLACES_M,
+    TARGET_HEIGHT_M,
+    SceneSettings,
+    build,
+)
 from spl_batch.io.atomic import write_bytes
 from spl_batch.report import style
 
@@ -146,7 +151,7 @@ def picture(path: Path, before: Cloud, after: Cloud) -> None:
 def _from_above(panel: Axes, cloud: Cloud, view: tuple[float, float, float, float]) -> None:
     """Draw what lies at the targets' height."""
     (west, east, south, north), (x, y, z) = view, cloud.xyz.T
-    shown = np.abs(z - accuracy.TARGET_HEIGHT_M) < accuracy.BAND_M
+    shown = np.abs(z - TARGET_HEIGHT_M) < accuracy.BAND_M
     shown &= (x > west) & (x < east) & (y > south) & (y < north)
     panel.scatter(x[shown], y[shown], s=0.35, c=style.SIGNAL, lw=0, rasterized=True)
     panel.set(aspect="equal", xlim=(west, east), ylim=(south, north), xticks=(), yticks=())
@@ -241,7 +246,7 @@ def _under(
     found = np.zeros(len(xyz), np.bool_)
     for name in names:
         if name in scene.targets:
-            away = np.abs(xyz[:, :2] - np.array(PLACES_M[name])).max(axis=1)  # type: ignore[index]
+            away = np.abs(xyz[:, :2] - np.array(PLACES_M[name])).max(axis=1)
             found |= away < CANOPY_M
     return found
 

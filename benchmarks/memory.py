@@ -36,11 +36,12 @@ import pyarrow.parquet as pq
 import yaml
 from pyproj import CRS
 
-from spl_batch import api
+from spl_batch import api, runner
 from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.model import Attitudes
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.graph import work
+from spl_batch.io import labels
 from spl_batch.io.sbet import BLOCK_RECORDS, SBET_RECORD
 from spl_batch.io.store import Store, read_receipts
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
@@ -99,7 +100,7 @@ class Peak:
 def tasks(workflow: Path, overrides: Sequence[str]) -> None:
     """Print the memory of each kind of task."""
     seen: dict[str, list[tuple[int, int, int]]] = defaultdict(list)
-    plain, read = work.run_task, space_domain.read_region
+    plain, read = runner.run_task, labels.read_region
     region: list[int] = []
 
     def counted(*args: Any, **options: Any) -> Any:

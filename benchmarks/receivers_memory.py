@@ -28,7 +28,7 @@ import zarr
 from numpy.typing import NDArray
 
 from benchmarks.memory import Peak
-from spl_batch import api
+from spl_batch import api, runner
 from spl_batch.altimetry.simulate import Track, scene, simulate_track
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.graph import work
@@ -170,7 +170,7 @@ def frames(folder: Path) -> None:
 
 def arrays(folder: Path) -> None:
     """Print the memory of the tasks of arrays that grow, by pixel."""
-    plain = work.run_task
+    plain = runner.run_task
     print(f"{'pixels':>9s}{'task':>18s}{'MiB':>8s}{'bytes / pixel':>15s}")
     for edge in EDGES:
         folder.mkdir(parents=True, exist_ok=True)

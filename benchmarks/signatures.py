@@ -43,7 +43,7 @@ def main() -> int:
 def called(workflow: Path) -> dict[str, list[str]]:
     """Types of the arguments of each kernel that a run calls from Python, by its name."""
     found: dict[str, set[str]] = {}
-    first_call = Dispatcher._compile_for_args  # noqa: SLF001
+    first_call = Dispatcher._compile_for_args  # type: ignore[attr-defined]  # noqa: SLF001
 
     def heard(kernel: Any, *args: Any, **named: Any) -> Any:
         result = first_call(kernel, *args, **named)
@@ -54,11 +54,11 @@ def called(workflow: Path) -> dict[str, list[str]]:
             found.setdefault(name, set()).add(types)
         return result
 
-    Dispatcher._compile_for_args = heard  # noqa: SLF001
+    Dispatcher._compile_for_args = heard  # type: ignore[attr-defined]  # noqa: SLF001
     try:
         api.run(workflow, workers=0)
     finally:
-        Dispatcher._compile_for_args = first_call  # noqa: SLF001
+        Dispatcher._compile_for_args = first_call  # type: ignore[attr-defined]  # noqa: SLF001
     return {name: sorted(found[name]) for name in sorted(found)}
 
 

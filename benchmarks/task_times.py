@@ -41,7 +41,7 @@ def round_of(workflow: Path, output: Path) -> tuple[dict[str, Cost], int]:
             if receipt.failed:
                 sys.exit(f"{task.kind} {task.name}: {receipt.reason}")
             survey.of(task.kind).put(receipt)
-        cost[phase.kind] = tuple(b - a for a, b in zip(before, used(), strict=True))  # type: ignore[assignment]
+        cost[phase.kind] = tuple(b - a for a, b in zip(before, used(), strict=True))
     return cost, sum(source.facts.n_points for source in survey.inputs.sources)
 
 

@@ -130,7 +130,8 @@ def gated(frames: NDArray[np.uint16]) -> Hits:
 def observations(instrument: Instrument, seed: int) -> tuple[list[Observation], NDArray[np.bool_]]:
     """Frames of a target at eight distances, dim and as bright as ever, some brighter still."""
     rng = np.random.default_rng((seed, 1))
-    hits, distances = [], []
+    hits: list[NDArray[np.float64]] = []
+    distances: list[float] = []
     for k, distance in enumerate(DISTANCES_M):
         dim = 0.015 / instrument.peak_photoelectrons
         for light in (dim, 1.0, *((0.3, 3.0, 8.0) if k % 3 == 0 else ())):
