@@ -23,7 +23,7 @@ from spl_batch.io.cells import (
 from spl_batch.io.rasters import read_raster, write_cog
 from spl_batch.tiling import Bounds, CellId, cell_bounds
 
-PLACE = {"origin_xy_m": (500_000.0, 4_000_000.0), "cell_m": 0.5, "description": "dtm"}
+PLACE = {"origin_xy_m": (500_000.0, 4_000_000.0), "cell_m": 0.5, "description": "dtm", "unit": "m"}
 
 
 def sample(rows, cols):
@@ -59,6 +59,7 @@ def test_a_cog_has_the_layout_values_and_place(tmp_path):
         assert source.nodata == NODATA
         assert source.dtypes == ("float32",)
         assert source.descriptions == ("dtm",)
+        assert source.units == ("m",)
         assert source.overviews(1) == [2, 4]
         half = source.read(1, out_shape=(350, 300))
     blocks = values.reshape(350, 2, 300, 2).swapaxes(1, 2).reshape(350, 300, 4).astype(float)

@@ -136,6 +136,7 @@ def test_rasters_are_aligned_and_cloud_optimised(tiny_output: Path) -> None:
             values = source.read(1)
             assert np.all(np.isfinite(values))
             assert (values != NODATA).mean() > 0.3
+            assert source.units == ({"density": "1/m2", "intensity": None}.get(product, "m"),)
             transforms.add((source.transform, source.shape))
     assert len(transforms) == 1
 

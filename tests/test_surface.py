@@ -205,7 +205,36 @@ def test_voids_are_filled_up_to_the_stated_distance_only():
     assert (rasters["dsm"][inward > 4.5] == NODATA).all()
     assert (rasters["dsm"][(inward > 1) & (inward < 2)] != NODATA).all()
     assert (rasters["chm"][inward > 6] == NODATA).all()
-    assert (rasters["density"][inward > 1.5] == 0).all()
+    assert (rasters["density"][inward > 1.5] == NODATA).all()
+    assert (rasters["density"][inward < 0] >= 0).all()
+
+
+def test_density_is_zero_where_only_noise_came_back_and_nodata_where_nothing_did():
+    points = terrain(density=20)
+    west = points[:, 0] < -10
+    lake = (points[:, 0] + 15) ** 2 + (points[:, 1] - 50) ** 2 < 4**2
+    rng = np.random.default_rng(1)
+    noise = np.column_stack([rng.uniform(-40, 0, 9000), rng.uniform(20, 80, 9000), np.zeros(9000)])
+    # Off the edge of a swath noise is met far above and far below the ground only.
+    noise[:, 2] = np.where(noise[:, 0] < -10, 90.0, rng.choice([150.0, 40.0], 9000))
+    xyz = np.concatenate([points[west & ~lake], noise])
+    kind = np.repeat([0, 1], [np.count_nonzero(west & ~lake), len(noise)])
+    table = table_of(xyz, noise_class=kind, ground=kind == 0)
+    density = surfaces(table, CELL, SETTINGS)["density"]
+    x, y = centres()
+    assert (density[x > -10] == NODATA).all()
+    assert (density[np.hypot(x + 15, y - 50) < 3] == 0).all()
+    assert (density[x < -10] != NODATA).all()
+
+
+def test_what_was_flown_does_not_depend_on_the_ground_cell():
+    points = np.random.default_rng(4).uniform((-60, -10, 0), (60, 110, 90), (60, 3))
+    table = table_of(points)
+    both = Bounds(-20_000, 40_000, 20_000, 60_000)
+    east = Bounds(0, 40_000, 20_000, 60_000)
+    whole, west, rest = (surfaces(table, c, SETTINGS)["density"] for c in (both, CELL, east))
+    assert 0 < np.count_nonzero(whole == NODATA) < whole.size
+    np.testing.assert_array_equal(np.hstack([west, rest]), whole)
 
 
 def test_a_hall_wider_than_the_margin_leaves_no_void_near_ground():
@@ -315,7 +344,7 @@ def test_a_shift_by_whole_cells_moves_the_rasters_exactly(east, north):
 def test_few_or_degenerate_points(xyz):
     rasters = surfaces(table_of(xyz, ground=1), CELL, SETTINGS)
     assert all(np.isfinite(r).all() for r in rasters.values())
-    assert rasters["density"].sum() == len(xyz)
+    assert rasters["density"][rasters["density"] != NODATA].sum() == len(xyz)
     known = rasters["dtm"] != NODATA
     assert known.any() == bool(len(xyz))
     assert (rasters["dtm"][known] == 3).all()

@@ -39,6 +39,7 @@ def write_cog(
     cell_m: float,
     crs: str | None,
     description: str,
+    unit: str = "",
     nodata: float = NODATA,
 ) -> None:
     """Write a cloud-optimised GeoTIFF: tiled, deflated, with overviews; equal input, equal bytes.
@@ -59,6 +60,8 @@ def write_cog(
         Anything that GDAL understands as a CRS: EPSG code, WKT.
     description : str
         Name of the band.
+    unit : str
+        Unit of its values, as GDAL's unit type; empty where they have none.
     nodata : float
         Value of cells that hold nothing.
 
@@ -94,7 +97,7 @@ def write_cog(
         ):
             # Overviews and other by-products of GDAL come and go with the folder.
             plain, finished = Path(folder, "plain.tif"), Path(folder, "cog.tif")
-            marks = _write_plain(plain, pieces, profile, description)
+            marks = _write_plain(plain, pieces, profile, (description, unit))
             _add_overviews(plain, shape)
             _copy_as_cog(plain, finished)
             _verify(finished, marks)
@@ -104,7 +107,7 @@ def write_cog(
 
 
 def _write_plain(
-    path: Path, pieces: Blocks, profile: dict[str, Any], description: str
+    path: Path, pieces: Blocks, profile: dict[str, Any], named: tuple[str, str]
 ) -> list[tuple[Window, int]]:
     """Write pieces as they come; uncompressed, so that rewriting a tile leaves no waste.
 
@@ -113,7 +116,9 @@ def _write_plain(
     layout = {"tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX, "sparse_ok": True}
     marks = []
     with rasterio.open(path, "w", bigtiff="if_safer", **layout, **profile) as out:
-        out.set_band_description(1, description)
+        out.set_band_description(1, named[0])
+        if named[1]:
+            out.set_band_unit(1, named[1])
         for row, col, block in pieces:
             rows, cols = block.shape
             window = Window(col, row, cols, rows)

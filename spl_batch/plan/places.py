@@ -19,6 +19,15 @@ from spl_batch.tiling import CellId, cell_runs, grow, parse_cell, quanta
 MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
 """What the intensity raster holds, as its band is called."""
 
+BANDS = {
+    "dtm": ("height of the terrain", "m"),
+    "dsm": ("height of the surface", "m"),
+    "chm": ("height of the surface above the terrain", "m"),
+    "density": ("signal returns per m2", "1/m2"),
+    "noise": ("expected noise", "1/m3"),
+}
+"""What the other rasters hold, as their bands are called, and its unit."""
+
 
 class _Pieces(NamedTuple):
     """Which row group of which stretch holds points of which tile: p pieces.
@@ -187,8 +196,8 @@ def mosaic(survey: Survey) -> Iterator[Task]:
                 "bounds": list(bounds),
                 "delivered": product in PRODUCTS,
             }
-            if product == "intensity":
-                args["meaning"] = MEANINGS[knows_reflectance(survey)]
+            intensity = MEANINGS[knows_reflectance(survey)], ""
+            args["meaning"], args["unit"] = BANDS.get(product, intensity)
             yield Task("mosaic", name, args, needs)
 
 

@@ -185,6 +185,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
         origin_xy_m=origin_xy_m,
         cell_m=products.cell_m,
         crs=context.crs_wkt or None,
-        description=args.get("meaning", args["product"]),
+        description=args["meaning"],
+        unit=args["unit"],
     )
     return Produced([target], {"rows": shape[0], "columns": shape[1]})

@@ -52,6 +52,7 @@ from spl_batch.kernels.raster import (
 from spl_batch.kernels.tops import Support, confirmed_tops, lift_pits
 from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.settings import ProductSettings
+from spl_batch.stages.flown import flown
 from spl_batch.stages.followers import dependents
 from spl_batch.stages.water import REACH_M, flattened
 from spl_batch.tiling import Bounds, grow, inside, quanta
@@ -112,8 +113,9 @@ def surfaces(
     -------
     dict of str to (rows, cols) float32
         ``dtm, dsm, chm`` [m], ``intensity`` (mean of first returns, as delivered; where the
-        points have it), ``density`` (signal returns per m2); row 0 is the northernmost; nodata
-        :data:`~spl_batch.constants.NODATA`, which ``density`` never holds.
+        points have it), ``density`` (signal returns per m2; 0 where there are none, nodata
+        where nothing was flown); row 0 is the northernmost; nodata
+        :data:`~spl_batch.constants.NODATA`.
     """
     size = quanta(settings.cell_m)
     if any(edge % size for edge in cell):
@@ -125,6 +127,8 @@ def surfaces(
     dsm = np.where(dsm < dtm, dtm, dsm)
     rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
     rasters |= _counts(signal, cell, size)
+    over = flown(table, cell, settings, margin_cells(settings)) | (rasters["density"] > 0)
+    rasters["density"] = np.where(over, rasters["density"], np.nan)
     return {name: _delivered(values) for name, values in rasters.items()}
 
 

@@ -138,5 +138,6 @@ def _write_raster(
         origin_xy_m=(grid.east * grid.cell_m, (grid.north + grid.rows) * grid.cell_m),
         cell_m=grid.cell_m,
         crs=context.crs_wkt or None,
-        description="height of the water surface [m]",
+        description="height of the water surface",
+        unit="m",
     )
