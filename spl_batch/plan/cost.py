@@ -11,14 +11,14 @@ from spl_batch.plan import density, reference
 from spl_batch.plan.blocks import choose_sizes, count_blocks
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
-from spl_batch.plan.ground_cells import GroundCells, strip_q
+from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Source
 from spl_batch.plan.memory import Need, halo_m, needs, stretch_points
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.context import Context
 from spl_batch.runner.index import parts_of
 from spl_batch.stages.surface import PRODUCTS
-from spl_batch.tiling import Bounds, quanta
+from spl_batch.tiling import Bounds
 from spl_batch.workflow import Workflow
 
 STORE_BYTES_PER_POINT: Final = 60
@@ -141,10 +141,9 @@ def _box(source: Source) -> Box:
 
 def _ground_cells(boxes: Sequence[Box], workflow: Workflow) -> int:
     """Ground cells that hold points [count]."""
-    edge = quanta(workflow.ground.cell_m)
-    cells = GroundCells.of_boxes([box.bounds for box in boxes], edge, strip_q(workflow))
+    cells = GroundCells.of_workflow((box.bounds for box in boxes), workflow)
     kept = (box._replace(bounds=cells.kept(box.bounds)) for box in boxes)
-    return sum(piece.units(edge) for piece in density.from_boxes(kept, edge))
+    return sum(piece.units(cells.edge) for piece in density.from_boxes(kept, cells.edge))
 
 
 def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> Need:

@@ -67,6 +67,11 @@ class GroundCells(NamedTuple):
         reached = Bounds(west * edge, south * edge, (east + 1) * edge, (north + 1) * edge)
         return cls(edge, CellId(low_i, low_j), CellId(high_i, high_j), reached)
 
+    @classmethod
+    def of_workflow(cls, boxes: Iterable[Sequence[int]], workflow: Workflow) -> Self:
+        """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
+        return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
+
     @property
     def alone(self) -> Bounds:
         """Squares that are cells by themselves [quanta]."""

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from spl_batch.constants import QUANTUM_M
 from spl_batch.io.trajectory_merge import WAITING_RECORDS
 from spl_batch.plan.density import Box, Peak, Piece, largest
-from spl_batch.plan.ground_cells import GroundCells, strip_q
+from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.runner.delivery import PASS_POINTS
 from spl_batch.runner.index import CHUNK_POINTS
 from spl_batch.stages import denoise, reflectance, surface
@@ -161,7 +161,7 @@ def needs(
         "ground": (cell_q, workflow.ground.buffer_m),
         "surface": (cell_q, surface_reach_m(workflow)),
     }
-    cells = GroundCells.of_boxes([box.bounds for box in boxes], cell_q, strip_q(workflow))
+    cells = GroundCells.of_workflow((box.bounds for box in boxes), workflow)
     found = []
     for kind, (edge, reach) in reaches.items():
         peak = largest(piece.peak(edge, quanta(reach)) for piece in pieces)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spl_batch.plan.blocks import Holders, Sizes, blocks, choose_sizes, layout_of
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
-from spl_batch.plan.ground_cells import GroundCells, strip_q
+from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.ledger import Ledger
 from spl_batch.plan.memory import halo_m, stretch_points
@@ -116,7 +116,7 @@ class Survey(Ledger[Inputs, Workflow]):
     def ground_cells(self) -> GroundCells:
         """Ground cells; complete once the index stage is."""
         boxes = [(xmin, ymin, xmax + 1, ymax + 1) for xmin, ymin, _, xmax, ymax, _ in _boxes(self)]
-        return GroundCells.of_boxes(boxes, self.cell_q, strip_q(self.workflow))
+        return GroundCells.of_workflow(boxes, self.workflow)
 
     @property
     def tile_q(self) -> int:
