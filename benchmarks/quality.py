@@ -160,7 +160,10 @@ def _water(folder: Path, at: Affine, shape: tuple[int, int]) -> NDArray[np.bool_
 
 
 def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
-    """Share of the scene's DSM cells that lie above every true return within one cell."""
+    """Share of the scene's DSM cells that lie above every true return within one cell.
+
+    Where only the bottom of clear water sent something back, its surface is as true.
+    """
     with rasterio.open(folder / "out" / "dsm.tif") as source:
         dsm, at = source.read(1).astype(np.float64), source.transform
     noise = methods.is_noise(points["kind"])
@@ -174,10 +177,16 @@ def _spikes(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, f
     near = windows.max(axis=(2, 3))
     with rasterio.open(folder / "truth" / "dtm.tif") as true:
         r0, c0 = round((true.transform.f - at.f) / at.e), round((true.transform.c - at.c) / at.a)
-        rows, cols = true.shape
+        terrain, wet = true.read(1), _water(folder, true.transform, true.shape)
+    rows, cols = terrain.shape
+    first, left = max(r0, 0), max(c0, 0)
+    scene = slice(first, r0 + rows), slice(left, c0 + cols)
     valid = np.zeros(dsm.shape, dtype=bool)
-    valid[max(r0, 0) : r0 + rows, max(c0, 0) : c0 + cols] = True
+    valid[scene] = True
     valid &= (dsm > -9000) & np.isfinite(near)
+    level = np.where(wet, terrain, -np.inf)[first - r0 :, left - c0 :]
+    within = near[scene]
+    near[scene] = np.maximum(within, level[: within.shape[0], : within.shape[1]])
     spiked = valid & (dsm > near + SPIKE_M)
     return {"DSM cells set by noise per 10 000": 1e4 * float(spiked.sum() / valid.sum())}
 
