@@ -11,8 +11,9 @@ ground) and over single cells of the same surfaces:
 * ``ratio``, median of estimate / truth;
 
 for the delivered raster, for the mean LAS intensity, and with each normalisation left out. The
-last lines say what chance leaves of R2 per cell, and by reflectance how far patches are off.
-The bar is R2 >= 0.95 over patches; the source [W17 8.2.2] proposes the method without a number.
+last lines say what chance leaves of R2 per cell, by reflectance how far patches are off, and why
+cells exceed 1. The bar is R2 >= 0.95 over patches; the source [W17 8.2.2] proposes the method
+without a number.
 """
 
 import argparse
@@ -56,6 +57,12 @@ RIM_M = 1.5
 
 CLEAR = 7
 """Edge of the window in which nothing may stand beside open ground [cells]."""
+
+NEARLY_ALL = 0.9
+"""Share of beamlets seen from which it hardly tells how bright a cell is."""
+
+STEEP = 1.5
+"""Factor that incidence has on surfaces whose slope may be none."""
 
 Raster = NDArray[np.float64]
 Products = dict[str, Raster]
@@ -121,6 +128,18 @@ def main(folder: Path, seeds: Sequence[int], extent_m: float) -> None:
         chance = _chance(full, truth, patch)
         print(f"R2 of single cells that chance leaves: {chance:.3f}")
         _by_reflectance(products["delivered"], truth, patch)
+        _above_one(full, products["without incidence"])
+
+
+def _above_one(full: Detections, level: Raster) -> None:
+    """Say how many cells exceed what a diffuse surface reflects, and for which reason."""
+    reflectance, fired, seen = (values[::-1] for values in full)
+    above = reflectance > 1
+    bright = above & (seen >= NEARLY_ALL * fired)
+    steep = above & ~bright & (reflectance > STEEP * level)
+    print(f"cells above 1: {above.sum()} of {np.isfinite(reflectance).sum()}")
+    print(f"  of which {NEARLY_ALL:.0%} of the beamlets were seen: {bright.sum()}")
+    print(f"  others that incidence makes {STEEP:g} times as bright: {steep.sum()}")
 
 
 def estimates(survey: Path, scene: Scene) -> tuple[Products, Detections]:

@@ -29,7 +29,8 @@ estimate is too high by :math:`p / (2 N (1 - p))` photo-electrons, with it the f
 vanishes. Afterpulses and background are no first returns. Background in front of the
 surface blinds a channel for the dead time only, and is neglected; so is a share of light
 that passes a crown. Water, wires and leaves have no incidence: the number is what a
-Lambertian surface in their place would have.
+Lambertian surface in their place would have. It may exceed one, by that or by chance where
+nearly all were seen, and is not cut: means over cells would be too dark.
 """
 
 from collections.abc import Sequence
