@@ -155,6 +155,13 @@ class TestPage:
         assert "Failures: none. Warnings: none." in parsed.text
         assert "No reference was given." in parsed.text
 
+    def test_rows_of_the_surface_are_explained_before_they_are_read(self) -> None:
+        text = Page(render(make_report(), {})).text
+        surface = text[text.index("Surface (DSM)") :]
+        told = "“All surfaces” takes every such cell"
+        assert surface.index(told) < surface.index("All surfaces", surface.index(told) + len(told))
+        assert surface.index(told) < surface.index("RMSE")
+
     def test_rows_of_the_surface_are_explained_where_they_are(self) -> None:
         told = "every cell in which the reference met nothing above the ground"
         for names, there in ((("all", "ground"), True), (("all", "water"), False)):
