@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,17 @@ def all_of_it(share: int, shares: int) -> int:
     raise ValueError(f"{shares} share" if share == 0 else "another")
 
 
+def some_left(share: int, shares: int) -> int:
+    """The last share has something to do."""
+    time.sleep(0.2 * (share + 1 == shares))
+    return int(share + 1 == shares)
+
+
+def none_left(share: int, shares: int) -> int:
+    """Everything is found done."""
+    return 0 * share * shares
+
+
 def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
     import dask  # noqa: PLC0415 - slow
     from distributed import Client, LocalCluster  # noqa: PLC0415
@@ -93,4 +105,10 @@ def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
         again = Ahead(left_behind, "compiling")
         again.share_out(client, addresses, told)  # type: ignore[arg-type]
         again.share_out(client, addresses, told)  # type: ignore[arg-type]
+        compiled, loaded = Ahead(some_left, "compiling"), Ahead(none_left, "loading")
+        compiled.share_out(client, addresses, told)  # type: ignore[arg-type]
+        loaded.share_out(client, addresses, told)  # type: ignore[arg-type]
     assert told.notes == ["alone: 1 share", "compiling: share 1 of 2"]
+    assert compiled.took_s is not None
+    assert compiled.took_s >= 0.2
+    assert loaded.took_s is None

@@ -238,6 +238,13 @@ class TestSummary:
         assert rows["time"] == "1 min 44 s (108 k points/s)"
         assert rows["failures"] == "none"
 
+    def test_the_time_names_what_a_first_run_compiles(self) -> None:
+        work = make_report().performance.model_copy(update={"compile_s": 31.0})
+        report = make_report(performance=work)
+        rows = dict(screen_summary(report))
+        assert rows["time"] == "1 min 44 s (108 k points/s), 31.0 s of it compiling, once"
+        assert f"{text.duration(31.0)} of it compiling for this machine" in render(report, {})
+
     @pytest.mark.parametrize(
         "report", [make_report(), smallest(), make_report(failures=make_failures())]
     )

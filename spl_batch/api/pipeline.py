@@ -139,6 +139,7 @@ def run(
         )
         progress.tidy()
         compiles = prepared.receiver.compiles
+        ahead = compiles and Ahead(compiles, COMPILING)
         with _telling_the_end(progress):
             for warning in prepared.ledger.inputs.warnings:
                 progress.warn(warning)
@@ -150,10 +151,11 @@ def run(
                 scheduler=scheduler,
                 observer=progress,
                 footing=Footing(code, str(lock_file(output)), mark),
-                ahead=compiles and Ahead(compiles, COMPILING),
+                ahead=ahead,
             ) as pool:
                 _process(prepared, pool, progress, until, verify=verify)
-            result = _conclude(prepared, progress, until, start)
+            compile_s = ahead.took_s if ahead else None
+            result = _conclude(prepared, progress, until, (start, compile_s))
         progress.tell(RunEnded(result.exit_status))
     return result
 
@@ -168,9 +170,15 @@ def _kind(prepared: Prepared[Any, Any]) -> str:
 
 
 def _conclude(
-    prepared: Prepared[Any, Any], progress: Progress, until: str | None, start_s: float
+    prepared: Prepared[Any, Any],
+    progress: Progress,
+    until: str | None,
+    took: tuple[float, float | None],
 ) -> RunResult:
-    """Take away what is stale, and write the report unless the run was to stop before it."""
+    """Take away what is stale, and write the report unless the run was to stop before it.
+
+    ``took`` is when the run began, and how long it has compiled [s].
+    """
     ledger, context, receiver = prepared.ledger, prepared.context, prepared.receiver
     order = stages_of(prepared)
     if until is None or order.index(until) >= order.index("deliver"):
@@ -182,7 +190,7 @@ def _conclude(
     found = any(cost.skipped for cost in progress.costs.values())
     earlier_s = earlier_wall_s(context.output) if found else 0.0
     facts = RunFacts(
-        time.perf_counter() - start_s + (earlier_s or 0.0),
+        time.perf_counter() - took[0] + (earlier_s or 0.0),
         progress.invocation.workers,
         progress.costs,
         tuple(failures(prepared, progress.failures)),
@@ -191,6 +199,7 @@ def _conclude(
         receiver.not_read(ledger),
         earlier_s,
         log_bytes(context.output),
+        took[1],
     )
     written = _standing(prepared, facts) if progress.idle else None
     if written is None:

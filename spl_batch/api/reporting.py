@@ -59,6 +59,7 @@ def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
         kept["not_read"],
         kept.get("earlier_s", 0.0),  # of a run before there was such a thing
         kept.get("log_bytes", 0),
+        kept.get("compile_s"),
     )
     return _receipts(context.store, kept["done"]), context, facts
 

@@ -1,5 +1,6 @@
 """What workers of one machine do once, each its share, before their first task."""
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -20,14 +21,18 @@ class Ahead:
     Parameters
     ----------
     work : callable
-        Does a share, from 0, of so many; sent to workers, so a function of a module.
+        Does a share, from 0, of so many, and says how much was left to do; sent to workers, so a
+        function of a module.
     what : str
         What is being done, in words.
+    took_s : float or None
+        How long it took; None where nothing was left to do [s].
     """
 
-    work: Callable[[int, int], object]
+    work: Callable[[int, int], int]
     what: str
     done: bool = False
+    took_s: float | None = None
 
     def share_out(self, client: Any, workers: Sequence[str], observer: Observer) -> None:
         """Have each worker do its share, unless that is done.
@@ -45,7 +50,7 @@ class Ahead:
         """
         if self.done:
             return
-        self.done = True
+        self.done, begin_s = True, time.monotonic()
         from distributed import wait  # noqa: PLC0415 - slow import, only when used
 
         shares = [
@@ -63,6 +68,8 @@ class Ahead:
                 observer.noted(
                     f"not finished after {PATIENCE_S:g} s, going on without: {self.what}"
                 )
+        if any(share.result() for share in shares if share.status == "finished"):
+            self.took_s = time.monotonic() - begin_s
         for share in shares:
             if share.status == "error":
                 observer.noted(f"{self.what}: {share.exception()}")

@@ -210,6 +210,12 @@ class Performance(Part):
         description="The part of it that earlier runs took, whose work was found, those that were "
         "stopped included; null where nothing tells it, and wall_s is this run's part alone [s].",
     )
+    compile_s: Number = Field(
+        None,
+        description="The part of it in which workers compiled kernels for this machine, before the "
+        "first task; later runs find that done. Null where nothing was to be compiled, or tasks "
+        "did it [s].",
+    )
     points_per_s: Number = Field(
         None, description="Input points per second, end to end; null where wall_s is a part [1/s]."
     )

@@ -123,11 +123,17 @@ def ending_rows(
 def _of_which(work: Performance) -> str:
     """Speed of a run, and what it took itself where it went on with the work of others."""
     if work.part_alone:
-        return " for this part alone; the rest was finished before"
+        return f" for this part alone; the rest was finished before{_compiling(work)}"
     speed = f" ({large(work.points_per_s)} points/s)"
     if not work.earlier_wall_s or work.wall_s is None:
-        return speed
-    return f"{speed}, {duration(work.wall_s - work.earlier_wall_s)} of it in this run"
+        return speed + _compiling(work)
+    own = duration(work.wall_s - work.earlier_wall_s)
+    return f"{speed}, {own} of it in this run{_compiling(work)}"
+
+
+def _compiling(work: Performance) -> str:
+    """What of a first run on a machine is not asked of later ones."""
+    return f", {duration(work.compile_s)} of it compiling, once" if work.compile_s else ""
 
 
 def speed_remark(work: Performance, noun: str = "points") -> str:

@@ -90,6 +90,9 @@ class RunFacts:
         nothing tells how long it took, as their log is gone or another output's [s].
     log_bytes : int
         Length of the log when this was known: later runs add to the duration [byte].
+    compile_s : float or None
+        Time that workers compiled before the first task; None where nothing was left to compile,
+        or tasks did it [s].
     """
 
     wall_s: float
@@ -101,6 +104,7 @@ class RunFacts:
     not_read: int = 0
     earlier_s: float | None = 0.0
     log_bytes: int = 0
+    compile_s: float | None = None
 
 
 def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
@@ -119,6 +123,7 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
         "not_read": facts.not_read,
         "earlier_s": facts.earlier_s,
         "log_bytes": facts.log_bytes,
+        "compile_s": facts.compile_s,
         "done": {kind: list(names) for kind, names in done.items()},
         "report": _standing(done, context, facts),
     }
@@ -225,6 +230,7 @@ def performance(facts: RunFacts, points: int) -> Performance:
     return Performance(
         wall_s=facts.wall_s,
         earlier_wall_s=facts.earlier_s,
+        compile_s=facts.compile_s,
         points_per_s=points / facts.wall_s if whole else None,
         peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
         workers=facts.workers,
