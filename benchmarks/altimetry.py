@@ -20,6 +20,7 @@ import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +116,7 @@ def choices() -> None:
         "no limit on far photons": lambda t: ours(
             t, SIGNAL.model_copy(update={"false_share": 0.999})
         ),
-        **{f"contrast {c}": lambda t, c=c: ours(t, table=fixed(float(c))) for c in (2, 5, 20, 100)},
+        **{f"contrast {c}": partial(ours, table=fixed(float(c))) for c in (2, 5, 20, 100)},
     }
     for canopy in (0.0, 0.4):
         rows: dict[str, list[list[float]]] = {name: [] for name in kinds}

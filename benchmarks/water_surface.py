@@ -130,7 +130,7 @@ def gated(frames: NDArray[np.uint16]) -> Hits:
 def observations(instrument: Instrument, seed: int) -> tuple[list[Observation], NDArray[np.bool_]]:
     """Frames of a target at eight distances, dim and as bright as ever, some brighter still."""
     rng = np.random.default_rng((seed, 1))
-    hits: list[NDArray[np.float64]] = []
+    hits: list[Hits] = []
     distances: list[float] = []
     for k, distance in enumerate(DISTANCES_M):
         dim = 0.015 / instrument.peak_photoelectrons
