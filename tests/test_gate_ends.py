@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spl_batch.stages.gate_ends import BELOW_AN_END, at_least, ends
+from spl_batch.model import VOXEL_FIXED_POINT
+from spl_batch.stages.gate_ends import BELOW_AN_END, at_least, ends, to_the_ends
 from spl_batch.stages.voxel_noise import sphere_radius_m
 
 SIZE = (7, 7, 7)
@@ -67,3 +68,14 @@ def test_below_an_end_it_counts_in_part_and_beyond_it_as_listened_to() -> None:
     assert (np.diff(found) >= 0).all()
     # an edge so blurred that its least part lies below where it would begin
     np.testing.assert_array_equal(at_least(part, 0.3, 0.4), part)
+
+
+@pytest.mark.parametrize(("less", "cut"), [(0.02, False), (0.06, True)])
+def test_what_takes_off_less_than_sticks_out_of_a_voxel_is_no_end(less: float, cut: bool) -> None:  # noqa: FBT001
+    """Beamlets are many, and tell such a difference beyond chance: lean and ridges make it."""
+    share = np.where(np.arange(SIZE[2]) == 3, 1.0 - less, 1.0)
+    beamlets = np.full((4 * SIZE[0], 4 * SIZE[1], SIZE[2]), 300, dtype=np.float32)
+    amount = np.rint(np.broadcast_to(share, SIZE) * 300.0 * EACH * 1000.0 * VOXEL_FIXED_POINT)
+    _, found, _ = to_the_ends(amount.astype(np.int64), beamlets, 10.0)
+    whole = 1.0 if cut else 1.0 - less
+    np.testing.assert_allclose(found[2:-2, 2:-2, 3] / found[2:-2, 2:-2, 2], whole, rtol=1e-4)

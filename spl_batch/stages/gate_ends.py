@@ -107,6 +107,8 @@ def to_the_ends(
     tells = number >= ENOUGH * tallest(number)
     # beamlets cross all layers: what differs by chance are those that lean in and out
     error = CUT / np.sqrt(np.maximum(SQUARES**2 * number, CUT**2))
+    # and what cuts off less than sticks out of a voxel ends none of it
+    error = np.maximum(error, SLIVER)
     cut = part < (1.0 - error) * tallest(np.where(tells, part, 0.0))
     sums = nine(points, HERE), nine(own, HERE)
     here = np.where(tells, ratio(*sums), 0.0)
