@@ -1,8 +1,8 @@
 """Is alpha the share of pure noise that is kept? ``python -m benchmarks.null_calibration``.
 
 Options: ``--points N`` noise points per draw, ``--draws N``, ``--seeds N ...`` of the draws if not
-0, 1, ..., ``--densities X ...`` [1/m3], ``--only interior gate swath overlap ridge`` some parts,
-``--survey FOLDER``.
+0, 1, ..., ``--few N`` of them at all alphas, ``--densities X ...`` [1/m3], ``--only interior gate
+swath overlap ridge`` some parts, ``--survey FOLDER``.
 
 Prints kept share over alpha of the whole filter as shipped, with its links and the scan for
 conductors, and the standard error over independent draws; all draws are made at the least alpha,
@@ -94,14 +94,18 @@ def uniform(
 
 
 def measure(
-    title: str, make: Callable[[int], Draw], seeds: Sequence[int], names: Sequence[str] = ("",)
+    title: str,
+    make: Callable[[int], Draw],
+    seeds: Sequence[int],
+    names: Sequence[str] = ("",),
+    few: int = FEW,
 ) -> None:
     """Print share kept over alpha, a row for each bin, a column for each alpha and the scan."""
     label = f"{title}; kept / alpha"
     print(f"{label:40s}" + "".join(f"{f'alpha {a:g}':18s}" for a in ALPHAS) + "scan alone")
     with ThreadPoolExecutor(2) as pool:
         found = list(
-            pool.map(lambda k: _shares(make(seeds[k]), k < FEW, len(names)), range(len(seeds)))
+            pool.map(lambda k: _shares(make(seeds[k]), k < few, len(names)), range(len(seeds)))
         )
     for row, name in enumerate(names):
         columns = [[f[row][k] for f in found if k < len(f[row])] for k in range(len(ALPHAS) + 1)]
@@ -318,6 +322,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=400_000)
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--seeds", type=int, nargs="+")
+    parser.add_argument("--few", type=int, default=FEW)
     parser.add_argument("--densities", type=float, nargs="+", default=DENSITIES)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--survey", type=Path)
@@ -328,7 +333,7 @@ def main() -> None:
         for density in options.densities:
             title = f"{part}, {density:g} per m3"
             names = bins(edges) if edges else ("",)
-            measure(title, lambda k: make(k, density, points), seeds, names)  # noqa: B023
+            measure(title, lambda k: make(k, density, points), seeds, names, options.few)  # noqa: B023
     if options.survey:
         high_gate(options.survey)
 
