@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from spl_batch.kernels.chords import cover
-from spl_batch.kernels.squares import density_between
 from spl_batch.model import VOXEL_FIXED_POINT
 from spl_batch.stages import local_noise
 from spl_batch.stages.beamlet_counts import square_shares
@@ -16,6 +14,8 @@ PER_M3 = 0.2
 SIZE = (9, 8, 5)
 MIDDLE = 2
 RADIUS = sphere_radius_m(10.0)
+EVEN = 0.015
+"""What is added for chance where beamlets are even, at most."""
 
 
 def pack(squares: np.ndarray) -> np.ndarray:
@@ -56,7 +56,7 @@ def listened(until_m: float, *, holes: np.ndarray | None = None) -> np.ndarray:
 
 def at_centres(heard: local_noise.Listened) -> np.ndarray:
     """Density in the middle of every square of one layer."""
-    shape = heard.covered.shape[:2]
+    shape = heard.near.shape[:2]
     x, y = np.indices(shape).reshape(2, -1)
     voxel = (x // 4, y // 4, np.full(len(x), MIDDLE))
     return local_noise.around([heard], voxel, (x, y), (np.zeros(len(x)),) * 3).reshape(shape)
@@ -89,8 +89,11 @@ def test_across_a_clear_edge_the_density_rises_over_two_squares(until_m: float) 
     np.testing.assert_array_equal(found[inside < -5.1], 0)
     np.testing.assert_allclose(found[inside > 5.1], 1, atol=0.04)
     # what is read off the squares lies within a third of one
-    ideal = np.interp(inside, [-3.2, -2, -1, 0, 1, 2, 3.2], [0, 0.03, 0.2, 0.5, 0.8, 0.97, 1])
-    np.testing.assert_allclose(found, ideal, atol=0.17)
+    for k, least in ((-1, -0.05), (1, 0.05)):
+        place = inside + k * 2.5 / 3
+        linear = np.interp(place, [-3.2, -2, -1, 0, 1, 2, 3.2], [0, 0.03, 0.2, 0.5, 0.8, 0.97, 1])
+        limit = local_noise.beside_an_edge(linear, np.ones(len(linear), np.float32)) + least
+        assert np.all(k * (limit - found) > 0)
 
 
 def test_beside_an_edge_flightlines_add_up_in_part() -> None:
@@ -103,15 +106,15 @@ def test_beside_an_edge_flightlines_add_up_in_part() -> None:
     cut = made(spheres(47.0), lean(47.0))
     density, counts = cut.at(*place, beside)
     listened = np.clip(0.5 + (47.0 - x) / 5.0, 0, 1)
-    inside = x < 46.5
-    assert np.all(counts[inside] >= local_noise.BESIDE_NOTHING - 1e-9)
+    inside = x < 46.0
+    assert np.all(counts[inside] >= local_noise.BESIDE_NOTHING - 1e-6)
     np.testing.assert_array_equal(counts[x < 43.7], 1.0)
     assert np.all(counts[(listened < 0.1) & (density > 0)] < local_noise.BEYOND)
     assert np.all(np.diff(counts[density > 0]) <= 1e-9)
     for other in (0.3, 1.0):
         whole = made(np.full(SIZE[0], other), lean(1e3))
         found = local_noise.around([cut, whole], *place, beside)
-        np.testing.assert_allclose(found, other * PER_M3 + density * counts)
+        np.testing.assert_allclose(found, other * PER_M3 + density * counts, rtol=EVEN)
     alone = local_noise.around([cut], *place, beside)
     np.testing.assert_allclose(alone, np.maximum(counts, local_noise.TAIL) * density)
 
@@ -129,8 +132,8 @@ def test_an_edge_of_beamlets_that_get_fewer_is_not_taken_for_a_sharp_one() -> No
     assert parts[0].min() > 0.75
     assert parts[1].min() < 0.5
     assert np.all(parts[1] <= parts[0] + 1e-9)
-    edges = [made(spheres(47.0), beamlets).sharp for beamlets in (sharp, blurred)]
-    np.testing.assert_array_equal(edges[0], 1.0)
+    edges = [made(spheres(47.0), beamlets).edge for beamlets in (sharp, blurred)]
+    assert set(np.unique(edges[0])) == {-1.0, 1.0}
     assert 0.3 < edges[1][18, 17, MIDDLE] < 0.7
 
 
@@ -149,7 +152,7 @@ def test_up_to_the_end_of_a_gate_nothing_is_taken_off() -> None:
     squares[:, :, MIDDLE + 1 :] = 0
     heard = made(np.ones(SIZE[0]), squares)
     for z in (25.0, 29.9):
-        np.testing.assert_allclose(along_x(heard, np.linspace(20, 70, 50), z), PER_M3, rtol=1e-6)
+        np.testing.assert_allclose(along_x(heard, np.linspace(20, 70, 50), z), PER_M3, rtol=EVEN)
 
 
 @pytest.mark.parametrize("end_m", np.arange(20.3, 30.0, 0.8).tolist())
@@ -201,7 +204,7 @@ def test_up_to_an_edge_the_density_is_that_of_the_part_listened_to(until_m: floa
 def test_far_from_edges_it_is_the_mean_with_gaps_or_without() -> None:
     holes = np.zeros((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), dtype=bool)
     holes[::3, ::3] = True
-    np.testing.assert_allclose(listened(90.0)[8:-8], PER_M3, rtol=1e-6)
+    np.testing.assert_allclose(listened(90.0)[8:-8], PER_M3, rtol=EVEN)
     # one beamlet or none over a square says next to nothing, and errs towards more
     found = listened(90.0, holes=holes)[8:-8] / PER_M3
     assert np.abs(found - 1).max() < 0.02
@@ -310,46 +313,6 @@ def test_chance_makes_no_ridge(per_square: float) -> None:
     assert np.quantile(found, 0.99) < 1.5
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_between_the_centres_of_squares_and_layers_it_is_linear(seed: int) -> None:
-    rng = np.random.default_rng([9, seed])
-    n, shape = 200, (3, 4, 5)
-    beamlets = rng.uniform(0, 200, (12, 16, 5)) * (rng.random((12, 16, 5)) < 0.9)
-    each, usual = rng.uniform(0, 0.01, shape), rng.uniform(0, 1, shape)
-    mean = rng.choice([0.0, 50.0, 80.0, 85.0, 90.0], shape)
-    near = rng.random(beamlets.shape) < 0.8
-    place = rng.uniform(0, 1, (3, n)) * np.array(beamlets.shape)[:, None]
-    square, offset = np.floor(place).astype(np.int64), place % 1 - 0.5
-    voxel = square // np.array([4, 4, 1])[:, None]
-    rim = rng.random(beamlets.shape) < 0.3
-    found, partly = np.empty(n), np.empty(n, np.bool_)
-    density_between(
-        beamlets, near, each, usual, mean, *voxel, *square[:2], *offset, 4.0, 50.0, 1.15, rim,
-        found, partly,
-    )  # fmt: skip
-    np.testing.assert_array_equal(partly, rim[tuple(square)])
-    for p in range(n):
-        z, at = square[2, p], tuple(voxel[:2, p])
-        k = z + (1 if offset[2, p] > 0 else -1)
-        layer = beamlets[:, :, z]
-        if 0 <= k < 5 and mean[*at, k] > 0:
-            ratio = mean[*at, z] / mean[*at, k]
-            ratio = 1.0 if 1 / 1.15 < ratio < 1.15 else ratio
-            part, other = abs(offset[2, p]), beamlets[:, :, k]
-            both = (layer > 0) & (other > 0)
-            layer = np.where(both, (1 - part) * layer + part * ratio * other, layer)
-        count = ndimage.map_coordinates(layer, place[:2, p : p + 1] - 0.5, order=1, mode="nearest")[
-            0
-        ]
-        told, known = count * each[*at, z], 4.0 * count
-        worth = 50.0
-        if known > 0 and told < usual[*at, z]:
-            worth /= 1 + 50.0 * max((1 - told / usual[*at, z]) ** 2 - 4.0 / known, 0)
-        sure = known / (known + worth)
-        expected = sure * told + (1 - sure) * usual[*at, z]
-        assert found[p] == pytest.approx(expected if near[tuple(square[:, p])] else 0.0), p
-
-
 @pytest.mark.parametrize("per_square", [25.0, 100.0])
 def test_at_the_foot_of_a_slope_the_mean_of_the_voxel_counts_little(per_square: float) -> None:
     """Beamlets that fall short of it by more than chance are believed, those by chance are not."""
@@ -359,7 +322,35 @@ def test_at_the_foot_of_a_slope_the_mean_of_the_voxel_counts_little(per_square: 
     found = at_centres(strip(rate, even))[:, 12:-12] / PER_M3 / rate[:, :1]
     # with the whole mean in it the first square had 1.6 to 2.3 times too much
     assert found.min() > 0.85
-    assert found[14:22].max() < 1.4
+    assert found[14:22].max() < 1.45
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.9, 1.8])
+def test_along_a_leaning_edge_that_rises_over_metres_the_noise_is_the_true_one(
+    shift_m: float,
+) -> None:
+    """As the edges of scans: too much was expected in the last metres, and on slopes."""
+    fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
+
+    def rise(x_m: np.ndarray, z_m: float) -> np.ndarray:
+        inside = 48.0 + shift_m + 0.3 * (z_m - 25.0) - x_m
+        return np.clip(inside / 6.5, 0, 1) ** 1.5
+
+    rates = [rise(fine, 10.0 * k + 5.0).reshape(-1, 50).mean(axis=1) for k in range(SIZE[2])]
+    rate = np.array(rates).T
+    heard = strip(rate, np.rint(rate[:, None] * 200).astype(int).repeat(SIZE[1] * 4, axis=1))
+    off = []
+    for z in (20.5, 22.5, 25.0, 27.5, 29.5):
+        edge = 48.0 + shift_m + 0.3 * (z - 25.0)
+        for low, high in ((0.0, 2.0), (2.0, 5.0), (5.0, 10.0)):
+            x = edge - np.linspace(low, high, 41)
+            true = rise(x, z)
+            # as many points are there as there is noise
+            off.append((along_x(heard, x, z) / PER_M3 / true.mean()).mean() - 1)
+    last, near, behind = np.mean([off[k::3] for k in range(3)], axis=1)
+    assert abs(last) < 0.65
+    assert abs(near) < 0.12
+    assert abs(behind) < 0.02
 
 
 def test_between_layers_a_leaning_ridge_goes_on() -> None:
@@ -383,5 +374,5 @@ def test_beyond_the_end_of_a_gate_the_next_layer_only_tells_where() -> None:
     heard = made(np.tile(share, (SIZE[0], 1)), counts)
     x = np.linspace(20, 70, 20)
     for z in (21.0, 25.0, 29.9):
-        np.testing.assert_allclose(along_x(heard, x, z), PER_M3, rtol=1e-6)
-    np.testing.assert_allclose(along_x(heard, x, 41.0), 0.5 * PER_M3, rtol=1e-6)
+        np.testing.assert_allclose(along_x(heard, x, z), PER_M3, rtol=EVEN)
+    np.testing.assert_allclose(along_x(heard, x, 41.0), 0.5 * PER_M3, rtol=EVEN)

@@ -5,7 +5,7 @@ Domain: space. The squares of :mod:`~spl_batch.stages.local_noise`, (nx, ny, nz)
 
 from collections.abc import Callable
 from functools import cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,57 +21,114 @@ BLUR: Final = (1.0, 4.0, 1.0)
 """Weights of a square and its neighbours on either side, where beamlets are counted."""
 
 PRIOR: Final = 50.0
-"""Beamlets that the squares around are worth against one's own, and the voxel's mean against both:
-the error that chance leaves is largest, 7 %, where those that tell are as many [count]."""
+"""Beamlets that the squares around are worth against one's own, and the mean of an even voxel
+against both: the error that chance leaves is largest, 7 %, where as many tell [count]."""
 
-TOP: Final = 0.2
-"""Part of a second difference of squares by which a ridge lies over what is linear between them:
-on average 1/24 for the mean of a square, 1/12 for the line between squares, along one direction of
-two as much for that between layers, where beams lean by a square, and more as it is smoothed."""
+TOP: Final = 0.25
+"""Part of a second difference of squares by which what is linear between their means falls short of
+a top, and exceeds a foot, along one axis: on average 1/24 for the mean, 1/12 for the line, and more
+as it is smoothed. It is taken for as much as a count is held for by itself: few beamlets make tops
+by chance."""
 
-SLOPE: Final = 0.5
-"""Part that is added for the square of the relative step to the next square: an error of place
-costs more where it makes the density too small than it gains where too large."""
+MOST: Final = 0.5
+"""Part of a count that is added for a top, or taken off for a foot, at most."""
+
+BESIDE: Final = 3.0
+"""Weight of a voxel against those on either side where it is told how even squares are."""
+
+BY_CHANCE: Final = 0.4
+"""Variance of a count smoothed by :data:`BLUR` over its mean: 1/4, and two errors of what the
+squares of a voxel and the eight around it tell of it."""
+
+SLOPE: Final = 0.3
+"""Part that is added for the square of the relative step to the next square: what is known of a
+place to a third of a square costs more where it makes the density too small than it gains where
+too large."""
 
 STEEPEST: Final = 0.1
-"""Part of the density that is added along one axis, at most."""
+"""Part of the density that is added for slopes, at most."""
 
 
-def told(beamlets: NDArray[np.float32], covered: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Beamlets over the covered part of squares, by their own and those around: (4 nx, 4 ny, nz).
+class Told(NamedTuple):
+    """What is told of squares by their own beamlets and those around.
 
-    Squares that nothing covers have what is around them.
+    Parameters
+    ----------
+    covered : (4 nx, 4 ny, nz) float64
+        Beamlets over the covered part of each; where nothing covers it, over what is around.
+    smooth : (4 nx, 4 ny, nz) float32
+        Beamlets over each, by :data:`BLUR`.
     """
-    area = blurred(covered, BLUR)
-    around = blurred(beamlets, BLUR).astype(np.float64)
-    around /= np.where(area > 0.0, area, 1.0)
-    inside = covered > 0.0
-    own = np.where(inside, beamlets, 0.0) / np.where(inside, covered, 1.0)
-    found: NDArray[np.float64] = np.where(
-        inside, (own * own + PRIOR * around) / (own + PRIOR), around
+
+    covered: NDArray[np.float64]
+    smooth: NDArray[np.float32]
+
+
+def told(beamlets: NDArray[np.float32], covered: NDArray[np.float32]) -> Told:
+    """Beamlets over squares and over their covered part, as far as chance lets them tell."""
+    none, one = np.float32(0.0), np.float32(1.0)
+    sums, area = blurred(beamlets, BLUR), blurred(covered, BLUR)
+    inside = covered > none
+    own, around = np.where(inside, beamlets, none), sums.copy()
+    own /= np.where(inside, covered, one)
+    around /= np.where(area > none, area, one)
+    found = np.where(inside, _sharpened(own, around, inside), around)
+    sums /= np.float32((2.0 * BLUR[0] + BLUR[1]) ** 2)
+    return Told(found.astype(np.float64), sums)
+
+
+def worth_of_mean(smooth: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Beamlets that the mean of a voxel is worth, by how uneven squares are: (nx, ny, nz) [count].
+
+    What the squares of a voxel and of the eight around it differ by beyond chance is the error of
+    the mean, and that is worth the inverse of its relative variance.
+    """
+    mean = nine(of_voxels(smooth), BESIDE)
+    square = nine(of_voxels(smooth * smooth), BESIDE) * (2.0 + BESIDE) ** 2
+    some = mean > 0.0
+    mean = np.where(some, mean, 1.0)
+    uneven = np.where(some, square / mean**2, 1.0) - 1.0 - BY_CHANCE * (2.0 + BESIDE) ** 2 / mean
+    found: NDArray[np.float64] = 1.0 / np.maximum(uneven, 1.0 / PRIOR)
+    return found
+
+
+def of_voxels(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Mean of the squares of each voxel: (nx, ny, nz) float64."""
+    nx, ny, nz = (n // d for n, d in zip(values.shape, (SQUARES, SQUARES, 1), strict=True))
+    mean: NDArray[np.float64] = values.reshape(nx, SQUARES, ny, SQUARES, nz).mean(
+        axis=(1, 3), dtype=np.float64
     )
-    return found + _added(around, inside)
+    return mean
 
 
-def _added(values: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """What is added for tops and slopes, by a smooth field, as chance makes both as well.
+def _sharpened(
+    own: NDArray[np.float32], around: NDArray[np.float32], inside: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Counts by their own and those around, so that what is linear between them keeps its tops.
 
-    Feet are not dug: where the density is too small more is kept than is lost where it is as much
-    too large.
+    Tops and feet are told by a smooth field, as chance makes both as well.
     """
-    out = np.zeros_like(values)
+    one = np.float32(1.0)
+    share = np.float32(PRIOR) / (own + np.float32(PRIOR))
+    found = own + share * (around - own)
+    curved, steep = np.zeros_like(around), np.zeros_like(around)
+    level = np.where(around > 0.0, around, one)
     for axis in (0, 1):
         ahead, behind = halves(axis)
-        step = np.where(inside[ahead] & inside[behind], values[ahead] - values[behind], 0.0)
-        curved, slope = np.zeros_like(values), np.zeros_like(values)
+        step = around[ahead] - around[behind]
+        step *= inside[ahead] & inside[behind]
         curved[ahead] += step
         curved[behind] -= step
-        slope[ahead] += 0.5 * step
-        slope[behind] += 0.5 * step
-        relative = slope / np.where(values > 0.0, values, 1.0)
-        steep = np.minimum(SLOPE * relative**2, STEEPEST) * values
-        out += np.where(inside, np.maximum(TOP * curved, 0.0) + steep, 0.0)
-    return out
+        slope = np.zeros_like(around)
+        slope[ahead] += np.float32(0.5) * step
+        slope[behind] += np.float32(0.5) * step
+        slope /= level
+        steep += slope * slope
+    curved *= np.float32(TOP) * (one - share)
+    most = np.float32(MOST) * found
+    steep = np.minimum(np.float32(SLOPE) * steep, np.float32(STEEPEST))
+    told: NDArray[np.float32] = found + np.clip(curved, -most, most) + steep * found
+    return told
 
 
 def beamlets_around(

@@ -15,30 +15,32 @@ its mean is too small for the points in it, which all lie on one side. So, for e
   than in the layer above or below, is made the same. Nine voxels tell how much less; beamlets
   count in every layer whose spheres they reach (:func:`~spl_batch.kernels.chords.cover`). Near the
   end itself the flightline counts in part (:mod:`~spl_batch.stages.gate_ends`);
-- near the edge of a flightline it counts in part, by the covered part of the squares around,
-  linear between their centres: the test of single points looks so far, a metre or two. Where
-  beamlets are too few to tell the edge, it counts within a square of those that are covered, in
-  the layers around;
-- within a voxel the noise goes with the beamlets over each square, linear between their centres
-  and, since beams lean, between layers: a turning scan makes ridges narrower than a voxel, the
-  highest along the edge of a swath. A count is held for as much as its Poisson error lets it
-  tell, first against those of the eight squares around and then against the voxel's mean
-  (:mod:`~spl_batch.stages.beamlet_counts`); where they fall short of that mean by more than chance
-  lets them, at the foot of a slope, it counts for less. The density at the point is what is
-  needed, not its integral over the ellipsoid: ``python -m benchmarks.null_calibration --only
-  ridge``.
+- near the edge of a flightline it counts in part, by the beamlets over the squares around, whatever
+  of them is covered, over those of their covered part: the test of single points looks so far, a
+  metre or two. Where beamlets are too few to tell the edge, it counts within a square of those that
+  are covered;
+- within a voxel the noise goes with the beamlets over each square, linear between their centres: a
+  turning scan makes ridges narrower than a voxel, the highest along the edge of a swath. Beams
+  lean, and edges and ridges with them, by up to a square from layer to layer, so the squares are
+  those around the place where a beam through the point crosses the middle of its layer: how beams
+  lean there, the squares of all layers tell (:mod:`~spl_batch.stages.leaning`). A count is held for
+  as much as its Poisson error lets it tell, first against those of the eight squares around and
+  then against the voxel's mean, which is worth the less the more uneven its squares are
+  (:mod:`~spl_batch.stages.beamlet_counts`). The density at the point is what is needed, not its
+  integral over the ellipsoid: ``python -m benchmarks.null_calibration --only ridge``.
 
 The flightlines add up by these parts. Where edges and ends are blurred over metres, as scans and
 gates leave them, that is the true density at the point. A sharp edge, as that of a delivery, would
-be blurred by it, so from the middle of an edge inwards a flightline counts for no less than
-:data:`BESIDE_NOTHING`: an ellipsoid that reaches across finds fewer neighbours, so a little less
-than the density keeps alpha in the last metre. The less the first row of squares within an edge has
-of the beamlets of the second one, the less sharp it is, and the lower is that limit.
+be blurred by it, so soon from the middle of an edge inwards a flightline counts for no less than
+:data:`BESIDE_NOTHING`, and beyond it for less than what linear squares leave: an ellipsoid that
+reaches across finds fewer neighbours, so a little less than the density keeps alpha in the last
+metre. The less the first row of squares within an edge has of the beamlets of the second one, the
+less sharp it is, and the less is made of it.
 ``benchmarks/null_calibration.py`` prints what the filter keeps of noise along sharp edges,
 ``benchmarks/null_edges.py`` along those of surveys.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -46,7 +48,6 @@ from numpy.typing import NDArray
 
 from spl_batch.kernels.squares import density_between
 from spl_batch.stages.beamlet_counts import (
-    PRIOR,
     SQUARES,
     beamlets_around,
     halves,
@@ -54,9 +55,10 @@ from spl_batch.stages.beamlet_counts import (
     nine,
     of_spheres,
     told,
+    worth_of_mean,
 )
 from spl_batch.stages.gate_ends import Ends, at_least, ratio, to_the_ends
-from spl_batch.stages.voxel_noise import UNEVEN
+from spl_batch.stages.leaning import lean
 
 DOMAIN: Final = "space"
 
@@ -66,12 +68,12 @@ MARGIN_VOXELS: Final = 2
 FEW: Final = 8.0
 """Beamlets over a covered square that tell where within a square an edge lies [count]."""
 
-BESIDE_NOTHING: Final = 0.8
-"""Part in which a flightline counts at least from the middle of its edge inwards: a sharp edge is
-linear over a square, and yet the noise is whole there."""
+BESIDE_NOTHING: Final = 0.9
+"""Part in which a flightline counts at least within the middle of its sharp edge: it is linear over
+a square, and yet the noise is whole there."""
 
 BEYOND: Final = 0.4
-"""Part that none but a blurred edge leaves."""
+"""Part that linear squares leave beyond a sharp edge at most."""
 
 TAIL: Final = 0.15
 """Part of what is heard near by that is expected at least where something is heard."""
@@ -87,36 +89,32 @@ class Listened(NamedTuple):
     ----------
     beamlets : (4 nx, 4 ny, nz) float64
         Beamlets over each square's covered part, as far as they can be told [count].
+    there : (4 nx, 4 ny, nz) float32
+        Beamlets over each square, whatever is covered [count].
     near : (4 nx, 4 ny, nz) bool
         Squares where the line counts.
     each : (nx, ny, nz) float64
         What one beamlet over a square stands for [1/m3].
     usual : (nx, ny, nz) float64
         Density of the covered part of each voxel [1/m3].
-    mean : (nx, ny, nz) float64
-        Beamlets over a covered square in each voxel and the eight around it [count].
-    covered : (4 nx, 4 ny, nz) float32
-        Part of each square that is covered [0..1].
-    rim : (4 nx, 4 ny, nz) bool
-        Squares where the flightline counts in part.
-    sharp : (4 nx, 4 ny, nz) float32
-        How sharp the edge is where the flightline counts in part [0..1].
-    reached : (4 nx, 4 ny, nz) bool
-        Squares so near to covered ones that what is not covered is beyond an edge; elsewhere a
-        layer may be silent as a whole, where a gate ends.
+    worth : (nx, ny, nz) float64
+        Beamlets that it is worth [count].
+    lean : (2, nx, ny, nz) float64
+        How far beams lean along x and y from a layer to the next one upwards [squares].
+    edge : (4 nx, 4 ny, nz) float32
+        How sharp the edge is where the flightline counts in part [0..1]; -1 elsewhere.
     ends : Ends
         Where the gate ends within a layer.
     """
 
     beamlets: NDArray[np.float64]
+    there: NDArray[np.float32]
     near: NDArray[np.bool_]
     each: NDArray[np.float64]
     usual: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    covered: NDArray[np.float32]
-    rim: NDArray[np.bool_]
-    sharp: NDArray[np.float32]
-    reached: NDArray[np.bool_]
+    worth: NDArray[np.float64]
+    lean: NDArray[np.float64]
+    edge: NDArray[np.float32]
     ends: Ends
 
     def at(
@@ -144,43 +142,35 @@ class Listened(NamedTuple):
             Covered part around the points [0..1].
         """
         n = len(voxel[0])
-        density, part, partly = np.empty(n), np.ones(n), np.empty(n, np.bool_)
+        density, part, sharp = np.empty(n), np.empty(n), np.empty(n, np.float32)
         density_between(
-            self.beamlets, self.near, self.each, self.usual, self.mean,
+            self.beamlets, self.there, self.near, self.each, self.usual, self.worth, self.lean,
             voxel[0], voxel[1], voxel[2], square[0], square[1], offset[0], offset[1], offset[2],
-            AROUND, PRIOR, UNEVEN, self.rim, density, partly,
+            AROUND, self.edge, density, part, sharp,
         )  # fmt: skip
-        rim = np.flatnonzero(partly)
-        part[rim] = self._part(
-            (square[0][rim], square[1][rim], voxel[2][rim]), tuple(axis[rim] for axis in offset)
-        )
-        density[rim[part[rim] == 0.0]] = 0.0
-        least = BESIDE_NOTHING * self.sharp[square[0][rim], square[1][rim], voxel[2][rim]]
-        part[rim] = at_least(part[rim], least, BEYOND)
+        rim = np.flatnonzero(part < 1.0)
+        density[rim[part[rim] <= 0.0]] = 0.0
+        part[rim] = beside_an_edge(part[rim], sharp[rim])
         last = np.flatnonzero(self.ends.side[voxel] != 0)
         part[last] *= self.ends.part(
             tuple(axis[last] for axis in voxel), _of_voxels(square, offset, last)
         )
         return density, part
 
-    def _part(
-        self, place: tuple[NDArray[np.int64], ...], offset: tuple[NDArray[np.float64], ...]
-    ) -> NDArray[np.float64]:
-        """Covered part around points, linear between the centres of eight squares: (n,) float64."""
-        beside = [
-            np.clip(index + np.where(part < 0.0, -1, 1), 0, size - 1)
-            for index, part, size in zip(place, offset, self.covered.shape, strict=True)
-        ]
-        far = [np.abs(part) for part in offset]
-        found = np.zeros(len(far[0]))
-        for i in (0, 1):
-            x, across = (beside[0], far[0]) if i else (place[0], 1.0 - far[0])
-            for j in (0, 1):
-                y, along = (beside[1], far[1]) if j else (place[1], 1.0 - far[1])
-                own, other = self.covered[x, y, place[2]], self.covered[x, y, beside[2]]
-                other = np.where(self.reached[x, y, beside[2]], other, own)
-                found += across * along * ((1.0 - far[2]) * own + far[2] * other)
-        return found
+
+def beside_an_edge(part: NDArray[np.float64], sharp: NDArray[np.float32]) -> NDArray[np.float64]:
+    """In which part a flightline counts, by what is left there by linear squares: (n,) float64.
+
+    Parameters
+    ----------
+    part : (n,) float64
+        What is left [0..1].
+    sharp : (n,) float32
+        How sharp the edge is [0..1].
+    """
+    clear = np.clip(2.0 * sharp - 1.0, 0.0, 1.0)
+    outside = np.minimum(part, part * (1.0 - clear * (1.0 - part / BEYOND)))
+    return at_least(np.where(part < BEYOND, outside, part), BESIDE_NOTHING * sharp, BEYOND)
 
 
 def listened(
@@ -209,13 +199,14 @@ def listened(
     each, points, last = to_the_ends(amount, beamlets, voxel_m)
     per_m3 = _of_covered(points, closed, covered)
     rim = clear & joined(np.logical_or, closed & ~inner)
-    _vertically(np.logical_or, rim)
     near = np.where(clear, closed, near) | rim
-    reached = joined(np.logical_or, joined(np.logical_or, closed))
     found = told(beamlets, covered)
-    mean = ratio(nine(of_spheres(beamlets)), nine(of_spheres(covered)))
-    sharp = _sharp(beamlets, closed, inner)
-    return Listened(found, near, each, per_m3, mean, covered, rim, sharp, reached, last)
+    number = of_spheres(beamlets)
+    mean = ratio(nine(number), nine(of_spheres(covered)))
+    leaning = lean(found.smooth, SQUARES**2 * number, mean)
+    edge = np.where(rim, _sharp(beamlets, closed, inner), np.float32(-1.0))
+    worth = worth_of_mean(found.smooth)
+    return Listened(found.covered, beamlets, near, each, per_m3, worth, leaning, edge, last)
 
 
 def around(
@@ -322,10 +313,3 @@ def _of_covered(
     pooled = nine(points)[cut] / nine(share)[cut]
     own[cut] = np.maximum(own[cut], pooled)
     return own
-
-
-def _vertically(join: Callable[..., NDArray[np.bool_]], squares: NDArray[np.bool_]) -> None:
-    """Each square with those above and below, joined in place."""
-    before = squares.copy()
-    join(squares[:, :, 1:], before[:, :, :-1], out=squares[:, :, 1:])
-    join(squares[:, :, :-1], before[:, :, 1:], out=squares[:, :, :-1])
