@@ -164,3 +164,44 @@ def test_terraces_are_ground_to_their_edges(per_m2: int, share: float) -> None:
     xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, z))
     table = PointTable(dict(zip("xyz", xyz, strict=True)))
     assert ground_mask(table, np.ones(len(x), np.bool_), GroundSettings()).mean() > share
+
+
+def crowns_on_a_slope(seed: int) -> tuple[PointTable, Float]:
+    """Slope of 56 degrees, half of it under crowns, 1.2 ground returns per m2 there; heights."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, 40, (2, 25 * 40 * 40))
+    leaves = np.zeros(len(x))
+    crowns = zip(
+        *rng.uniform(0, 40, (2, 40)), rng.uniform(1.5, 4, 40), rng.uniform(4, 8, 40), strict=True
+    )
+    for east, north, radius, bottom in crowns:
+        under = (np.hypot(x - east, y - north) < radius) & (leaves == 0)
+        above = bottom + rng.uniform(0, 8, int(under.sum()))
+        leaves[under] = np.maximum(above - 1.5 * (x[under] - east), 0.5)
+    height = rng.normal(0, RANGING_SD_M, len(x)) + leaves * (rng.random(len(x)) > 1.2 / 25)
+    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, 1.5 * x + height))
+    return PointTable(dict(zip("xyz", xyz, strict=True))), height
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_crowns_on_steep_slopes_are_no_ground(seed: int) -> None:
+    """Ground rises by more than a shrub from a metre to the next: nothing lies "below" a crown."""
+    table, height = crowns_on_a_slope(seed)
+    found = ground_mask(table, np.ones(len(height), np.bool_), GroundSettings())
+    assert height[found].max() < 1.5
+    assert found[np.abs(height) < 0.15].mean() > 0.998
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_single_returns_in_deep_shade_are_ground(seed: int) -> None:
+    """A road cut into a slope under closed canopy; of 25 returns per m2 0.8 are of the ground."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, 60, (2, 25 * 60 * 60))
+    leaf = rng.random(len(x)) > 0.8 / 25
+    height = rng.normal(0, RANGING_SD_M, len(x)) + np.where(leaf, rng.uniform(3, 15, len(x)), 0)
+    road = 0.7 * y - np.clip(0.7 * (y - 28), 0, 2.8)
+    xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, road + height))
+    table = PointTable(dict(zip("xyz", xyz, strict=True)))
+    found = ground_mask(table, np.ones(len(x), np.bool_), GroundSettings())
+    assert found[~leaf].mean() > 0.97
+    assert found[leaf].sum() < 20

@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.constants import QUANTUM_M
-from spl_batch.kernels.grouping import Cells, chosen_places, group_by_cell
-from spl_batch.kernels.layers import (
-    SUPPORTED,
-    Nodes,
-    count_below,
-    count_squares,
-    count_support,
-    lowest_layers,
-)
-from spl_batch.kernels.pits import REACH_M, in_pits
+from spl_batch.kernels.grouping import chosen_places, group_by_cell
+from spl_batch.kernels.layers import count_squares, lowest_layers
 from spl_batch.kernels.ptd import Limits, densify, heights_above
-from spl_batch.kernels.smrf import fill_gaps, low_outliers, object_cells, provisional_terrain
+from spl_batch.kernels.smrf import provisional_terrain
 from spl_batch.model import PointTable
 from spl_batch.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.stages.followers import dependents
+from spl_batch.stages.seeds import (
+    first_true,
+    lowest_grid,
+    seen_through,
+    start,
+    sunk,
+    supported,
+)
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z")
@@ -48,22 +48,6 @@ _WIDE_M = 16.0
 _GAP_SPACINGS = 10.0
 """Edges longer than this many mean spacings of the points around cross a gap of the ground
 [count]."""
-
-_REACH = 2
-"""Cells around a node in which others speak for it or against it [count]."""
-
-_SUPPORT = 2
-_SUPPORT_STEP_M = 0.25
-_SUPPORT_SLOPE = 0.35
-"""A node is believed below the surface, and as a seed, with two nodes around that continue it;
-on a slope of any steepness those along the contour do."""
-
-_BELOW = 3
-_BELOW_STEP_M = 0.5
-_BELOW_SLOPE = 0.5
-"""No seed is taken above three believed nodes of one or two returns below many others: that is
-ground seen through a crown, whose lowest leaves fill a layer better than the ground does. The foot
-of a cliff or wall has nodes of its own weight, and takes no seed from its top."""
 
 Float = NDArray[np.float64]
 
@@ -149,18 +133,13 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     (m,) bool
         Which of those asked are ground.
     """
-    nodes, cells, cell_m = _candidates(own, settings)
-    sunk = _sunk(nodes, cells, cell_m)
-    supported = _supported(nodes, cells, cell_m)
-    trusted = supported & ~nodes.doubtful & ~sunk
-    eligible = trusted & ~_on_objects(nodes, trusted, cells, cell_m, settings)
-    eligible &= ~_seen_through(nodes, supported & ~sunk, cells, cell_m)
-    seed = _seeds(nodes.xyz, _first_true((eligible, trusted)), settings.seed_cell_m)
-    others = np.flatnonzero(~seed & ~sunk)
+    cell_m = node_cell(own.x, own.y, settings.node_m)
+    nodes = start(*own, cell_m, settings)
+    others = np.flatnonzero(~nodes.seed & ~nodes.sunk)
     tin, _ = densify(
-        nodes.xyz[seed],
+        nodes.xyz[nodes.seed],
         nodes.xyz[others],
-        np.where(trusted[others], -np.inf, -settings.band_m),
+        np.where(nodes.trusted[others], -np.inf, -settings.band_m),
         _limits(settings),
         settings.seed_cell_m,
     )
@@ -176,13 +155,6 @@ def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bo
     return mask
 
 
-def _candidates(own: Points, settings: PtdSettings) -> tuple[Nodes, Cells, float]:
-    """Nodes, the cells that they are taken from, and the edge of these [m]."""
-    cell_m = node_cell(own.x, own.y, settings.node_m)
-    cells = group_by_cell(own.x, own.y, cell_m)
-    return lowest_layers(*own, cells, settings.layer_m), cells, cell_m
-
-
 def _limits(settings: PtdSettings) -> Limits:
     return Limits(
         float(np.tan(np.radians(settings.terrain_angle_deg))),
@@ -191,14 +163,6 @@ def _limits(settings: PtdSettings) -> Limits:
         settings.spread_m,
         _INSERT_M,
     )
-
-
-def _first_true(choices: tuple[NDArray[np.bool_], ...]) -> NDArray[np.bool_]:
-    """The first selection that selects anything, or everything."""
-    for choice in choices:
-        if choice.any():
-            return choice
-    return np.ones_like(choices[0])
 
 
 def node_cell(x: Float, y: Float, smallest_m: float) -> float:
@@ -265,84 +229,6 @@ def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
     return found
 
 
-def _sunk(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
-    """Nodes below a hard surface in their cell, or in a pit of a smooth one around it."""
-    sunk = np.empty(len(nodes.cell), dtype=np.bool_)
-    reach = max(round(REACH_M / cell_m), 1)
-    asked = nodes.points < SUPPORTED
-    in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, cells.rows, cells.columns, reach, sunk)
-    return sunk | nodes.buried
-
-
-def _supported(nodes: Nodes, cells: Cells, cell_m: float) -> NDArray[np.bool_]:
-    """Nodes that others continue."""
-    support = np.empty(len(nodes.cell), dtype=np.int64)
-    count_support(
-        nodes.xyz, nodes.cell, cells.rows, cells.columns, _REACH, _REACH * cell_m,
-        _SUPPORT_STEP_M, _SUPPORT_SLOPE, support,
-    )  # fmt: skip
-    return support >= _SUPPORT
-
-
-def _seen_through(
-    nodes: Nodes, believed: NDArray[np.bool_], cells: Cells, cell_m: float
-) -> NDArray[np.bool_]:
-    """Nodes below which single returns go on: the lowest leaves of a crown."""
-    below = np.empty(len(nodes.cell), dtype=np.int64)
-    alone = believed & nodes.doubtful
-    count_below(
-        nodes.xyz, nodes.cell, alone, cells.rows, cells.columns, _REACH, _REACH * cell_m,
-        _BELOW_STEP_M, _BELOW_SLOPE, below,
-    )  # fmt: skip
-    return below >= _BELOW
-
-
-def _on_objects(
-    nodes: Nodes,
-    trusted: NDArray[np.bool_],
-    cells: Cells,
-    cell_m: float,
-    settings: PtdSettings,
-) -> NDArray[np.bool_]:
-    """Nodes that no seed may be taken from: in pits, or cut off by opening."""
-    lowest = _lowest_grid(nodes, trusted, cells)
-    if np.isnan(lowest).all():
-        return np.zeros(len(trusted), dtype=np.bool_)
-    surface = fill_gaps(lowest)
-    raised = low_outliers(surface, cell_m)
-    raised |= object_cells(
-        surface, cell_m, settings.seed_slope, settings.object_m / 2, step_m=settings.seed_step_m
-    )
-    on_objects: NDArray[np.bool_] = raised.ravel()[nodes.cell]
-    return on_objects
-
-
-def _lowest_grid(nodes: Nodes, trusted: NDArray[np.bool_], cells: Cells) -> Float:
-    """Height of the lowest trusted node of each cell; NaN where there is none."""
-    height = np.full(cells.rows * cells.columns, np.nan)
-    believed = np.flatnonzero(trusted)[::-1]  # the lower node of a cell comes last and stays
-    height[nodes.cell[believed]] = nodes.xyz[believed, 2]
-    return height.reshape(cells.rows, cells.columns)
-
-
-def _seeds(xyz: Float, eligible: NDArray[np.bool_], seed_cell_m: float) -> NDArray[np.bool_]:
-    """Lowest eligible node of each square of the seed grid."""
-    places = np.flatnonzero(eligible)
-    cells = group_by_cell(xyz[places, 0], xyz[places, 1], seed_cell_m)
-    by_height = np.lexsort([xyz[places, 2], _cell_of(cells)])
-    seed = np.zeros(len(xyz), dtype=np.bool_)
-    first = cells.start[:-1][np.diff(cells.start) > 0]
-    seed[places[by_height[first]]] = True
-    return seed
-
-
-def _cell_of(cells: Cells) -> NDArray[np.int64]:
-    """Cell of each point."""
-    cell = np.empty(len(cells.order), dtype=np.int64)
-    cell[cells.order] = np.repeat(np.arange(len(cells.start) - 1), np.diff(cells.start))
-    return cell
-
-
 def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.bool_]:
     """Ground points by the simple morphological filter.
 
@@ -362,11 +248,11 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     """
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
-    sunk = _sunk(nodes, cells, settings.cell_m)
-    believed = _supported(nodes, cells, settings.cell_m) & ~sunk
-    leaves = _seen_through(nodes, believed, cells, settings.cell_m)
-    trusted = _first_true((~nodes.doubtful & ~sunk & ~leaves,))
-    lowest = _lowest_grid(nodes, trusted, cells)
+    below = sunk(nodes, cells, settings.cell_m)
+    believed = supported(nodes, cells, settings.cell_m) & ~below
+    leaves = seen_through(nodes, believed, cells, settings.cell_m)
+    trusted = first_true((~nodes.doubtful & ~below & ~leaves,))
+    lowest = lowest_grid(nodes, trusted, cells)
     terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
     column = asked.x / settings.cell_m - np.floor(own.x.min() / settings.cell_m) - 0.5
     row = asked.y / settings.cell_m - np.floor(own.y.min() / settings.cell_m) - 0.5
