@@ -1,9 +1,10 @@
 """Terrain and surface models against truth: ``python -m benchmarks.terrain``.
 
-Takes ``[FOLDER] [--scenes hill dense town] [--seeds 11 12]``.
+Takes ``[FOLDER] [--scenes hill dense town mountain] [--seeds 11 12]``.
 
-Simulates three surveys (a wooded hill of 90 m relief under 60 % canopy, dense forest of
-80 %, a town with a hall and a lake) for each of two seeds into FOLDER, a temporary one by
+Simulates four surveys (a wooded hill of 90 m relief under 60 % canopy, dense forest of
+80 %, a town with a hall and a lake, a mountain of slopes up to 60 degrees under dense trees with
+shrubs) for each of two seeds into FOLDER, a temporary one by
 default, and runs the chain with ground cells as configured, with one cell for the whole scene,
 and with a short reach of the terrain, so that halls, lakes and crowns leave voids. Prints what
 the terrain models are off, pits and spikes of the surface model, what the cuts between ground
@@ -67,6 +68,22 @@ SCENES: Mapping[str, Mapping[str, Any]] = {
         "buildings": {"count": 14, "list": [HALL]},
         "trees": {"cover": 0.25},
         "water": [LAKE],
+    },
+    "mountain": {
+        "terrain": {"relief_m": 220, "wavelength_m": 260, "roughness_m": 0.1},
+        "buildings": {"count": 2},
+        "trees": {
+            "cover": 0.6,
+            "height_m": (15, 35),
+            "radius_m": (1.5, 4.0),
+            "extinction_per_m": 0.6,
+            "understory": 0.5,
+        },
+        "flights": [
+            {"heading_deg": 45, "altitude_agl_m": 2200, "speed_m_s": 110},
+            {"heading_deg": 135, "altitude_agl_m": 2200, "speed_m_s": 110, "offset_m": 200},
+        ],
+        "acquisition": {"prf_hz": 50_000, "gate_m": 400, "dead_channels": [53]},
     },
 }
 BARS = {

@@ -17,7 +17,12 @@ class WireSettings(Section):
     alpha: Share = Field(5e-4, description="Pure noise kept at most; out of the filter's alpha.")
     half_length_m: float = Field(12.0, ge=6, le=40, description="Half-length of a tube [m].")
     radius_m: float = Field(0.25, gt=0, le=1, description="Half-width of a tube [m].")
-    slope_max: float = Field(0.3, gt=0, le=1, description="Steepest tube [rise/run].")
+    slope_max: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Steepest tube [rise/run]; spans that climb mountain sides need more.",
+    )
     stretch: float = Field(
         1.2,
         ge=1,
