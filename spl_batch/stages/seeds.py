@@ -125,7 +125,13 @@ def _judge(
     A crown does; the top of a cliff stands out above the trend, but not as it is.
     """
     below = sunk(nodes, cells, cell_m)
-    continued = supported(nodes, cells, cell_m)
+    asked = np.ones_like(below)
+    if also is not None:
+        # Afterpulses below a meadow lie near enough to continue each other. Before the ground's
+        # trend is known, much that is sunk in deep shade is ground.
+        asked = ~below
+    continued = np.zeros_like(below)
+    continued[asked] = supported(_of(nodes, asked), cells, cell_m)
     trusted = continued & ~nodes.doubtful & ~below
     objects = _on_objects(nodes, trusted, cells, cell_m, settings)
     if also is not None:
@@ -151,6 +157,13 @@ def supported(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
         _SUPPORT_STEP_M, _SUPPORT_SLOPE, support,
     )  # fmt: skip
     return support >= _SUPPORT
+
+
+def _of(nodes: Nodes, chosen: Mask) -> Nodes:
+    """Some of the nodes."""
+    xyz, cell, points, doubtful, buried = nodes
+    rest = (cell[chosen], points[chosen], doubtful[chosen], buried[chosen])
+    return Nodes(xyz[chosen], *rest)
 
 
 def seen_through(nodes: Nodes, believed: Mask, cells: Cells, cell_m: float) -> Mask:
