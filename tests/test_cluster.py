@@ -202,6 +202,31 @@ def test_few_jobs_are_in_flight_and_workers_that_join_are_used(
     assert most <= 2 * flow.IN_FLIGHT_PER_THREAD + 4
 
 
+def test_a_large_task_waits_for_a_worker_and_not_behind_another_task(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The second largest of what is left goes to whoever is free first."""
+    large, small = flow.LARGE_POINTS, flow.LARGE_POINTS - 1
+    points = [large, large, large, *[small] * 9]
+    todo = ((Task("denoise", str(k), {}, (), n), str(k)) for k, n in enumerate(points))
+    given = flow._Flow(OnDask(None, None, None, local=True), None, todo)  # type: ignore[arg-type]
+    given.threads = {"a": 1, "b": 1}
+
+    def submit(_: object, trial: flow._Try) -> None:
+        given.running[trial.job[1]] = trial
+
+    monkeypatch.setattr(flow._Flow, "_submit", submit)
+    given._feed()
+    assert list(given.running) == ["0", "1"]
+    del given.running["1"]
+    given._feed()
+    assert list(given.running) == ["0", "2", "3", "4", "5", "6"], "small ones go ahead"
+    given.running.clear()
+    given._feed()
+    given._feed()
+    assert list(given.running) == ["7", "8", "9", "10", "11"], "none is lost or done twice"
+
+
 def test_a_second_try_does_not_wait_for_workers_that_are_gone(
     threads: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

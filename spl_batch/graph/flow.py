@@ -23,6 +23,10 @@ from spl_batch.task import Receipt, WorkersSeen
 IN_FLIGHT_PER_THREAD: Final = 3
 """Tasks handed to the scheduler for each worker thread [count]."""
 
+LARGE_POINTS: Final = 4_000_000
+"""A task of so many points takes so long that it had better wait for the first worker that is free
+than behind what another one is doing [count]: the largest come first, so that all end together."""
+
 TICK_S: Final = 2.0
 """How often the workers are looked at [s]; less often where they are hundreds."""
 
@@ -84,6 +88,7 @@ class _Flow:
     to: OnDask
     context: RunContext[Any]
     jobs: Iterator[Job]
+    waits: Job | None = None
     signs: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     running: dict[Any, _Try] = field(default_factory=dict)
     by_name: dict[tuple[str, str], _Try] = field(default_factory=dict)
@@ -124,12 +129,16 @@ class _Flow:
 
     def _feed(self) -> None:
         """Hand out jobs until enough are in flight for the workers that there are."""
-        limit = IN_FLIGHT_PER_THREAD * max(sum(self.threads.values()), 1)
-        while len(self.running) < limit:
-            job = next(self.jobs, None)
-            if job is None:
+        threads = max(sum(self.threads.values()), 1)
+        while True:
+            self.waits = self.waits or next(self.jobs, None)
+            if self.waits is None:
                 return
-            self._submit(_Try(job))
+            large = self.waits[0].points >= LARGE_POINTS
+            if len(self.running) >= threads * (1 if large else IN_FLIGHT_PER_THREAD):
+                return
+            self._submit(_Try(self.waits))
+            self.waits = None
 
     def _submit(self, trial: _Try) -> None:
         task, key = trial.job
