@@ -327,6 +327,14 @@ def test_crs_mismatch_of_the_reference(survey: Path) -> None:
     refused(ended, "reference.points", "reference.laz", "reproject")
 
 
+def test_where_clouds_differ_themselves_the_reference_is_not_blamed_alone(survey: Path) -> None:
+    other = surveys.flightline(shots=10, psid=2)
+    surveys.write_cloud(survey.parent / "lines/other.laz", other, crs="EPSG:25832")
+    surveys.write_cloud(survey.parent / "reference.laz", other, crs="EPSG:25832")
+    ended = run(survey, "--set", "reference.points=reference.laz")
+    refused(ended, "reference.points", "reference.laz", "nor is that of", "other.laz", "is wrong")
+
+
 def test_a_reference_elsewhere_compares_nothing(survey: Path) -> None:
     far = surveys.flightline(shots=10, origin_m=(280_000.0, 3_295_000.0))
     far["classification"][:] = 2

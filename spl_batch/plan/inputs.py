@@ -126,7 +126,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(sorted(sources, key=lambda s: s.name)),
         (*bad, *without_channel, *mismatched),
         trajectory,
-        _checked_reference(reference, workflow, crs),
+        _checked_reference(reference, workflow, crs, mismatched),
         crs,
         tuple(warnings),
         tuple(_polygon_checksums(workflow, base)),
@@ -322,11 +322,14 @@ def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
 
 
 def _checked_reference(
-    paths: Iterable[Path], workflow: Workflow, crs: CRS | None
+    paths: Iterable[Path], workflow: Workflow, crs: CRS | None, others: Sequence[InputError]
 ) -> tuple[LasFacts, ...]:
-    """Facts of reference files, all of which are in the survey's CRS."""
-    named = workflow.reference.crs if workflow.reference else None
-    given = None if named is None else parse_crs(named, "reference.crs")
+    """Facts of reference files, all of which are in the survey's CRS.
+
+    Where files of the survey are in another one themselves, any of them may be the wrong one.
+    """
+    stated = workflow.reference.crs if workflow.reference else None
+    given = None if stated is None else parse_crs(stated, "reference.crs")
     faults, usable = [], []
     for path in paths:
         try:
@@ -336,9 +339,15 @@ def _checked_reference(
             continue
         found = usable[-1].crs or given
         if crs is not None and found is not None and not same_crs(found, crs):
+            remedy = "reproject it"
+            if others:
+                remedy = (
+                    f"nor is that of {named([error.path for error in others], 3)}: most points are "
+                    "in the survey's, reproject what is wrong"
+                )
             faults.append(
                 f"reference.points: {path}: CRS {found.name!r} is not the survey's {crs.name!r}; "
-                "reproject it"
+                f"{remedy}"
             )
     if faults:
         raise WorkflowError("; ".join(faults))
