@@ -20,7 +20,9 @@ from spl_batch.stages.voxel_noise import UNEVEN
 DOMAIN: Final = "space"
 
 MOST: Final = 2.0
-"""Squares that beams lean at most from layer to layer: 27 degrees [count]."""
+"""Squares that beams lean at most from layer to layer: 27 degrees [count].
+
+No more, or the density at a point looks farther than ``local_noise.MARGIN_VOXELS``."""
 
 OWN: Final = 3.0
 """Weight of a voxel against those on either side."""
