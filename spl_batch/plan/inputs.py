@@ -273,8 +273,8 @@ def _survey_crs(
     workflow: Workflow, files: Sequence[LasFacts]
 ) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
     """CRS of the survey: the setting, else what most points say; files that differ are bad."""
-    named = workflow.survey.crs
-    given = None if named is None else parse_crs(named, "survey.crs")
+    stated = workflow.survey.crs
+    given = None if stated is None else parse_crs(stated, "survey.crs")
     good: list[LasFacts] = []
     bad: list[InputError] = []
     for facts in (_without_wrong_crs(f, given) for f in files):
@@ -298,7 +298,7 @@ def _survey_crs(
             agreeing.append(facts)
         else:
             text = f"CRS {facts.crs.name!r} is not the survey's {given.name!r}; reproject the file"
-            if named is not None:
+            if stated is not None:
                 text += ", or leave out survey.crs, which is for files that carry none"
             bad.append(InputError(str(facts.path), text))
     return horizontal(given), agreeing, bad

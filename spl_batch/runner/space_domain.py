@@ -66,7 +66,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     local, density = noise.local, noise.mean if by_voxel else noise.local
     del xyz, told, noise
     found = denoising.resolve(table, local, workflow.filter, workflow.afterpulse)
-    chosen = denoising.independent(table, density, owned, found)
+    chosen = denoising.independent(table, density, owned, found, workflow.filter)
     # What has told the afterpulses and the noise is not held while the rest is judged.
     table = table.select(denoising.COLUMNS_JUDGED)
     del density, local

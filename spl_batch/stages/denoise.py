@@ -146,7 +146,7 @@ def denoise(
         1 for what is surely a conductor.
     """
     found = resolve(table, density, settings, afterpulse)
-    chosen = independent(table, density, query, found)
+    chosen = independent(table, density, query, found, settings)
     return judge(table, chosen, query, found, settings, exact=exact)
 
 
@@ -155,20 +155,22 @@ def independent(
     density: NDArray[np.float64],
     query: NDArray[np.bool_],
     found: echoes.Echoes,
+    settings: FilterSettings,
 ) -> Independent:
-    """Returns that are judged by themselves.
+    """Returns that are judged by themselves; none where nothing filters.
 
     Parameters
     ----------
     table : PointTable
         As for :func:`denoise`; ``x, y, z, flags`` at least.
-    density, query
+    density, query, settings
         As for :func:`denoise`.
     found : Echoes
         From :func:`resolve`.
     """
     echo, dependent = found
-    rows = np.flatnonzero(~table.has(EXCLUDED) & ~echo & ~dependent).astype(np.int32)
+    judged = ~table.has(EXCLUDED) & ~echo & ~dependent & (settings.method != "none")
+    rows = np.flatnonzero(judged).astype(np.int32)
     # A parent outside the area of interest is judged for the sake of who follows it.
     wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
     wanted &= ~table.has(EXCLUDED | PointFlag.NO_BEAM)

@@ -78,9 +78,8 @@ class Start(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """Nodes, and what the rules say of each; the best that there are may be no more than any."""
+    """What the rules say of each node; the best that there are may be no more than any."""
 
-    nodes: Nodes
     sunk: Mask
     trusted: Mask
     best: Mask
@@ -99,8 +98,9 @@ def start(x: Float, y: Float, z: Float, cell_m: float, settings: PtdSettings) ->
         Parameters.
     """
     cells = group_by_cell(x, y, cell_m)
-    first = _judge(lowest_layers(x, y, z, cells, settings.layer_m), cells, cell_m, settings)
-    trend = fit_trend(first.nodes.xyz[first.best], x, y)
+    nodes = lowest_layers(x, y, z, cells, settings.layer_m)
+    first = _judge(nodes, cells, cell_m, settings)
+    trend = fit_trend(nodes.xyz[first.best], x, y)
     level = lowest_layers(x, y, above_trend(x, y, z, trend), cells, settings.layer_m)
     xyz = level.xyz.copy()
     xyz[:, 2] += trend_at(trend, xyz[:, 0], xyz[:, 1])
@@ -125,11 +125,9 @@ def _judge(
     A crown does; the top of a cliff stands out above the trend, but not as it is.
     """
     below = sunk(nodes, cells, cell_m)
-    asked = np.ones_like(below)
-    if also is not None:
-        # Afterpulses below a meadow lie near enough to continue each other. Before the ground's
-        # trend is known, much that is sunk in deep shade is ground.
-        asked = ~below
+    # Afterpulses below a meadow lie near enough to continue each other. Before the ground's trend
+    # is known, much that is sunk in deep shade is ground.
+    asked = np.ones_like(below) if also is None else ~below
     continued = np.zeros_like(below)
     continued[asked] = supported(_of(nodes, asked), cells, cell_m)
     trusted = continued & ~nodes.doubtful & ~below
@@ -137,7 +135,7 @@ def _judge(
     if also is not None:
         objects &= _on_objects(nodes._replace(xyz=also), trusted, cells, cell_m, settings)
     eligible = trusted & ~objects & ~seen_through(nodes, continued & ~below, cells, cell_m)
-    return _Judged(nodes, below, trusted, first_true((eligible, trusted)))
+    return _Judged(below, trusted, first_true((eligible, trusted)))
 
 
 def sunk(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:

@@ -212,7 +212,7 @@ def _tubes(cloud: Cloud, made: Columns, free: NDArray[np.intp], settings: WireSe
     near = cloud.around(margin, (0, 1))[free]
     row = free[near][_drawn(cloud, free[near], settings.seed_share)]
     cone = 4.0 / 3.0 * np.pi * settings.slope_max
-    seed = np.full(len(cloud.xyz), -1, np.int32)
+    seed = np.empty(len(cloud.xyz), np.int32)
     for factor, screen in zip(LOOKS, SCREEN, strict=True):
         seed[:] = -1
         seed[row] = np.arange(len(row), dtype=np.int32)
