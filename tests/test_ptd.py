@@ -154,14 +154,20 @@ def test_support_agrees_with_all_pairs() -> None:
     xyz = cloud(200) * [0.2, 0.2, 0.03]
     cells = group_by_cell(xyz[:, 0], xyz[:, 1], 1.0)
     nodes = lowest_layers(*xyz.T, cells, 0.3)
-    found = np.empty(len(nodes.cell), dtype=np.int64)
-    count_support(nodes.xyz, nodes.cell, cells.rows, cells.columns, 2, 2.0, 0.25, 0.35, found)
+    asked = np.random.default_rng(9).random(len(nodes.cell)) < 0.8
+    where = (nodes.xyz, nodes.cell, asked, cells.rows, cells.columns, 2, 2.0, 0.25, 0.35)
+    found, told = np.empty((2, len(nodes.cell)), dtype=np.int64)
+    count_support(*where, len(found), found)
+    count_support(*where, 2, told)
     offset = nodes.xyz[:, None] - nodes.xyz[None]
     d = np.hypot(offset[..., 0], offset[..., 1])
     near = (d <= 2.0) & (np.abs(offset[..., 2]) <= 0.25 + 0.35 * d)
     near &= nodes.cell[:, None] != nodes.cell[None]
-    assert np.array_equal(found, near.sum(axis=1))
-    assert found.max() > 2
+    expected = np.where(asked, near.sum(axis=1), 0)
+    assert np.array_equal(found, expected)
+    assert np.array_equal(told >= 2, expected >= 2)
+    assert np.all(told <= expected)
+    assert found.max() > told.max() > 2
 
 
 def test_what_lies_below_agrees_with_all_pairs() -> None:

@@ -249,12 +249,14 @@ def _first_rows(cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
 def count_support(
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
+    asked: NDArray[np.bool_],
     rows: int,
     columns: int,
     reach: int,
     reach_m: float,
     step_m: float,
     slope: float,
+    enough: int,
     out: NDArray[np.int64],
 ) -> None:
     """Nodes near each node that continue its surface, along the contour at least.
@@ -265,6 +267,8 @@ def count_support(
         Nodes [m], in order of their cells.
     cell : (m,) int64
         Cell of each node.
+    asked : (m,) bool
+        Nodes whose neighbours are counted.
     rows, columns : int
         Shape of the grid.
     reach : int
@@ -273,25 +277,38 @@ def count_support(
         Farthest neighbour [m].
     step_m, slope : float
         A neighbour at distance d supports within step_m + slope d [m, rise/run].
-    out : (m,) int64
-        Supporting nodes of other cells [count].
+    enough : int
+        No row of cells is looked at where so many support already [count].
+    out : (m,) int64, written
+        Supporting nodes of other cells [count]; 0 where not asked.
     """
     first = _first_rows(cell, rows * columns)
     for i in range(len(cell)):
+        out[i] = 0
+        if not asked[i]:
+            continue
         r, c = cell[i] // columns, cell[i] % columns
         n = 0
         for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
+            if n >= enough:
+                break
             for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
                 other = rr * columns + cc
                 if other == cell[i] or first[other] < 0:
                     continue
                 j = first[other]
                 while j < len(cell) and cell[j] == other:
-                    d = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
-                    if d <= reach_m and abs(xyz[j, 2] - xyz[i, 2]) <= step_m + slope * d:
-                        n += 1
+                    d = _apart(xyz, i, j)
+                    n += d <= reach_m and abs(xyz[j, 2] - xyz[i, 2]) <= step_m + slope * d
                     j += 1
         out[i] = n
+
+
+@njit(nogil=True, cache=True)
+def _apart(xyz: NDArray[np.float64], i: int, j: int) -> float:
+    """Distance of two nodes, horizontally [m]."""
+    east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
+    return float(np.sqrt(east * east + north * north))
 
 
 @njit(nogil=True, cache=True)
@@ -338,7 +355,7 @@ def count_below(
                 k = first[rr * columns + cc]
                 while 0 <= k < len(picked) and cell[picked[k]] == rr * columns + cc:
                     j = picked[k]
-                    d = np.hypot(xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1])
+                    d = _apart(xyz, i, j)
                     n += xyz[j, 2] < xyz[i, 2] - step_m - slope * d and d <= reach_m
                     k += 1
         out[i] = n

@@ -6,18 +6,18 @@
 | low outliers, opening of the inverted grid, slope 500 % | :func:`low_outliers` |
 | inpainting of empty cells | :func:`fill_gaps` |
 | progressive opening, threshold slope x radius | :func:`object_cells` |
-| disk of radius k | :func:`opening`: octagon of radius k |
+| disk of radius k | an octagon of radius k (:mod:`~spl_batch.kernels.morphology`) |
 
 Deviations: gaps are filled by a TIN through their rims rather than by a partial
-differential equation, which differs only inside the gap; an octagon is a square opened
-further by a diamond and so costs what its radius is, not its area.
+differential equation, which differs only inside the gap; an octagon costs what its
+radius is, not its area.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.kernels.morphology import opening
 from spl_batch.kernels.tin import interpolate, triangulate
 
 _LOW_SLOPE = 5.0
@@ -27,57 +27,6 @@ _JITTER_CELLS = 1e-5
 """Twice the largest step aside of a grid node in a triangulation [cells]."""
 
 Grid = NDArray[np.float64]
-
-
-def octagon(radius: int) -> tuple[int, int]:
-    """Half-width of the square and radius of the diamond that add up to an octagon.
-
-    Parameters
-    ----------
-    radius : int
-        Radius of the octagon [cells].
-    """
-    diamond = round(radius * (2 - np.sqrt(2)))
-    return radius - diamond, diamond
-
-
-def opening(surface: Grid, radius: int) -> Grid:
-    """Grey opening by a regular octagon; edges are continued level.
-
-    Parameters
-    ----------
-    surface : (rows, columns) float64
-        Heights without gaps [m].
-    radius : int
-        Radius of the octagon [cells], >= 0.
-
-    Returns
-    -------
-    (rows, columns) float64
-    """
-    square, diamond = octagon(radius)
-    padded = np.pad(surface, radius, mode="edge")
-    spare = np.empty_like(padded)
-    for sign, square_filter in ((1.0, ndimage.minimum_filter1d), (-1.0, ndimage.maximum_filter1d)):
-        for axis in (0, 1):
-            padded = square_filter(padded, 2 * square + 1, axis=axis, mode="nearest")
-        for _ in range(diamond):
-            _by_cross(padded, sign, spare)
-            padded, spare = spare, padded
-    opened: Grid = padded[radius:-radius, radius:-radius] if radius else padded
-    return opened
-
-
-@njit(nogil=True, cache=True)
-def _by_cross(grid: Grid, sign: float, out: Grid) -> None:
-    """Erosion (sign 1) or dilation (-1) by a cell and its four neighbours."""
-    rows, columns = grid.shape
-    for r in range(rows):
-        above, below = grid[min(r + 1, rows - 1)], grid[max(r - 1, 0)]
-        for c in range(columns):
-            least = min(sign * grid[r, c], sign * above[c], sign * below[c])
-            left, right = grid[r, max(c - 1, 0)], grid[r, min(c + 1, columns - 1)]
-            out[r, c] = sign * min(least, sign * left, sign * right)
 
 
 def object_cells(

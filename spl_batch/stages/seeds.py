@@ -151,8 +151,8 @@ def supported(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
     """Nodes that others continue."""
     support = np.empty(len(nodes.cell), dtype=np.int64)
     count_support(
-        nodes.xyz, nodes.cell, cells.rows, cells.columns, _REACH, _REACH * cell_m,
-        _SUPPORT_STEP_M, _SUPPORT_SLOPE, support,
+        nodes.xyz, nodes.cell, np.ones(len(support), dtype=np.bool_), cells.rows, cells.columns,
+        _REACH, _REACH * cell_m, _SUPPORT_STEP_M, _SUPPORT_SLOPE, _SUPPORT, support,
     )  # fmt: skip
     return support >= _SUPPORT
 
@@ -177,14 +177,28 @@ def seen_through(nodes: Nodes, believed: Mask, cells: Cells, cell_m: float) -> M
 
 def _shaded(level: Nodes, below: Mask, cells: Cells, cell_m: float) -> Mask:
     """Nodes above a trend that single returns go on below, no fewer than nodes at their height."""
-    beside, under = np.empty((2, len(level.cell)), dtype=np.int64)
-    grid = (cells.rows, cells.columns, _WIDE, _WIDE * cell_m)
-    count_support(level.xyz, level.cell, *grid, _WIDE_STEP_M, _WIDE_SLOPE, beside)
-    alone = level.doubtful & ~below & (beside >= _WIDE_AGREE)
-    steps = (_WIDE_BELOW_STEP_M, _WIDE_BELOW_SLOPE)
-    count_below(level.xyz, level.cell, alone, *grid, *steps, under)
-    shaded: Mask = under >= np.maximum(beside, _BELOW)
+    alone = level.doubtful & ~below
+    alone &= _beside(level, alone, cells, cell_m, _WIDE_AGREE) >= _WIDE_AGREE
+    under = np.empty(len(level.cell), dtype=np.int64)
+    count_below(
+        level.xyz, level.cell, alone, cells.rows, cells.columns, _WIDE, _WIDE * cell_m,
+        _WIDE_BELOW_STEP_M, _WIDE_BELOW_SLOPE, under,
+    )  # fmt: skip
+    shaded: Mask = under >= _BELOW
+    shaded &= under >= _beside(level, shaded, cells, cell_m, len(under))
     return shaded
+
+
+def _beside(
+    level: Nodes, asked: Mask, cells: Cells, cell_m: float, enough: int
+) -> NDArray[np.int64]:
+    """Nodes at the height of each that is asked for, or enough of them."""
+    beside = np.empty(len(level.cell), dtype=np.int64)
+    count_support(
+        level.xyz, level.cell, asked, cells.rows, cells.columns, _WIDE, _WIDE * cell_m,
+        _WIDE_STEP_M, _WIDE_SLOPE, enough, beside,
+    )  # fmt: skip
+    return beside
 
 
 def _on_objects(
