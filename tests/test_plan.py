@@ -36,7 +36,7 @@ from spl_batch.plan.flightlines import (
     is_timeless,
 )
 from spl_batch.plan.inputs import source_key
-from spl_batch.plan.layout import ORIGIN, Block, Layout, parse_block
+from spl_batch.plan.layout import ORIGIN, Block, Layout, around, parse_block
 from spl_batch.plan.memory import UNEVEN
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, tile_counts, voxel_index
@@ -318,6 +318,27 @@ def test_two_workers_share_a_small_survey_evenly_wherever_it_lies(west: int) -> 
     assert found == {f"{west}_6_4_8", f"{west + 4}_6_4_8"}
 
 
+@pytest.mark.parametrize(("parts", "uneven"), [(2, 1.2), (3, 1.3), (6, 1.35), (8, 1.4)])
+def test_parts_of_a_survey_cost_about_the_same(parts: int, uneven: float) -> None:
+    layout = layout_of(everywhere(100_000, 13), DEFAULTS)
+    found = layout.divide(around(layout.counts), parts)
+    assert len(found) == parts
+    costs = [layout.cost(block) for block in found]
+    assert max(costs) < uneven * np.mean(costs)
+
+
+@pytest.mark.parametrize("workers", [3, 5, 6])
+def test_numbers_of_workers_that_are_no_powers_of_two_share_evenly(workers: int) -> None:
+    counts = everywhere(100_000, 12)
+    found = map(parse_block, cores(counts, sizes_of(counts, 64, workers)))
+    layout = layout_of(counts, DEFAULTS)
+    costs = sorted(map(layout.cost, found), reverse=True)
+    busy = np.zeros(workers)
+    for cost in costs:
+        busy[busy.argmin()] += cost
+    assert busy.max() < 1.25 * busy.mean()
+
+
 @pytest.mark.parametrize(
     "apart",
     [
@@ -363,19 +384,19 @@ EDGE, HALO = 100, 30
 
 
 def laid_out(
-    counts: Mapping[CellId, int], side: int, most: float, anchor: CellId = ORIGIN
+    counts: Mapping[CellId, int], side: int, most: float, anchor: CellId = ORIGIN, parts: int = 1
 ) -> dict[str, Unit]:
     layout = Layout(counts, EDGE, HALO)
-    return {str(block): layout.unit(block) for block in layout.share(side, most, anchor)}
+    return {str(block): layout.unit(block) for block in layout.share(side, most, anchor, parts)}
 
 
 @settings(deadline=None, max_examples=50)
-@given(tile_points, st.integers(1, 12), st.integers(1, 9000), st.integers(-9, 9))
-@example({CellId(0, 0): 1, CellId(0, -1): 1}, 8, 1, 0)
+@given(tile_points, st.integers(1, 12), st.integers(1, 9000), st.integers(-9, 9), st.integers(1, 9))
+@example({CellId(0, 0): 1, CellId(0, -1): 1}, 8, 1, 0, 1)
 def test_blocks_own_each_tile_once_and_hold_what_they_may(
-    counts: dict[CellId, int], side: int, most: int, anchor: int
+    counts: dict[CellId, int], side: int, most: int, anchor: int, parts: int
 ) -> None:
-    found = laid_out(counts, side, most, CellId(anchor, -anchor))
+    found = laid_out(counts, side, most, CellId(anchor, -anchor), parts)
     owning = {t: [n for n, u in found.items() if overlap(u.core, cell_bounds(t, EDGE))]
               for t in counts}  # fmt: skip
     assert all(len(names) == 1 for names in owning.values())
@@ -421,15 +442,15 @@ def test_points_far_away_change_no_block(
 def test_the_sizes_of_blocks_are_remembered_for_each_size_of_tiles(tmp_path: Path) -> None:
     store, other = Store(tmp_path), workflow(tiling={"tile_m": 50})
     assert remembered_sizes(store, DEFAULTS) is None
-    remember_sizes(store, DEFAULTS, Sizes(4, 12.5, CellId(-3, 7)))
+    remember_sizes(store, DEFAULTS, Sizes(4, 6, CellId(-3, 7)))
     remember_sizes(store, other, Sizes(2))
-    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 12.5, CellId(-3, 7))
+    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 6, CellId(-3, 7))
     assert remembered_sizes(store, other) == Sizes(2)
     older = read_json(store.path("blocks.json"))
     for sizes in older.values():
-        del sizes["anchor"]
+        del sizes["anchor"], sizes["parts"]
     write_json(store.path("blocks.json"), older)
-    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 12.5)
+    assert remembered_sizes(store, DEFAULTS) == Sizes(4)
     store.path("blocks.json").write_text("{half")
     assert remembered_sizes(store, DEFAULTS) is None, "chosen anew"
 

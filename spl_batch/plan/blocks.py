@@ -22,8 +22,8 @@ LARGEST: Final = (8, 6, 4, 3, 2, 1)
 """Tiles along one side of the squares that blocks begin as, to choose from [count]."""
 
 WIDEST: Final = 2 * LARGEST[0]
-"""Tiles along one side of a survey that may be one square [count]: in a larger one of few tiles
-they lie apart, and a block would hold the empty space between them."""
+"""Tiles along the longest side of a part of a small survey [count]: where few tiles lie far apart,
+it would hold the empty space between them."""
 
 BLOCKS_PER_WORKER: Final = 3
 """Blocks of a large survey that each worker should have, at the least [count]."""
@@ -31,12 +31,8 @@ BLOCKS_PER_WORKER: Final = 3
 FEW_TILES: Final = 400
 """Tiles of a survey that is small enough to try how its blocks would be worked off [count]."""
 
-SHARES: Final = (2.0, 1.75, 1.5, 1.25, 1.0, 0.8, 0.6, 0.4)
-"""Points that a block of a small survey may hold, over a worker's share of all; to choose from."""
-
-CORE_COST: Final = 2.5
-"""Cost of a point that a block owns, over that of one in its halo: what the quickstart's
-blocks took, by ``python -m benchmarks.denoise_steps``."""
+PARTS: Final = (1, 2, 3, 4, 6, 8)
+"""Parts of a small survey for each worker, to choose from [count]."""
 
 BLOCK_SHARE: Final = 0.9
 """Part of the points that a worker can hold which a block of several tiles may have: within
@@ -55,14 +51,14 @@ class Sizes(NamedTuple):
     ----------
     tiles : int
         Tiles along one side of the squares that they begin as [count].
-    points : float
-        Points that a block of several tiles may hold, as far as memory allows [count].
+    parts : int
+        Parts of about equal cost that each square is divided into [count].
     anchor : CellId
         South-western tile of one of those squares.
     """
 
     tiles: int
-    points: float = math.inf
+    parts: int = 1
     anchor: CellId = ORIGIN
 
 
@@ -89,8 +85,8 @@ def choose_sizes(
 ) -> Sizes:
     """Sizes with which the blocks of a survey are done soonest.
 
-    The absolute grid may cut a small survey unevenly. One square around all of it, of up to
-    :data:`WIDEST` tiles, is tried too, whose halves are as even as columns of tiles let them be.
+    The absolute grid may cut a small survey unevenly. One square around all of it is tried too, in
+    several numbers of parts for each worker.
 
     Parameters
     ----------
@@ -108,22 +104,21 @@ def choose_sizes(
     counts = _few_tiles(pieces, workflow)
     if counts is None:
         return Sizes(_choose_by_read(pieces, workflow, memory_bytes, workers))
-    share = sum(counts.values()) / max(workers, 1)
     layout = layout_of(counts, workflow)
     tried = [Sizes(tiles) for tiles in LARGEST]
     if counts:
         everything = around(counts)
         side = max(everything.columns, everything.rows)
-        if side <= WIDEST:
-            tried.append(Sizes(side, anchor=CellId(everything.i, everything.j)))
-    if workers > 1:
-        tried = [sizes._replace(points=points) for sizes in tried
-                 for points in (math.inf, *(part * share for part in SHARES))]  # fmt: skip
+        anchor = CellId(everything.i, everything.j)
+        many = {min(part * workers, len(counts)) for part in PARTS}
+        tried += [Sizes(side, parts, anchor) for parts in sorted({1, *many})]
+    found = ((blocks(layout, sizes, workflow, memory_bytes), sizes) for sizes in tried)
     costs = [
-        _finished([_cost(layout, block) for block in found], workers)
-        for found in (blocks(layout, sizes, workflow, memory_bytes) for sizes in tried)
+        (_finished(map(layout.cost, those), workers), n, sizes)
+        for n, (those, sizes) in enumerate(found)
+        if all(max(block.columns, block.rows) <= WIDEST for block in those)
     ]
-    return tried[costs.index(min(costs))]
+    return min(costs)[-1]
 
 
 def blocks(layout: Layout, sizes: Sizes, workflow: Workflow, memory_bytes: int) -> list[Block]:
@@ -142,8 +137,7 @@ def blocks(layout: Layout, sizes: Sizes, workflow: Workflow, memory_bytes: int) 
     """
     if workflow.tiling.block_tiles is not None:
         return layout.squares(sizes.tiles)
-    most = min(sizes.points, block_points(memory_bytes))
-    return layout.share(sizes.tiles, most, sizes.anchor)
+    return layout.share(sizes.tiles, block_points(memory_bytes), sizes.anchor, sizes.parts)
 
 
 def layout_of(counts: Mapping[CellId, int], workflow: Workflow) -> Layout:
@@ -224,15 +218,10 @@ def _few_tiles(pieces: Sequence[Piece], workflow: Workflow) -> dict[CellId, int]
     }  # fmt: skip
 
 
-def _cost(layout: Layout, block: Block) -> float:
-    load = layout.load(block)
-    return load.held + (CORE_COST - 1) * load.points
-
-
 def _finished(costs: Iterable[float], workers: int) -> float:
-    """When the last of some tasks is done, if each worker takes the next one."""
+    """When the last of some tasks is done, if each worker takes the dearest that is left."""
     busy = [0.0] * max(workers, 1)
-    for cost in costs:
+    for cost in sorted(costs, reverse=True):
         heapq.heapreplace(busy, busy[0] + cost)
     return max(busy)
 
@@ -291,7 +280,7 @@ def remembered_sizes(store: Store, workflow: Workflow) -> Sizes | None:
     if found is None:
         return None
     anchor = CellId(*found.get("anchor", ORIGIN))
-    return Sizes(int(found["tiles"]), found["points"] or math.inf, anchor)
+    return Sizes(int(found["tiles"]), int(found.get("parts", 1)), anchor)
 
 
 def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
@@ -307,8 +296,7 @@ def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
         What :func:`choose_sizes` chose.
     """
     known = _remembered(store)
-    points = None if math.isinf(sizes.points) else sizes.points
-    new = {"tiles": sizes.tiles, "points": points, "anchor": [*sizes.anchor]}
+    new = {"tiles": sizes.tiles, "parts": sizes.parts, "anchor": [*sizes.anchor]}
     if known.get(_key(workflow)) != new:
         write_json(store.path(_FILE), {**known, _key(workflow): new})
 

@@ -18,6 +18,10 @@ POOR: Final = 0.25
 """Share of what it reads that a block owns, below which a neighbour takes it over if it can."""
 
 
+CORE_COST: Final = 2.5
+"""Cost of a point that a block owns, over that of one in its halo: what the quickstart's
+blocks took, by ``python -m benchmarks.denoise_steps``."""
+
 ORIGIN: Final = CellId(0, 0)
 """Tile that a square of tiles begins with, unless another is named."""
 
@@ -103,7 +107,12 @@ class Layout:
         cell, core = CellId(block.i, block.j), block.core(self.tile_q)
         return unit_within(core, self.counts, self.tile_q, self.halo_q, (str(block), cell))
 
-    def share(self, side: int, most: float, anchor: CellId = ORIGIN) -> list[Block]:
+    def cost(self, block: Block) -> float:
+        """What a block takes, in points of a halo."""
+        load = self.load(block)
+        return load.held + (CORE_COST - 1) * load.points
+
+    def share(self, side: int, most: float, anchor: CellId = ORIGIN, parts: int = 1) -> list[Block]:
         """Blocks that read little and hold no more than they may.
 
         Parameters
@@ -114,6 +123,8 @@ class Layout:
             Points that a block of several tiles may hold with its halo [count].
         anchor : CellId
             South-western tile of one of them.
+        parts : int
+            Parts of about equal cost that each of them is divided into [count].
 
         Returns
         -------
@@ -122,7 +133,10 @@ class Layout:
         """
         # strips at the edges first, so that cuts run through all of a survey
         whole = self.join(self.squares(side, anchor), math.inf)
-        return self.join(self.cut(whole, most), most)
+        if parts == 1:
+            return self.join(self.cut(whole, most), most)
+        divided = (part for block in whole for part in self.divide(block, parts))
+        return sorted(self.cut(divided, most))
 
     def squares(self, side: int, anchor: CellId = ORIGIN) -> list[Block]:
         """Squares of a grid, without the rows and columns that hold no points.
@@ -139,6 +153,36 @@ class Layout:
             square = CellId((tile.i - anchor.i) // side, (tile.j - anchor.j) // side)
             cells.setdefault(square, []).append(tile)
         return [around(tiles) for _, tiles in sorted(cells.items())]
+
+    def divide(self, block: Block, parts: int) -> list[Block]:
+        """A block in parts that cost about the same, as far as columns and rows of tiles let them.
+
+        Parameters
+        ----------
+        block : Block
+            It owns points.
+        parts : int
+            How many, if it has as many tiles [count].
+        """
+        block = around(t for t in block.tiles() if t in self.counts)
+        if parts == 1 or block.columns * block.rows == 1:
+            return [block]
+        _, one, other, of_one = min(self._in_two(block, parts))
+        return self.divide(one, of_one) + self.divide(other, parts - of_one)
+
+    def _in_two(self, block: Block, parts: int) -> Iterator[tuple[float, Block, Block, int]]:
+        """Each way to cut across a longer side for so many parts: the dearer one's cost first."""
+        tiles = [t for t in block.tiles() if t in self.counts]
+        for axis in (0, 1):
+            if (block.columns, block.rows)[axis] < max(block.columns, block.rows):
+                continue
+            for line in sorted({t[axis] for t in tiles})[1:]:
+                one = around(t for t in tiles if t[axis] < line)
+                other = around(t for t in tiles if t[axis] >= line)
+                costs = self.cost(one), self.cost(other)
+                for of_one in {parts // 2, parts - parts // 2}:
+                    dearest = max(costs[0] / of_one, costs[1] / (parts - of_one))
+                    yield dearest, one, other, of_one
 
     def cut(self, blocks: Iterable[Block], most: float) -> Iterator[Block]:
         """Blocks of several tiles that hold too much in halves, and these again.

@@ -34,7 +34,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "observe": 380,
         "scatter": 540,
         "build_tile": 280,
-        "denoise": 170,
+        "denoise": 160,
         "ground": 125,
         "surface": 175,
         "deliver_tile": 280,
