@@ -1,8 +1,11 @@
-"""What planning costs: ``python -m benchmarks.plan_scale [--files N] [--points N] [--side-m M]``.
+"""What planning costs, and what is planned.
+
+    python -m benchmarks.plan_scale [--files N] [--points N] [--side-m M] [--memory SIZE]
 
 Writes LAS files that are a header and a hole, in strips of half overlap over a square, 2 000 over
 100 km by 100 km by default, and runs ``spl-batch plan`` on them as a process of its own: its
-output, its time and its peak memory.
+output, its time and its peak memory. ``--memory`` is a worker's: it and the density of a survey
+decide how large blocks are and how much they read with their halos.
 """
 
 import argparse
@@ -76,11 +79,13 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--points", type=int, default=100_000_000)
     parser.add_argument("--side-m", type=float, default=SIDE_M)
+    parser.add_argument("--memory", default="4GiB")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         workflow = write_survey(Path(folder), given.files, given.points, given.side_m)
         start = time.perf_counter()
         command = [sys.executable, "-m", "spl_batch", "plan", str(workflow)]
+        command += ["--memory", given.memory]
         process = subprocess.Popen(command)  # noqa: S603 - our own command
         _, status, usage = os.wait4(process.pid, 0)
         wall = time.perf_counter() - start
