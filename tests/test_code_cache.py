@@ -1,14 +1,16 @@
-"""Compiled code that several processes keep at the same time."""
+"""Compiled code that is kept: by several processes at once, and as long as it is current."""
 
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-import spl_batch.kernels  # noqa: F401 - has numba save code as the project does
+from spl_batch.kernels import code_cache
+from spl_batch.kernels.ellipsoid_walk import walk
 
 WRITERS = 4
 
@@ -70,3 +72,48 @@ def test_what_was_not_written_is_not_named(tmp_path: Path, monkeypatch: pytest.M
     assert kept(tmp_path).load("types") == "better code"
     assert kept(tmp_path).load("others") == "code of others"
     assert earlier.load("types") is None
+
+
+def test_code_is_current_as_long_as_all_that_it_calls_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(code_cache, "_ROOT", tmp_path)
+    monkeypatch.setattr(code_cache, "_PACKAGE", "project")
+    sources = {
+        "kernels/first": "from project.kernels.second import g",
+        "kernels/second": "from project.kernels import third\nimport numpy",
+        "kernels/third": "import project.kernels.first",
+        "kernels/alone": "import numpy",
+        "before": "from project import constants",
+        "constants": "",
+    }
+    files = {name: tmp_path / "project" / f"{name}.py" for name in sources}
+    files["kernels/first"].parent.mkdir(parents=True)
+    for name, source in sources.items():
+        files[name].write_text(source)
+
+    def changed() -> set[str]:
+        code_cache._contents.cache_clear()
+        code_cache._imports.cache_clear()
+        found = set()
+        for name, path in files.items():
+            stamp = code_cache.source_stamp(SimpleNamespace(_py_file=str(path)))
+            if known.get(name) != stamp:
+                found.add(name)
+            known[name] = stamp
+        return found
+
+    known: dict[str, Any] = {}
+    assert changed() == set(files)
+    assert changed() == set()
+    files["kernels/alone"].write_text("import scipy")
+    files["constants"].write_text("# changed")
+    assert changed() == {"kernels/alone", "constants"}
+    files["kernels/third"].write_text(sources["kernels/third"] + "\n# changed")
+    assert changed() == {"kernels/first", "kernels/second", "kernels/third"}
+
+
+def test_kernels_are_kept_by_this_stamp() -> None:
+    stamp = code_cache.source_stamp(walk._cache._impl.locator)
+    assert walk._cache._cache_file._source_stamp == stamp
+    assert stamp != code_cache._stamp_of_file(walk._cache._impl.locator)

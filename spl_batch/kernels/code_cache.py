@@ -7,17 +7,26 @@ take the same number, and what one of them indexed is the code of the other. The
 the code, too: a process that is killed between them leaves the code of an earlier version under the
 stamp of the new one.
 
-:func:`install` makes both steps one: under a lock of the folder, and the code first.
+numba takes code for current as long as the file of its function stays as it is. What that function
+calls is compiled into it, though: where only the file of a called one has changed, as after an
+upgrade, the old code would go on.
+
+:func:`install` mends both: what is kept is written under a lock of the folder, the code first; and
+it is current as long as no file of the project that its own one imports, directly or not, has
+changed.
 """
 
+import ast
 import contextlib
+import hashlib
 import os
 from collections.abc import Iterator
+from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import IndexDataCacheFile, _SourceFileBackedLocatorMixin
 
 try:
     import fcntl
@@ -25,12 +34,73 @@ except ImportError:  # Windows has none; there numba is left as it is
     fcntl = None  # type: ignore[assignment]
 
 _LOCK: Final = "spl_batch.lock"
+_ROOT: Final = Path(__file__).parents[2]
+_PACKAGE: Final = Path(__file__).parents[1].name
+
+_stamp_of_file: Final[Any] = _SourceFileBackedLocatorMixin.get_source_stamp
 
 
 def install() -> None:
-    """Have numba save code as :func:`save` does, in this process."""
+    """Have numba keep code as this module says, in this process."""
+    _SourceFileBackedLocatorMixin.get_source_stamp = source_stamp  # type: ignore[method-assign]
     if fcntl is not None:
         IndexDataCacheFile.save = save  # type: ignore[method-assign]
+
+
+def source_stamp(locator: Any) -> Any:
+    """By what numba knows that code is current.
+
+    Parameters
+    ----------
+    locator : _CacheLocator
+        Of a function.
+
+    Returns
+    -------
+    str or object
+        A hash of the function's file and of those of the project that it imports, directly or not;
+        numba's own stamp where it imports none, or no kernels: it may be loaded before them.
+    """
+    files = imported(Path(locator._py_file))  # noqa: SLF001 - there is no other way
+    kernels = _ROOT / _PACKAGE / "kernels"
+    if len(files) == 1 or not any(path.is_relative_to(kernels) for path in files):
+        return _stamp_of_file(locator)
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(_contents(path))
+    return digest.hexdigest()
+
+
+def imported(path: Path) -> set[Path]:
+    """A file and those of the project that it imports, directly or not."""
+    found, waiting = {path}, [path]
+    while waiting:
+        new = _imports(waiting.pop()) - found
+        found |= new
+        waiting.extend(new)
+    return found
+
+
+@cache
+def _contents(path: Path) -> bytes:
+    """Hash of a file."""
+    return hashlib.sha256(path.read_bytes()).digest()
+
+
+@cache
+def _imports(path: Path) -> frozenset[Path]:
+    """Files of the project that a file imports."""
+    if not path.is_file():  # within an archive, say
+        return frozenset()
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+    parts = [name.split(".") for name in names if name.split(".")[0] == _PACKAGE]
+    candidates = (_ROOT.joinpath(*part).with_suffix(".py") for part in parts)
+    return frozenset(path for path in candidates if path.is_file())
 
 
 def save(file: Any, key: Any, data: Any) -> None:
