@@ -113,7 +113,8 @@ def test_code_is_current_as_long_as_all_that_it_calls_is(
     assert changed() == {"kernels/first", "kernels/second", "kernels/third"}
 
 
-def test_kernels_are_kept_by_this_stamp() -> None:
+def test_kernels_are_kept_by_this_stamp_and_under_the_lock() -> None:
+    assert IndexDataCacheFile.save is code_cache.save
     stamp = code_cache.source_stamp(walk._cache._impl.locator)
     assert walk._cache._cache_file._source_stamp == stamp
     assert stamp != code_cache._stamp_of_file(walk._cache._impl.locator)

@@ -104,6 +104,9 @@ class Imaging(Receiver[Survey, Context]):
             f"about {cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles; "
             f"with their halos they read {cost.block_reads:.2f} times the points"
         )
+        if cost.roomier is not None:
+            memory_bytes, read = cost.roomier
+            blocks += f", {read:.2f} times with --memory {memory_bytes / 2**30:g}GiB"
         halo = (
             f"{cost.halo_m:g} m around a block; around a ground cell "
             f"{settings.ground.buffer_m:g} m for the ground, "

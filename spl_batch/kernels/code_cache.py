@@ -26,7 +26,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-from numba.core.caching import IndexDataCacheFile, _SourceFileBackedLocatorMixin
+from numba.core import caching
 
 try:
     import fcntl
@@ -37,14 +37,19 @@ _LOCK: Final = "spl_batch.lock"
 _ROOT: Final = Path(__file__).parents[2]
 _PACKAGE: Final = Path(__file__).parents[1].name
 
-_stamp_of_file: Final[Any] = _SourceFileBackedLocatorMixin.get_source_stamp
+_STAMPED: Final[Any] = getattr(caching, "_SourceFileBackedLocatorMixin", None)
+_KEPT: Final[Any] = getattr(caching, "IndexDataCacheFile", None)
+_STEPS: Final = ("save", "_load_index", "_save_index", "_data_name", "_save_data")
+
+_stamp_of_file: Final[Any] = getattr(_STAMPED, "get_source_stamp", None)
 
 
 def install() -> None:
-    """Have numba keep code as this module says, in this process."""
-    _SourceFileBackedLocatorMixin.get_source_stamp = source_stamp  # type: ignore[method-assign]
-    if fcntl is not None:
-        IndexDataCacheFile.save = save  # type: ignore[method-assign]
+    """Have numba keep code as this module says, in this process; another numba is left as it is."""
+    if _stamp_of_file is not None:
+        _STAMPED.get_source_stamp = source_stamp
+    if fcntl is not None and all(hasattr(_KEPT, step) for step in _STEPS):
+        _KEPT.save = save
 
 
 def source_stamp(locator: Any) -> Any:

@@ -30,16 +30,20 @@ DELIVERED_BYTES_PER_POINT: Final = 12
 REFERENCE_BYTES_PER_POINT: Final = 35
 """A point of the reference in the working store while its file is cut into squares [byte]."""
 
+MUCH_READ: Final = 1.35
+"""Points that blocks read, over those of the survey, from which on a plan looks for a memory limit
+with which they read less."""
+
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
-        "index": 1.2e6,
-        "shots": 2.2e6,
-        "shuffle": 0.65e6,
-        "denoise": 0.19e6,
-        "ground": 0.9e6,
-        "surfaces": 0.75e6,
-        "deliver": 2.5e6,
-        "report": 0.35e6,
+        "index": 2.2e6,
+        "shots": 5.5e6,
+        "shuffle": 1.3e6,
+        "denoise": 0.42e6,
+        "ground": 1.5e6,
+        "surfaces": 1.4e6,
+        "deliver": 6.5e6,
+        "report": 0.5e6,
     }
 )
 """Points per second and worker until a store has measured its own, those of ``denoise`` with the
@@ -59,6 +63,9 @@ class SurveyCost(Cost):
         Tiles along the longest side of a block [count].
     block_reads : float
         Points that all blocks read, halos included, over those of the survey.
+    roomier : tuple of (int, float), optional
+        Where blocks read much: a memory limit of twice or four times the bytes with which they
+        read less than :data:`MUCH_READ`, and what they read then.
     halo_m : float
         Halo of a block, the sum of the reaches of the filter's steps [m].
     """
@@ -69,6 +76,7 @@ class SurveyCost(Cost):
     cells: int
     block_tiles: int
     block_reads: float
+    roomier: tuple[int, float] | None
     halo_m: float
 
 
@@ -119,6 +127,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         cells=cells,
         block_tiles=blocks.tiles,
         block_reads=blocks.read,
+        roomier=_roomier(survey, pieces) if blocks.read > MUCH_READ else None,
         halo_m=halo_m(workflow),
         tasks=tasks,
         disk_bytes=points * (STORE_BYTES_PER_POINT + DELIVERED_BYTES_PER_POINT)
@@ -130,6 +139,19 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         workers=survey.workers,
         measured=measured,
     )
+
+
+def _roomier(survey: Survey, pieces: Sequence[Piece]) -> tuple[int, float] | None:
+    """A memory limit with which blocks read less, and what they read then."""
+    if survey.workflow.tiling.block_tiles is not None:
+        return None
+    for memory_bytes in (2 * survey.memory_bytes, 4 * survey.memory_bytes):
+        limits = survey.workflow, memory_bytes
+        sizes = choose_sizes(pieces, *limits, survey.workers)
+        read = count_blocks(pieces, *limits, sizes).read
+        if read <= MUCH_READ:
+            return memory_bytes, read
+    return None
 
 
 def _box(source: Source) -> Box:
