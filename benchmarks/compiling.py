@@ -9,9 +9,9 @@ folder as those have left it, each loading all kernels: nothing is left to compi
 code is kept on disk, and kept whole by processes that wrote it at the same time.
 """
 
+import argparse
 import multiprocessing
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -42,7 +42,9 @@ def measure(tasks: Sequence[tuple[int, int]]) -> tuple[int, float, float]:
 def main() -> None:
     """Print two lines for each number of processes."""
     print("processes            functions  processor [s]  wall [s]")
-    for shares in [int(v) for v in sys.argv[1:]] or [1, 2]:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("shares", nargs="*", type=int, default=[1, 2], help="processes")
+    for shares in parser.parse_args().shares:
         with tempfile.TemporaryDirectory() as folder:
             os.environ["NUMBA_CACHE_DIR"] = folder
             rounds = {"": [(k, shares) for k in range(shares)], "again, all": [(0, 1)] * shares}

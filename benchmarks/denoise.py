@@ -3,11 +3,12 @@
 ``python -m benchmarks.denoise [POINTS]`` prints the seconds per million points of the
 tree, the neighbours and the whole filter on one core, the ratio to scipy's cKDTree in
 the same run, the labels of 20 000 points that differ from a slow twin's, full counts in
-float64, with those of them that are ties within float error, and the share of pure noise that
-each test keeps. ``python -m benchmarks.denoise_steps`` splits the whole stage up.
+float64, with those of them that are ties within float error, for the calibrated test as for the
+tail, and the share of pure noise that each test keeps. ``python -m benchmarks.denoise_steps``
+splits the whole stage up.
 """
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from typing import Any
@@ -22,11 +23,14 @@ from spl_batch.kernels.kdtree import build
 from spl_batch.model import PointTable
 from spl_batch.settings import FilterSettings, WireSettings
 from spl_batch.stages.denoise import denoise
+from spl_batch.stages.null_distribution import null_table
 
 DENSITY = 0.13
 """Background of the scene [1/m3]."""
 
-TAIL = FilterSettings(test="tail", wires=WireSettings(enabled=False))
+TAIL, CALIBRATED = (
+    FilterSettings(test=test, wires=WireSettings(enabled=False)) for test in ("tail", "calibrated")
+)
 """What the slow twin computes."""
 
 
@@ -70,7 +74,7 @@ def slow_labels(
     tree = cKDTree(points)
     spacing = tree.query(points, k=settings.spacing_neighbours + 1)[0][:, -1]
     spacing = np.minimum(spacing, settings.spacing_cap_m)
-    tail, tied = np.empty(len(points)), np.zeros(len(points), np.bool_)
+    score, tied = np.empty(len(points)), np.zeros(len(points), np.bool_)
     for i, near in enumerate(tree.query(points, k=settings.neighbours + 1)[1]):
         values, vectors = np.linalg.eigh(np.cov(points[near[near != i]].T, bias=True))
         spread = np.maximum(values, settings.eigen_floor_m**2)
@@ -82,18 +86,31 @@ def slow_labels(
         flag = ((around @ vectors / axes) ** 2).sum(axis=1)
         tied[i] = np.any(np.abs(flag - 1) < TIE)
         count = (flag < 1).sum() - 1
-        tail[i] = stats.poisson.sf(count - 1, DENSITY * 4 / 3 * np.pi * axes.prod())
-    strong = tail <= settings.alpha / settings.selection
+        noise = stats.poisson(DENSITY * 4 / 3 * np.pi * axes.prod())
+        score[i] = noise.sf(count - 1)
+        if settings.test == "calibrated" and count > 0:
+            score[i] = noise.sf(count) + flag[flag < 1].max() ** (1.5 * count) * noise.pmf(count)
+    alone, weak, link_m = _limits(settings)
+    strong = score <= alone
     passed = np.flatnonzero(strong)
-    linked = cKDTree(points[strong]).query_ball_point(points, settings.link_m)
+    linked = cKDTree(points[strong]).query_ball_point(points, link_m)
     links = np.array([
         (spacing[passed[rows]] * settings.peer_ratio >= spacing[i]).sum()
         for i, rows in enumerate(linked)
     ])  # fmt: skip
-    signal: NDArray[np.bool_] = strong | (
-        (tail <= settings.weak_alpha) & (links >= settings.link_count)
-    )
+    signal: NDArray[np.bool_] = strong | ((score <= weak) & (links >= settings.link_count))
     return signal, tied
+
+
+def _limits(settings: FilterSettings) -> tuple[float, float, float]:
+    """Score that passes alone, score that passes with links, and how long these are [m]."""
+    if settings.test == "tail":
+        return settings.alpha / settings.selection, settings.weak_alpha, settings.link_m
+    table, density = null_table(settings), np.array([DENSITY])
+    alone = table.critical(density, table.alone(density, settings.alpha))
+    weak = table.critical(density, settings.weak_alpha)
+    link_m = np.minimum(table.link(density, settings.alpha), settings.link_m)
+    return float(alone[0]), float(weak[0]), float(link_m[0])
 
 
 def seconds_per_million(n: int, call: Callable[[], Any]) -> float:
@@ -129,6 +146,18 @@ def kept_noise() -> None:
         print(f"{density:6.2f} /m3  " + "  ".join(f"{s.mean() * 100:8.3f}" for s in shares))
 
 
+def compare_labels(xyz: NDArray[np.int64], settings: FilterSettings) -> None:
+    """Labels that differ from the slow twin's, and ties."""
+    every = np.ones(len(xyz), dtype=np.bool_)
+    fast = denoise(as_table(xyz), np.full(len(xyz), DENSITY), every, settings)["noise_class"] == 0
+    slow, tied = slow_labels(xyz, settings)
+    differ = fast != slow
+    print(
+        f"labels of the test {settings.test} that differ from the slow twin's: {differ.sum()} of "
+        f"{len(xyz)}, of them {(differ & tied).sum()} ties; ties in all: {tied.sum()}"
+    )
+
+
 def main(points: int) -> None:
     """Print everything."""
     xyz = survey(points)
@@ -155,18 +184,12 @@ def main(points: int) -> None:
         print(f"{name:18s} {seconds:6.2f}   {seconds / scipy:5.2f} x cKDTree")
     print(f"{'cKDTree, k=15':18s} {scipy:6.2f}")
     small = survey(20_000, seed=2)
-    fast = denoise(
-        as_table(small), np.full(len(small), DENSITY), np.ones(len(small), dtype=np.bool_),
-        TAIL,
-    )["noise_class"] == 0  # fmt: skip
-    slow, tied = slow_labels(small, TAIL)
-    differ = fast != slow
-    print(
-        f"labels that differ from the slow twin's: {differ.sum()} of {len(small)}, of them "
-        f"{(differ & tied).sum()} ties; ties in all: {tied.sum()}"
-    )
+    for settings in (TAIL, CALIBRATED):
+        compare_labels(small, settings)
     kept_noise()
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500_000)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("points", nargs="?", type=int, default=500_000)
+    main(parser.parse_args().points)

@@ -3,15 +3,15 @@
 WORKFLOW is one that ``spl-batch run`` has finished. For each of its blocks, or those named,
 prints points read over points owned, and processor seconds per million points owned of each
 step, what it calls left out where that is listed too. In the same run, on the same points,
-the k = 15 search alone that others offer: pykdtree in float32 (if installed) and scipy's
+the k = 15 search alone that others offer: pykdtree and pgeof in float32 (if installed) and scipy's
 cKDTree, both with the points in the order of our tree. A first round compiles and is not
 counted. ``OMP_NUM_THREADS=1`` keeps pykdtree to one core. The last line counts the labels that
 differ from those in the store.
 """
 
+import argparse
 import functools
 import importlib
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks.peers import SEARCHES
 from spl_batch.api.preparing import prepare
 from spl_batch.io.store import read_receipts
 from spl_batch.io.tables import read_columns
@@ -139,14 +140,18 @@ def print_searches(block: Block) -> None:
     places = np.ascontiguousarray(build(block.xyz).points[:3].T)
     print(f"  {'our tree':32s}{(time.process_time() - start) / len(places) * 1e6:8.3f}")
     rates = {}
-    try:
-        single = (places / 1000.0).astype(np.float32)
-        trees = importlib.import_module("pykdtree.kdtree")
+    single = (places / 1000.0).astype(np.float32)
+    for library, search in SEARCHES.items():
+        try:
+            module = importlib.import_module(library)
+        except ImportError:
+            print(f"  {library} is not installed")
+            continue
         start = time.process_time()
-        trees.KDTree(single).query(single, k=16)
-        rates["pykdtree float32, k = 15"] = (time.process_time() - start) / len(single)
-    except ImportError:
-        print("  pykdtree is not installed")
+        search(module, single)
+        rates[f"{library.split('.')[0]} float32, k = 15"] = (time.process_time() - start) / len(
+            single
+        )
     start = time.process_time()
     tree = cKDTree(places)
     built = (time.process_time() - start) / len(places)
@@ -180,6 +185,8 @@ def main(workflow: Path, names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit("usage: python -m benchmarks.denoise_steps WORKFLOW [BLOCK ...]")
-    main(Path(sys.argv[1]), sys.argv[2:])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("workflow", type=Path, help="of a finished run")
+    parser.add_argument("blocks", nargs="*", metavar="block", help="all of them by default")
+    given = parser.parse_args()
+    main(given.workflow, given.blocks)

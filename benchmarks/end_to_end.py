@@ -34,7 +34,7 @@ SIDES_M = (100, 200, 400, 800)
 SIDE_M = 600.0
 """Side of the square that workers share, by default [m]."""
 
-BACKGROUNDS = (0.01, 0.03, 0.08, 0.2, 0.5)
+BACKGROUNDS = (0.001, 0.01, 0.03, 0.08, 0.2, 0.5)
 """Background of the scenes [1/m3]."""
 
 FORTY = 0.035

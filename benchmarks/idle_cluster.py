@@ -5,7 +5,7 @@ one that hands out the tasks take meanwhile, with dask's own settings for what i
 ours (:data:`spl_batch.graph.cluster.SETTINGS`). What they take, two workers on two cores lack.
 """
 
-import sys
+import argparse
 import time
 
 import dask
@@ -44,6 +44,6 @@ def main(seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 2:
-        sys.exit("usage: python -m benchmarks.idle_cluster [SECONDS]")
-    main(float(sys.argv[1]) if len(sys.argv) == 2 else 10.0)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("seconds", nargs="?", type=float, default=10.0)
+    main(parser.parse_args().seconds)

@@ -74,13 +74,14 @@ def searches(xyz: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
     places = np.ascontiguousarray(build(local).points[:3].T) / 1000.0
     yield "cKDTree, k = 15", _rate(len(places), lambda: cKDTree(places).query(places, k=K))
     single = places.astype(np.float32)
-    for name, call in (("pykdtree", _pykdtree), ("pgeof", _pgeof)):
+    for library, call in SEARCHES.items():
         try:
-            module = importlib.import_module("pykdtree.kdtree" if name == "pykdtree" else name)
+            module = importlib.import_module(library)
         except ImportError:
+            print(f"{library} is not installed")
             continue
         search = functools.partial(call, module, single)
-        yield f"{name} float32, k = 15", _rate(len(single), search)
+        yield f"{library.split('.')[0]} float32, k = 15", _rate(len(single), search)
 
 
 def plain_filter(xyz: NDArray[np.int64]) -> tuple[str, float]:
@@ -194,6 +195,13 @@ def _pykdtree(module: Any, places: NDArray[np.float32]) -> None:
 
 def _pgeof(module: Any, places: NDArray[np.float32]) -> None:
     module.knn_search(places, places, K)
+
+
+SEARCHES: Final[Mapping[str, Callable[[Any, NDArray[np.float32]], None]]] = {
+    "pykdtree.kdtree": _pykdtree,
+    "pgeof": _pgeof,
+}
+"""Searches in float32 by the module that has them; ``pip install pykdtree pgeof``."""
 
 
 def _of_children() -> float:

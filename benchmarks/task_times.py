@@ -9,6 +9,7 @@ Workers are started with settings for malloc and Arrow (``spl_batch.graph.cluste
 them to this process too, to see what a worker takes.
 """
 
+import argparse
 import resource
 import shutil
 import sys
@@ -68,6 +69,8 @@ def main(workflow: Path, rounds: int) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) not in {2, 3}:
-        sys.exit("usage: python -m benchmarks.task_times WORKFLOW [ROUNDS]")
-    main(Path(sys.argv[1]), max(int(sys.argv[2]) if len(sys.argv) == 3 else 4, 2))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("workflow", type=Path, help="of a finished run")
+    parser.add_argument("rounds", nargs="?", type=int, default=4, help="at least 2")
+    given = parser.parse_args()
+    main(given.workflow, max(given.rounds, 2))
