@@ -14,6 +14,7 @@ from spl_batch.io.cells import create_raster_store
 from spl_batch.kernels.ahead import compile_share
 from spl_batch.plan.blocks import remember_sizes, remembered_sizes
 from spl_batch.plan.cost import SurveyCost, estimate
+from spl_batch.plan.first_look import first_look, holds_few
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.inputs import gather_inputs
 from spl_batch.plan.ledger import Phase
@@ -46,12 +47,6 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 
-
-FEW_CHANNELS: Final = 10
-"""A dimension that holds less than this part of the beamlets' numbers holds something else."""
-
-MANY_A_BEAMLET: Final = 20
-"""Points of a beamlet, on average, from which on all that are not broken have some [count]."""
 
 PAIRS_NAMED: Final = 5
 """Pairs of files with the same returns that are named; of tiles that overlap there are thousands
@@ -120,6 +115,12 @@ class Imaging(Receiver[Survey, Context]):
             ("ground cells", f"{cost.cells:,}"),
             ("halo", halo),
         ]
+
+    def first_look(
+        self, prepared: Prepared[Survey, Context]
+    ) -> tuple[Sequence[str], Sequence[str]]:
+        """What both ends of the files tell of their times and channels, and of the trajectory's."""
+        return first_look(prepared.ledger.inputs, prepared.ledger.workflow, prepared.context.base)
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
         """Settle the size of blocks; make room for the raster cells of the ``surfaces`` stage."""
@@ -234,12 +235,12 @@ def _check_channels(survey: Survey) -> None:
     name, sensor = survey.workflow.survey.channel_dimension, survey.workflow.sensor
     indexed = survey.of("index_file").values()
     points = sum(r.facts["points"] for r in indexed)
-    if name is None or not survey.filtering or points < MANY_A_BEAMLET * sensor.beamlets:
+    if name is None or not survey.filtering:
         return
     seen = 0
     for receipt in indexed:
         seen |= int(receipt.facts["channels_seen"], 16)
-    if FEW_CHANNELS * seen.bit_count() > sensor.beamlets or sensor.beamlets <= FEW_CHANNELS:
+    if not holds_few(seen.bit_count(), points, sensor):
         return
     listed = ", ".join(str(k) for k in range(256) if seen >> k & 1)
     files = named([r.facts["name"] for r in indexed], 3)

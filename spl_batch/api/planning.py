@@ -109,13 +109,14 @@ def plan(
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
     output, left = prepared.context.output, _left(prepared, cost)
+    faults, warnings = prepared.receiver.first_look(prepared)
     whole = left is None and prepared.context.store.url is None
     return PlanSummary(
         len(inputs.sources),
         cost,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
-        (*(str(bad) for bad in inputs.bad), *_unwritable(output)),
-        (*inputs.warnings, *_too_full(output, cost.disk_bytes if whole else 0)),
+        (*(str(bad) for bad in inputs.bad), *faults, *_unwritable(output)),
+        (*inputs.warnings, *warnings, *_too_full(output, cost.disk_bytes if whole else 0)),
         left,
     )
 

@@ -128,6 +128,11 @@ class Receiver(ABC, Generic[L, C]):
     def plan_rows(self, prepared: Prepared[L, C], cost: Any) -> list[tuple[str, str]]:
         """Label and value of what a plan tells beside disk, memory and time."""
 
+    def first_look(self, prepared: Prepared[L, C]) -> tuple[Sequence[str], Sequence[str]]:
+        """Faults and oddities that a plan tells of its inputs by reading a little of them."""
+        del prepared
+        return (), ()
+
     def before(self, phase: Phase, prepared: Prepared[L, C]) -> None:
         """Get ready for the tasks of a phase."""
 

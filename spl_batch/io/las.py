@@ -8,7 +8,7 @@ are rounded to the nearest quantum, and a warning says so.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,6 +207,46 @@ def iter_points(
             yield PointTable(
                 {k: np.ascontiguousarray(columns[k], COLUMNS[k].dtype) for k in SOURCE_COLUMNS}
             )
+
+
+class Ends(NamedTuple):
+    """Times and channels of some points from both ends of a file, (n,) each.
+
+    Parameters
+    ----------
+    gps_time : (n,) float64
+        Not finite where the file has none [s].
+    channel : (n,) uint8
+        Beamlet numbers.
+    """
+
+    gps_time: NDArray[np.float64]
+    channel: NDArray[Any]
+
+
+def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
+    """Look at the first points of a file, and at those where its last chunk starts.
+
+    Parameters
+    ----------
+    path : Path
+        LAS, LAZ or COPC.
+    channel_dimension : str or None
+        Dimension with the beamlet number, which the file has; none gives channel 0.
+    count : int
+        Points of each end, at most [count].
+
+    Raises
+    ------
+    InputError
+        If they are damaged, or the channels are not in 0..255.
+    """
+    header = read_header(path)
+    with RecordReader(header) as reader:
+        records, layout = reader.read_ends(count), reader.layout
+    timed = "gps_time" in layout.names
+    time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
+    return Ends(time, _channel(records, header, layout, channel_dimension, 0))
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:

@@ -261,6 +261,26 @@ class RecordReader:
         except OSError as error:
             raise self._unreadable(start, error) from None
 
+    def read_ends(self, count: int) -> NDArray[Any]:
+        """Up to ``count`` records from the start, and as many from the end or its last chunk.
+
+        Of a LAZ file no more than that is decoded of the two chunks.
+        """
+        n = self.header.n_points
+        if self._table is None:
+            head = self.read(0, min(count, n))
+            return np.concatenate([head, self.read(max(n - count, len(head)), n)])
+        sizes = np.diff(self._table.points)
+        found = [np.empty(0, self._dtype)]
+        for chunk in np.unique(np.flatnonzero(sizes)[[0, -1]] if n else ()).tolist():
+            out = np.empty(min(count, int(sizes[chunk])), self._dtype)
+            try:
+                self._decode(chunk, out)
+            except OSError as error:
+                raise self._unreadable(int(self._table.points[chunk]), error) from None
+            found.append(out)
+        return np.concatenate(found)
+
     def _unreadable(self, start: int, error: OSError) -> InputError:
         return InputError(
             str(self.path), f"points from {start} on cannot be read: {error.strerror}"

@@ -28,7 +28,7 @@ SBET_CRS: Final = "EPSG:4979"
 BATCH_RECORDS: Final = 65_536
 """Records that are read at once, about [count]."""
 
-_PARQUET_SUFFIXES: Final = frozenset({".parquet", ".pq"})
+PARQUET_SUFFIXES: Final = frozenset({".parquet", ".pq"})
 
 Records = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Times (n,) [s] and positions (n, 3) of some records."""
@@ -75,7 +75,7 @@ def read_records(path: Path) -> Iterator[Records]:
     suffix = path.suffix.lower()
     if suffix in SBET_SUFFIXES:
         batches = read_sbet(path)
-    elif suffix in _PARQUET_SUFFIXES:
+    elif suffix in PARQUET_SUFFIXES:
         batches = _read_parquet(path)
     else:
         batches = _read_csv(path)
@@ -182,7 +182,7 @@ def _read_parquet(path: Path) -> Iterator[Records]:
         pass
     try:
         with pq.ParquetFile(path) as file:
-            names = _columns(path, file.schema_arrow.names)
+            names = columns_of(path, file.schema_arrow.names)
             for batch in file.iter_batches(BATCH_RECORDS, columns=names):
                 yield _arrays(path, batch, names)
     except pa.ArrowException as error:
@@ -191,15 +191,22 @@ def _read_parquet(path: Path) -> Iterator[Records]:
 
 def _read_csv(path: Path) -> Iterator[Records]:
     with open_input(path) as file:
-        head = file.readline(65_536).decode("utf-8-sig", errors="replace")
-        delimiter = max(",;\t", key=head.count)
-        given = next(csv.reader(io.StringIO(head.strip().lstrip("#")), delimiter=delimiter), [])
-        names = _columns(path, given)
+        given, delimiter = csv_head(file)
+        names = columns_of(path, given)
         try:
             for batch in _csv_batches(file, given, names, delimiter):
                 yield _arrays(path, batch, names)
         except pa.ArrowException as error:
             raise InputError(str(path), f"is not a CSV trajectory: {_line(error)}") from None
+
+
+def csv_head(file: BinaryIO) -> tuple[list[str], str]:
+    """Columns that the first line of an open CSV names, and what parts them."""
+    head = file.readline(65_536).decode("utf-8-sig", errors="replace")
+    delimiter = max(",;\t", key=head.count)
+    return next(
+        csv.reader(io.StringIO(head.strip().lstrip("#")), delimiter=delimiter), []
+    ), delimiter
 
 
 def _csv_batches(
@@ -218,7 +225,7 @@ def _csv_batches(
         yield from reader
 
 
-def _columns(path: Path, given: Sequence[str]) -> list[str]:
+def columns_of(path: Path, given: Sequence[str]) -> list[str]:
     """The file's own names of :data:`COLUMNS`."""
     by_name = {name.strip().lower(): name for name in reversed(given)}
     missing = [name for name in COLUMNS if name not in by_name]
