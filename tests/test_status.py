@@ -37,7 +37,8 @@ from spl_batch.api.status import RunStatus, StageStatus
 from spl_batch.api.tilemap import COLUMNS, ROWS, State, TileMap
 from spl_batch.cli import live, screen, view
 from spl_batch.errors import WorkflowError
-from spl_batch.io.store import IDENTITY
+from spl_batch.io.store import IDENTITY, Store, write_receipt
+from spl_batch.task import Receipt
 from tests import surveys
 
 
@@ -235,6 +236,32 @@ def test_of_a_killed_run_nothing_is_shown_as_running(tmp_path: Path) -> None:
     assert (found.running, found.holder, found.ended) == ({}, None, None)
     assert not found.tiles["denoise"].running.any()
     assert State.RUNNING not in found.tiles["denoise"].states()
+
+
+def test_what_was_finished_as_a_run_was_stopped_is_done(tmp_path: Path) -> None:
+    records = [as_record(event) for event in (*a_run(), RunEnded(3, "interrupted"))]
+    (tmp_path / "log.jsonl").write_text("".join(json.dumps(r) + "\n" for r in records))
+    store, name = Store(tmp_path), "2_1"  # which runs, as far as the log tells
+    began = Follower(tmp_path).update()
+    path = store.receipt("denoise", name)
+
+    def done_now(reason: str, seconds: float) -> tuple[int, int]:
+        receipt = Receipt("denoise", name, "k", "d", reason, {}, {}, 100, 2.0, 512.0)
+        write_receipt(store, receipt)
+        os.utime(path, (began.kinds["denoise"] + seconds,) * 2)
+        stage = Follower(tmp_path).update().stages["denoise"]
+        return stage.done, stage.left
+
+    before = (began.stages["denoise"].done, began.stages["denoise"].left)
+    assert done_now("", -60.0) == before, "of an earlier run, to be done again"
+    assert done_now("why", 5.0) == before
+    assert done_now("", 5.0) == (before[0] + 1, before[1] - 1)
+    follower = Follower(tmp_path)
+    follower.update()
+    status = follower.update()
+    assert status.stages["denoise"].done == before[0] + 1, "counted once"
+    assert status.stages["denoise"].latest_s == began.kinds["denoise"] + 5.0
+    assert not status.tiles["denoise"].running.any()
 
 
 # The log

@@ -6,13 +6,17 @@ from pathlib import Path
 from typing import Final
 
 from spl_batch.api.earlier import FIRST_EVENT, WORK_EVENT
+from spl_batch.api.events import TaskEnded, as_record
 from spl_batch.api.lock import holder
 from spl_batch.api.status import RunStatus
 from spl_batch.errors import WorkflowError
-from spl_batch.io.store import IDENTITY, Store
+from spl_batch.io.store import IDENTITY, Store, read_receipt
 
 LOG: Final = "log.jsonl"
 """Name of the log, below the output."""
+
+_CLOCKS_S: Final = 0.05
+"""Files' times may be so much coarser than the log's [s]."""
 
 _BLOCK_BYTES: Final = 1 << 22
 """Bytes of the log read at once [byte]."""
@@ -59,9 +63,25 @@ class Follower:
         self.status.delivered = None
         if self.status.holder is None:
             self.status.nothing_runs()
+            self._take_unheard()
             if any(stage.done for stage in self.status.stages.values()):
                 self.status.delivered = _without_store(self.output)
         return self.status
+
+    def _take_unheard(self) -> None:
+        """Count tasks in that were finished as their run was stopped, which its log has not."""
+        store = Store(self.output)
+        for (kind, name), stage in list(self.status.begun.items()):
+            receipt = read_receipt(store, kind, name)
+            if receipt is None or receipt.failed:
+                continue
+            written_s = store.receipt(kind, name).stat().st_mtime
+            if written_s < self.status.kinds[kind] - _CLOCKS_S:  # stale: it was to be done again
+                continue
+            ended = TaskEnded(stage, kind, name, receipt.points, receipt.wall_s, "")
+            latest_s = self.status.stages[stage].latest_s
+            self.status.feed(as_record(ended))
+            self.status.stages[stage].latest_s = max(written_s, latest_s)
 
     def _take(self, content: bytes) -> None:
         *lines, self._rest = (self._rest + content).split(b"\n")

@@ -138,8 +138,10 @@ class RunStatus:
         Fields of :class:`~spl_batch.api.events.RunEnded`; None where the log has none.
     holder : mapping or None
         Host, process and start of the run that works here now; None where none does.
-    kinds : set of str
-        Kinds of task that have begun.
+    kinds : mapping of str to float
+        When the phase of each kind of task that has begun did so [s since 1970].
+    begun : mapping of (str, str) to str
+        Stage of each task that has begun and of whose end nothing was heard, by kind and name.
     order : sequence of str
         Names of the stages, in order.
     waiting : list of mapping
@@ -163,7 +165,8 @@ class RunStatus:
     dashboard: str = ""
     ended: Mapping[str, Any] | None = None
     holder: Mapping[str, Any] | None = None
-    kinds: set[str] = field(default_factory=set)
+    kinds: dict[str, float] = field(default_factory=dict)
+    begun: dict[tuple[str, str], str] = field(default_factory=dict)
     order: Sequence[str] = STAGES
     waiting: list[Mapping[str, Any]] = field(default_factory=list)
     reporting: bool = False
@@ -229,7 +232,7 @@ class RunStatus:
     def _begin(self, record: Mapping[str, Any]) -> None:
         if record["kind"] in self.kinds:
             self._begin_again()
-        self.kinds.add(record["kind"])
+        self.kinds[record["kind"]] = _seconds(record)
         stage = self.stages[record["stage"]]
         stage.phases_left -= stage.phases_left > 0
         stage.total += record["tasks"] + record["skipped"]
@@ -248,7 +251,7 @@ class RunStatus:
             name: StageStatus(name, expected_s=stage.expected_s)
             for name, stage in self.stages.items()
         }
-        for known in (self.kinds, self.tiles, self.running, self.failures):
+        for known in (self.kinds, self.begun, self.tiles, self.running, self.failures):
             known.clear()
 
     def _task_started(self, record: Mapping[str, Any]) -> None:
@@ -256,10 +259,12 @@ class RunStatus:
         if (kind, name) not in self.running and kind in self.tiles:
             self.tiles[kind].began(name)
         self.running[kind, name] = record["worker"]
+        self.begun[kind, name] = record["stage"]
 
     def _task_ended(self, record: Mapping[str, Any]) -> None:
         stage, kind, name = self.stages[record["stage"]], record["kind"], record["name"]
         began = self.running.pop((kind, name), None) is not None
+        self.begun.pop((kind, name), None)
         failed = bool(record["reason"])
         stage.latest_s = _seconds(record)
         stage.left_points -= record["points"]
