@@ -115,6 +115,11 @@ def test_the_report_is_what_its_schema_says(tiny_output: Path) -> None:
     for line in report["survey"]["flightlines"]:
         fired = (line["end_s"] - line["start_s"]) * line["prf_hz"] + 1
         assert line["shots"] == pytest.approx(fired, abs=0.5)
+    density = report["density"]
+    ground = density["mean_per_m2"] * counts["ground"] / counts["signal"]
+    assert density["ground_per_m2"] == pytest.approx(ground)
+    area_m2 = report["survey"]["area_km2"] * 1e6
+    assert density["ground_per_m2"] == pytest.approx(counts["ground"] / area_m2, rel=0.05)
     assert report["failures"] == []
     assert set(report["accuracy"]["dtm"]["all"]) >= {"n", "rmse", "nmad", "p95", "min", "max"}
     assert report["accuracy"]["dtm"]["open_ground"]["rmse"] < 0.1
@@ -136,7 +141,7 @@ def test_rasters_are_aligned_and_cloud_optimised(tiny_output: Path) -> None:
             values = source.read(1)
             assert np.all(np.isfinite(values))
             assert (values != NODATA).mean() > 0.3
-            assert source.units == ({"density": "1/m2", "intensity": None}.get(product, "m"),)
+            assert source.units == ({"density": "1/m2", "intensity": "1"}.get(product, "m"),)
             transforms.add((source.transform, source.shape))
     assert len(transforms) == 1
 

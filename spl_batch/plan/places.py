@@ -16,8 +16,11 @@ from spl_batch.stages.surface import PRODUCTS
 from spl_batch.task import Task
 from spl_batch.tiling import CellId, cell_runs, grow, parse_cell, quanta
 
-MEANINGS = ("mean LAS intensity of first returns", "reflectance from detections")
-"""What the intensity raster holds, as its band is called."""
+INTENSITY = (
+    ("mean LAS intensity of first returns", ""),
+    ("reflectance from detections, 1 is all light", "1"),
+)
+"""What the intensity raster holds, as its band is called, and its unit: none, and a pure number."""
 
 BANDS = {
     "dtm": ("height of the terrain", "m"),
@@ -196,7 +199,7 @@ def mosaic(survey: Survey) -> Iterator[Task]:
                 "bounds": list(bounds),
                 "delivered": product in PRODUCTS,
             }
-            intensity = MEANINGS[knows_reflectance(survey)], ""
+            intensity = INTENSITY[knows_reflectance(survey)]
             args["meaning"], args["unit"] = BANDS.get(product, intensity)
             yield Task("mosaic", name, args, needs)
 

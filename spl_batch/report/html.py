@@ -134,7 +134,10 @@ def _cards(report: Report) -> list[tuple[str, str, str]]:
         (
             "Density kept",
             f"{text.significant(density.mean_per_m2)} /m\N{SUPERSCRIPT TWO}",
-            f"median {text.significant(density.median_per_m2)}",
+            (
+                f"median {text.significant(density.median_per_m2)}, "
+                f"ground {text.significant(density.ground_per_m2)}"
+            ),
         ),
         ("Time", text.duration(work.wall_s), speed_remark(work)),
     ]

@@ -162,7 +162,11 @@ class Density(Part):
     mean_per_m2: Number = Field(None, description="Mean over covered cells [1/m2].")
     median_per_m2: Number = Field(None, description="Median over covered cells [1/m2].")
     p05_per_m2: Number = Field(None, description="5th percentile over covered cells [1/m2].")
-    ground_per_m2: Number = Field(None, description="Mean density of ground points [1/m2].")
+    ground_per_m2: Number = Field(
+        None,
+        description="Mean density of ground points over the same cells; null where no return "
+        "counts as signal [1/m2].",
+    )
     void_share: Number = Field(None, description="Share of DTM cells without a height, 0..1.")
 
 

@@ -82,7 +82,9 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     if counts.not_assessed:
         rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
     if report.density.mean_per_m2 is not None:
-        rows.append(("density", f"{significant(report.density.mean_per_m2)} per m2"))
+        ground = report.density.ground_per_m2
+        of_it = "" if ground is None else f", {significant(ground)} of it ground"
+        rows.append(("density", f"{significant(report.density.mean_per_m2)} per m2{of_it}"))
     terrain = terrain_statistics(report)
     if terrain is None:
         told = any(warning.endswith("`spl-batch run` computes it") for warning in report.warnings)

@@ -55,7 +55,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         survey=_survey(done, context),
         counts=counts,
         accuracy=_accuracy(found),
-        density=_density(context),
+        density=_density(context, counts),
         noise=_noise(done, context, counts.background),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
@@ -153,7 +153,7 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
     )
 
 
-def _density(context: Context) -> Density:
+def _density(context: Context, counts: Counts) -> Density:
     part = _overview(context.output / "density.tif")
     dtm = _overview(context.output / "dtm.tif")
     if part is None or dtm is None:
@@ -161,10 +161,13 @@ def _density(context: Context) -> Density:
     covered = part.values[part.values > 0]
     if not len(covered):
         return Density()
+    mean = float(covered.mean())
     return Density(
-        mean_per_m2=float(covered.mean()),
+        mean_per_m2=mean,
         median_per_m2=float(np.median(covered)),
         p05_per_m2=float(np.percentile(covered, 5)),
+        # A part of the signal: a survey in pieces has several rasters, and this is of the largest.
+        ground_per_m2=mean * counts.ground / counts.signal if counts.signal else None,
         void_share=float(np.mean(dtm.values[part.values > 0] == NODATA)),
     )
 
