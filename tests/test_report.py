@@ -210,6 +210,20 @@ class TestVerdicts:
         assert "about 40 in files that cannot be read are not" in said.text
         assert dict(screen_summary(report))["points"] == "100 in, 100 out, about 40 not read"
 
+    def test_a_survey_that_is_mostly_unfiltered_is_told_loudly(self) -> None:
+        report = make_report(
+            counts=Counts(points_in=100, points_out=100, signal=49, not_assessed=51, no_beam=51)
+        )
+        (said,) = [v for v in verdicts(report) if "delivered" in v.text]
+        assert said.tone == "bad"
+        told = dict(screen_summary(report))["attention"]
+        assert told.startswith("51.0 % of the points have no usable time or no trajectory")
+        assert told.isascii()
+        half = Counts(points_in=100, points_out=100, signal=50, not_assessed=50, no_beam=50)
+        assert "attention" not in dict(screen_summary(make_report(counts=half)))
+        aside = Counts(points_in=100, points_out=100, signal=40, not_assessed=60, outside_aoi=60)
+        assert "attention" not in dict(screen_summary(make_report(counts=aside))), "as asked for"
+
     def test_no_survey_of_which_nothing_was_assessed_looks_well(self) -> None:
         counts = Counts(points_in=100, points_out=100, not_assessed=100)
         (said,) = [v for v in verdicts(make_report(counts=counts)) if "delivered" in v.text]

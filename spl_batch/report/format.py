@@ -100,3 +100,14 @@ def surface_name(key: str) -> str:
     if kind == "slope":
         return f"slope {span.replace('_', DASH)}\N{DEGREE SIGN}"
     return key.replace("_", " ")
+
+
+def as_ascii(text: str) -> str:
+    """A console, and a log, need not know typographic spaces and signs."""
+    plain: dict[str, str | int | None] = {
+        THIN: " ",
+        MINUS: "-",
+        DASH: "-",
+        "\N{MULTIPLICATION SIGN}": "x",
+    }
+    return text.translate(str.maketrans(plain))

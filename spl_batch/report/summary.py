@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 from spl_batch.report.format import (
-    DASH,
-    MINUS,
-    THIN,
+    as_ascii,
     centimetres,
     duration,
     large,
@@ -15,7 +13,7 @@ from spl_batch.report.format import (
     significant,
     surface_name,
 )
-from spl_batch.report.model import Failure, Performance, Report, Statistics
+from spl_batch.report.model import Counts, Failure, Performance, Report, Statistics
 
 Tone = Literal["good", "attention", "bad", "neutral"]
 
@@ -69,6 +67,25 @@ def noise_removed(report: Report) -> float | None:
     return removed / assessed if assessed else None
 
 
+def mostly_unfiltered(counts: Counts, method: str) -> str:
+    """Sentence for a survey of which more than half could not be filtered; empty for others.
+
+    Parameters
+    ----------
+    counts : Counts
+        Where every point went.
+    method : str
+        Noise filter.
+    """
+    if method == "none" or 2 * counts.no_beam <= counts.points_in:
+        return ""
+    return (
+        f"{percent(counts.no_beam / counts.points_in)} of the points have no usable time or no "
+        "trajectory there and stay unfiltered, noise among them: the warnings say which, and why; "
+        "mend the times or the trajectory and run again"
+    )
+
+
 def screen_summary(report: Report) -> list[tuple[str, str]]:
     """Label and value of each number that the console shows after a run."""
     counts, work = report.counts, report.performance
@@ -81,6 +98,8 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     ]
     if counts.not_assessed:
         rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
+    if unfiltered := mostly_unfiltered(counts, report.noise.method):
+        rows.append(("attention", unfiltered))
     if report.density.mean_per_m2 is not None:
         ground = report.density.ground_per_m2
         of_it = "" if ground is None else f", {significant(ground)} of it ground"
@@ -94,7 +113,7 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         name, statistics = terrain
         error, mean = centimetres(statistics.rmse), centimetres(statistics.mean)
         rows.append(("DTM accuracy", f"RMSE {error}, mean {mean} on {surface_name(name)}"))
-    return [(label, _ascii(value)) for label, value in rows] + ending_rows(
+    return [(label, as_ascii(value)) for label, value in rows] + ending_rows(
         work, report.failures, report.warnings
     )
 
@@ -119,7 +138,7 @@ def ending_rows(
     rows.append(("failures", number(len(failures)) if failures else "none"))
     if warnings:
         rows.append(("warnings", number(len(warnings))))
-    return [(label, _ascii(value)) for label, value in rows]
+    return [(label, as_ascii(value)) for label, value in rows]
 
 
 def _of_which(work: Performance) -> str:
@@ -193,6 +212,8 @@ def _all_delivered(report: Report) -> Verdict:
     if counts.not_assessed == counts.points_in and report.noise.method != "none":
         text = f"{points} points are delivered, and none was assessed: the warnings say why."
         return Verdict("bad", text)
+    if unfiltered := mostly_unfiltered(counts, report.noise.method):
+        return Verdict("bad", f"Every point is delivered, {points} in and out, but {unfiltered}.")
     if counts.not_read:
         missing = f"about {number(counts.not_read)} in files that cannot be read are not"
         text = f"Every point that could be read is delivered, {points} in and out; {missing}."
@@ -219,17 +240,6 @@ def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Ver
             "the same command tries only what failed.",
         )
     return Verdict("attention" if warned else "good", f"No failures, {remarks}.")
-
-
-def _ascii(text: str) -> str:
-    """A console need not know typographic spaces and signs."""
-    plain: dict[str, str | int | None] = {
-        THIN: " ",
-        MINUS: "-",
-        DASH: "-",
-        "\N{MULTIPLICATION SIGN}": "x",
-    }
-    return text.translate(str.maketrans(plain))
 
 
 def _with_share(part: int, whole: int) -> str:

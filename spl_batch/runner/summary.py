@@ -8,6 +8,7 @@ import numpy as np
 
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.io.raster_parts import Part, read_overview
+from spl_batch.report.format import as_ascii
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import (
     Accuracy,
@@ -22,6 +23,7 @@ from spl_batch.report.model import (
     Survey,
 )
 from spl_batch.report.pictures import PictureInputs, make_pictures
+from spl_batch.report.summary import mostly_unfiltered
 from spl_batch.report.write import write_report
 from spl_batch.runner.accuracy import Comparison, compared, not_compared
 from spl_batch.runner.context import Context
@@ -59,7 +61,12 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         noise=_noise(done, context, counts.background),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
-        warnings=(*facts.notes, *_uncovered(done), *not_compared(done, context, facts)),
+        warnings=(
+            *_unfiltered(counts, context),
+            *facts.notes,
+            *_uncovered(done),
+            *not_compared(done, context, facts),
+        ),
         provenance=_provenance(done, context, facts.reference),
     )
     write_report(context.output, report, make_pictures(_pictures(done, context, found), report))
@@ -205,6 +212,12 @@ def _kept_within_signal(done: Receipts, settings: FilterSettings) -> float | Non
     if any("kept_noise" not in facts for facts in found):  # of a run before it was counted
         return None
     return sum(int(facts["kept_noise"]) for facts in found) / PARTS
+
+
+def _unfiltered(counts: Counts, context: Context) -> list[str]:
+    """That most of a survey was not filtered, if so; as any text of the log, in plain spaces."""
+    said = mostly_unfiltered(counts, context.workflow.filter.method)
+    return [as_ascii(said)] if said else []
 
 
 def _uncovered(done: Receipts) -> Iterable[str]:
