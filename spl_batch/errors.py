@@ -62,6 +62,11 @@ class InputError(SplBatchError, ValueError):
         return type(self), (self.path, self.faults)
 
 
+def told_together(errors: Iterable[InputError]) -> Iterator[str]:
+    """What is wrong with files, once for those that share it."""
+    return shared(((error.path, "; ".join(error.faults)) for error in errors), "files")
+
+
 class PlanError(SplBatchError):
     """The work as planned cannot be done: too little memory or disk, nothing to do."""
 

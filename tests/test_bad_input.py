@@ -11,6 +11,7 @@ import pytest
 import shapely
 
 from spl_batch import api
+from spl_batch.plan.inputs import source_key
 from spl_batch.simulate.files import write_polygons
 from tests import surveys
 from tests.io_files import patch
@@ -278,6 +279,37 @@ def test_the_trajectory_misses_a_part(survey: Path) -> None:
     assert f'"no_beam": {n}' in report
     (columns,) = surveys.delivered(survey.parent / "out").values()
     assert np.array_equal(columns["noise_class"] == 255, uncovered)
+
+
+def test_what_stops_a_run_is_said_once(survey: Path) -> None:
+    start = surveys.START_S + 86_400
+    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 10)
+    surveys.write_workflow(survey.parent)
+    ended = run(survey)
+    assert ended.status == 2
+    assert ended.text.count(f"{survey.parent / 'trajectory.csv'}: ") == 1
+    assert "trajectory all" not in ended.text
+
+
+def test_files_that_share_a_fault_are_refused_together(survey: Path) -> None:
+    lines = survey.parent / "lines"
+    for name in ("first", "good", "third"):
+        surveys.write_cloud(lines / f"{name}.laz", surveys.flightline(), crs="EPSG:2277")
+    for ended in (run(survey), surveys.command("plan", survey)):
+        assert ended.text.count("US survey foot") == 1
+        assert all(str(lines / f"{name}.laz") in ended.text for name in ("first", "good", "third"))
+    assert " and Northing in " in ended.text or " and northing in " in ended.text.lower()
+
+
+def test_a_failed_file_is_called_by_its_name(survey: Path) -> None:
+    surveys.write_cloud(survey.parent / "lines" / "other.laz", surveys.flightline(psid=2))
+    garbled(survey.parent / "lines" / "other.laz")
+    ended = run(survey)
+    assert ended.status == 1
+    assert "failed: index file lines/other.laz: " in ended.err
+    key = str(source_key("lines/other.laz"))
+    assert key not in ended.text
+    assert key not in surveys.command("status", survey.parent / "out").text
 
 
 def test_the_trajectory_misses_everything(survey: Path) -> None:

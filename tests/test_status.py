@@ -30,6 +30,7 @@ from spl_batch.api.events import (
     WorkersSeen,
     as_record,
 )
+from spl_batch.api.failures import plain_name
 from spl_batch.api.follower import Follower
 from spl_batch.api.lock import holder, lock_file, locked
 from spl_batch.api.progress import end_last_line
@@ -38,7 +39,7 @@ from spl_batch.api.tilemap import COLUMNS, ROWS, State, TileMap
 from spl_batch.cli import live, screen, view
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import IDENTITY, Store, write_receipt
-from spl_batch.task import Receipt
+from spl_batch.task import Receipt, Task
 from tests import surveys
 
 
@@ -227,6 +228,20 @@ def test_first_tasks_that_compile_do_not_foretell_the_rest() -> None:
     )
     stage.done, stage.points, stage.left_points, stage.latest_s = 20, 2_000, 8_000, 1070.0
     assert stage.left_s == 8_000 / (2_000 / 70)
+
+
+def test_tasks_are_called_as_a_user_calls_them() -> None:
+    names = {"7": "lines/a.laz"}
+    for kind, name, args, called in (
+        ("index_file", "7", {"source": "7"}, "index file lines/a.laz"),
+        ("index_part", "7-3", {"source": "7", "part": 3}, "index part lines/a.laz 3"),
+        ("deliver_file", "7", {}, "deliver file lines/a.laz"),
+        ("trajectory", "all", {}, "trajectory"),
+        ("denoise", "1_0", {}, "denoise 1_0"),
+    ):
+        assert plain_name(Task(kind, name, args), names) == called
+    events = [*a_run(), TaskStarted("index", "index_file", "7", "tcp://b:1", "index file a.laz")]
+    assert "running denoise 2_1, index file a.laz" in drawn(live.draw(fed(events)))
 
 
 def test_of_a_killed_run_nothing_is_shown_as_running(tmp_path: Path) -> None:

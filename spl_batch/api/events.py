@@ -92,12 +92,15 @@ class TaskStarted:
         Which one.
     worker : str
         Address of the worker.
+    called : str
+        What a user calls it; as :func:`spl_batch.api.failures.plain_name` says.
     """
 
     stage: str
     kind: str
     name: str
     worker: str
+    called: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +123,10 @@ class TaskEnded:
         Command that does a failed task alone.
     traceback : str
         Where in the code it failed.
+    called : str
+        What a user calls it.
+    stops : bool
+        Whether the run cannot go on without it, and ends with the reason.
     """
 
     stage: str
@@ -131,6 +138,8 @@ class TaskEnded:
     peak_rss_mb: float = 0.0
     command: str = ""
     traceback: str = ""
+    called: str = ""
+    stops: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,6 +115,24 @@ def inputs(task: Task, names: Mapping[str, str], words: Mapping[str, str]) -> li
     return list(dict.fromkeys(found))
 
 
+def plain_name(task: Task, names: Mapping[str, str]) -> str:
+    """What a user calls a task: its kind, and the input file instead of the file's key.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    names : mapping of str to str
+        Names of the input files by key.
+    """
+    parts = [task.kind.replace("_", " ")]
+    if task.name != "all":
+        parts.append(names.get(str(task.args.get("source"))) or names.get(task.name) or task.name)
+    if task.kind.endswith("_part") and "part" in task.args:
+        parts.append(str(task.args["part"]))
+    return " ".join(parts)
+
+
 def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
     again = "run again: only what failed is tried"
     if not one.receipt.reason.startswith(OUT_OF_MEMORY):

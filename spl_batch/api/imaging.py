@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import WorkflowError, named
+from spl_batch.errors import WorkflowError, named, told_together
 from spl_batch.io.cells import create_raster_store
 from spl_batch.kernels.ahead import compile_share
 from spl_batch.plan.blocks import remember_sizes, remembered_sizes
@@ -67,6 +67,7 @@ class Imaging(Receiver[Survey, Context]):
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = REMEDIES
+    essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
 
     @property
     def compiles(self) -> Callable[[int, int], int]:
@@ -206,7 +207,7 @@ def _judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     """Stop where no input is usable; say which ones have no time."""
     usable = survey.of("index_file")
     if not usable or not any(r.points for r in usable.values()):
-        reasons = [*(str(b) for b in survey.inputs.bad), *(r.reason for r in failures)]
+        reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
     _check_channels(survey)
     timeless = timeless_sources(survey)

@@ -31,7 +31,7 @@ from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
-from spl_batch.errors import SplBatchError, StoppedError, WorkflowError, shared
+from spl_batch.errors import SplBatchError, StoppedError, WorkflowError, shared, told_together
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
@@ -130,7 +130,15 @@ def run(
             prepared.context.store.clear()
             claim(prepared.context.store)
         repairs = Repairs(prepared.context.store)
-        progress = Progress(output, listener, invocation, repairs, kinds(_kind(prepared)))
+        progress = Progress(
+            output,
+            listener,
+            invocation,
+            repairs,
+            kinds(_kind(prepared)),
+            {str(source.key): source.name for source in prepared.ledger.inputs.sources},
+            prepared.receiver.essential,
+        )
         code = prepared.context.code
         phases = Counter(progress.stage(phase.kind) for phase in prepared.receiver.phases)
         anew = not prepared.context.store.path("receipts").exists()
@@ -143,8 +151,8 @@ def run(
         with _telling_the_end(progress):
             for warning in prepared.ledger.inputs.warnings:
                 progress.warn(warning)
-            for bad in prepared.ledger.inputs.bad:
-                progress.tell(Note("error", str(bad)))
+            for text in told_together(prepared.ledger.inputs.bad):
+                progress.tell(Note("error", text))
             with executor(
                 workers=workers,
                 memory_bytes=prepared.ledger.memory_bytes,

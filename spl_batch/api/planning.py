@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
 from spl_batch.api.receiver import Prepared
+from spl_batch.errors import told_together
 from spl_batch.io.atomic import names_in
 from spl_batch.plan.budget import Cost, refuse_too_large
 from spl_batch.plan.worklist import Worklist
@@ -115,7 +116,7 @@ def plan(
         len(inputs.sources),
         cost,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
-        (*(str(bad) for bad in inputs.bad), *faults, *_unwritable(output)),
+        (*told_together(inputs.bad), *faults, *_unwritable(output)),
         (*inputs.warnings, *warnings, *_too_full(output, cost.disk_bytes if whole else 0)),
         left,
     )

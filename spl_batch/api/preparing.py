@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, told_together
 from spl_batch.receivers import receiver
 from spl_batch.workflow import load_any
 
@@ -48,7 +48,7 @@ def prepare(
     prepared = found.prepare(workflow, place, Limits(limit, max(workers, 1)))
     inputs = prepared.ledger.inputs
     if not inputs.sources:
-        raise WorkflowError("no input is usable: " + "; ".join(str(b) for b in inputs.bad))
+        raise WorkflowError("no input is usable: " + "; ".join(told_together(inputs.bad)))
     prepared.context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
     return prepared
 

@@ -17,7 +17,7 @@ from spl_batch.api.events import (
     WorkersReady,
     as_record,
 )
-from spl_batch.api.failures import Failed, Invocation
+from spl_batch.api.failures import Failed, Invocation, plain_name
 from spl_batch.api.repair import Repairs
 from spl_batch.io.atomic import sweep
 from spl_batch.io.store import append_log
@@ -46,6 +46,10 @@ class Progress:
         Makes damaged files again.
     kinds : mapping of str to Kind
         What each kind of task is.
+    names : mapping of str to str
+        Names of the input files by key.
+    essential : frozenset of str
+        Kinds of task that the run cannot go on without.
     """
 
     output: Path
@@ -53,6 +57,8 @@ class Progress:
     invocation: Invocation
     repairs: Repairs
     kinds: Mapping[str, Kind]
+    names: Mapping[str, str] = field(default_factory=dict)
+    essential: frozenset[str] = frozenset()
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -121,6 +127,8 @@ class Progress:
                 receipt.peak_rss_mb,
                 command,
                 receipt.facts.get("traceback", ""),
+                plain_name(task, self.names),
+                receipt.failed and task.kind in self.essential,
             )
         )
 
@@ -130,7 +138,8 @@ class Progress:
 
     def started(self, task: Task, worker: str) -> None:
         """Tell of a task that a worker has begun."""
-        self.tell(TaskStarted(self.stage(task.kind), task.kind, task.name, worker))
+        called = plain_name(task, self.names)
+        self.tell(TaskStarted(self.stage(task.kind), task.kind, task.name, worker, called))
 
     def seen(self, workers: WorkersSeen) -> None:
         """Tell how the workers are; the log hears of it now and then."""

@@ -83,6 +83,8 @@ class Receiver(ABC, Generic[L, C]):
         What a user calls the result of a kind of task.
     remedies : mapping of str to str
         What makes a kind of task lighter, where memory was too little.
+    essential : frozenset of str
+        Kinds of task whose failure stops a run: :meth:`after` raises what it says.
     """
 
     workflow: ClassVar[type[BaseWorkflow]]
@@ -90,6 +92,7 @@ class Receiver(ABC, Generic[L, C]):
     phases: ClassVar[Sequence[Phase]]
     words: ClassVar[Mapping[str, str]] = MappingProxyType({})
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    essential: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def compiles(self) -> Callable[[int, int], int] | None:

@@ -106,7 +106,7 @@ class FailedTask:
     Parameters
     ----------
     task, reason, command : str
-        Kind and name; why; the command that does it alone.
+        What a user calls it; why; the command that does it alone.
     """
 
     task: str
@@ -126,6 +126,8 @@ class RunStatus:
         Map of each kind of task whose units are places, the latest last.
     running : mapping of (str, str) to str
         Worker of each task that has begun, by kind and name.
+    called : mapping of (str, str) to str
+        What a user calls those tasks.
     failures : list of FailedTask
         What failed.
     workers : mapping
@@ -159,6 +161,7 @@ class RunStatus:
     stages: dict[str, StageStatus] = field(default_factory=dict)
     tiles: dict[str, TileMap] = field(default_factory=dict)
     running: dict[tuple[str, str], str] = field(default_factory=dict)
+    called: dict[tuple[str, str], str] = field(default_factory=dict)
     failures: list[FailedTask] = field(default_factory=list)
     workers: Mapping[str, Any] = field(default_factory=dict)
     peak_mb: float = 0.0
@@ -251,7 +254,7 @@ class RunStatus:
             name: StageStatus(name, expected_s=stage.expected_s)
             for name, stage in self.stages.items()
         }
-        for known in (self.kinds, self.begun, self.tiles, self.running, self.failures):
+        for known in (self.kinds, self.begun, self.tiles, self.running, self.called, self.failures):
             known.clear()
 
     def _task_started(self, record: Mapping[str, Any]) -> None:
@@ -259,12 +262,14 @@ class RunStatus:
         if (kind, name) not in self.running and kind in self.tiles:
             self.tiles[kind].began(name)
         self.running[kind, name] = record["worker"]
+        self.called[kind, name] = record.get("called") or f"{kind} {name}"
         self.begun[kind, name] = record["stage"]
 
     def _task_ended(self, record: Mapping[str, Any]) -> None:
         stage, kind, name = self.stages[record["stage"]], record["kind"], record["name"]
         began = self.running.pop((kind, name), None) is not None
-        self.begun.pop((kind, name), None)
+        for known in (self.begun, self.called):
+            known.pop((kind, name), None)
         failed = bool(record["reason"])
         stage.latest_s = _seconds(record)
         stage.left_points -= record["points"]
@@ -275,7 +280,8 @@ class RunStatus:
             self.tiles[kind].ended(name, began=began, failed=failed)
         if failed:
             command = record.get("command", "")
-            self.failures.append(FailedTask(f"{kind} {name}", record["reason"], command))
+            called = record.get("called") or f"{kind} {name}"
+            self.failures.append(FailedTask(called, record["reason"], command))
         else:
             stage.points += record["points"]
             stage.wall_s += record["wall_s"]
@@ -303,6 +309,7 @@ class RunStatus:
     def nothing_runs(self) -> None:
         """Take what was running for waiting: the run is over, or was killed."""
         self.running.clear()
+        self.called.clear()
         for tiles in self.tiles.values():
             tiles.running[:] = 0
 

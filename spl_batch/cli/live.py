@@ -166,7 +166,7 @@ def _facts(status: RunStatus) -> list[str]:
     elif status.peak_mb:
         lines.append(f"  memory {status.peak_mb:,.0f} MiB at most so far")
     if status.running:
-        names = [f"{kind} {name}" for kind, name in list(status.running)[:SHOWN]]
+        names = [status.called[task] for task in list(status.running)[:SHOWN]]
         more = len(status.running) - len(names)
         lines.append(f"  running {', '.join(names)}" + (f" and {more} more" if more else ""))
     if status.dashboard and status.ended is None:

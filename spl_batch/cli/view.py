@@ -66,8 +66,9 @@ class View:
         if isinstance(event, Note):
             style = {"warning": "yellow", "error": "red"}.get(event.level, "dim")
             self._print(f"{event.level}: {event.text}", style)
-        elif isinstance(event, TaskEnded) and event.reason:
-            self._print(f"failed: {event.kind} {event.name}: {event.reason}", "red")
+        elif isinstance(event, TaskEnded) and event.reason and not event.stops:
+            called = event.called or f"{event.kind} {event.name}"
+            self._print(f"failed: {called}: {event.reason}", "red")
         elif isinstance(event, WorkersReady) and event.dashboard:
             self._print(f"info: dask dashboard: {event.dashboard}", "dim")
 
@@ -109,7 +110,8 @@ class PlainView(View):
         super().on_event(event)
         if isinstance(event, PhaseStarted):
             skipped = f", {event.skipped} finished before" if event.skipped else ""
-            self._say(f"{event.stage}: {event.kind}: {event.tasks} tasks{skipped}")
+            tasks = f"{event.tasks} task{'s' * (event.tasks != 1)}"
+            self._say(f"{event.stage}: {event.kind.replace('_', ' ')}: {tasks}{skipped}")
         elif isinstance(event, TaskEnded) and time.monotonic() - self._printed_s > LINE_S:
             stage = self._status.stages[event.stage]
             rate = f", {short(stage.points_per_s)} pts/s" if stage.points_per_s else ""

@@ -182,13 +182,16 @@ def crs_problems(
     if flat.is_geographic:
         fault = f"CRS {crs_name(crs)} is geographic (degrees), coordinates must be in metres"
         return [f"{fault}: reproject the files to a projected CRS, e.g. UTM"]
+    units: dict[str, list[str]] = {}
+    for axis in crs.axis_info:
+        if axis.unit_conversion_factor != 1.0:
+            units.setdefault(axis.unit_name, []).append(axis.name)
     return [
         (
-            f"CRS {crs_name(crs)} has {axis.name} in {axis.unit_name}, not in metres:"
+            f"CRS {crs_name(crs)} has {' and '.join(names)} in {unit}, not in metres:"
             " reproject the files to a CRS in metres"
         )
-        for axis in crs.axis_info
-        if axis.unit_conversion_factor != 1.0
+        for unit, names in units.items()
     ]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, named
 from spl_batch.io.atomic import checksum
 from spl_batch.io.gpstime import bit_warning
 from spl_batch.io.las import inspect, iter_points
@@ -213,6 +213,7 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
         )
         write_trajectory(path, map(hashes.see, found))
     facts = {
+        "name": named([Path(p).name for p in args["paths"]], 3),
         "records": found.records,
         "span_s": list(found.span_s),
         "positions": hashes.found(),
