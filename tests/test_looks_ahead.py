@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spl_batch.api.events import Event, Note
+from spl_batch.io.gpstime import leap_seconds
 from spl_batch.model import BeamTable
 from spl_batch.stages.geometry import look_ahead
 from tests import surveys
@@ -34,6 +35,50 @@ def test_times_that_are_off_are_told_once_for_all_lines(
     assert text.startswith("00001_371000000, 00002_371000000: the returns lie ")
     assert side in text
     assert late in text
+
+
+@pytest.mark.parametrize(("leap_s", "late"), [(18, "18 s early, as UTC is"), (-18, "18 s late")])
+@pytest.mark.parametrize("margin_s", [1.0, 40.0])
+def test_leap_seconds_are_told_as_such(
+    tmp_path: Path, leap_s: int, late: str, margin_s: float
+) -> None:
+    for k in (1, 2):
+        line = surveys.flightline(shots=1500, psid=k, seed=k)
+        surveys.write_cloud(tmp_path / "lines" / f"line_{k}.laz", line)
+    start = surveys.START_S - leap_s
+    surveys.write_trajectory(
+        tmp_path / "trajectory.csv",
+        start_s=start - margin_s,
+        stop_s=start + 1.5 + margin_s,
+        shift_m=leap_s * surveys.SPEED_M_S,
+    )
+    # Further on in the day the trajectory goes on, over another line: it is not refused whole.
+    rest = tmp_path / "trajectory.csv"
+    with rest.open("a") as stream:
+        for t in (surveys.START_S - 500, surveys.START_S + 500):
+            stream.write(f"{t},{surveys.ORIGIN_M[0]},{surveys.ORIGIN_M[1]},{surveys.HEIGHT_M}\n")
+    events: list[Event] = []
+    surveys.run(surveys.write_workflow(tmp_path), until="shots", listener=events.append)
+    texts = [e.text for e in events if isinstance(e, Note)]
+    (text,) = [text for text in texts if "trajectory's times" in text]
+    assert text.startswith("00001_371000000, 00002_371000000: the trajectory's times are ")
+    assert late in text
+    assert not [other for other in texts if "flightline" in other], "what follows from it"
+
+
+@pytest.mark.parametrize(
+    ("time_s", "leap_s"),
+    [
+        (371_000_000.0, 18),
+        (1_167_264_017.0 - 1e9, 17),
+        (1_167_264_018.0 - 1e9, 18),
+        (1_371_000_000.0, 18),
+        (1_100_000_000.0 - 1e9, 16),
+        (90_000.0, 18),
+    ],
+)
+def test_leap_seconds(time_s: float, leap_s: int) -> None:
+    assert leap_seconds(time_s) == leap_s
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 15.0, -15.0])

@@ -1,7 +1,7 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from types import MappingProxyType
@@ -27,6 +27,7 @@ from spl_batch.runner import code_version
 from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
+from spl_batch.stages.geometry import Ahead
 from spl_batch.stages.surface import PRODUCTS
 from spl_batch.task import Receipt
 from spl_batch.tiling import quanta
@@ -51,9 +52,6 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 PAIRS_NAMED: Final = 5
 """Pairs of files with the same returns that are named; of tiles that overlap there are thousands
 [count]."""
-
-LOOKS_AHEAD: Final = 0.05
-"""Returns lie ahead of a sensor on average by no more than this part of its height."""
 
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
@@ -159,6 +157,13 @@ class Imaging(Receiver[Survey, Context]):
                 "the survey lies in pieces far apart: each has rasters of its own "
                 "(dtm.tif, dtm_2.tif, ...), the largest piece comes first"
             )
+
+    def follows(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Container[str]:
+        """Along wrong beams no gate is what it seems."""
+        if phase.kind != "fit_line":
+            return ()
+        leaps, off = _times_off(prepared.ledger)
+        return {*leaps, *off}
 
     def edge_m(self, kind: str, ledger: Survey) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
@@ -273,26 +278,47 @@ def _copies(survey: Survey) -> Iterator[str]:
         )
 
 
-def _looks_ahead(survey: Survey) -> Iterator[str]:
-    """Say where the sensor is not above what it sees, as with times that are off."""
-    lines: dict[str, list[list[float]]] = {}
+def _times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
+    """Flightlines whose sensor is not above what it sees, as with times that are off.
+
+    Leap seconds that the trajectory's times lack, where these explain it; else by how many
+    seconds the times seem late [s].
+    """
+    looks: dict[str, list[Ahead]] = {}
+    leaps: dict[str, int] = {}
     for name, receipt in survey.of("gather").items():
+        line = name.split("/", maxsplit=1)[0]
         if "ahead" in receipt.facts:
-            lines.setdefault(name.split("/", maxsplit=1)[0], []).append(receipt.facts["ahead"])
+            looks.setdefault(line, []).append(Ahead(*receipt.facts["ahead"]))
+        if receipt.facts.get("leap_s"):
+            leaps[line] = int(receipt.facts["leap_s"])
     off: dict[str, float] = {}
-    for line, stretches in lines.items():
-        ahead_m, height_m, speed_m_s = (median(values) for values in zip(*stretches, strict=True))
-        if abs(ahead_m) > LOOKS_AHEAD * height_m:
-            off[line] = ahead_m / speed_m_s
+    for line, stretches in looks.items():
+        middle = Ahead(*(median(values) for values in zip(*stretches, strict=True)))
+        if not middle.is_above and line not in leaps:
+            off[line] = middle.ahead_m / middle.speed_m_s
+    return leaps, off
+
+
+def _looks_ahead(survey: Survey) -> Iterator[str]:
+    """Say where the trajectory's times are off, and by how much."""
+    leaps, off = _times_off(survey)
+    for leap in sorted(set(leaps.values())):
+        said = "early, as UTC is" if leap > 0 else "late, as GPS time is for UTC"
+        yield (
+            f"{named([line for line in leaps if leaps[line] == leap])}: the trajectory's times are "
+            f"{abs(leap)} s {said}: with them {'added' if leap > 0 else 'taken away'} the sensor "
+            "is above its returns. Now noise and reflectance are reckoned along wrong beams, or "
+            "returns stay unfiltered; correct gps_time in survey.trajectory and run again"
+        )
     for side, late in (("behind", "early"), ("ahead of", "late")):
         those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
         if those:
             yield (
                 f"{named(those)}: the returns lie {side} the sensor on average, so that the "
-                f"trajectory's times seem {abs(median(off[line] for line in those)):.1f} s {late} "
-                "(UTC is 18 s behind GPS time); noise and reflectance are reckoned along "
-                "wrong beams then. "
-                "Where only a part of each scan is delivered all is well"
+                f"trajectory's times seem about {abs(median(off[line] for line in those)):.1f} s "
+                f"{late}; noise and reflectance are reckoned along wrong beams then: mend its "
+                "times. Where only a part of each scan is delivered all is well"
             )
 
 

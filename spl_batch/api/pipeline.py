@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -281,7 +281,7 @@ def _run_phases(
         for phase in phases:
             for text in receiver.after(phase, prepared, progress.failed):
                 progress.warn(text)
-            for text in _warnings(ledger.of(phase.kind)):
+            for text in _warnings(ledger.of(phase.kind), receiver.follows(phase, prepared)):
                 progress.warn(text)
 
 
@@ -348,10 +348,11 @@ def _tile_map(edge_m: float, left: Sequence[str], ready: Sequence[str]) -> dict[
     return tiles.record() if tiles is not None else {}
 
 
-def _warnings(receipts: Mapping[str, Receipt]) -> Iterator[str]:
-    """What tasks warn of; a warning that many share is given once."""
+def _warnings(receipts: Mapping[str, Receipt], silent: Container[str]) -> Iterator[str]:
+    """What tasks warn of but for some; a warning that many share is given once."""
     return shared(
         (str(receipt.facts.get("name", receipt.name)), str(text))
-        for receipt in receipts.values()
+        for name, receipt in receipts.items()
+        if name not in silent
         for text in receipt.facts.get("warnings", ())
     )

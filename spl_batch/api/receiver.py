@@ -6,7 +6,7 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -150,6 +150,11 @@ class Receiver(ABC, Generic[L, C]):
             If nothing is left to go on with.
         """
         del phase, prepared, failed
+        return ()
+
+    def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Container[str]:
+        """Names of tasks whose warnings are but consequences of what :meth:`after` has told."""
+        del phase, prepared
         return ()
 
     def edge_m(self, kind: str, ledger: L) -> float:

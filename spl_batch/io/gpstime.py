@@ -24,6 +24,10 @@ _ADJUSTED_MAX_S: Final = 9e8
 
 _EPOCH_MAX_S: Final = 2.6e9
 
+_LEAPS: Final = ((1_025_136_016, 16), (1_119_744_017, 17), (1_167_264_018, 18))
+"""GPS seconds, and leap seconds since then: of July 2012, July 2015 and January 2017 [IERS
+Bulletins C 43, 49 and 52]."""
+
 
 def time_standard(times: NDArray[np.float64]) -> TimeStandard:
     """Standard that times are in, judged by their values.
@@ -49,6 +53,21 @@ def time_standard(times: NDArray[np.float64]) -> TimeStandard:
     if low >= _ADJUSTED_MAX_S and high < _EPOCH_MAX_S:
         return "unix_or_gps"
     return "other"
+
+
+def leap_seconds(time_s: float) -> int:
+    """Seconds by which UTC is behind GPS time.
+
+    Parameters
+    ----------
+    time_s : float
+        A time in any standard; seconds of the week, which tell no year, count as of today [s].
+    """
+    standard = time_standard(np.array([time_s]))
+    if standard not in {"adjusted", "unix_or_gps"}:
+        return _LEAPS[-1][1]
+    gps_s = time_s + ADJUSTED_STANDARD_OFFSET_S * (standard == "adjusted")
+    return next((leap for since_s, leap in reversed(_LEAPS) if gps_s >= since_s), _LEAPS[0][1])
 
 
 def bit_warning(standard: TimeStandard, *, adjusted_bit: bool) -> str | None:

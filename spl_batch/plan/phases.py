@@ -18,8 +18,8 @@ from spl_batch.task import Task
 RANGE_POINTS = 2_000_000
 """Points of a piece of a file without times [count]."""
 
-POSITIONS_MARGIN_S = 10.0
-"""More than the longest gap of a trajectory that is interpolated over [s]."""
+POSITIONS_MARGIN_S = 30.0
+"""More than the longest gap of a trajectory that is interpolated over, and leap seconds [s]."""
 
 
 def _index_part(survey: Survey) -> Iterator[Task]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from spl_batch.io.gpstime import leap_seconds
 from spl_batch.io.store import Store
 from spl_batch.io.tables import read_arrays, write_arrays
 from spl_batch.io.trajectory import read_slice, write_trajectory
@@ -79,6 +80,24 @@ def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Pro
     return Produced([path], {"uncovered": 0}, len(table))
 
 
+def _leap(table: PointTable, store: Store) -> int | None:
+    """Whole leap seconds that, added to the trajectory's times, bring the sensor above its returns.
+
+    None where those of UTC do not, either way: then something else is wrong.
+    """
+    time = table["gps_time"]
+    first, last = float(time.min()), float(time.max())
+    leap = leap_seconds(first)
+    for added in (leap, -leap):
+        found = read_slice(store.path("trajectory.parquet"), first - added, last - added)
+        moved = Trajectory(found.time_s + added, found.xyz_m, found.max_gap_s)
+        known = geometry.beams(table, moved)
+        look = geometry.look_ahead(known, time) if np.mean(known.known) > 0.5 else None
+        if look is not None and look.is_above:
+            return added
+    return None
+
+
 def observe(args: Mapping[str, Any], context: Context) -> Produced:
     """Noise statistics of a stretch that was gathered before its beams were known."""
     table, _ = read_stretch(args, context, columns(args))
@@ -96,6 +115,9 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
     ahead = geometry.look_ahead(known, table["gps_time"]) if args["trajectory"] else None
     if ahead is not None:
         facts["ahead"] = [round(value, 3) for value in ahead]
+    unknown_part = len(unknown) / len(table)
+    if args["trajectory"] and (unknown_part > 0.5 or (ahead is not None and not ahead.is_above)):
+        facts["leap_s"] = _leap(table, context.store)
     observed = line_noise.observe(table, known, context.workflow.noise)
     observed |= afterpulse.observe(table, known, context.workflow.sensor)
     stats = context.store.path("observed", f"{args['stretch']}.npz")

@@ -39,6 +39,9 @@ AHEAD_S: Final = 1.0
 AHEAD_RETURNS: Final = 20_000
 """Returns by which it is asked how far ahead they lie [count]."""
 
+LOOKS_AHEAD: Final = 0.05
+"""Returns lie ahead of a sensor on average by no more than this part of its height."""
+
 MIN_ANGLES: Final = 16
 """Fewer distinct scan angles than this are a label of the line, not a geometry."""
 
@@ -194,6 +197,11 @@ class Ahead(NamedTuple):
     ahead_m: float
     height_m: float
     speed_m_s: float
+
+    @property
+    def is_above(self) -> bool:
+        """Whether the sensor is about above what it sees."""
+        return abs(self.ahead_m) <= LOOKS_AHEAD * self.height_m
 
 
 def look_ahead(beams: BeamTable, time_s: NDArray[np.float64]) -> Ahead | None:
