@@ -325,7 +325,7 @@ def test_at_the_foot_of_a_slope_the_mean_of_the_voxel_counts_little(per_square: 
     assert found[14:22].max() < 1.45
 
 
-@pytest.mark.parametrize("shift_m", [0.0, 0.9, 1.8])
+@pytest.mark.parametrize("shift_m", [0.0, 0.3, 0.9, 1.8])
 def test_along_a_leaning_edge_that_rises_over_metres_the_noise_is_the_true_one(
     shift_m: float,
 ) -> None:
@@ -348,7 +348,8 @@ def test_along_a_leaning_edge_that_rises_over_metres_the_noise_is_the_true_one(
             # as many points are there as there is noise
             off.append((along_x(heard, x, z) / PER_M3 / true.mean()).mean() - 1)
     last, near, behind = np.mean([off[k::3] for k in range(3)], axis=1)
-    assert abs(last) < 0.65
+    # 0.44 to 0.64 by where the edge lies between squares, most of all at 0.3 m
+    assert 0.4 < last < 0.65
     assert abs(near) < 0.12
     assert abs(behind) < 0.02
 
