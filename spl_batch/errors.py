@@ -14,6 +14,14 @@ def named(names: Sequence[object], most: int = 5) -> str:
     return ", ".join(map(str, names[:most])) + (f" and {left} more" if left > 0 else "")
 
 
+def grouped(value: float, digits: int = 0) -> str:
+    """A number as every message has it: ``1 234 567``, in plain spaces.
+
+    Where typographic ones are at home, in a report, it is :func:`spl_batch.report.format.number`.
+    """
+    return f"{value:,.{digits}f}".replace(",", " ")
+
+
 def shared(told: Iterable[tuple[str, str]], nouns: str = "") -> Iterator[str]:
     """Give each sentence once, behind the names of all that it concerns.
 

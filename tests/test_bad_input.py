@@ -11,6 +11,7 @@ import pytest
 import shapely
 
 from spl_batch import api
+from spl_batch.errors import grouped
 from spl_batch.plan.inputs import source_key
 from spl_batch.simulate.files import write_polygons
 from tests import surveys
@@ -275,7 +276,7 @@ def test_the_trajectory_misses_a_part(survey: Path) -> None:
     assert ended.status == 0, ended.text
     report = (survey.parent / "out/report.json").read_text()
     n = int(np.count_nonzero(uncovered))
-    assert f"does not cover {n} returns" in report
+    assert f"does not cover {grouped(n)} returns" in report
     assert f'"no_beam": {n}' in report
     (columns,) = surveys.delivered(survey.parent / "out").values()
     assert np.array_equal(columns["noise_class"] == 255, uncovered)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from spl_batch.api.events import Event, Note
+from spl_batch.errors import grouped
 from spl_batch.plan.inputs import source_key
 from tests import surveys
 
@@ -41,7 +42,7 @@ def test_a_file_that_is_delivered_twice_counts_once(small: Path, small_output: P
     assert counts.points_in == counts.points_out
     assert counts.not_assessed >= size
     (said,) = [text for text in result.report.warnings if "returns are in" in text]
-    assert said.startswith(f"{copy}: {size:,} of its returns are in {kept} too")
+    assert said.startswith(f"{copy}: {grouped(size)} of its returns are in {kept} too")
 
 
 def test_files_that_overlap(small: Path, small_output: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from spl_batch.altimetry.plan import Tracks, gather_inputs
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, grouped
 from spl_batch.io.crs import projected_crs
 from spl_batch.plan.inputs import check_keys, refuse_own, stem_names
 
@@ -73,6 +73,14 @@ def test_a_crs_that_does_not_serve_is_one_fault_among_others(text: str, says: st
     assert len(faults) > 1
     assert all(fault.startswith("survey.crs: ") for fault in faults[1:])
     assert says in faults[1]
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "shown"),
+    [(0, 0, "0"), (1234, 0, "1 234"), (1234567.891, 1, "1 234 567.9"), (-1e6, 0, "-1 000 000")],
+)
+def test_numbers_of_messages_have_groups(value: float, digits: int, shown: str) -> None:
+    assert grouped(value, digits) == shown
 
 
 def test_a_projected_crs_serves() -> None:

@@ -172,7 +172,7 @@ def test_the_state_of_a_run_in_its_middle() -> None:
     for words in (
         "3/6",
         "denoise: blocks of 100 m",
-        "2 workers, 2 threads; most memory 700 of 1,024 MiB",
+        "2 workers, 2 threads; most memory 700 of 1 024 MiB",
         "running denoise 2_1",
         "failed: denoise 1_0: RuntimeError: broken",
         "http://127.0.0.1:1/status",

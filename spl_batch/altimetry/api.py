@@ -18,7 +18,7 @@ from spl_batch.altimetry.report.page import screen_summary
 from spl_batch.altimetry.runner.context import Context
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, grouped
 from spl_batch.plan.ledger import Phase
 from spl_batch.runner import code_version
 from spl_batch.runner.remember import Receipts, RunFacts
@@ -67,8 +67,8 @@ class Altimetry(Receiver[Tracks, Context]):
         """Label and value of what a plan tells beside disk, memory and time."""
         settings = prepared.ledger.workflow.signal
         return [
-            ("beams", f"{cost.beams:,}"),
-            ("segments", f"{cost.segments:,} of track"),
+            ("beams", grouped(cost.beams)),
+            ("segments", f"{grouped(cost.segments)} of track"),
             ("halo", f"{settings.reach_m:g} m of track to each side of a segment"),
         ]
 

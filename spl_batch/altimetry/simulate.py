@@ -22,6 +22,7 @@ from spl_batch.altimetry.io.mabel import write_mabel
 from spl_batch.altimetry.io.track_csv import to_text
 from spl_batch.altimetry.model import Background
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
+from spl_batch.errors import grouped
 from spl_batch.io.atomic import write_bytes
 from spl_batch.settings.base import Positive, Section
 from spl_batch.settings.faults import validated
@@ -250,7 +251,7 @@ class TrackSummary:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Label and value of what a user is told."""
-        return [(name, f"{count:,} photons") for name, count in self.photons.items()]
+        return [(name, f"{grouped(count)} photons") for name, count in self.photons.items()]
 
 
 def simulate_file(

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import WorkflowError, named, told_together
+from spl_batch.errors import WorkflowError, grouped, named, told_together
 from spl_batch.io.cells import create_raster_store
 from spl_batch.kernels.ahead import compile_share
 from spl_batch.plan.blocks import remember_sizes, remembered_sizes
@@ -95,7 +95,7 @@ class Imaging(Receiver[Survey, Context]):
         settings = prepared.ledger.workflow
         area_km2 = cost.tiles * settings.tiling.tile_m**2 / 1e6
         blocks = (
-            f"about {cost.blocks:,} of up to {cost.block_tiles} x {cost.block_tiles} tiles; "
+            f"about {grouped(cost.blocks)} of up to {cost.block_tiles} x {cost.block_tiles} tiles; "
             f"with their halos they read {cost.block_reads:.2f} times the points"
         )
         if cost.roomier is not None:
@@ -107,11 +107,11 @@ class Imaging(Receiver[Survey, Context]):
             f"{surface_reach_m(settings):g} m for its rasters"
         )
         return [
-            ("area", f"{area_km2:,.3f} km2 of tiles"),
-            ("stretches", f"{cost.stretches:,} of flightlines"),
-            ("tiles", f"{cost.tiles:,}"),
+            ("area", f"{grouped(area_km2, 3)} km2 of tiles"),
+            ("stretches", f"{grouped(cost.stretches)} of flightlines"),
+            ("tiles", grouped(cost.tiles)),
             ("blocks", blocks),
-            ("ground cells", f"{cost.cells:,}"),
+            ("ground cells", grouped(cost.cells)),
             ("halo", halo),
         ]
 
@@ -251,9 +251,9 @@ def _check_channels(survey: Survey) -> None:
     listed = ", ".join(str(k) for k in range(256) if seen >> k & 1)
     files = named([r.facts["name"] for r in indexed], 3)
     raise WorkflowError(
-        f"survey.channel_dimension: {name} holds only {listed} in {points:,} points ({files}), and "
-        f"a {sensor.name} has {sensor.beamlets} beamlets; name the dimension that holds their "
-        "numbers, or leave the key out: a shot is one beamlet then"
+        f"survey.channel_dimension: {name} holds only {listed} in {grouped(points)} points "
+        f"({files}), and a {sensor.name} has {sensor.beamlets} beamlets; name the dimension that "
+        "holds their numbers, or leave the key out: a shot is one beamlet then"
     )
 
 
@@ -267,14 +267,15 @@ def _copies(survey: Survey) -> Iterator[str]:
     most = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
     for (copy, kept), count in most[:PAIRS_NAMED]:
         yield (
-            f"{names[copy]}: {count:,} of its returns are in {names[kept]} too, at the same time "
-            "and place; they count once, and the copies are delivered as not assessed: leave one "
-            "of the files out, or its overlap"
+            f"{names[copy]}: {grouped(count)} of its returns are in {names[kept]} too, at the "
+            "same time and place; they count once, and the copies are delivered as not assessed: "
+            "leave one of the files out, or its overlap"
         )
     if others := most[PAIRS_NAMED:]:
         yield (
-            f"{len(others):,} more pairs of files have returns in common, up to {others[0][1]:,} "
-            f"of a pair and {sum(count for _, count in others):,} in all"
+            f"{grouped(len(others))} more pairs of files have returns in common, up to "
+            f"{grouped(others[0][1])} of a pair and "
+            f"{grouped(sum(count for _, count in others))} in all"
         )
 
 

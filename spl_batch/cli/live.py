@@ -14,6 +14,7 @@ from rich.text import Text
 
 from spl_batch.api.status import RunStatus, StageStatus
 from spl_batch.api.tilemap import State, TileMap
+from spl_batch.errors import grouped
 
 COLOURS: Final = {
     State.NOTHING: None,
@@ -159,12 +160,12 @@ def _facts(status: RunStatus) -> list[str]:
         lines.append(f"  time left about {duration(status.left_s)}")
     if status.workers:
         used, limit = status.workers["memory_mb"], status.workers["limit_mb"]
-        of = f" of {limit:,.0f}" if limit else ""
-        peak = f", {status.peak_mb:,.0f} at most so far" if status.peak_mb else ""
+        of = f" of {grouped(limit)}" if limit else ""
+        peak = f", {grouped(status.peak_mb)} at most so far" if status.peak_mb else ""
         count = f"{status.workers['workers']} workers, {status.workers['threads']} threads"
-        lines.append(f"  {count}; most memory {used:,.0f}{of} MiB{peak}")
+        lines.append(f"  {count}; most memory {grouped(used)}{of} MiB{peak}")
     elif status.peak_mb:
-        lines.append(f"  memory {status.peak_mb:,.0f} MiB at most so far")
+        lines.append(f"  memory {grouped(status.peak_mb)} MiB at most so far")
     if status.running:
         names = [status.called[task] for task in list(status.running)[:SHOWN]]
         more = len(status.running) - len(names)
@@ -214,7 +215,7 @@ def expected(seconds: float) -> str:
 def storage(count: float) -> str:
     """Bytes in the largest binary unit that there is one of; nothing is shown as 0."""
     if count >= 2**30:
-        return f"{count / 2**30:,.2f} GiB"
+        return f"{grouped(count / 2**30, 2)} GiB"
     if count >= 2**20:
-        return f"{count / 2**20:,.1f} MiB"
-    return f"{math.ceil(count / 2**10):,} KiB"
+        return f"{grouped(count / 2**20, 1)} MiB"
+    return f"{grouped(math.ceil(count / 2**10))} KiB"

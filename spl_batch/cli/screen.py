@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, storage, taken
+from spl_batch.errors import grouped
 from spl_batch.report.format import centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
@@ -69,13 +70,13 @@ def print_plan(summary: "PlanSummary") -> None:
     basis = "as measured here" if cost.measured else "typical rates"
     _pairs(
         [
-            ("files", f"{summary.files:,}"),
-            ("points", f"{summary.points:,}"),
+            ("files", grouped(summary.files)),
+            ("points", grouped(summary.points)),
             *summary.rows,
-            ("tasks", f"{cost.tasks:,}"),
+            ("tasks", grouped(cost.tasks)),
             *_finished(summary.left),
             ("disk", storage(cost.disk_bytes)),
-            ("memory", f"{cost.memory_bytes / 2**20:,.0f} MiB a worker, for {cost.heaviest}"),
+            ("memory", f"{grouped(cost.memory_bytes / 2**20)} MiB a worker, for {cost.heaviest}"),
             ("time", f"{expected(cost.time_s)} ({basis}){_time_left(summary.left)}"),
         ]
     )
@@ -90,13 +91,13 @@ def _finished(left: "Left | None") -> list[tuple[str, str]]:
     if left is None:
         return []
     if not left.counted:
-        return [("finished", f"up to {left.finished:,} tasks; a run tells what is left")]
+        return [("finished", f"up to {grouped(left.finished)} tasks; a run tells what is left")]
     if not left.stage:
-        return [("finished", f"all {left.finished:,} tasks; nothing is left to do")]
+        return [("finished", f"all {grouped(left.finished)} tasks; nothing is left to do")]
     behind = "" if left.stage == "report" else ", and what depends on it"
     return [
-        ("finished", f"{left.finished:,} tasks"),
-        ("left", f"{left.stage}: {left.tasks:,} of {left.of:,} tasks{behind}"),
+        ("finished", f"{grouped(left.finished)} tasks"),
+        ("left", f"{left.stage}: {grouped(left.tasks)} of {grouped(left.of)} tasks{behind}"),
     ]
 
 
@@ -176,7 +177,7 @@ def print_alone(result: "AloneResult") -> None:
     if receipt.failed:
         _OUT.print(Text(f"failed: {task}: {receipt.reason}", style="red"), soft_wrap=True)
     else:
-        cost = f"{receipt.wall_s:.1f} s, {receipt.peak_rss_mb:,.0f} MiB"
+        cost = f"{receipt.wall_s:.1f} s, {grouped(receipt.peak_rss_mb)} MiB"
         _OUT.print(f"done: {task} in {cost}; the next run finds it finished", highlight=False)
     if result.traceback is not None:
         _path("traceback", result.traceback)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, grouped
 from spl_batch.io.atomic import stop_if_full
 from spl_batch.io.crs import crs_name
 from spl_batch.io.gpstime import TimeStandard, time_standard
@@ -139,8 +139,8 @@ class Merge:
             if len(waiting[0][0]) > WAITING_RECORDS:
                 raise InputError(
                     str(self.paths[0]),
-                    f"more than {WAITING_RECORDS:,} trajectory records are out of time order: "
-                    "sort them by time",
+                    f"more than {grouped(WAITING_RECORDS)} trajectory records are out of time "
+                    "order: sort them by time",
                 )
             if ready.any():
                 yield self._in_order(time[ready], xyz[ready])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Final, NamedTuple
 
-from spl_batch.errors import PlanError
+from spl_batch.errors import PlanError, grouped
 from spl_batch.io.atomic import names_in
 from spl_batch.io.store import Store, read_receipts
 from spl_batch.plan.memory import enough_mib, usable_bytes
@@ -75,9 +75,9 @@ def refuse_too_large(cost: Cost, limit: int) -> None:
         enough = f"raise it to {enough_mib(cost.memory_bytes)}MiB"
         remedies = " or ".join(filter(None, (enough, cost.remedy)))
         raise PlanError(
-            f"{cost.heaviest} needs {cost.memory_bytes / 2**20:,.0f} MiB, more than a task may "
-            f"use of --memory {limit / 2**20:,.0f} MiB ({usable_bytes(limit) / 2**20:,.0f} MiB); "
-            f"{remedies}"
+            f"{cost.heaviest} needs {grouped(cost.memory_bytes / 2**20)} MiB, more than a task may "
+            f"use of --memory {grouped(limit / 2**20)} MiB "
+            f"({grouped(usable_bytes(limit) / 2**20)} MiB); {remedies}"
         )
 
 

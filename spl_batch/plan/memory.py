@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.errors import grouped
 from spl_batch.io.trajectory_merge import WAITING_RECORDS
 from spl_batch.plan.density import Box, Peak, Piece, largest
 from spl_batch.plan.ground_cells import GroundCells
@@ -179,7 +180,7 @@ def needs(
         Need("a stretch of a flightline", task_bytes("scatter", stretch), ""),
         Need("a file's labels", task_bytes("deliver_tile", tile) + labels, "lower tiling.tile_m"),
         Need(
-            f"a trajectory of about {records:,} records",
+            f"a trajectory of about {grouped(records)} records",
             WORKER_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
             "",
         ),
@@ -215,15 +216,15 @@ def refusal(kind: str, points: float, limit: int) -> str:
     if needed <= usable_bytes(limit):
         return ""
     return (
-        f"{NAMES[kind]} with {points:,.0f} points in reach needs about {needed / 2**20:,.0f} MiB, "
-        f"more than {USABLE_SHARE:.0%} of --memory {limit / 2**20:,.0f} MiB; "
-        f"raise it to {enough_mib(needed)}MiB or {REMEDIES[kind]}"
+        f"{NAMES[kind]} with {grouped(points)} points in reach needs about "
+        f"{grouped(needed / 2**20)} MiB, more than {100 * USABLE_SHARE:.0f} % of --memory "
+        f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or {REMEDIES[kind]}"
     )
 
 
 def _place(kind: str, peak: Peak) -> str:
     x, y = (sum(ends) / 2 * QUANTUM_M for ends in (peak.core[::2], peak.core[1::2]))
-    return f"{NAMES[kind]} around x {x:.0f}, y {y:.0f} with {peak.points:,.0f} points in reach"
+    return f"{NAMES[kind]} around x {x:.0f}, y {y:.0f} with {grouped(peak.points)} points in reach"
 
 
 def _records(path: Path) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.errors import grouped
 from spl_batch.io.raster_parts import Part, read_overview
 from spl_batch.report.format import as_ascii
 from spl_batch.report.maps import Raster
@@ -231,8 +232,8 @@ def _uncovered(done: Receipts) -> Iterable[str]:
             spans[line] = (n + receipt.facts["uncovered"], min(low, first), max(high, last))
     for line, (n, low, high) in spans.items():
         yield (
-            f"flightline {line}: the trajectory does not cover {n} returns between gps_time "
-            f"{low:.3f} and {high:.3f}; they are delivered unfiltered"
+            f"flightline {line}: the trajectory does not cover {grouped(n)} returns between "
+            f"gps_time {low:.3f} and {high:.3f}; they are delivered unfiltered"
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, grouped
 from spl_batch.io.atomic import replacing
 from spl_batch.kernels.scene_trace import SceneArrays
 from spl_batch.kernels.sim_detect import Receiver
@@ -95,7 +95,7 @@ class SimulationSummary:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Label and value of what a user is told."""
-        return [("returns", f"{self.points:,}"), ("flightlines", str(len(self.lines)))]
+        return [("returns", grouped(self.points)), ("flightlines", str(len(self.lines)))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,7 @@ def choose_region(
         return Region(0, "none", (_NO_REGION,))
     b = int(wide[0])
     notes = () if b == 0 else (
-        f"the gate is short: the buffer around the signal shrank to {BUFFER_LADDER[b]:.0%}",
+        f"the gate is short: the buffer around the signal shrank to {100 * BUFFER_LADDER[b]:.0f} %",
     )  # fmt: skip
     (n_up, n_down), (e_up, e_down) = counts[:, b], offered[:, b]
     if min(e_up, e_down) < 0.25 * REGION_MIN * whole:

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, grouped
 from spl_batch.geiger.coincidence.plan import PHASES, CoincidenceCost, L1Ledger, estimate, gather
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport
 from spl_batch.geiger.coincidence.runner import CoincidenceContext
@@ -55,7 +55,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         """Label and value of what a plan tells beside disk, memory and time."""
         workflow = prepared.context.workflow
         return [
-            ("frames", f"{cost.frames:,} of {workflow.array.detectors:,} looks each"),
+            ("frames", f"{grouped(cost.frames)} of {grouped(workflow.array.detectors)} looks each"),
             ("voxels", f"{workflow.voxel_q} mm, tiles of {workflow.tiling.tile_m:g} m"),
         ]
 
@@ -100,9 +100,9 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         """Label and value of each number that the console shows after a run."""
         counts = report.counts
         return [
-            ("looks", f"{counts.looks:,} in {counts.frames:,} frames"),
-            ("detections", f"{counts.detections:,}"),
-            ("points", f"{counts.points:,} in {counts.tiles:,} tiles"),
+            ("looks", f"{grouped(counts.looks)} in {grouped(counts.frames)} frames"),
+            ("detections", grouped(counts.detections)),
+            ("points", f"{grouped(counts.points)} in {grouped(counts.tiles)} tiles"),
             *ending_rows(report.performance, report.failures, report.warnings),
         ]
 

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, grouped
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.runner.tasks import WaterContext
@@ -73,7 +73,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
         surfaces = sum(s.facts.frames // ledger.per for s in ledger.inputs.sources)
         targets = len(ledger.inputs.targets)
         return [
-            ("surfaces", f"{surfaces:,} of {ledger.per:,} frames each"),
+            ("surfaces", f"{grouped(surfaces)} of {grouped(ledger.per)} frames each"),
             ("calibration", f"from {targets} files" if targets else "as the workflow gives it"),
         ]
 

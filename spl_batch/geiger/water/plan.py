@@ -8,7 +8,7 @@ from typing import Final
 
 from pyproj import CRS
 
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import InputError, WorkflowError, grouped
 from spl_batch.geiger.water.io import PIECE_VALUES, FrameFacts, inspect_frames
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.io.crs import projected_crs
@@ -217,8 +217,10 @@ def estimate(ledger: WaterLedger, context: RunContext[WaterWorkflow] | None = No
     widest = max((*inputs.sources, *inputs.targets), key=lambda s: s.facts.piece_bytes)
     heaviest, remedy = "make_surfaces", ""
     if widest.facts.chunk_frames * pixels > PIECE_VALUES:
-        heaviest = f"a chunk of {widest.facts.chunk_frames:,} frames in {widest.name}"
-        remedy = f"store it again in chunks of {max(PIECE_VALUES // pixels, 1):,} frames or fewer"
+        heaviest = f"a chunk of {grouped(widest.facts.chunk_frames)} frames in {widest.name}"
+        remedy = (
+            f"store it again in chunks of {grouped(max(PIECE_VALUES // pixels, 1))} frames or fewer"
+        )
     rates, measured = measured_rates(RATES_FRAMES_PER_S, context)
     return Cost(
         points=frames,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import yaml
 
+from spl_batch.errors import grouped
 from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.simulate.flight import detect, flights
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
@@ -30,7 +31,10 @@ class CoincidenceSimulation:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Label and value of what a user is told."""
-        return [("frames", f"{self.frames:,}"), ("detections", f"{self.detections:,}")]
+        return [
+            ("frames", grouped(self.frames)),
+            ("detections", grouped(self.detections)),
+        ]
 
 
 def simulate_file(

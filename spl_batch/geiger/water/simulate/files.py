@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from spl_batch.errors import grouped
 from spl_batch.geiger.water.io import FrameTruth, write_frames
 from spl_batch.geiger.water.model import View, view_of
 from spl_batch.geiger.water.settings import MountSettings
@@ -40,7 +41,10 @@ class WaterSummary:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Label and value of what a user is told."""
-        return [("frames", f"{self.frames:,}"), ("frames of targets", f"{self.targets:,}")]
+        return [
+            ("frames", grouped(self.frames)),
+            ("frames of targets", grouped(self.targets)),
+        ]
 
 
 def simulate(
