@@ -18,7 +18,7 @@ from spl_batch.task import Receipt
 from spl_batch.tiling import BoxIndex, CellId, cell_bounds, quanta
 from spl_batch.workflow import Workflow
 
-LARGEST: Final = (8, 6, 4, 3, 2, 1)
+LARGEST: Final = (8, 7, 6, 5, 4, 3, 2, 1)
 """Tiles along one side of the squares that blocks begin as, to choose from [count]."""
 
 WIDEST: Final = 2 * LARGEST[0]
@@ -257,7 +257,7 @@ def _shapes(largest: int, workflow: Workflow) -> list[tuple[int, int]]:
 
 
 def _largest_part(side: int) -> int:
-    nearly = 1 if side <= LARGEST[3] else -(-side // 2)
+    nearly = 1 if side <= 3 else -(-side // 2)
     return next((n for n in range(side // 2, 1, -1) if side % n == 0), nearly)
 
 
