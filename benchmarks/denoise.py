@@ -86,10 +86,11 @@ def slow_labels(
         flag = ((around @ vectors / axes) ** 2).sum(axis=1)
         tied[i] = np.any(np.abs(flag - 1) < TIE)
         count = (flag < 1).sum() - 1
-        noise = stats.poisson(DENSITY * 4 / 3 * np.pi * axes.prod())
-        score[i] = noise.sf(count - 1)
+        noise = DENSITY * 4 / 3 * np.pi * axes.prod()
+        score[i] = stats.poisson.sf(count - 1, noise)
         if settings.test == "calibrated" and count > 0:
-            score[i] = noise.sf(count) + flag[flag < 1].max() ** (1.5 * count) * noise.pmf(count)
+            outermost = flag[flag < 1].max() ** (1.5 * count)
+            score[i] -= (1 - outermost) * stats.poisson.pmf(count, noise)
     alone, weak, link_m = _limits(settings)
     strong = score <= alone
     passed = np.flatnonzero(strong)
