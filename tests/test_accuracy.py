@@ -154,6 +154,19 @@ def test_the_canopy_model_takes_ground_out_of_the_open():
     assert len(d["open_ground"]) == 4
 
 
+def test_ground_that_the_terrain_cuts_off_is_open_ground_that_is_wrong():
+    ref = reference((2, GROUND))
+    dtm, chm = flat(5.2), flat(0.0)
+    dtm.values[40 - 1 - 10, 30] -= 4.0
+    chm.values[40 - 1 - 10, 30] += 4.0
+    at_ground_m = np.array([0.2, 0.2, -3.8, 0.2, 0.2])
+    d = terrain_differences(dtm, ref, chm=chm, at_ground_m=at_ground_m)
+    assert len(d["open_ground"]) == 5
+    chm.values[40 - 1 - 10, 30] += 1.0
+    d = terrain_differences(dtm, ref, chm=chm, at_ground_m=at_ground_m)
+    assert len(d["open_ground"]) == 4
+
+
 def test_points_of_the_margin_only_tell_what_stands_nearby():
     counted = np.array([True, True, False])
     ref = reference((2, [[10, 10, 5], [30, 10, 5]]), (5, [[10, 11, 20]]), counted=counted)

@@ -82,7 +82,8 @@ def terrain_differences(
     reference : Reference
         Points of all classes; those that are not ground tell what stands on it.
     chm : Raster, optional
-        Height of the surface above the terrain [m]: open ground must be low in it too.
+        Height of the surface above the terrain [m]: what is no open ground stands out in it,
+        and above the reference.
     at_ground_m : (g,) float64, optional
         What :func:`ground_differences` says of them, where it has been asked already.
 
@@ -90,7 +91,7 @@ def terrain_differences(
     -------
     Differences
         ``all``; ``open_ground``: no reference point more than 0.5 m above the ground within
-        2 m, CHM below 0.5 m; ``under_canopy``: vegetation 2 m or more above it within 1 m;
+        2 m, no surface 0.5 m above both the terrain and the point; ``under_canopy``: vegetation 2 m or more above it within 1 m;
         and ``slope_0_5``, ``slope_5_15``, ... in degrees.
     """
     reference = reference.without_noise()
@@ -99,8 +100,10 @@ def terrain_differences(
     difference = ground_differences(dtm, reference) if at_ground_m is None else at_ground_m
     if chm is not None:
         height = chm.at(points[:, :2])
-        # A void CHM says nothing against open ground.
-        is_open &= ~(height >= TALL_M)
+        over = height + dtm.at(points[:, :2]) - points[:, 2]
+        # Ground that the terrain cuts off stands above the terrain, but not above itself. A void
+        # CHM says nothing against open ground.
+        is_open &= ~((height >= TALL_M) & (over >= TALL_M))
     classes = {
         "all": np.ones(len(points), np.bool_),
         "open_ground": is_open,
