@@ -91,8 +91,8 @@ def terrain_differences(
     -------
     Differences
         ``all``; ``open_ground``: no reference point more than 0.5 m above the ground within
-        2 m, no surface 0.5 m above both the terrain and the point; ``under_canopy``: vegetation 2 m or more above it within 1 m;
-        and ``slope_0_5``, ``slope_5_15``, ... in degrees.
+        2 m, no surface 0.5 m above both the terrain and the point; ``under_canopy``: vegetation
+        2 m or more above it within 1 m; and ``slope_0_5``, ``slope_5_15``, ... in degrees.
     """
     reference = reference.without_noise()
     points, counts = _ground(reference)
