@@ -87,8 +87,9 @@ def slow_tops(xyz, ground, start, by):
     peer = (spacing[None] * by.peer_ratio >= spacing[:, None]) & ~np.eye(n, dtype=bool)
     peer &= ~ground[None]
     accepted = ground.copy()
-    for radius, count in zip(by.radius, by.needed, strict=True):
-        accepted |= ((d <= radius) & peer).sum(axis=1) >= count
+    cells = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    for scale, radius in enumerate(by.radius):
+        accepted |= ((d <= radius) & peer).sum(axis=1) >= by.needed[by.noise[cells], scale]
     tops = np.full(len(start) - 1, np.nan)
     for cell in range(len(tops)):
         mine = np.arange(start[cell], start[cell + 1])
@@ -117,7 +118,8 @@ def test_confirmed_tops_equal_the_count_of_every_pair(counts, ratio):
     ).astype(np.int64)
     xyz, _, start = cells_of(xyz, rows, cols)
     ground = (rng.random(n) < 0.3) & (xyz[:, 2] < 100)
-    by = Support(np.array([600, 1100, 2300]), np.array(counts), 3, ratio)
+    needed, noise = np.array([counts, (5, 1, 2)]), rng.integers(0, 2, rows * cols)
+    by = Support(np.array([600, 1100, 2300]), needed, noise, 3, ratio)
     tops = np.empty(rows * cols)
     confirmed_tops(xyz, ground, start, (cols, SIZE), by, tops)
     np.testing.assert_array_equal(tops, slow_tops(xyz, ground, start, by))
@@ -140,7 +142,9 @@ def test_noise_above_a_dense_roof_stays_out_and_a_thin_crown_stays_in():
     noise = np.array([[5500, 5500, 1500], [5600, 2500, 900]])
     xyz, _, start = cells_of(np.concatenate([roof, crown, noise]).astype(np.int64), 10, 20)
     tops = np.empty(200)
-    by = Support(np.array([500, 1000, 1500]), np.array([3, 5, 8]), 3, 1.5)
+    by = Support(
+        np.array([500, 1000, 1500]), np.array([[3, 5, 8]]), np.zeros(200, np.int64), 3, 1.5
+    )
     confirmed_tops(xyz, np.zeros(len(xyz), bool), start, (20, SIZE), by, tops)
     tops = tops.reshape(10, 20)
     assert tops[:, :10].max() < 300
@@ -246,9 +250,11 @@ def test_cells_flown_over_are_those_with_a_point_within_bounds(seed: int, n: int
     x, y = rng.integers(-30, 130, (2, n))
     z = rng.integers(-50, 50, n).astype(np.int32)
     kind = rng.integers(0, 3, n).astype(np.uint8)
-    flown, heights = np.zeros(8 * 10, np.bool_), np.empty(n, np.int32)
-    count = flown_over((x, y, z), (kind, 1), (0, 20, 100, 100), 10.0, flown, heights)
+    flown, (heights, cells) = np.zeros(8 * 10, np.bool_), np.empty((2, n), np.int32)
+    count = flown_over((x, y, z), (kind, 1), (0, 20, 100, 100), 10.0, flown, heights, cells)
     within = (x >= 0) & (x < 100) & (y >= 20) & (y < 100)
     expected = {(b, a) for a, b in zip(x[within] // 10, (y[within] - 20) // 10, strict=True)}
     assert {tuple(cell) for cell in np.argwhere(flown.reshape(8, 10))} == expected
-    assert heights[:count].tolist() == z[within & (kind == 1)].tolist()
+    picked = within & (kind == 1)
+    assert heights[:count].tolist() == z[picked].tolist()
+    assert cells[:count].tolist() == ((y[picked] - 20) // 10 * 10 + x[picked] // 10).tolist()

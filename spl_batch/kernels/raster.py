@@ -116,8 +116,9 @@ def flown_over(
     size: float,
     flown: NDArray[np.bool_],
     heights: NDArray[np.int32],
+    cells: NDArray[np.int32],
 ) -> int:
-    """Raster cells with any point, and the heights of the points of one kind.
+    """Raster cells with any point, and the heights and cells of the points of one kind.
 
     Parameters
     ----------
@@ -131,8 +132,8 @@ def flown_over(
         Edge of a cell, a whole number [quanta].
     flown : (rows * cols,) bool
         Set where there is a point.
-    heights : (n,) int32
-        Filled from its start.
+    heights, cells : (n,) int32
+        Filled from their start.
 
     Returns
     -------
@@ -148,8 +149,9 @@ def flown_over(
         if x[i] < west or x[i] >= east or y[i] < south or y[i] >= north:
             continue
         # A quotient of whole numbers below 2**53 never rounds up to the next whole one.
-        flown[np.int64((y[i] - south) / size) * cols + np.int64((x[i] - west) / size)] = True
-        heights[count] = z[i]
+        cell = np.int64((y[i] - south) / size) * cols + np.int64((x[i] - west) / size)
+        flown[cell] = True
+        heights[count], cells[count] = z[i], cell
         count += kind[i] == wanted
     return count
 

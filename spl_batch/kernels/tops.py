@@ -36,8 +36,11 @@ class Support(NamedTuple):
     ----------
     radius : (s,) int64
         Radii [quanta].
-    needed : (s,) int64
-        Peers that each must hold, the confirmed one itself not counted [count].
+    needed : (k, s) int64
+        Peers that each must hold, the confirmed one itself not counted, by how much noise there
+        is around [count].
+    noise : (cells,) int64
+        Which row of these is that of a raster cell.
     neighbours : int
         Spacing is the distance to this neighbour, at most the largest radius [count].
     peer_ratio : float
@@ -46,6 +49,7 @@ class Support(NamedTuple):
 
     radius: NDArray[np.int64]
     needed: NDArray[np.int64]
+    noise: NDArray[np.int64]
     neighbours: int
     peer_ratio: float
 
@@ -79,12 +83,12 @@ def confirmed_tops(
     tops[:] = np.nan
     _tops(
         xyz, ground, start, grid, by.neighbours, float(by.radius.max()) ** 2, by.peer_ratio**2,
-        by.radius.astype(np.float64) ** 2, by.needed, tops,
+        by.radius.astype(np.float64) ** 2, by.needed, by.noise, tops,
     )  # fmt: skip
 
 
 @njit(nogil=True, cache=True)
-def _tops(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, tops):  # type: ignore[no-untyped-def]
+def _tops(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, noise, tops):  # type: ignore[no-untyped-def]
     """From the highest return of each cell down to the first that is confirmed.
 
     A spacing is found when it is needed, and kept.
@@ -99,7 +103,8 @@ def _tops(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, top
                 if accepted:
                     break
                 accepted = _has_peers(
-                    xyz, ground, start, grid, p, cell, limit[scale], needed[scale] + 1, ratio2,
+                    xyz, ground, start, grid, p, cell, limit[scale],
+                    needed[noise[cell], scale] + 1, ratio2,
                     cap2, nearest, spacing,
                 )  # fmt: skip
             if accepted:

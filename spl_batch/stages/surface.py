@@ -35,7 +35,6 @@ from scipy.special import pdtrc
 
 from spl_batch.constants import (
     NODATA,
-    NOISE_BACKGROUND,
     NOISE_NOT_ASSESSED,
     NOISE_SIGNAL,
     QUANTUM_M,
@@ -43,7 +42,6 @@ from spl_batch.constants import (
 from spl_batch.kernels.interpolate import tin_raster
 from spl_batch.kernels.raster import (
     fill_voids,
-    flown_over,
     number_cells,
     ring_offsets,
     robust_cell_means,
@@ -54,6 +52,7 @@ from spl_batch.model import EXCLUDED, PointFlag, PointTable
 from spl_batch.settings import ProductSettings
 from spl_batch.stages.flown import flown
 from spl_batch.stages.followers import dependents
+from spl_batch.stages.noise_aloft import noise_by_cell
 from spl_batch.stages.water import REACH_M, flattened
 from spl_batch.tiling import Bounds, grow, inside, quanta
 
@@ -122,7 +121,8 @@ def surfaces(
         raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
     dtm = _terrain(table, cell, settings)
     signal, level = _signal(table, cell, settings)
-    support = _support(_noise_density(table, cell, settings), settings)
+    wide, near = (grow(cell, n * size) for n in (margin_cells(settings), _top_margin(settings)))
+    support = _support(noise_by_cell(table, wide, near, size), settings)
     dsm = _top_surface(signal, level, support, cell, settings)
     dsm = np.where(dsm < dtm, dtm, dsm)
     rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
@@ -256,29 +256,6 @@ def _top_margin(settings: ProductSettings) -> int:
     return _void_cells(settings) + _support_cells(settings)
 
 
-def _noise_density(table: PointTable, cell: Bounds, settings: ProductSettings) -> float:
-    """Noise in and around a ground cell, by the returns that the filter refused [1/m3].
-
-    Their central 96 % in height stand for the gate, so that strays do not stretch it; the
-    raster cells with any return stand for the ground flown over.
-    """
-    size = quanta(settings.cell_m)
-    wide = grow(cell, margin_cells(settings) * size)
-    rows, cols = _shape(wide, size)
-    held, heights = np.zeros(rows * cols, np.bool_), np.empty(len(table), np.int32)
-    count = flown_over(
-        (table["x"], table["y"], table["z"]), (table["noise_class"], NOISE_BACKGROUND), (*wide,),
-        float(size), held, heights,
-    )  # fmt: skip
-    if count < 2:
-        return 0.0
-    z = heights[:count]
-    low, high = np.percentile(z, (2, 98))
-    depth_m = max(float(high - low) * QUANTUM_M, 1.0)
-    flown = np.count_nonzero(held)
-    return 0.96 * len(z) / (flown * (size * QUANTUM_M) ** 2 * depth_m)
-
-
 def _critical(expected: float, settings: ProductSettings) -> int:
     """Smallest count that noise alone reaches rarely enough, and ``dsm_support`` at least."""
     count = settings.dsm_support
@@ -288,13 +265,15 @@ def _critical(expected: float, settings: ProductSettings) -> int:
     return count
 
 
-def _support(noise_density: float, settings: ProductSettings) -> Support:
-    """What confirms a return, given the noise around it [1/m3]."""
+def _support(noise: NDArray[np.float64], settings: ProductSettings) -> Support:
+    """What confirms a return, given the noise around each raster cell [1/m3]."""
     radii_m = _scales_m(settings)
-    expected = [4.0 / 3.0 * np.pi * noise_density * radius_m**3 for radius_m in radii_m]
+    densities, row = np.unique(noise, return_inverse=True)
+    expected = [[4.0 / 3.0 * np.pi * per_m3 * r**3 for r in radii_m] for per_m3 in densities]
     return Support(
         radius=np.array([quanta(radius_m) for radius_m in radii_m]),
-        needed=np.array([_critical(count, settings) for count in expected]),
+        needed=np.array([[_critical(count, settings) for count in counts] for counts in expected]),
+        noise=row,
         neighbours=settings.dsm_spacing_neighbours,
         peer_ratio=settings.dsm_peer_ratio,
     )
