@@ -11,8 +11,8 @@ and of all stages to each. Where ``pdal`` is on the PATH and the survey was simu
 share of its noise PDAL's outlier filters find.
 """
 
+import argparse
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,7 @@ def beside(
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit("usage: python -m benchmarks.stages OUTPUT [OUTPUT ...]")
-    for folder in sys.argv[1:]:
-        main(Path(folder))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("outputs", nargs="+", type=Path, metavar="output", help="of finished runs")
+    for folder in parser.parse_args().outputs:
+        main(folder)

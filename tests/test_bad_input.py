@@ -1,5 +1,6 @@
 """Bad input: one clear line each, never a traceback, the exit status of the contract."""
 
+import json
 import shutil
 import struct
 from collections.abc import Callable
@@ -133,7 +134,10 @@ def test_a_broken_file_among_good_ones_is_named(
     bad = survey.parent / "lines/bad.laz"
     shutil.copy(survey.parent / "lines/good.laz", bad)
     spoil(bad)
+    promised = 0 if spoil is not cut_in_half else len(surveys.cloud(bad.parent / "good.laz")["X"])
     failed(run(survey), survey, "bad.laz")
+    report = json.loads((survey.parent / "out/report.json").read_text(encoding="utf-8"))
+    assert report["counts"]["not_read"] == promised, "what a sound header says is missed"
     ended = surveys.command("plan", survey)
     assert ended.status in {0, 1}
     bad.unlink()

@@ -11,6 +11,7 @@ from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError, grouped, named, told_together
 from spl_batch.io.cells import create_raster_store
+from spl_batch.io.las import promised_points
 from spl_batch.kernels.ahead import compile_share
 from spl_batch.plan.blocks import remember_sizes, remembered_sizes
 from spl_batch.plan.cost import SurveyCost, estimate
@@ -177,9 +178,9 @@ class Imaging(Receiver[Survey, Context]):
 
     def not_read(self, ledger: Survey) -> int:
         """Points that the headers of files promise which could not be read to their end [count]."""
-        indexed = ledger.of("index_file")
-        sources = ledger.inputs.sources
-        return sum(s.facts.n_points for s in sources if str(s.key) not in indexed)
+        indexed, inputs = ledger.of("index_file"), ledger.inputs
+        lost = sum(s.facts.n_points for s in inputs.sources if str(s.key) not in indexed)
+        return lost + sum(promised_points(Path(path)) for path in {bad.path for bad in inputs.bad})
 
     def load_report(self) -> None:
         """Import what a report is drawn with."""

@@ -104,6 +104,14 @@ def inspect(path: Path) -> LasFacts:
     )
 
 
+def promised_points(path: Path) -> int:
+    """Points of a file by its header, whatever else is wrong with it; 0 if the header is, too."""
+    try:
+        return read_header(path).n_points
+    except InputError:
+        return 0
+
+
 def _rounding(header: LasHeader) -> Iterator[str]:
     """Say that coordinates are rounded; in words that files of other offsets share."""
     if all(_whole(header.scales[a], header.offsets[a]) is not None for a in range(3)):

@@ -177,13 +177,15 @@ def _apart(
     if not far:
         return [], []
     low, high = (choose(spans[name][k] for name in far) for k, choose in enumerate((min, max)))
+    none = len(far) == len(spans)
+    follows = "no point could be filtered" if none else "such points stay unfiltered"
     text = (
         f"{named(list(far), 3)}: gps_time of the first and last points, {low:.0f} to {high:.0f} s, "
         f"is {min(far.values()):.1f} s or more outside {names}, {min(known)[0]:.0f} to "
-        f"{max(end for _, end in known):.0f} s: such points stay unfiltered; name the trajectory "
-        "of this flight, or none"
+        f"{max(end for _, end in known):.0f} s: {follows}; name the trajectory of this "
+        "flight, or none"
     )
-    return ([text], []) if len(far) == len(spans) else ([], [text])
+    return ([text], []) if none else ([], [text])
 
 
 def _in_time_of(points: Sequence[Span], known: Sequence[Span]) -> list[Span]:
