@@ -329,5 +329,5 @@ def test_a_chunk_that_memory_has_no_room_for_is_refused(tank: Path, tmp_path: Pa
     with pytest.raises(PlanError) as caught:
         api.plan(path, memory="1GiB", overrides=["survey.frames=frames/*"])
     text = str(caught.value)
-    assert text.startswith("a chunk of 500,000 frames in frames/tank_02.zarr needs ")
-    assert text.endswith("raise it to 1815MiB or store it again in chunks of 5,688 frames or fewer")
+    assert text.startswith("a chunk of 500 000 frames in frames/tank_02.zarr needs ")
+    assert text.endswith("raise it to 1815MiB or store it again in chunks of 5 688 frames or fewer")

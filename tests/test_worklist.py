@@ -162,7 +162,7 @@ def test_only_the_unit_that_cannot_fit_is_refused() -> None:
         refused = {task.name: task.refused for task in phase.tasks(known)}
         told = [text for text in refused.values() if text]
         assert 0 < len(told) < len(refused), kind
-        assert all("--memory 1,024 MiB" in text and "lower" in text for text in told)
+        assert all("--memory 1 024 MiB" in text and "lower" in text for text in told)
         for name in refused:
             known.of(kind).put(receipt(kind, name))
 
@@ -188,7 +188,7 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
         "a surface cell",
     ):
         assert words in told
-    for words in ("a stretch", "labels", "reading a file", "1,000 records"):
+    for words in ("a stretch", "labels", "reading a file", "1 000 records"):
         assert words in told
     heavy = max(track_need(tmp_path, count) for count in (1000, 10**6, 10**9))
     assert heavy == track_need(tmp_path, 10**9) < usable_bytes(800 * 2**20)
