@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from benchmarks.peers import SEARCHES
+from benchmarks.peers import installed
 from spl_batch.api.preparing import prepare
 from spl_batch.io.store import read_receipts
 from spl_batch.io.tables import read_columns
@@ -141,17 +141,10 @@ def print_searches(block: Block) -> None:
     print(f"  {'our tree':32s}{(time.process_time() - start) / len(places) * 1e6:8.3f}")
     rates = {}
     single = (places / 1000.0).astype(np.float32)
-    for library, search in SEARCHES.items():
-        try:
-            module = importlib.import_module(library)
-        except ImportError:
-            print(f"  {library} is not installed")
-            continue
+    for name, search in installed():
         start = time.process_time()
-        search(module, single)
-        rates[f"{library.split('.')[0]} float32, k = 15"] = (time.process_time() - start) / len(
-            single
-        )
+        search(single)
+        rates[name] = (time.process_time() - start) / len(single)
     start = time.process_time()
     tree = cKDTree(places)
     built = (time.process_time() - start) / len(places)

@@ -76,14 +76,19 @@ def searches(xyz: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
     places = np.ascontiguousarray(build(local).points[:3].T) / 1000.0
     yield "cKDTree, k = 15", _rate(len(places), lambda: cKDTree(places).query(places, k=K))
     single = places.astype(np.float32)
+    for name, search in installed():
+        yield name, _rate(len(single), functools.partial(search, single))
+
+
+def installed() -> Iterator[tuple[str, Callable[[NDArray[np.float32]], None]]]:
+    """Name of each search in float32 that is there, and the search; of others it says so."""
     for library, call in SEARCHES.items():
         try:
             module = importlib.import_module(library)
         except ImportError:
             print(f"{library} is not installed")
             continue
-        search = functools.partial(call, module, single)
-        yield f"{library.split('.')[0]} float32, k = 15", _rate(len(single), search)
+        yield f"{library.split('.')[0]} float32, k = 15", functools.partial(call, module)
 
 
 def plain_filter(xyz: NDArray[np.int64]) -> tuple[str, float]:

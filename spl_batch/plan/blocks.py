@@ -116,7 +116,7 @@ def choose_sizes(
     costs = [
         (_finished(map(layout.cost, those), workers), n, sizes)
         for n, (those, sizes) in enumerate(found)
-        if all(max(block.columns, block.rows) <= WIDEST for block in those)
+        if sizes.tiles <= WIDEST or all(max(block.columns, block.rows) <= WIDEST for block in those)
     ]
     return min(costs)[-1]
 
