@@ -12,6 +12,7 @@ differ from those in the store.
 import argparse
 import functools
 import importlib
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -159,6 +160,9 @@ def print_searches(block: Block) -> None:
 def main(workflow: Path, names: list[str]) -> None:
     """Print everything."""
     tasks, context = blocks(workflow)
+    known = [task.name for task in tasks]
+    if unknown := sorted({*names} - {*known}):
+        sys.exit(f"no such block: {', '.join(unknown)}; there are {', '.join(known)}")
     differing = compared = owned = 0
     seconds = 0.0
     for task in tasks:

@@ -79,13 +79,13 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--points", type=int, default=100_000_000)
     parser.add_argument("--side-m", type=float, default=SIDE_M)
-    parser.add_argument("--memory", default="4GiB")
+    parser.add_argument("--memory", help="of a worker, as the command chooses it by default")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         workflow = write_survey(Path(folder), given.files, given.points, given.side_m)
         start = time.perf_counter()
         command = [sys.executable, "-m", "spl_batch", "plan", str(workflow)]
-        command += ["--memory", given.memory]
+        command += ["--memory", given.memory] if given.memory else []
         process = subprocess.Popen(command)  # noqa: S603 - our own command
         _, status, usage = os.wait4(process.pid, 0)
         wall = time.perf_counter() - start

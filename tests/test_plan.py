@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from spl_batch.api import preparing
 from spl_batch.api.preparing import parse_bytes
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import Store, read_json, write_json
@@ -442,17 +443,26 @@ def test_points_far_away_change_no_block(
 def test_the_sizes_of_blocks_are_remembered_for_each_size_of_tiles(tmp_path: Path) -> None:
     store, other = Store(tmp_path), workflow(tiling={"tile_m": 50})
     assert remembered_sizes(store, DEFAULTS) is None
-    remember_sizes(store, DEFAULTS, Sizes(4, 6, CellId(-3, 7)))
+    remember_sizes(store, DEFAULTS, Sizes(4, 6, CellId(-3, 7), 2**30))
     remember_sizes(store, other, Sizes(2))
-    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 6, CellId(-3, 7))
+    assert remembered_sizes(store, DEFAULTS) == Sizes(4, 6, CellId(-3, 7), 2**30)
     assert remembered_sizes(store, other) == Sizes(2)
     older = read_json(store.path("blocks.json"))
     for sizes in older.values():
-        del sizes["anchor"], sizes["parts"]
+        del sizes["anchor"], sizes["parts"], sizes["memory_bytes"]
     write_json(store.path("blocks.json"), older)
     assert remembered_sizes(store, DEFAULTS) == Sizes(4)
     store.path("blocks.json").write_text("{half")
     assert remembered_sizes(store, DEFAULTS) is None, "chosen anew"
+
+
+def test_blocks_stay_as_they_are_when_a_worker_has_more_memory() -> None:
+    dense = everywhere(400_000, 8)
+    chosen = Sizes(8, memory_bytes=2 * 2**30)
+    assert cores(dense, chosen, 9) == cores(dense, Sizes(8), 2) != cores(dense, Sizes(8), 9)
+    assert cores(dense, chosen, 1) == cores(dense, Sizes(8), 1) != cores(dense, chosen, 2)
+    pieces = list(from_counts(dense, 100_000))
+    assert count_blocks(pieces, DEFAULTS, 9 * 2**30, chosen).blocks == len(cores(dense, chosen, 9))
 
 
 def test_only_voxel_parts_of_the_region_are_read() -> None:
@@ -508,6 +518,17 @@ def test_sizes(text: str | int, size: int) -> None:
 def test_what_is_no_size(text: str | int) -> None:
     with pytest.raises(WorkflowError, match="--memory"):
         parse_bytes(text)
+
+
+@pytest.mark.parametrize(
+    ("machine_gib", "workers", "gib"),
+    [(24, 2, 9), (24, 0, 16), (8, 2, 3), (128, 16, 6), (512, 2, 16), (3.9, 2, 1.25), (1, 64, 0.25)],
+)
+def test_workers_share_the_memory_of_the_machine(
+    machine_gib: float, workers: int, gib: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(preparing, "machine_memory", lambda: int(machine_gib * 2**30))
+    assert preparing.usual_bytes(workers) == gib * 2**30
 
 
 def test_a_key_depends_on_the_name_alone() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from spl_batch.api.claim import claim
 from spl_batch.api.lock import locked
-from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
+from spl_batch.api.preparing import prepare
 from spl_batch.api.receiver import Prepared
 from spl_batch.errors import WorkflowError
 from spl_batch.graph import Job
@@ -43,7 +43,7 @@ def run_alone(
     task: str,
     *,
     workers: int = 2,
-    memory: str | int = DEFAULT_MEMORY,
+    memory: str | int | None = None,
     overrides: Sequence[str] = (),
 ) -> AloneResult:
     """Do one task in this process, whether it is finished or not.
@@ -56,7 +56,7 @@ def run_alone(
         Workflow file.
     task : str
         Kind and name of the task, as the report's failures give it, e.g. ``"ground 3_4"``.
-    workers, memory : int, str or int
+    workers, memory : int, str or int, optional
         Those of the run, as work is cut by them; nothing is started.
     overrides : sequence of str
         ``key.path=value``, applied to the workflow.

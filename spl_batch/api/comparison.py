@@ -18,7 +18,6 @@ from spl_batch.api.earlier import share_time
 from spl_batch.api.events import Listener, Note, ignore
 from spl_batch.api.lock import locked
 from spl_batch.api.pipeline import run
-from spl_batch.api.preparing import DEFAULT_MEMORY
 from spl_batch.api.reporting import recalled
 from spl_batch.errors import WorkflowError
 from spl_batch.io.links import share_finished
@@ -122,7 +121,7 @@ def compare(
     methods: str | Sequence[str],
     *,
     workers: int = 2,
-    memory: str | int = DEFAULT_MEMORY,
+    memory: str | int | None = None,
     overrides: Sequence[str] = (),
     listener: Listener = ignore,
 ) -> ComparisonResult:
@@ -137,8 +136,8 @@ def compare(
         first is the one that the others are compared with.
     workers : int
         Worker processes; 0 works in this process.
-    memory : str or int
-        Memory limit of a worker [byte].
+    memory : str or int, optional
+        Memory limit of a worker [byte]; a share of the machine's unless told.
     overrides : sequence of str
         ``key.path=value``, applied to the workflow before the method is.
     listener : callable

@@ -25,7 +25,7 @@ from spl_batch.api.events import (
 from spl_batch.api.failures import Invocation, failures
 from spl_batch.api.lock import lock_file, locked
 from spl_batch.api.planning import fitting_cost
-from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
+from spl_batch.api.preparing import prepare
 from spl_batch.api.progress import Progress
 from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
@@ -74,7 +74,7 @@ def run(
     workflow: Path | str,
     *,
     workers: int = 2,
-    memory: str | int = DEFAULT_MEMORY,
+    memory: str | int | None = None,
     scheduler: str | None = None,
     fresh: bool = False,
     verify: bool = False,
@@ -90,8 +90,9 @@ def run(
         Workflow file.
     workers : int
         Worker processes on this machine; 0 works in this process.
-    memory : str or int
-        Memory limit of a worker, e.g. ``"4GiB"`` [byte].
+    memory : str or int, optional
+        Memory limit of a worker, e.g. ``"4GiB"`` [byte]; a share of the machine's
+        unless told, 4 GiB with a scheduler.
     scheduler : str, optional
         Address of a running dask scheduler, used instead of local workers.
     fresh : bool
@@ -117,7 +118,9 @@ def run(
         If the run had to stop as a whole; the same call continues it.
     """
     start = time.perf_counter()
-    prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
+    prepared = prepare(
+        Path(workflow), overrides, memory=memory, workers=workers, remote=scheduler is not None
+    )
     order = stages_of(prepared)
     if until is not None and until not in order:
         raise WorkflowError(f"--until {until}: write one of {', '.join(order)}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.api.preparing import DEFAULT_MEMORY, prepare
+from spl_batch.api.preparing import prepare
 from spl_batch.api.receiver import Prepared
 from spl_batch.errors import grouped, told_together
 from spl_batch.io.atomic import names_in
@@ -59,6 +59,8 @@ class PlanSummary:
     cost : Cost
         Points, tasks, disk, memory and time; of an airborne survey, a
         :class:`~spl_batch.plan.cost.SurveyCost`.
+    limit_bytes : int
+        Memory limit of a worker [byte].
     rows : tuple of (str, str)
         Label and value of what the receiver tells beside them.
     faults, warnings : tuple of str
@@ -69,6 +71,7 @@ class PlanSummary:
 
     files: int
     cost: Any
+    limit_bytes: int
     rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -84,7 +87,7 @@ def plan(
     workflow: Path | str,
     *,
     workers: int = 2,
-    memory: str | int = DEFAULT_MEMORY,
+    memory: str | int | None = None,
     overrides: Sequence[str] = (),
 ) -> PlanSummary:
     """Say what a run would do, and what is wrong with all inputs at once.
@@ -95,8 +98,8 @@ def plan(
         Workflow file.
     workers : int
         Worker processes [count].
-    memory : str or int
-        Memory limit of a worker [byte].
+    memory : str or int, optional
+        Memory limit of a worker [byte]; a share of the machine's unless told.
     overrides : sequence of str
         ``key.path=value``, applied to the workflow.
 
@@ -115,6 +118,7 @@ def plan(
     return PlanSummary(
         len(inputs.sources),
         cost,
+        prepared.ledger.memory_bytes,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
         (*told_together(inputs.bad), *faults, *_unwritable(output)),
         (*inputs.warnings, *warnings, *_too_full(output, cost.disk_bytes if whole else 0)),

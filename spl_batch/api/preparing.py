@@ -3,22 +3,38 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, told_together
+from spl_batch.graph import machine_memory
 from spl_batch.receivers import receiver
 from spl_batch.workflow import load_any
 
-DEFAULT_MEMORY = "4GiB"
-"""Memory limit of a worker unless told otherwise."""
+REMOTE_BYTES: Final = 4 * 2**30
+"""Memory limit of a worker of a running scheduler unless told otherwise [byte]."""
+
+MACHINE_SHARE: Final = 0.75
+"""Part of this machine's memory that its workers share unless told otherwise."""
+
+MOST_BYTES: Final = 16 * 2**30
+"""Memory limit that a worker of this machine is not given more than, unless told otherwise
+[byte]: blocks hardly read less with more."""
+
+STEP_BYTES: Final = 2**28
+"""What such a limit is a multiple of [byte]."""
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
 _BINARY = {"k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40}
 
 
 def prepare(
-    path: Path, overrides: Sequence[str], *, memory: str | int = DEFAULT_MEMORY, workers: int = 2
+    path: Path,
+    overrides: Sequence[str],
+    *,
+    memory: str | int | None = None,
+    workers: int = 2,
+    remote: bool = False,
 ) -> Prepared[Any, Any]:
     """Read the workflow and the headers of its files.
 
@@ -28,19 +44,22 @@ def prepare(
         Workflow file.
     overrides : sequence of str
         ``key.path=value``.
-    memory : str or int
-        Memory limit of a worker [byte].
+    memory : str or int, optional
+        Memory limit of a worker [byte]; :func:`usual_bytes` unless told.
     workers : int
         Worker processes [count].
+    remote : bool
+        Whether they are those of a running scheduler.
 
     Raises
     ------
     WorkflowError
         If the workflow or a limit is wrong, or no input is usable.
     """
-    limit = parse_bytes(memory)
     if workers < 0:
         raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
+    usual = REMOTE_BYTES if remote else usual_bytes(workers)
+    limit = usual if memory is None else parse_bytes(memory)
     workflow = load_any(path, overrides)
     base = path.resolve().parent
     place = Place(path, base, (base / workflow.output).resolve())
@@ -51,6 +70,16 @@ def prepare(
         raise WorkflowError("no input is usable: " + "; ".join(told_together(inputs.bad)))
     prepared.context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
     return prepared
+
+
+def usual_bytes(workers: int) -> int:
+    """Memory limit of each of some workers of this machine, unless told otherwise [byte].
+
+    They share :data:`MACHINE_SHARE` of it: what else runs there and the files that the system keeps
+    in memory have the rest.
+    """
+    share = int(MACHINE_SHARE * machine_memory() / max(workers, 1))
+    return min(max(share // STEP_BYTES, 1) * STEP_BYTES, MOST_BYTES)
 
 
 def parse_bytes(text: str | int) -> int:

@@ -7,7 +7,6 @@ from typing import Any
 
 from spl_batch.api.events import Listener, ignore
 from spl_batch.api.pipeline import RunResult, run
-from spl_batch.api.preparing import DEFAULT_MEMORY
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import IMAGING, simulator
 from spl_batch.workflow import known_kind, read_mapping
@@ -51,7 +50,7 @@ def quickstart(
     output: Path | str = "spl-quickstart",
     *,
     workers: int = 2,
-    memory: str | int = DEFAULT_MEMORY,
+    memory: str | int | None = None,
     progress: Callable[[float], None] | None = None,
     listener: Listener = ignore,
 ) -> RunResult:
@@ -63,8 +62,8 @@ def quickstart(
         Folder; a survey that is there already is used again.
     workers : int
         Worker processes [count].
-    memory : str or int
-        Memory limit of a worker [byte].
+    memory : str or int, optional
+        Memory limit of a worker [byte]; a share of the machine's unless told.
     progress : callable, optional
         Told the share of the simulation that is done, 0..1.
     listener : callable

@@ -20,7 +20,10 @@ _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
 def _limits(command: Any) -> Any:
     """Options that say how much of the machine may be used."""
     command = click.option(
-        "--memory", default="4GiB", show_default=True, help="Memory limit of a worker."
+        "--memory",
+        metavar="SIZE",
+        show_default="three quarters of the machine's, shared by the workers, 16GiB at most",
+        help="Memory limit of a worker, such as 4GiB.",
     )(command)
     return click.option(
         "--workers", default=2, show_default=True, help="Worker processes; 0 works in this one."
@@ -50,7 +53,7 @@ def cli() -> None:
 @cli.command()
 @click.argument("folder", type=click.Path(path_type=Path), default=Path("spl-quickstart"))
 @_limits
-def quickstart(folder: Path, workers: int, memory: str) -> int:
+def quickstart(folder: Path, workers: int, memory: str | None) -> int:
     """Simulate a small survey into FOLDER and run the whole chain on it."""
     from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
     from spl_batch.cli import screen  # noqa: PLC0415
@@ -87,7 +90,7 @@ def simulate(scene: Path, output: Path) -> int:
 @_WORKFLOW
 @_limits
 @_SETTINGS
-def plan(workflow: Path, workers: int, memory: str, overrides: tuple[str, ...]) -> int:
+def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str, ...]) -> int:
     """Say what a run of WORKFLOW would do, and what is wrong with its inputs."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
@@ -113,7 +116,7 @@ def plan(workflow: Path, workers: int, memory: str, overrides: tuple[str, ...]) 
 def run(
     workflow: Path,
     workers: int,
-    memory: str,
+    memory: str | None,
     scheduler: str | None,
     fresh: bool,  # noqa: FBT001 - click passes flags by name
     verify: bool,  # noqa: FBT001
@@ -159,7 +162,7 @@ def run(
 @_limits
 @_SETTINGS
 def compare(
-    workflow: Path, methods: str, workers: int, memory: str, overrides: tuple[str, ...]
+    workflow: Path, methods: str, workers: int, memory: str | None, overrides: tuple[str, ...]
 ) -> int:
     """Run several filters on the survey of WORKFLOW: a table, and profiles side by side."""
     from spl_batch import api  # noqa: PLC0415

@@ -76,7 +76,7 @@ def print_plan(summary: "PlanSummary") -> None:
             ("tasks", grouped(cost.tasks)),
             *_finished(summary.left),
             ("disk", storage(cost.disk_bytes)),
-            ("memory", f"{grouped(cost.memory_bytes / 2**20)} MiB a worker, for {cost.heaviest}"),
+            ("memory", _memory(summary)),
             ("time", f"{expected(cost.time_s)} ({basis}){_time_left(summary.left)}"),
         ]
     )
@@ -84,6 +84,13 @@ def print_plan(summary: "PlanSummary") -> None:
         _OUT.print(Text(f"warning: {text}", style="yellow"), soft_wrap=True)
     for text in summary.faults:
         _OUT.print(Text(f"unusable: {text}", style="red"), soft_wrap=True)
+
+
+def _memory(summary: "PlanSummary") -> str:
+    """What the heaviest task of a plan needs, of how much."""
+    sizes = (summary.cost.memory_bytes, summary.limit_bytes)
+    needed, limit = (grouped(size / 2**20) for size in sizes)
+    return f"{needed} of a worker's {limit} MiB, for {summary.cost.heaviest}"
 
 
 def _finished(left: "Left | None") -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from spl_batch.errors import StoppedError
 from spl_batch.graph.ahead import Ahead
-from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster, silent
+from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster, machine_memory, silent
 from spl_batch.graph.flow import OUT_OF_MEMORY, OnDask
 from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer, OnReceipt
 from spl_batch.runner.context import RunContext
@@ -27,6 +27,7 @@ __all__ = [
     "Observer",
     "OnDask",
     "executor",
+    "machine_memory",
 ]
 
 

@@ -56,6 +56,13 @@ SETTINGS: Final[Mapping[str, Any]] = {
 }
 
 
+def machine_memory() -> int:
+    """Memory of this machine, or what its control group or user is allowed of it [byte]."""
+    from distributed.system import memory_limit  # noqa: PLC0415 - slow import, only when used
+
+    return int(memory_limit())
+
+
 @contextlib.contextmanager
 def local_cluster(workers: int, memory_bytes: int) -> Iterator[Any]:
     """Start worker processes on this machine, and end them."""

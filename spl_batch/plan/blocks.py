@@ -1,7 +1,7 @@
 """How large denoise blocks are: as memory allows, and so that all workers finish together.
 
-The choice is made once and remembered in the store, so that a flightline that is added, or
-another number of workers, leaves finished blocks as they are.
+The choice is made once and remembered in the store, so that a flightline that is added,
+other workers or more memory leave finished blocks as they are.
 """
 
 import heapq
@@ -55,11 +55,18 @@ class Sizes(NamedTuple):
         Parts of about equal cost that each square is divided into [count].
     anchor : CellId
         South-western tile of one of those squares.
+    memory_bytes : int, optional
+        Memory limit of a worker that they were chosen for: with more, blocks are no larger [byte].
     """
 
     tiles: int
     parts: int = 1
     anchor: CellId = ORIGIN
+    memory_bytes: int | None = None
+
+    def under(self, memory_bytes: int) -> int:
+        """Memory limit by which squares are cut, where a worker has so much [byte]."""
+        return memory_bytes if self.memory_bytes is None else min(memory_bytes, self.memory_bytes)
 
 
 class Expected(NamedTuple):
@@ -137,7 +144,8 @@ def blocks(layout: Layout, sizes: Sizes, workflow: Workflow, memory_bytes: int) 
     """
     if workflow.tiling.block_tiles is not None:
         return layout.squares(sizes.tiles)
-    return layout.share(sizes.tiles, block_points(memory_bytes), sizes.anchor, sizes.parts)
+    most = block_points(sizes.under(memory_bytes))
+    return layout.share(sizes.tiles, most, sizes.anchor, sizes.parts)
 
 
 def layout_of(counts: Mapping[CellId, int], workflow: Workflow) -> Layout:
@@ -198,7 +206,7 @@ def count_blocks(
         read = sum(layout.load(block).held for block in found)
         return Expected(len(found), longest, read / points)
     shapes = _shapes(sizes.tiles, workflow)
-    cuts = _cuts(pieces, workflow, memory_bytes, sizes.tiles)
+    cuts = _cuts(pieces, workflow, sizes.under(memory_bytes), sizes.tiles)
     there = [max(shape) for shape, cut in zip(shapes, cuts, strict=True) if cut.units]
     reading = math.fsum(cut.read for cut in cuts)
     longest = max(there, default=sizes.tiles)
@@ -280,7 +288,8 @@ def remembered_sizes(store: Store, workflow: Workflow) -> Sizes | None:
     if found is None:
         return None
     anchor = CellId(*found.get("anchor", ORIGIN))
-    return Sizes(int(found["tiles"]), int(found.get("parts", 1)), anchor)
+    memory = found.get("memory_bytes")
+    return Sizes(int(found["tiles"]), int(found.get("parts", 1)), anchor, memory and int(memory))
 
 
 def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
@@ -296,7 +305,7 @@ def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
         What :func:`choose_sizes` chose.
     """
     known = _remembered(store)
-    new = {"tiles": sizes.tiles, "parts": sizes.parts, "anchor": [*sizes.anchor]}
+    new = {**sizes._asdict(), "anchor": [*sizes.anchor]}
     if known.get(_key(workflow)) != new:
         write_json(store.path(_FILE), {**known, _key(workflow): new})
 

@@ -143,8 +143,8 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
 
 def _roomier(survey: Survey, pieces: Sequence[Piece]) -> tuple[int, float] | None:
     """A memory limit with which blocks read less, and what they read then."""
-    if survey.workflow.tiling.block_tiles is not None:
-        return None
+    if survey.workflow.tiling.block_tiles is not None or survey.remembered is not None:
+        return None  # blocks stay as they are
     for memory_bytes in (2 * survey.memory_bytes, 4 * survey.memory_bytes):
         limits = survey.workflow, memory_bytes
         sizes = choose_sizes(pieces, *limits, survey.workers)

@@ -103,10 +103,11 @@ class Survey(Ledger[Inputs, Workflow]):
     @cached_property
     def block_sizes(self) -> Sizes:
         """How large denoise blocks are; known once the shuffle is complete."""
-        if self.remembered is not None and self.workflow.tiling.block_tiles is None:
-            return self.remembered
-        pieces = list(from_counts(self.counts, self.tile_q))
-        return choose_sizes(pieces, self.workflow, self.memory_bytes, self.workers)
+        found = self.remembered if self.workflow.tiling.block_tiles is None else None
+        if found is None:
+            pieces = list(from_counts(self.counts, self.tile_q))
+            found = choose_sizes(pieces, self.workflow, self.memory_bytes, self.workers)
+        return found._replace(memory_bytes=found.under(self.memory_bytes))
 
     def holders(self) -> Holders:
         """Blocks that are finished, by the tiles that they own."""
