@@ -522,7 +522,15 @@ def test_what_is_no_size(text: str | int) -> None:
 
 @pytest.mark.parametrize(
     ("machine_gib", "workers", "gib"),
-    [(24, 2, 9), (24, 0, 16), (8, 2, 3), (128, 16, 6), (512, 2, 16), (3.9, 2, 1.25), (1, 64, 0.25)],
+    [
+        (24, 2, 9.5),
+        (24, 0, 16),
+        (8, 2, 3),
+        (128, 16, 6.25),
+        (512, 2, 16),
+        (3.9, 2, 1.5),
+        (1, 64, 0.25),
+    ],
 )
 def test_workers_share_the_memory_of_the_machine(
     machine_gib: float, workers: int, gib: float, monkeypatch: pytest.MonkeyPatch

@@ -14,7 +14,7 @@ from spl_batch.workflow import load_any
 REMOTE_BYTES: Final = 4 * 2**30
 """Memory limit of a worker of a running scheduler unless told otherwise [byte]."""
 
-MACHINE_SHARE: Final = 0.75
+MACHINE_SHARE: Final = 0.8
 """Part of this machine's memory that its workers share unless told otherwise."""
 
 MOST_BYTES: Final = 16 * 2**30
