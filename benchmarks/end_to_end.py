@@ -1,6 +1,6 @@
 """The whole chain on one worker and on two, and its cost by area and by share of noise.
 
-    python -m benchmarks.end_to_end FOLDER [workers] [area] [noise] [--side-m 600]
+    python -m benchmarks.end_to_end FOLDER [workers] [area] [noise] [--side-m 800] [--memory 4GiB]
 
 Simulates surveys of the kind of :mod:`benchmarks.whole_survey` into FOLDER, once, and runs each
 from LAZ to LAZ and COG. Prints seconds of work per million returns and core of each stage, the
@@ -13,7 +13,8 @@ highest memory of a worker, and
   further million of a square costs beside the next smaller one;
 - ``noise``: squares of 200 m from little background to more than half of all returns, one worker.
 
-All three by default. A first run compiles kernels and is not counted.
+All three by default. A first run compiles kernels and is not counted. Workers have the same
+memory whether one works or two: by default one would have twice as much, and larger blocks.
 """
 
 import argparse
@@ -31,7 +32,7 @@ from benchmarks.peers import print_ratios
 from benchmarks.whole_survey import scene
 
 SIDES_M = (100, 200, 400, 800)
-SIDE_M = 600.0
+SIDE_M = 800.0
 """Side of the square that workers share, by default [m]."""
 
 BACKGROUNDS = (0.001, 0.01, 0.03, 0.08, 0.2, 0.5)
@@ -61,9 +62,11 @@ def command(*arguments: object) -> float:
     return time.perf_counter() - start
 
 
-def run(workflow: Path, workers: int) -> tuple[dict[str, float], dict[str, Any], float]:
+def run(
+    workflow: Path, workers: int, memory: str
+) -> tuple[dict[str, float], dict[str, Any], float]:
     """Seconds per million of each stage, the report, and wall time [s]."""
-    wall_s = command("run", workflow, "--fresh", "--workers", workers)
+    wall_s = command("run", workflow, "--fresh", "--workers", workers, "--memory", memory)
     report = json.loads((workflow.parent / "out" / "report.json").read_text(encoding="utf-8"))
     millions = report["counts"]["points_in"] / 1e6
     stages = report["performance"]["stages"]
@@ -103,16 +106,15 @@ def chain_s(output: Path) -> float:
     return end - begin
 
 
-def by_workers(folder: Path, side_m: float) -> None:
+def by_workers(folder: Path, side_m: float, memory: str) -> None:
     """One worker, and two; ratios to others."""
     content = scene(side_m)
     content["sky"]["background_per_m3"] = FORTY
-    name = "forty" if side_m == SIDE_M else f"forty{side_m:g}"
-    workflow = survey(folder, name, content)
-    run(workflow, 2)
+    workflow = survey(folder, f"forty{side_m:g}", content)
+    run(workflow, 2, memory)
     walls, chains = {}, {}
     for workers in (1, 2):
-        costs, report, walls[workers] = run(workflow, workers)
+        costs, report, walls[workers] = run(workflow, workers, memory)
         chains[workers] = chain_s(workflow.parent / "out")
         if workers == 1:
             head("workers", costs)
@@ -125,13 +127,13 @@ def by_workers(folder: Path, side_m: float) -> None:
     print_ratios(workflow.parent / "out", ours)
 
 
-def by_area(folder: Path) -> None:
+def by_area(folder: Path, memory: str) -> None:
     """Squares whose sides double."""
     before = 0.0, 0.0
     for side_m in SIDES_M:
         content = scene(float(side_m))
         content["acquisition"]["prf_hz"] /= 4
-        costs, report, wall_s = run(survey(folder, f"side{side_m}", content), 1)
+        costs, report, wall_s = run(survey(folder, f"side{side_m}", content), 1, memory)
         if side_m == SIDES_M[0]:
             head("side [m]", costs)
         print_run(str(side_m), costs, report, wall_s)
@@ -142,12 +144,12 @@ def by_area(folder: Path) -> None:
         before = millions, work_s
 
 
-def by_noise(folder: Path) -> None:
+def by_noise(folder: Path, memory: str) -> None:
     """From little background to much."""
     for background in BACKGROUNDS:
         content = scene(200.0)
         content["sky"]["background_per_m3"] = background
-        costs, report, wall_s = run(survey(folder, f"sky{background:g}", content), 1)
+        costs, report, wall_s = run(survey(folder, f"sky{background:g}", content), 1, memory)
         if background == BACKGROUNDS[0]:
             head("1/m3", costs)
         print_run(f"{background:g}", costs, report, wall_s)
@@ -160,14 +162,15 @@ def main() -> None:
     parts = ["workers", "area", "noise"]
     parser.add_argument("parts", nargs="*", choices=[*parts, []], default=[])
     parser.add_argument("--side-m", type=float, default=SIDE_M)
+    parser.add_argument("--memory", default="4GiB", help="of a worker")
     given = parser.parse_args()
     for part in given.parts or parts:
         if part == "workers":
-            by_workers(given.folder, given.side_m)
+            by_workers(given.folder, given.side_m, given.memory)
         elif part == "area":
-            by_area(given.folder)
+            by_area(given.folder, given.memory)
         else:
-            by_noise(given.folder)
+            by_noise(given.folder, given.memory)
 
 
 if __name__ == "__main__":
