@@ -156,18 +156,20 @@ def test_pits_are_lifted_as_in_a_plain_loop():
     lifted = np.empty(shape)
     lift_pits(z, start, tops, 2000.0, lifted)
     expected = tops.copy()
-    for row, col in np.argwhere(~np.isnan(tops)):
+    for row, col in np.ndindex(shape):
         if not (0 < row < shape[0] - 1 and 0 < col < shape[1] - 1):
             continue
         own = z[slice(*start[row * shape[1] + col :][:2])]
         around = np.delete(tops[row - 1 : row + 2, col - 1 : col + 2].ravel(), 4)
+        void = np.isnan(tops[row, col])
         for level in np.unique(around[~np.isnan(around)])[::-1]:
-            if (around >= level).sum() >= 6:
-                if tops[row, col] <= level - 2000 and (own <= level).any():
-                    expected[row, col] = max(tops[row, col], own[own <= level].max())
+            if (around >= level).sum() >= (2 if void else 6):
+                if (void or tops[row, col] <= level - 2000) and (own <= level).any():
+                    expected[row, col] = np.fmax(tops[row, col], own[own <= level].max())
                 break
     np.testing.assert_array_equal(lifted, expected)
     assert (lifted > tops).sum() > 3
+    assert (np.isnan(tops) & ~np.isnan(lifted)).sum() > 3
 
 
 def test_a_sparse_cell_at_the_rim_of_a_crown_is_no_pit():
@@ -189,6 +191,26 @@ def test_a_sparse_cell_at_the_rim_of_a_crown_is_no_pit():
         dsm = surfaces(table, CELL, strict)["dsm"]
         assert (dsm[at] > base + 7).all() == found
         assert dsm.max() < base + 10.1
+
+
+@pytest.mark.parametrize(("covered", "height"), [(True, 9.5), (False, 0.0)])
+def test_a_sparse_twig_at_the_rim_of_a_crown_counts_where_no_ground_was_seen(covered, height):
+    rng = np.random.default_rng(8)
+    flat = terrain(density=8) * [1, 1, 0]
+    crown = np.stack([rng.uniform(-18, -10, 3200), rng.uniform(42, 52, 3200),
+                      rng.uniform(9, 10, 3200)], axis=1)  # fmt: skip
+    beside = (flat[:, 0] > -10) & (flat[:, 0] < -9) & (flat[:, 1] > 46) & (flat[:, 1] < 47)
+    ground = flat[~beside] if covered else flat
+    table = table_of(
+        np.concatenate([ground, crown, [[-9.2, 46.5, 9.5]]]),
+        ground=np.repeat([1, 0], [len(ground), len(crown) + 1]),
+    )
+    strict = SETTINGS.model_copy(update={"dsm_support": 20})
+    rasters = surfaces(table, CELL, strict)
+    x, y = centres()
+    at = (np.abs(x + 9.5) < 0.5) & (np.abs(y - 46.5) < 0.5)
+    assert rasters["dsm"][at] == pytest.approx(height, abs=0.01)
+    assert rasters["dsm"][(x > -9) & (y > 53)].max() < 0.01
 
 
 def test_voids_are_filled_up_to_the_stated_distance_only():

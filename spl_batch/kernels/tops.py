@@ -17,6 +17,8 @@ live on it.
 The tops of the cells around confirm, too: where nearly all of them stand far above a cell's own
 confirmed return, its highest return that is no higher than most of them counts
 (:func:`lift_pits`). At the rim of a crown twigs may be too sparse to be each other's peers.
+A cell with returns of which none is confirmed has no ground return either: something is in the
+way of the ground there, and two of the tops around are enough. One alone may be noise.
 """
 
 from typing import NamedTuple
@@ -27,6 +29,9 @@ from numpy.typing import NDArray
 
 PIT_NEIGHBOURS = 6
 """Of eight cells around, those that have to stand above a pit [count]."""
+
+RIM_NEIGHBOURS = 2
+"""Of eight cells around, those whose tops confirm a return of a cell without ground [count]."""
 
 
 class Support(NamedTuple):
@@ -245,30 +250,36 @@ def lift_pits(
     start : (rows * cols + 1,) int64
         Where each cell begins.
     tops : (rows, cols) float64
-        Confirmed tops [quanta]; NaN where there is none.
+        Confirmed tops [quanta]; NaN where there is none. Where a cell without one has returns,
+        none of them is ground.
     depth : float
         A cell so far below :data:`PIT_NEIGHBOURS` of the eight around it is a pit [quanta].
     out : (rows, cols) float64, written
-        A pit's highest return that is no higher than that many of them; else as ``tops``.
+        A pit's highest return that is no higher than that many of them, of a cell without a
+        top that is no higher than :data:`RIM_NEIGHBOURS` of them; else as ``tops``.
     """
     rows, cols = tops.shape
     around = np.empty(8)
     out[:] = tops
     for row in range(1, rows - 1):
         for col in range(1, cols - 1):
+            cell = row * cols + col
+            void = np.isnan(tops[row, col])
+            if void and start[cell] == start[cell + 1]:
+                continue
             known = 0
             for other in range(9):
                 top = tops[row + other // 3 - 1, col + other % 3 - 1]
                 if other != 4 and not np.isnan(top):
                     around[known] = top
                     known += 1
-            if known < PIT_NEIGHBOURS or np.isnan(tops[row, col]):
+            above = RIM_NEIGHBOURS if void else PIT_NEIGHBOURS
+            if known < above:
                 continue
-            level = np.sort(around[:known])[known - PIT_NEIGHBOURS]
-            if tops[row, col] > level - depth:
+            level = np.sort(around[:known])[known - above]
+            if not void and tops[row, col] > level - depth:
                 continue
-            cell = row * cols + col
             for p in range(start[cell], start[cell + 1]):
                 if z[p] <= level:
-                    out[row, col] = max(tops[row, col], np.float64(z[p]))
+                    out[row, col] = np.float64(z[p]) if void else max(tops[row, col], float(z[p]))
                     break

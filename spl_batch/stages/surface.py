@@ -17,8 +17,9 @@ DSM    Highest return of the cell that is ground or that its peers confirm: more
        without any, ``dsm_support`` returns do. A wire of few returns per metre
        stands out of the DSM where there is little noise only. In a pit, more than
        :data:`PIT_M` below most cells around, the highest return up to their level does
-       without peers. Never below the DTM.
-       A cell without a confirmed return takes the nearest value within
+       without peers; so does, where none is ground or confirmed, the highest up to the
+       level of two of them. Never below the DTM.
+       A cell without such a return takes the nearest value within
        ``dsm_void_max_m``, of several the lowest.
 CHM    DSM - DTM, hence >= 0; nodata where either is.
 ====== ========================================================================
