@@ -1,12 +1,14 @@
 """The whole chain on one worker and on two, and its cost by area and by share of noise.
 
-    python -m benchmarks.end_to_end FOLDER [workers] [area] [noise] [--side-m 800] [--memory 4GiB]
+    python -m benchmarks.end_to_end FOLDER [workers] [area] [noise] [--side-m 800]
+        [--background 0.035] [--memory 4GiB]
 
 Simulates surveys of the kind of :mod:`benchmarks.whole_survey` into FOLDER, once, and runs each
 from LAZ to LAZ and COG. Prints seconds of work per million returns and core of each stage, the
 highest memory of a worker, and
 
-- ``workers``: a square of ``--side-m``, nearly 40 % of it noise: how much faster two workers are
+- ``workers``: a square of ``--side-m``, nearly 40 % of it noise unless ``--background`` [1/m3] says
+  otherwise, 57 % at 0.08: how much faster two workers are
   than one, from the first task of the chain to its last and in all, and the ratios of
   :mod:`benchmarks.peers`;
 - ``area``: squares whose sides double, at a quarter of the density, one worker; and what each
@@ -106,11 +108,12 @@ def chain_s(output: Path) -> float:
     return end - begin
 
 
-def by_workers(folder: Path, side_m: float, memory: str) -> None:
+def by_workers(folder: Path, side_m: float, background: float, memory: str) -> None:
     """One worker, and two; ratios to others."""
     content = scene(side_m)
-    content["sky"]["background_per_m3"] = FORTY
-    workflow = survey(folder, f"forty{side_m:g}", content)
+    content["sky"]["background_per_m3"] = background
+    name = "forty" if background == FORTY else f"sky{background:g}_"
+    workflow = survey(folder, f"{name}{side_m:g}", content)
     run(workflow, 2, memory)
     walls, chains = {}, {}
     for workers in (1, 2):
@@ -162,11 +165,12 @@ def main() -> None:
     parts = ["workers", "area", "noise"]
     parser.add_argument("parts", nargs="*", choices=[*parts, []], default=[])
     parser.add_argument("--side-m", type=float, default=SIDE_M)
+    parser.add_argument("--background", type=float, default=FORTY, help="of --side-m [1/m3]")
     parser.add_argument("--memory", default="4GiB", help="of a worker")
     given = parser.parse_args()
     for part in given.parts or parts:
         if part == "workers":
-            by_workers(given.folder, given.side_m, given.memory)
+            by_workers(given.folder, given.side_m, given.background, given.memory)
         elif part == "area":
             by_area(given.folder, given.memory)
         else:
