@@ -27,7 +27,9 @@ from spl_batch.plan.blocks import (
     count_blocks,
     layout_of,
     remember_sizes,
+    remember_stretch,
     remembered_sizes,
+    remembered_stretch,
 )
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import (
@@ -452,7 +454,11 @@ def test_the_sizes_of_blocks_are_remembered_for_each_size_of_tiles(tmp_path: Pat
         del sizes["anchor"], sizes["parts"], sizes["memory_bytes"]
     write_json(store.path("blocks.json"), older)
     assert remembered_sizes(store, DEFAULTS) == Sizes(4)
+    remember_stretch(store, 500_000)
+    assert remembered_stretch(store) == 500_000
+    assert remembered_sizes(store, DEFAULTS) == Sizes(4), "stands beside the stretches"
     store.path("blocks.json").write_text("{half")
+    assert remembered_stretch(store) is None
     assert remembered_sizes(store, DEFAULTS) is None, "chosen anew"
 
 

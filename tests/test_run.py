@@ -423,6 +423,19 @@ def test_points_by_tile_are_all_points_once(small: Path, small_output: Path) -> 
     assert rows(parts) == rows(list(surveys.delivered(small_output).values()))
 
 
+def test_stretches_stay_as_they_are_when_a_run_goes_on_with_more_memory(
+    tiny_survey: Path, tmp_path: Path
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    chosen = []
+    for memory, fresh in (("1GiB", False), ("8GiB", False), ("800MiB", False), ("8GiB", True)):
+        surveys.run(workflow, until="index", memory=memory, fresh=fresh)
+        store = tmp_path / "out/store"
+        chosen.append(json.loads((store / "blocks.json").read_text())["stretches"]["points"])
+    assert chosen[0] == chosen[1]
+    assert chosen[2] < chosen[1] < chosen[3]
+
+
 def test_too_little_memory_is_refused_before_any_work(tiny_survey: Path, tmp_path: Path) -> None:
     workflow = surveys.copy_of(tiny_survey, tmp_path)
     ended = surveys.command("run", workflow, "--workers", 0, "--memory", "300MiB")

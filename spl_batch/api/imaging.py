@@ -13,7 +13,12 @@ from spl_batch.errors import WorkflowError, grouped, named, told_together
 from spl_batch.io.cells import create_raster_store
 from spl_batch.io.las import promised_points
 from spl_batch.kernels.ahead import compile_share
-from spl_batch.plan.blocks import remember_sizes, remembered_sizes
+from spl_batch.plan.blocks import (
+    remember_sizes,
+    remember_stretch,
+    remembered_sizes,
+    remembered_stretch,
+)
 from spl_batch.plan.cost import SurveyCost, estimate
 from spl_batch.plan.first_look import first_look, holds_few
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
@@ -83,6 +88,7 @@ class Imaging(Receiver[Survey, Context]):
         context = Context(workflow, place.base, place.output, crs_wkt, code_version())
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
         survey.remembered = remembered_sizes(context.store, workflow)
+        survey.remembered_stretch = remembered_stretch(context.store)
         return Prepared(self, survey, context)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
@@ -123,12 +129,18 @@ class Imaging(Receiver[Survey, Context]):
         return first_look(prepared.ledger.inputs, prepared.ledger.workflow, prepared.context.base)
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
-        """Settle the size of blocks; make room for the raster cells of the ``surfaces`` stage."""
+        """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.
+
+        What is remembered is read again: the run may have begun with emptying the store.
+        """
         workflow, survey = prepared.context.workflow, prepared.ledger
+        store = prepared.context.store
+        if phase.kind == "index_part":
+            survey.remembered_stretch = remembered_stretch(store)
+            remember_stretch(store, survey.stretch_points)
         if phase.kind == "denoise" and workflow.tiling.block_tiles is None:
-            # The run may have begun with emptying the store.
-            survey.remembered = remembered_sizes(prepared.context.store, workflow)
-            remember_sizes(prepared.context.store, workflow, survey.block_sizes)
+            survey.remembered = remembered_sizes(store, workflow)
+            remember_sizes(store, workflow, survey.block_sizes)
         if phase.kind == "surface":
             create_raster_store(
                 prepared.context.rasters,

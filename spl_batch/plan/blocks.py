@@ -42,6 +42,7 @@ MANY: Final = 2000
 """Tiles times blocks near by from which on each tile is looked up by itself."""
 
 _FILE: Final = "blocks.json"
+_STRETCH: Final = "stretches"
 
 
 class Sizes(NamedTuple):
@@ -308,6 +309,27 @@ def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
     new = {**sizes._asdict(), "anchor": [*sizes.anchor]}
     if known.get(_key(workflow)) != new:
         write_json(store.path(_FILE), {**known, _key(workflow): new})
+
+
+def remembered_stretch(store: Store) -> int | None:
+    """Points of a stretch in earlier runs [count]; None where there are none."""
+    found = _remembered(store).get(_STRETCH)
+    return None if found is None else int(found["points"])
+
+
+def remember_stretch(store: Store, points: int) -> None:
+    """Keep the points of a stretch for later runs: with more memory they would be cut anew.
+
+    Parameters
+    ----------
+    store : Store
+        Where.
+    points : int
+        On average [count].
+    """
+    known = _remembered(store)
+    if known.get(_STRETCH) != {"points": points}:
+        write_json(store.path(_FILE), {**known, _STRETCH: {"points": points}})
 
 
 def _key(workflow: Workflow) -> str:

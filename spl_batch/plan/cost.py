@@ -13,7 +13,7 @@ from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
 from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Source
-from spl_batch.plan.memory import Need, halo_m, needs, stretch_points
+from spl_batch.plan.memory import Need, halo_m, needs
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.context import Context
 from spl_batch.runner.index import parts_of
@@ -100,7 +100,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     blocks = count_blocks(pieces, *limits, sizes)
     tiles = sum(piece.units(survey.tile_q) for piece in pieces)
     cells = _ground_cells(boxes, workflow)
-    stretches = sum(-(-s.facts.n_points // stretch_points(survey.memory_bytes)) for s in sources)
+    stretches = sum(-(-s.facts.n_points // survey.stretch_points) for s in sources)
     heaviest = _heaviest(survey, pieces, boxes)
     typical = {
         **RATES_POINTS_PER_S,

@@ -47,10 +47,12 @@ class Pieces(NamedTuple):
 class Survey(Ledger[Inputs, Workflow]):
     """What a run on an airborne survey knows so far.
 
-    ``remembered`` are the sizes of the blocks that earlier runs had.
+    ``remembered`` are the sizes of the blocks that earlier runs had, ``remembered_stretch`` the
+    points of their stretches.
     """
 
     remembered: Sizes | None = None
+    remembered_stretch: int | None = None
 
     @property
     def beamlets(self) -> int:
@@ -68,8 +70,13 @@ class Survey(Ledger[Inputs, Workflow]):
         """Flightlines; complete once the index stage is."""
         if not self.filtering:
             return []
+        return find_flightlines(self.of("index_file"), self.workflow, self.stretch_points)
+
+    @property
+    def stretch_points(self) -> int:
+        """Points of a stretch on average: as memory allows, and no more than in earlier runs."""
         points = stretch_points(self.memory_bytes)
-        return find_flightlines(self.of("index_file"), self.workflow, points)
+        return min(points, self.remembered_stretch or points)
 
     @cached_property
     def pieces(self) -> dict[int, Pieces]:
