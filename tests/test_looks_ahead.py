@@ -1,10 +1,13 @@
 """A trajectory whose times are off is noticed: its sensor is not above what it sees."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from spl_batch.api import imaging
 from spl_batch.api.events import Event, Note
 from spl_batch.io.gpstime import leap_seconds
 from spl_batch.model import BeamTable
@@ -84,6 +87,18 @@ def test_leap_seconds(time_s: float, leap_s: int) -> None:
 @pytest.mark.parametrize("shift_m", [0.0, 15.0, -15.0])
 def test_what_is_near_above_is_not(tmp_path: Path, shift_m: float) -> None:
     assert not told(tmp_path, shift_m)
+
+
+@pytest.mark.parametrize(("astern", "off"), [(300_000, {}), (60_000, {"a": 8.0})])
+def test_a_stretch_that_sees_the_survey_ahead_makes_up_for_one_that_sees_it_astern(
+    astern: int, off: dict[str, float]
+) -> None:
+    looks = {"a/0": (610.0, 200_000), "a/1": (570.0, 100_000), "a/3": (-590.0, astern)}
+    receipts: dict[str, Any] = {"a/2": SimpleNamespace(points=50_000, facts={})}
+    for name, (ahead_m, points) in looks.items():
+        receipts[name] = SimpleNamespace(points=points, facts={"ahead": [ahead_m, 2500.0, 49.8]})
+    survey: Any = SimpleNamespace(of=lambda kind: receipts if kind == "gather" else {})
+    assert imaging._times_off(survey) == ({}, pytest.approx(off, rel=0.01))
 
 
 def a_scan(seconds: float, speed_m_s: float, ahead_m: float) -> tuple[BeamTable, np.ndarray]:

@@ -7,6 +7,8 @@ from statistics import median
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
+import numpy as np
+
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError, grouped, named, told_together
@@ -296,21 +298,23 @@ def _times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
     """Flightlines whose sensor is not above what it sees, as with times that are off.
 
     Leap seconds that the trajectory's times lack, where these explain it; else by how many
-    seconds the times seem late [s].
+    seconds the times seem late [s]. A place is seen ahead first and astern later, so that one
+    stretch of a small survey may lie on one side: what counts is the mean over all returns.
     """
-    looks: dict[str, list[Ahead]] = {}
+    looks: dict[str, list[tuple[Ahead, int]]] = {}
     leaps: dict[str, int] = {}
     for name, receipt in survey.of("gather").items():
         line = name.split("/", maxsplit=1)[0]
         if "ahead" in receipt.facts:
-            looks.setdefault(line, []).append(Ahead(*receipt.facts["ahead"]))
+            looks.setdefault(line, []).append((Ahead(*receipt.facts["ahead"]), receipt.points))
         if receipt.facts.get("leap_s"):
             leaps[line] = int(receipt.facts["leap_s"])
     off: dict[str, float] = {}
     for line, stretches in looks.items():
-        middle = Ahead(*(median(values) for values in zip(*stretches, strict=True)))
-        if not middle.is_above and line not in leaps:
-            off[line] = middle.ahead_m / middle.speed_m_s
+        means, returns = zip(*stretches, strict=True)
+        whole = Ahead(*map(float, np.average(means, axis=0, weights=returns)))
+        if not whole.is_above and line not in leaps:
+            off[line] = whole.ahead_m / whole.speed_m_s
     return leaps, off
 
 
