@@ -1,22 +1,22 @@
 """The whole chain on one worker and on two, and its cost by area and by share of noise.
 
     python -m benchmarks.end_to_end FOLDER [workers] [area] [noise] [--side-m 800]
-        [--background 0.035] [--memory 4GiB]
+        [--background 0.035] [--density 1] [--memory 4GiB]
 
 Simulates surveys of the kind of :mod:`benchmarks.whole_survey` into FOLDER, once, and runs each
 from LAZ to LAZ and COG. Prints seconds of work per million returns and core of each stage, the
 highest memory of a worker, and
 
 - ``workers``: a square of ``--side-m``, nearly 40 % of it noise unless ``--background`` [1/m3] says
-  otherwise, 57 % at 0.08: how much faster two workers are
-  than one, from the first task of the chain to its last and in all, and the ratios of
+  otherwise, and fewer shots where ``--density`` does: how much faster two workers are than one,
+  from the first task of the chain to its last and in all, and the ratios of
   :mod:`benchmarks.peers`;
 - ``area``: squares whose sides double, at a quarter of the density, one worker; and what each
   further million of a square costs beside the next smaller one;
 - ``noise``: squares of 200 m from little background to more than half of all returns, one worker.
 
 All three by default. A first run compiles kernels and is not counted. Workers have the same
-memory whether one works or two: by default one would have twice as much, and larger blocks.
+memory whether one works or two: by default one has more of it, and larger blocks.
 """
 
 import argparse
@@ -108,12 +108,12 @@ def chain_s(output: Path) -> float:
     return end - begin
 
 
-def by_workers(folder: Path, side_m: float, background: float, memory: str) -> None:
+def by_workers(folder: Path, side_m: float, background: float, density: float, memory: str) -> None:
     """One worker, and two; ratios to others."""
     content = scene(side_m)
     content["sky"]["background_per_m3"] = background
-    name = "forty" if background == FORTY else f"sky{background:g}_"
-    workflow = survey(folder, f"{name}{side_m:g}", content)
+    content["acquisition"]["prf_hz"] *= density
+    workflow = survey(folder, f"workers_{side_m:g}_{background:g}_{density:g}", content)
     run(workflow, 2, memory)
     walls, chains = {}, {}
     for workers in (1, 2):
@@ -166,11 +166,14 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", choices=[*parts, []], default=[])
     parser.add_argument("--side-m", type=float, default=SIDE_M)
     parser.add_argument("--background", type=float, default=FORTY, help="of --side-m [1/m3]")
+    parser.add_argument(
+        "--density", type=float, default=1.0, help="of shots in it, of the full one"
+    )
     parser.add_argument("--memory", default="4GiB", help="of a worker")
     given = parser.parse_args()
     for part in given.parts or parts:
         if part == "workers":
-            by_workers(given.folder, given.side_m, given.background, given.memory)
+            by_workers(given.folder, given.side_m, given.background, given.density, given.memory)
         elif part == "area":
             by_area(given.folder, given.memory)
         else:

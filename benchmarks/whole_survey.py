@@ -1,8 +1,8 @@
-"""A survey of 100 million returns, from its simulation to its report.
+"""A survey of 140 million returns, from its simulation to its report.
 
     python -m benchmarks.whole_survey FOLDER [--side-m 1500] [--memory SIZE] [--workers 2]
 
-Simulates three flightlines over a square of 1.5 km, about 45 returns for each square metre,
+Simulates three flightlines over a square of 1.5 km, about 60 returns for each square metre,
 into FOLDER, once: one that is there is taken as it is. Runs it and prints wall time, peak
 memory of a worker, disk used, and points a second by stage. Smaller squares take the same
 share of the time that it needs. ``--only-simulate`` stops after the first part.

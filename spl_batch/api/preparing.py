@@ -58,8 +58,10 @@ def prepare(
     """
     if workers < 0:
         raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
-    usual = REMOTE_BYTES if remote else usual_bytes(workers)
-    limit = usual if memory is None else parse_bytes(memory)
+    if memory is None:
+        limit = REMOTE_BYTES if remote else usual_bytes(workers)
+    else:
+        limit = parse_bytes(memory)
     workflow = load_any(path, overrides)
     base = path.resolve().parent
     place = Place(path, base, (base / workflow.output).resolve())

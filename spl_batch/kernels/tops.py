@@ -281,5 +281,5 @@ def lift_pits(
                 continue
             for p in range(start[cell], start[cell + 1]):
                 if z[p] <= level:
-                    out[row, col] = np.float64(z[p]) if void else max(tops[row, col], float(z[p]))
+                    out[row, col] = np.fmax(tops[row, col], np.float64(z[p]))
                     break

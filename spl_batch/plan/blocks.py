@@ -1,7 +1,7 @@
 """How large denoise blocks are: as memory allows, and so that all workers finish together.
 
-The choice is made once and remembered in the store, so that a flightline that is added,
-other workers or more memory leave finished blocks as they are.
+The choice is made once and remembered in the store, as is that of a stretch's points, so that a
+flightline that is added, other workers or more memory leave what is finished as it is.
 """
 
 import heapq
@@ -289,8 +289,8 @@ def remembered_sizes(store: Store, workflow: Workflow) -> Sizes | None:
     if found is None:
         return None
     anchor = CellId(*found.get("anchor", ORIGIN))
-    memory = found.get("memory_bytes")
-    return Sizes(int(found["tiles"]), int(found.get("parts", 1)), anchor, memory and int(memory))
+    parts, memory_bytes = int(found.get("parts", 1)), found.get("memory_bytes")
+    return Sizes(int(found["tiles"]), parts, anchor, memory_bytes)
 
 
 def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
@@ -305,10 +305,7 @@ def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
     sizes : Sizes
         What :func:`choose_sizes` chose.
     """
-    known = _remembered(store)
-    new = {**sizes._asdict(), "anchor": [*sizes.anchor]}
-    if known.get(_key(workflow)) != new:
-        write_json(store.path(_FILE), {**known, _key(workflow): new})
+    _remember(store, _key(workflow), {**sizes._asdict(), "anchor": [*sizes.anchor]})
 
 
 def remembered_stretch(store: Store) -> int | None:
@@ -327,13 +324,17 @@ def remember_stretch(store: Store, points: int) -> None:
     points : int
         On average [count].
     """
-    known = _remembered(store)
-    if known.get(_STRETCH) != {"points": points}:
-        write_json(store.path(_FILE), {**known, _STRETCH: {"points": points}})
+    _remember(store, _STRETCH, {"points": points})
 
 
 def _key(workflow: Workflow) -> str:
     return f"blocks of tiles of {workflow.tiling.tile_m:g} m"
+
+
+def _remember(store: Store, key: str, chosen: dict[str, Any]) -> None:
+    known = _remembered(store)
+    if known.get(key) != chosen:
+        write_json(store.path(_FILE), {**known, key: chosen})
 
 
 def _remembered(store: Store) -> dict[str, dict[str, Any]]:
