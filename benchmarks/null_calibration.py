@@ -80,7 +80,7 @@ class Draw(NamedTuple):
 
 def keeps(cloud: Cloud, settings: FilterSettings) -> Kept:
     """Decide as the chain does: by the test, its links and the scan, which share alpha."""
-    alone = judge(cloud, settings, spent=wire_null.spent(cloud.density, settings)).signal
+    alone = judge(cloud, settings, spent=lambda density: wire_null.spent(density, settings)).signal
     found = scan(cloud, wire_null.fitted(settings)).signal
     return Kept(alone | found, found)
 

@@ -1,5 +1,6 @@
 """The noise filter: labels against a slow twin, rules for odd points, independence of tiling."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from spl_batch.settings import FilterSettings, WireSettings
 from spl_batch.stages import echoes, wire_null, wire_scan
 from spl_batch.stages.cloud import Cloud
 from spl_batch.stages.denoise import denoise, reach_m
-from spl_batch.stages.ellipsoid_test import judge
+from spl_batch.stages.ellipsoid_test import Spent, judge
 from spl_batch.stages.null_distribution import periodic_noise, repeated
 from tests.test_ellipsoid import brute_counts, mixed_cloud
 
@@ -103,12 +104,20 @@ def test_the_scan_and_the_test_share_alpha(monkeypatch: pytest.MonkeyPatch) -> N
     with_half = judge(cloud, half).signal
     whole = DEFAULT.model_copy(update={"alpha": 0.05})
     rng = np.random.default_rng(1)
-    # at each point what is spent there; never more than half of alpha
-    np.testing.assert_array_equal(judge(cloud, whole, spent=0.025).signal, with_half)
-    np.testing.assert_array_equal(judge(cloud, whole, spent=0.2).signal, with_half)
+
+    def all_spend(share: float) -> Spent:
+        return lambda density: np.full(len(density), share)
+
+    # in each density what is spent there; never more than half of alpha
+    for share in (0.025, 0.2):
+        found = judge(cloud, whole, spent=all_spend(share)).signal
+        np.testing.assert_array_equal(found, with_half)
     without = judge(cloud, whole).signal
     middle, link = xyz[:, 0].mean(), 1000 * DEFAULT.link_m
-    mixed = judge(cloud, whole, spent=np.where(xyz[:, 0] < middle, 0.025, 0.0)).signal
+    slightly = np.where(xyz[:, 0] < middle, 0.2, np.nextafter(0.2, 1.0))
+    mixed = judge(
+        replace(cloud, density=slightly), whole, spent=lambda of: np.where(of == 0.2, 0.025, 0.0)
+    ).signal
     x = xyz[core, 0]
     # away from the images of the other half too, by a link
     left = (x < middle - link) & (x > x.min() + link)
@@ -118,12 +127,12 @@ def test_the_scan_and_the_test_share_alpha(monkeypatch: pytest.MonkeyPatch) -> N
     assert with_half.sum() < without.sum()
     # the filter gives the test what the scan leaves
     drawn = rng.uniform(size=int(core.sum())) < 0.01
-    found = wire_scan.Found(drawn, drawn, np.where(drawn, 0.01, np.nan).astype(np.float32))
+    scanned = wire_scan.Found(drawn, drawn, np.where(drawn, 0.01, np.nan).astype(np.float32))
     monkeypatch.setattr(wire_null, "spent", lambda density, _: np.full(len(density), 0.01))
-    monkeypatch.setattr(wire_scan, "scan", lambda *_: found)
+    monkeypatch.setattr(wire_scan, "scan", lambda *_: scanned)
     label = denoise(as_table(xyz), np.full(n, 0.2), core, whole)["noise_class"]
     assert (label[drawn] == 0).all()
-    rest = judge(cloud, whole, spent=0.01).signal
+    rest = judge(cloud, whole, spent=all_spend(0.01)).signal
     np.testing.assert_array_equal(label == 0, drawn | rest)
     assert with_half.sum() < rest.sum() < without.sum()
 

@@ -321,7 +321,8 @@ def test_without_rates_or_noise_the_time_domain_decides() -> None:
     assert not echo_of(gone, density).any()
 
 
-def test_halo_and_order_do_not_matter() -> None:
+def _wide_crowns() -> tuple[PointTable, NDArray[np.float64]]:
+    """Crowns, even and in clumps, above a floor, with returns behind some; in canonical order."""
     rng = np.random.default_rng(8)
     crown = np.column_stack([rng.uniform(0, 24, 4000), rng.uniform(0, 6, 4000),
                              rng.uniform(10, 15, 4000)])  # fmt: skip
@@ -334,8 +335,12 @@ def test_halo_and_order_do_not_matter() -> None:
     lag = 0.3 + rng.exponential(0.7, len(rows))
     second = np.column_stack([rows, first[rows] - np.column_stack([0 * lag, 0 * lag, lag])])
     table, density = survey(first, second)
-    order = canonical_order(table)
-    table = table.take(order)
+    return table.take(canonical_order(table)), density
+
+
+def test_halo_and_order_do_not_matter() -> None:
+    rng = np.random.default_rng(8)
+    table, density = _wide_crowns()
     whole = echoes.resolve(table, density, DEFAULT)
     chance = chances(table, density)
     assert 0.05 < whole.echo[table["afterpulse"] > 0].mean() < 0.95
@@ -353,6 +358,21 @@ def test_halo_and_order_do_not_matter() -> None:
         np.testing.assert_array_equal(
             chances(table.take(near), density[near])[own], chance[near][own]
         )
+
+
+def test_strips_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    table, density = _wide_crowns()
+    whole, chance = echoes.resolve(table, density, DEFAULT), chances(table, density)
+    monkeypatch.setattr(echoes, "STRIP_POINTS", 900)
+    monkeypatch.setattr(echoes, "STRIP_M", 2.5)
+    looked: list[int] = []
+    within = echoes._within
+    monkeypatch.setattr(echoes, "_within", lambda t, *a: looked.append(len(t)) or within(t, *a))
+    for got, want in zip(echoes.resolve(table, density, DEFAULT), whole, strict=True):
+        np.testing.assert_array_equal(got, want)
+    assert len(looked) > 4
+    assert max(looked) < len(table)
+    np.testing.assert_array_equal(chances(table, density), chance)
 
 
 def test_of_two_parents_as_high_the_table_does_not_decide() -> None:

@@ -98,8 +98,9 @@ def test_ties_are_broken_by_the_outermost_peer_inside(power: float) -> None:
     tree = build(xyz)
     stop = rng.choice([1e-12, 1e-3], len(xyz))
     count, expected, score = count_inside(
-        xyz, tree, query, density, shape, alpha=stop, spacing=spacing, peer_ratio=2.0, tie=True
-    )
+        xyz, tree, query, density, shape, alpha=stop, spacing=tree.by_slot(spacing),
+        peer_ratio=2.0, tie=True,
+    )  # fmt: skip
     rows, found = brute_nearest(xyz, 15, 12_000)
     for i in range(len(xyz)):
         values, vectors = np.linalg.eigh(np.cov(xyz[rows[i, : found[i]]].T, bias=True))

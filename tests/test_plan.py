@@ -361,7 +361,7 @@ def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
     pieces = list(from_counts(counts, 100_000))
     few = count_blocks(pieces, workflow(), 2**36, Sizes(8))
     assert few[:2] == (4, 8)
-    more = count_blocks(pieces, workflow(), 2**32, Sizes(8))
+    more = count_blocks(pieces, workflow(), 3 * 2**30, Sizes(8))
     assert more.blocks in range(5, 12)
     assert more.tiles == 8
     assert 1.0 < few.read < more.read < 2.0

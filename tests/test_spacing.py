@@ -37,10 +37,11 @@ def test_enough_peers_counts_all_pairs(seed: int, n: int, wanted: int) -> None:
     own = rng.integers(1, 20, 40).astype(np.float64) ** 2
     d2 = ((places[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
     counted = (d2 <= 8 * 8) & (spacing[None] * 4.0 >= own[:, None])
-    found = enough_peers(build(xyz), spacing, places, own, 8, wanted, 2.0)
+    tree = build(xyz)
+    found = enough_peers(tree, tree.by_slot(spacing), places, own, 8, wanted, 2.0)
     np.testing.assert_array_equal(found, counted.sum(axis=1) >= wanted)
     radius = rng.integers(1, 16, 40).astype(np.float64)
-    found = enough_peers(build(xyz), spacing, places, own, radius, wanted, 2.0)
+    found = enough_peers(tree, tree.by_slot(spacing), places, own, radius, wanted, 2.0)
     counted = (d2 <= radius[:, None] ** 2) & (spacing[None] * 4.0 >= own[:, None])
     np.testing.assert_array_equal(found, counted.sum(axis=1) >= wanted)
 
@@ -58,7 +59,8 @@ def test_distances_to_the_last_peer_are_those_of_all_pairs(seed: int, n: int, wa
     expected = np.full(40, np.inf)
     if n >= wanted:
         expected = np.sqrt(np.sort(d2, axis=1)[:, wanted - 1])
-    found = peer_distances(build(xyz), spacing, places, own, 12, wanted, 2.0)
+    tree = build(xyz)
+    found = peer_distances(tree, tree.by_slot(spacing), places, own, 12, wanted, 2.0)
     np.testing.assert_array_equal(found, expected)
 
 
@@ -80,7 +82,7 @@ def test_only_peers_are_counted_inside_the_ellipsoid(ratio: float) -> None:
         np.full(len(xyz), 1e-10),
         shape,
         alpha=1e-300,
-        spacing=spacing,
+        spacing=tree.by_slot(spacing),
         peer_ratio=ratio,
     )
     np.testing.assert_array_equal(count, low)
@@ -99,10 +101,11 @@ def test_spacings_that_are_not_known_are_found_on_the_way(neighbours: int, cap: 
             xyz, tree, query, density, shape, alpha=1e-9, spacing=spacing,
             rule=Spacing(neighbours, cap), peer_ratio=2.0, tie=True,
         )
-        for spacing in (known.copy(), found)
+        for spacing in (tree.by_slot(known), found)
     )  # fmt: skip
     for one, other in zip(given, on_the_way, strict=True):
         np.testing.assert_array_equal(one, other)
+    found = tree.by_row(found)
     some = found >= 0
     assert some[query].all()
     np.testing.assert_array_equal(found[some], known[some])

@@ -120,7 +120,7 @@ def count_inside(
     unit : int
         Of the density [quanta].
     spacing : (n,) float64, optional
-        Squared spacing at each point [quanta2]; without it every neighbour is a peer.
+        Squared spacing at each slot of the tree [quanta2]; without it every neighbour is a peer.
         What is negative is not known yet: it is found out and filled in where needed, at
         query points at least.
     rule : Spacing
@@ -154,12 +154,10 @@ def count_inside(
         ratio2 = peer_ratio * peer_ratio
         limit = np.broadcast_to(np.asarray(alpha, dtype=np.float64), (len(xyz),))
         limit = np.ascontiguousarray(limit)
-        space = spacing[tree.points[3]]
         _count_all(
-            *tree, query, density, float(unit) ** 3, shape, limit, at_most, space, rule, ratio2,
+            *tree, query, density, float(unit) ** 3, shape, limit, at_most, spacing, rule, ratio2,
             tie, count, expected, tail,
         )  # fmt: skip
-        spacing[tree.points[3]] = space
     return count, expected, tail
 
 

@@ -10,7 +10,7 @@ Squared distances are sums of squared integer differences in float64: exact belo
 on the neighbours alone and neither on the tree nor on what else the table holds.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -46,6 +46,17 @@ class KdTree(NamedTuple):
     points: NDArray[np.int32]
     boxes: NDArray[np.int32]
     depth: int
+
+    def by_slot(self, values: NDArray[Any]) -> NDArray[Any]:
+        """What (n,) rows have, in tree order."""
+        slots: NDArray[Any] = values[self.points[3]]
+        return slots
+
+    def by_row(self, values: NDArray[Any]) -> NDArray[Any]:
+        """What (n,) slots have, in the order of rows."""
+        rows = np.empty_like(values)
+        rows[self.points[3]] = values
+        return rows
 
 
 def build(xyz: NDArray[np.int32]) -> KdTree:

@@ -88,7 +88,7 @@ def enough_peers(
     tree : KdTree
         Points to count.
     spacing : (n,) float64
-        Their squared spacings, by row [quanta2]; negative for those that do not count.
+        Their squared spacings, by slot [quanta2]; negative for those that do not count.
     places : (m, 3) int32
         Coordinates relative to the tree's anchor [quanta].
     own : (m,) float64
@@ -106,7 +106,7 @@ def enough_peers(
     """
     out = np.zeros(len(places), dtype=np.bool_)
     if tree.points.size:
-        wide = spacing[tree.points[3]] * (peer_ratio * peer_ratio)
+        wide = spacing * (peer_ratio * peer_ratio)
         limit = np.ascontiguousarray(np.broadcast_to(np.square(np.float64(radius)), (len(places),)))
         _enough_all(tree.points, tree.boxes, tree.depth, wide, places, own, limit, wanted, out)
     return out
@@ -137,7 +137,7 @@ def peer_distances(
     """
     squared = np.full(len(places), np.inf)
     if tree.points.size:
-        wide = spacing[tree.points[3]] * (peer_ratio * peer_ratio)
+        wide = spacing * (peer_ratio * peer_ratio)
         limit = float(radius) ** 2
         _distances(tree.points, tree.boxes, tree.depth, wide, places, own, limit, wanted, squared)
     distance: NDArray[np.float64] = np.sqrt(squared)

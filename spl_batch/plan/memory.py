@@ -35,7 +35,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "observe": 380,
         "scatter": 540,
         "build_tile": 280,
-        "denoise": 150,
+        "denoise": 125,
         "ground": 125,
         "surface": 175,
         "deliver_tile": 280,

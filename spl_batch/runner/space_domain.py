@@ -66,10 +66,12 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     local, density = noise.local, noise.mean if by_voxel else noise.local
     del xyz, told, noise
     found = denoising.resolve(table, local, workflow.filter, workflow.afterpulse)
-    chosen = denoising.independent(table, density, owned, found, workflow.filter)
+    del local
     # What has told the afterpulses and the noise is not held while the rest is judged.
+    table = table.select(("x", "y", *denoising.COLUMNS_JUDGED))
+    chosen = denoising.independent(table, density, owned, found, workflow.filter)
     table = table.select(denoising.COLUMNS_JUDGED)
-    del density, local
+    del density
     decided = denoising.judge(table, chosen, owned, found, workflow.filter)
     path = context.store.labels("noise", args["block"])
     labels: dict[str, NDArray[Any]] = {

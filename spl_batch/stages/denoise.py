@@ -259,11 +259,14 @@ def verdict_on(
         return METHODS[settings.method].judge(cloud, settings), nothing
     if not (settings.wires.enabled and _independent(settings)):
         return ellipsoid_test.judge(cloud, settings, exact=exact), nothing
-    spent = wire_null.spent(cloud.density, settings)
+
+    def spent(density: NDArray[np.float64]) -> NDArray[np.float64]:
+        return wire_null.spent(density, settings)
+
     verdict = ellipsoid_test.judge(cloud, settings, exact=exact, spent=spent)
     wires = wire_null.fitted(settings)
     found = wire_scan.scan(cloud, wires)
-    both = (verdict.p_value + spent[cloud.asked]).astype(np.float32)
+    both = (verdict.p_value + spent(cloud.density[cloud.asked])).astype(np.float32)
     both = np.where(both >= wires.alpha, np.minimum(both, 1.0), verdict.p_value)
     return Verdict(verdict.signal | found.signal, np.fmin(both, found.p_value)), found.wire
 

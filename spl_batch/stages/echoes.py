@@ -39,6 +39,8 @@ prints the curve of removed against lost beside the best that the simulation's l
 """
 
 import math
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -103,6 +105,13 @@ LEAST: Final = 0.1
 BATCH: Final = 1 << 17
 """Candidates in crowns that are weighed at once [count]."""
 
+STRIP_POINTS: Final = 3 << 20
+"""Points of a strip, which are listed by place at once [count]: a block's would take half as much
+memory again as the block does."""
+
+STRIP_M: Final = 12 * REACH_M
+"""Least width of a strip, as each reads what lies around it [m]."""
+
 
 class Chances(NamedTuple):
     """What the neighbourhood says of the time domain's candidates.
@@ -141,8 +150,8 @@ def resolve(
     Parameters
     ----------
     table : PointTable
-        Points of a block and its halo. Without ``afterpulse`` there are no candidates;
-        without ``afterpulse_rate`` the time domain decides alone.
+        Points of a block and its halo in canonical order. Without ``afterpulse`` there are no
+        candidates; without ``afterpulse_rate`` the time domain decides alone.
     density : (n,) float64
         Expected noise at each point [1/m3].
     settings : AfterpulseSettings
@@ -185,10 +194,35 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     Parameters
     ----------
     table, density
-        As in :func:`resolve`.
+        As in :func:`resolve`, points in canonical order.
     """
     if "afterpulse_rate" not in table or not len(table):
         return Chances(np.empty(0, np.intp), np.empty(0), np.empty(0, np.bool_), np.empty(0))
+    strips = []
+    for own, weighed, near in _strips(table["x"]):
+        start, end = weighed.start - near.start, weighed.stop - near.start
+        found = _within(table.take(near), density[near], start, end)
+        rows = found.rows + near.start
+        mine = (rows >= own.start) & (rows < own.stop)
+        strips.append((rows[mine], *(values[mine] for values in found[1:])))
+    return Chances(*map(np.concatenate, zip(*strips, strict=True)))
+
+
+def _strips(x: NDArray[np.int64]) -> Iterator[list[slice]]:
+    """Rows of strips across x, which ascends; with what the second round counts; all in reach."""
+    most = int(x[-1] - x[0]) // quanta(STRIP_M)
+    count = max(min(len(x) // STRIP_POINTS, most), 1)
+    if count == 1:
+        yield [slice(0, len(x))] * 3
+        return
+    cuts = [int(x[len(x) * k // count]) for k in range(1, count)]
+    for low, high in pairwise([int(x[0]), *cuts, int(x[-1]) + 1]):
+        spans = ((low - margin, high + margin) for margin in map(quanta, (0.0, WIDE_M, REACH_M)))
+        yield [slice(*np.searchsorted(x, span).tolist()) for span in spans]
+
+
+def _within(table: PointTable, density: NDArray[np.float64], start: int, end: int) -> Chances:
+    """The same of a strip and what lies around it; 0 for rows before ``start``, from ``end`` on."""
     usable = ~table.has(EXCLUDED)
     known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
     places = _Places(table)
@@ -205,7 +239,7 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
     hard |= behind
     chance = np.zeros(len(rows))
     clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
-    open_ = np.flatnonzero(~hard)
+    open_ = np.flatnonzero(~hard & (rows >= start) & (rows < end))
     for last in (False, True):
         if last:
             # Spheres would hold the surface itself, a level ellipsoid that of a steep roof.

@@ -35,11 +35,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.poisson import noise_tail_probability
 from spl_batch.kernels.spacing import enough_peers
 from spl_batch.settings import FilterSettings
 from spl_batch.stages.cloud import Cloud, Verdict
-from spl_batch.stages.evidence import evidence
+from spl_batch.stages.evidence import Evidence, evidence
 from spl_batch.stages.null_distribution import EXACT_TO, null_table
 from spl_batch.tiling import quanta
 
@@ -58,6 +59,9 @@ TOLD_TO: Final = 1e-6
 """Score down to which the calibrated test counts on beyond its decision: at any density less than
 the 3e-5 that p is tabulated to."""
 
+Spent = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Share of pure noise of given densities [1/m3] that is kept, array for array."""
+
 PUBLISHED_ALPHA: Final = 0.05
 """[W18 2.2.3]: noise where the cumulative probability is below 95 %."""
 
@@ -75,7 +79,7 @@ def judge(
     settings: FilterSettings,
     *,
     exact: bool = False,
-    spent: float | NDArray[np.float64] = 0.0,
+    spent: Spent | None = None,
 ) -> Verdict:
     """Test the points asked for.
 
@@ -90,8 +94,8 @@ def judge(
         it counting stops once the decision stands and, calibrated, the score is below
         :data:`TOLD_TO`: p of what lies farther down is that of the count where counting
         stopped, an upper bound, the same whatever the tiling.
-    spent : float or (n,) float64
-        Share of pure noise that another test keeps at each point: what is left of alpha is
+    spent : callable, optional
+        Share of pure noise that another test keeps, by noise density: what is left of alpha is
         spent here, at least half of it.
 
     Returns
@@ -109,38 +113,55 @@ def judge(
         return Verdict(signal[asked], found.score[asked].astype(np.float32))
     linked = settings.link_count > 0
     assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
-    limit = _limits(cloud.density, assessed, settings, spent)
     most = _at_most(settings, exact=exact)
-    # Of a block of millions each array counts.
+    # Of a block of millions each array counts, most of all while the tree is built.
+    tree = build(cloud.xyz)
+    limit = _limits(cloud.density, assessed, settings, spent)
     found = evidence(
-        cloud.xyz, cloud.density, assessed, settings, limit, at_most=most, scores_only=True
-    )
+        cloud.xyz, cloud.density, assessed, settings, limit,
+        at_most=most, scores_only=True, tree=tree,
+    )  # fmt: skip
     signal = assessed & (found.score <= limit)
+    del limit
     if linked:
         weak, link = _weak(cloud.density, found.score, asked & ~signal, settings, spent)
-        # The tree of all is there already: a point that does not pass alone is nobody's peer.
-        signal[weak] = enough_peers(
-            found.tree,
-            np.where(signal, found.spacing, -1.0),
-            cloud.xyz[weak],
-            found.spacing[weak],
-            link,
-            settings.link_count,
-            settings.peer_ratio,
-        )
+        _pass_with_peers(signal, weak, link, cloud.xyz, found, settings)
     p_value = found.score[asked]
-    del found, limit
+    del found, tree
     if settings.test == "calibrated":
         p_value = _batched(null_table(settings).p_value, cloud.density[asked], p_value)
     kept = signal[asked] | _hardly_expected(cloud.density[asked], settings)
     return Verdict(kept, p_value.astype(np.float32))
 
 
+def _pass_with_peers(
+    signal: NDArray[np.bool_],
+    weak: NDArray[np.intp],
+    link: NDArray[np.float64],
+    xyz: NDArray[np.int32],
+    found: Evidence,
+    settings: FilterSettings,
+) -> None:
+    """Let weak points pass that have enough peers in ``signal``; the others' spacings go."""
+    row = found.tree.points[3]
+    chosen = np.zeros(len(signal), np.bool_)
+    chosen[weak] = True
+    # In the order of the tree, as neighbours share memory.
+    slot = np.flatnonzero(chosen[row])
+    rows, own = row[slot], found.spacing[slot]
+    # A point that does not pass alone is nobody's peer.
+    found.spacing[~signal[row]] = -1.0
+    signal[rows] = enough_peers(
+        found.tree, found.spacing, xyz[rows], own, link[np.searchsorted(weak, rows)],
+        settings.link_count, settings.peer_ratio,
+    )  # fmt: skip
+
+
 def _limits(
     density: NDArray[np.float64],
     assessed: NDArray[np.bool_],
     settings: FilterSettings,
-    spent: float | NDArray[np.float64],
+    spent: Spent | None,
 ) -> NDArray[np.float64]:
     """Score that passes alone: (n,) float64, 0 for what is not assessed.
 
@@ -149,15 +170,15 @@ def _limits(
     limit = np.zeros(len(density))
     for first in range(0, len(density), BATCH):
         rows = first + np.flatnonzero(assessed[first : first + BATCH])
-        limit[rows] = _limit(density[rows], settings, _left(spent, settings, rows))
+        limit[rows] = _limit(density[rows], settings, _left(spent, settings, density[rows]))
     return limit
 
 
 def _left(
-    spent: float | NDArray[np.float64], settings: FilterSettings, rows: NDArray[np.intp]
+    spent: Spent | None, settings: FilterSettings, density: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """What another test leaves of alpha at some points: (m,) float64."""
-    taken = spent[rows] if isinstance(spent, np.ndarray) else np.full(len(rows), spent)
+    """What another test leaves of alpha in noise of some densities: (m,) float64."""
+    taken = np.zeros(len(density)) if spent is None else spent(density)
     return settings.alpha - np.minimum(taken, LEAST * settings.alpha)
 
 
@@ -191,13 +212,13 @@ def _weak(
     score: NDArray[np.float64],
     chosen: NDArray[np.bool_],
     settings: FilterSettings,
-    spent: float | NDArray[np.float64],
+    spent: Spent | None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Chosen points that pass with links, and their longest links [quanta]; found by batches."""
     rows, links = [], []
     for first in range(0, max(len(density), 1), BATCH):
         some = first + np.flatnonzero(chosen[first : first + BATCH])
-        rule = _links(density[some], settings, _left(spent, settings, some))
+        rule = _links(density[some], settings, _left(spent, settings, density[some]))
         enough = score[some] <= rule.weak
         rows.append(some[enough])
         links.append(rule.link[enough])

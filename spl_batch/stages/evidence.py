@@ -33,8 +33,8 @@ class Evidence(NamedTuple):
     expected : (n,) float64
         Noise points expected inside the ellipsoid [count]; empty where not wanted.
     spacing : (n,) float64
-        Squared spacing of the points asked for, and of some others; negative where it is not
-        known; all zero for the published test [quanta2].
+        Squared spacing of the points asked for, and of some others, by slot of the tree; negative
+        where it is not known; all zero for the published test [quanta2].
     tree : KdTree
         The points.
     """
@@ -67,6 +67,7 @@ def evidence(
     *,
     at_most: float = 1.0,
     scores_only: bool = False,
+    tree: KdTree | None = None,
 ) -> Evidence:
     """Scores of the points asked for.
 
@@ -87,13 +88,15 @@ def evidence(
         Counts on to there where ``stop`` is larger.
     scores_only : bool
         Whether counts, found and expected, are not wanted.
+    tree : KdTree, optional
+        Of ``xyz``, where there is one already.
 
     Returns
     -------
     Evidence
     """
     spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
-    tree = build(xyz)
+    tree = build(xyz) if tree is None else tree
     count, expected, score = count_inside(
         xyz,
         tree,

@@ -37,7 +37,7 @@ from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.null_table import between, level_of, place_of, value_of
 from spl_batch.kernels.spacing import peer_distances
 from spl_batch.settings import FilterSettings
-from spl_batch.stages.evidence import Evidence, evidence
+from spl_batch.stages.evidence import evidence
 from spl_batch.tiling import quanta
 
 DOMAIN: Final = "space"
@@ -245,8 +245,8 @@ def _drawn(settings: FilterSettings, seed: int, density: float, points: int) -> 
     xyz, source, core = periodic_noise(rng, density, points, settings)
     found = evidence(xyz, np.full(len(xyz), density), core, settings, EXACT_TO)
     ordered = np.sort(found.score[core])
-    whole = found._replace(score=found.score[source], spacing=found.spacing[source])
-    links = [_links(xyz, core, whole, ordered, alpha, settings) for alpha in ALPHAS]
+    noise = _Noise(xyz, core, found.score[source], found.tree.by_row(found.spacing)[source])
+    links = [_links(noise, ordered, alpha, settings) for alpha in ALPHAS]
     return _Drawn(np.log(np.quantile(ordered, LEVELS, method="inverted_cdf")), links)
 
 
@@ -322,10 +322,17 @@ class _Links(NamedTuple):
     link_m: float
 
 
+class _Noise(NamedTuple):
+    """Points of a box and their images: which are no image, and what each scores."""
+
+    xyz: NDArray[np.int32]
+    core: NDArray[np.bool_]
+    score: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+
+
 def _links(
-    xyz: NDArray[np.int32],
-    core: NDArray[np.bool_],
-    found: Evidence,
+    noise: _Noise,
     ordered: NDArray[np.float64],
     alpha: float,
     settings: FilterSettings,
@@ -343,19 +350,15 @@ def _links(
     link = settings.link_m
     for _ in range(ROUNDS):
         critical = _at(ordered, own)
-        strong = found.score <= critical
-        weak = core & ~strong & (found.score <= weakest)
+        strong = noise.score <= critical
+        weak = noise.core & ~strong & (noise.score <= weakest)
+        tree = build(noise.xyz[strong])
         distance = np.sort(
             peer_distances(
-                build(xyz[strong]),
-                found.spacing[strong],
-                xyz[weak],
-                found.spacing[weak],
-                quanta(settings.link_m),
-                settings.link_count,
-                settings.peer_ratio,
+                tree, tree.by_slot(noise.spacing[strong]), noise.xyz[weak], noise.spacing[weak],
+                quanta(settings.link_m), settings.link_count, settings.peer_ratio,
             )
-        )
+        )  # fmt: skip
         wanted = round((alpha - own) * number)
         linked = min(wanted, int(np.isfinite(distance).sum()))
         link = settings.link_m
