@@ -229,6 +229,8 @@ def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
         raise WorkflowError(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
+        if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+            reason = f"line {error.problem_mark.line + 1}: {error.problem}"
         raise WorkflowError(f"{path}: not valid YAML: {reason}") from None
     if not isinstance(content, dict):
         raise WorkflowError(f"{path}: {otherwise}")

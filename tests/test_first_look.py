@@ -111,6 +111,12 @@ def test_points_that_cannot_be_decoded_are_a_fault(survey: Path) -> None:
     (fault,) = api.plan(survey).faults
     assert str(path) in fault
     assert "copy it again" in fault
+    # a run says it once more, with what is to be done after that
+    result = surveys.run(survey)
+    assert result.report is not None
+    (failure,) = result.report.failures
+    assert failure.place == "lines/line_2.laz"
+    assert failure.remedy == "copy it again, then run again: only what failed is tried"
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])

@@ -15,6 +15,7 @@ import rasterio
 import shapely
 
 from spl_batch import api
+from spl_batch.api import preparing
 from spl_batch.api.events import Note, PhaseStarted, TaskEnded
 from spl_batch.api.lock import locked
 from spl_batch.constants import NODATA
@@ -225,7 +226,9 @@ def test_a_report_stands_until_it_would_say_something_else(small: Path) -> None:
     first = written()
     again = surveys.run(small)
     assert written() == first
-    assert again.screen == surveys.run(small).screen != ()
+    *rows, (label, value) = again.screen
+    assert tuple(rows) == surveys.run(small).screen[:-1] != ()
+    assert (label, value[:19]) == ("now", "nothing was left to")
     (output / "report.html").unlink()
     surveys.run(small)
     second = written()
@@ -434,6 +437,9 @@ def test_stretches_stay_as_they_are_when_a_run_goes_on_with_more_memory(
         chosen.append(json.loads((store / "blocks.json").read_text())["stretches"]["points"])
     assert chosen[0] == chosen[1]
     assert chosen[2] < chosen[1] < chosen[3]
+    limits = (workflow, "--workers", 0, "--memory")
+    assert "shorter stretches" in surveys.command("plan", *limits, "800MiB").out
+    assert "shorter stretches" not in surveys.command("plan", *limits, "8GiB").out
 
 
 def test_too_little_memory_is_refused_before_any_work(tiny_survey: Path, tmp_path: Path) -> None:
@@ -442,6 +448,25 @@ def test_too_little_memory_is_refused_before_any_work(tiny_survey: Path, tmp_pat
     assert ended.status == 2
     assert "more than a task may use of --memory 300 MiB (270 MiB); raise it" in ended.err
     assert not (tmp_path / "out/store/receipts").exists()
+
+
+def test_a_plan_tells_whose_share_of_the_memory_is_too_little_or_too_much(
+    tiny_survey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    monkeypatch.setattr(preparing, "machine_memory", lambda: 2 * 2**30)
+    ended = surveys.command("plan", workflow, "--workers", 4)
+    assert ended.status == 2
+    assert "the share of each of 4 workers, 256 MiB" in ended.err
+    assert "use fewer workers, raise --memory to" in ended.err
+    one = surveys.command("plan", workflow, "--workers", 1)
+    assert "a share of four fifths" in " ".join(one.out.split())
+    for memory, told in (("1GiB", False), ("1.1GiB", True)):
+        ended = surveys.command("plan", workflow, "--workers", 2, "--memory", memory)
+        assert ended.status == 0
+        assert (
+            "2 workers may take 2.2 GiB together, this machine has 2.0 GiB" in ended.out
+        ) == told
 
 
 # Failures

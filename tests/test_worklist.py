@@ -10,7 +10,14 @@ from spl_batch.io.store import Store, write_receipt
 from spl_batch.plan import budget, memory
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.inputs import Inputs
-from spl_batch.plan.memory import needs, refusal, stretch_points, task_bytes, usable_bytes
+from spl_batch.plan.memory import (
+    STRETCH_POINTS,
+    needs,
+    refusal,
+    stretch_points,
+    task_bytes,
+    usable_bytes,
+)
 from spl_batch.plan.phases import PHASES, Phase
 from spl_batch.plan.places import build
 from spl_batch.plan.shelf import Shelf
@@ -179,7 +186,7 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
     track = tmp_path / "track.sbet"
     track.write_bytes(b"0" * 136 * 1000)
-    found = needs(pieces, WORKFLOW, 2**32, points=10**9, trajectory=[track])
+    found = needs(pieces, WORKFLOW, STRETCH_POINTS, points=10**9, trajectory=[track])
     told = " ".join(need.task for need in found)
     for words in (
         "a tile around x 350, y 550",
@@ -201,7 +208,7 @@ def track_need(folder: Path, records: int) -> int:
     track = folder / f"{records}.sbet"
     with track.open("wb") as file:
         file.truncate(136 * records)
-    found = needs([], WORKFLOW, 2**32, points=1, trajectory=[track])
+    found = needs([], WORKFLOW, STRETCH_POINTS, points=1, trajectory=[track])
     return next(n.memory_bytes for n in found if "trajectory" in n.task)
 
 

@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from spl_batch.api.receiver import Prepared
 from spl_batch.graph import OUT_OF_MEMORY
@@ -64,6 +64,10 @@ class Failed:
     command: str
 
 
+COPY: Final = "copy it again"
+"""What a reason says that names a damaged file."""
+
+
 def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator[Failure]:
     """What did not make it, inputs first."""
     ledger, receiver = prepared.ledger, prepared.receiver
@@ -73,7 +77,7 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
             stage="index",
             place=bad.path,
             reason=reason,
-            remedy="mend or remove it",
+            remedy=f"{COPY} or remove it" if COPY in reason else "mend or remove it",
             inputs=(bad.path,),
         )
     names = {str(s.key): s.name for s in ledger.inputs.sources}
@@ -135,6 +139,8 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
 
 def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
     again = "run again: only what failed is tried"
+    if COPY in one.receipt.reason:
+        return f"{COPY}, then {again}"
     if not one.receipt.reason.startswith(OUT_OF_MEMORY):
         return again
     helping = filter(None, ("raise --memory", remedies.get(one.task.kind)))

@@ -128,7 +128,9 @@ class Imaging(Receiver[Survey, Context]):
         self, prepared: Prepared[Survey, Context]
     ) -> tuple[Sequence[str], Sequence[str]]:
         """What both ends of the files tell of their times and channels, and of the trajectory's."""
-        return first_look(prepared.ledger.inputs, prepared.ledger.workflow, prepared.context.base)
+        survey = prepared.ledger
+        faults, odd = first_look(survey.inputs, survey.workflow, prepared.context.base)
+        return faults, (*odd, *survey.cut_anew())
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
         """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.

@@ -37,6 +37,7 @@ from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
 from spl_batch.plan.worklist import Worklist
 from spl_batch.receivers import report_model
+from spl_batch.report.format import duration
 from spl_batch.runner import kinds, stages
 from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, stands
 from spl_batch.task import Receipt
@@ -152,7 +153,7 @@ def run(
         compiles = prepared.receiver.compiles
         ahead = compiles and Ahead(compiles, COMPILING)
         with _telling_the_end(progress):
-            for warning in prepared.ledger.inputs.warnings:
+            for warning in (*prepared.ledger.remarks, *prepared.ledger.inputs.warnings):
                 progress.warn(warning)
             for text in told_together(prepared.ledger.inputs.bad):
                 progress.tell(Note("error", text))
@@ -213,10 +214,14 @@ def _conclude(
         took[1],
     )
     written = _standing(prepared, facts) if progress.idle else None
+    now = []
     if written is None:
         progress.tell(ReportStarted())
         written = receiver.report(ledger.done, context, facts)
-    screen = (*receiver.screen(written),)
+    else:
+        seconds = duration(time.perf_counter() - took[0])
+        now = [("now", f"nothing was left to do: looked at in {seconds}")]
+    screen = (*receiver.screen(written), *now)
     return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))
 
 

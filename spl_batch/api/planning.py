@@ -61,6 +61,8 @@ class PlanSummary:
         :class:`~spl_batch.plan.cost.SurveyCost`.
     limit_bytes : int
         Memory limit of a worker [byte].
+    shared : bool
+        Whether it is the workers' share of this machine, as nobody has said otherwise.
     rows : tuple of (str, str)
         Label and value of what the receiver tells beside them.
     faults, warnings : tuple of str
@@ -72,6 +74,7 @@ class PlanSummary:
     files: int
     cost: Any
     limit_bytes: int
+    shared: bool
     rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -119,9 +122,15 @@ def plan(
         len(inputs.sources),
         cost,
         prepared.ledger.memory_bytes,
+        prepared.ledger.shared,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
         (*told_together(inputs.bad), *faults, *_unwritable(output)),
-        (*inputs.warnings, *warnings, *_too_full(output, cost.disk_bytes if whole else 0)),
+        (
+            *prepared.ledger.remarks,
+            *inputs.warnings,
+            *warnings,
+            *_too_full(output, cost.disk_bytes if whole else 0),
+        ),
         left,
     )
 
@@ -135,7 +144,8 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
         If a task cannot; it names the heaviest one.
     """
     cost = prepared.receiver.cost(prepared)
-    refuse_too_large(cost, prepared.ledger.memory_bytes)
+    ledger = prepared.ledger
+    refuse_too_large(cost, ledger.memory_bytes, shared=ledger.shared)
     return cost
 
 

@@ -1,12 +1,12 @@
 """Everything that is settled before work starts: settings, inputs, limits."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError, told_together
+from spl_batch.errors import WorkflowError, grouped, told_together
 from spl_batch.graph import machine_memory
 from spl_batch.receivers import receiver
 from spl_batch.workflow import load_any
@@ -58,20 +58,38 @@ def prepare(
     """
     if workers < 0:
         raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
-    if memory is None:
-        limit = REMOTE_BYTES if remote else usual_bytes(workers)
-    else:
-        limit = parse_bytes(memory)
+    limit = _limit_bytes(memory, workers, remote=remote)
     workflow = load_any(path, overrides)
     base = path.resolve().parent
     place = Place(path, base, (base / workflow.output).resolve())
     found: Receiver[Any, Any] = receiver(workflow.kind)
     prepared = found.prepare(workflow, place, Limits(limit, max(workers, 1)))
+    prepared.ledger.shared = memory is None and not remote
+    if memory is not None and not remote:
+        prepared.ledger.remarks = (*_more_than_there_is(limit, max(workers, 1)),)
     inputs = prepared.ledger.inputs
     if not inputs.sources:
         raise WorkflowError("no input is usable: " + "; ".join(told_together(inputs.bad)))
     prepared.context.store.root  # noqa: B018 - a store that cannot be used is a fault found here
     return prepared
+
+
+def _limit_bytes(memory: str | int | None, workers: int, *, remote: bool) -> int:
+    if memory is not None:
+        return parse_bytes(memory)
+    return REMOTE_BYTES if remote else usual_bytes(workers)
+
+
+def _more_than_there_is(limit: int, workers: int) -> Iterator[str]:
+    """A remark where workers of this machine may take more memory than it has."""
+    there = machine_memory()
+    if workers * limit > there:
+        total, have = (grouped(size / 2**30, 1) for size in (workers * limit, there))
+        yield (
+            f"--memory: {grouped(workers)} worker{'s' if workers > 1 else ''} may take {total} GiB "
+            f"together, this machine has {have} GiB; with --workers or --memory lower nothing is "
+            "lost to its limit"
+        )
 
 
 def usual_bytes(workers: int) -> int:

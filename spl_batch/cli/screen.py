@@ -90,7 +90,10 @@ def _memory(summary: "PlanSummary") -> str:
     """What the heaviest task of a plan needs, of how much."""
     sizes = (summary.cost.memory_bytes, summary.limit_bytes)
     needed, limit = (grouped(size / 2**20) for size in sizes)
-    return f"{needed} of a worker's {limit} MiB, for {summary.cost.heaviest}"
+    whose = f"each worker's {limit} MiB"
+    if summary.shared:
+        whose += ", a share of four fifths of this machine's,"
+    return f"{needed} of {whose} for {summary.cost.heaviest}"
 
 
 def _finished(left: "Left | None") -> list[tuple[str, str]]:

@@ -204,7 +204,9 @@ def _read_raw(path: Path, file: BinaryIO) -> bytes:
     head = file.read(max(HEADER_SIZES.values()))
     if head[:4] != b"LASF":
         raise InputError(
-            str(path), f"is not a LAS or LAZ file: it starts with {head[:4]!r}, not b'LASF'"
+            str(path),
+            f"is not a LAS or LAZ file: its first bytes are {head[:4].hex(' ')} and not the "
+            "letters LASF; name .las and .laz files only",
         )
     if len(head) < min(HEADER_SIZES.values()):
         raise InputError(

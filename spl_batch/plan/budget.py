@@ -56,7 +56,7 @@ class Cost:
         return sum(self.stages_s.values()) / self.workers
 
 
-def refuse_too_large(cost: Cost, limit: int) -> None:
+def refuse_too_large(cost: Cost, limit: int, *, shared: bool = False) -> None:
     """Refuse a run whose heaviest task cannot fit into a worker.
 
     Parameters
@@ -65,6 +65,8 @@ def refuse_too_large(cost: Cost, limit: int) -> None:
         What the run is expected to cost.
     limit : int
         Memory limit of a worker [byte].
+    shared : bool
+        Whether it is the workers' share of this machine: fewer have more each.
 
     Raises
     ------
@@ -72,11 +74,14 @@ def refuse_too_large(cost: Cost, limit: int) -> None:
         It names that task and what makes it lighter.
     """
     if cost.memory_bytes > usable_bytes(limit):
-        enough = f"raise it to {enough_mib(cost.memory_bytes)}MiB"
+        enough, given = f"raise it to {enough_mib(cost.memory_bytes)}MiB", "--memory "
+        if shared and cost.workers > 1:
+            enough = f"use fewer workers, raise --memory{enough.removeprefix('raise it')}"
+            given = f"the share of each of {grouped(cost.workers)} workers, "
         remedies = " or ".join(filter(None, (enough, cost.remedy)))
         raise PlanError(
             f"{cost.heaviest} needs {grouped(cost.memory_bytes / 2**20)} MiB, more than a task may "
-            f"use of --memory {grouped(limit / 2**20)} MiB "
+            f"use of {given}{grouped(limit / 2**20)} MiB "
             f"({grouped(usable_bytes(limit) / 2**20)} MiB); {remedies}"
         )
 

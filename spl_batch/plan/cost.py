@@ -173,7 +173,7 @@ def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> 
     found: Iterable[Need] = needs(
         pieces,
         survey.workflow,
-        survey.memory_bytes,
+        survey.stretch_points,
         points=sum(s.facts.n_points for s in inputs.sources),
         boxes=boxes,
         trajectory=inputs.trajectory,

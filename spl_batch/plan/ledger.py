@@ -52,13 +52,19 @@ W = TypeVar("W", bound=BaseWorkflow)
 
 @dataclass
 class Ledger(Generic[I, W]):
-    """What a run knows so far: inputs, limits, and the receipts of what is finished."""
+    """What a run knows so far: inputs, limits, and the receipts of what is finished.
+
+    ``shared`` says that the memory limit is the workers' share of this machine, as nobody has said
+    otherwise; ``remarks`` are what is odd about the limits.
+    """
 
     inputs: I
     workflow: W
     memory_bytes: int
     workers: int
     done: dict[str, Shelf] = field(default_factory=dict)
+    shared: bool = False
+    remarks: tuple[str, ...] = ()
 
     def of(self, kind: str) -> Shelf:
         """Finished tasks of a kind, by name."""

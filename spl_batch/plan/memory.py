@@ -101,6 +101,11 @@ def task_bytes(kind: str, points: float) -> int:
     return WORKER_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
 
 
+def stretch_bytes(points: int) -> int:
+    """Memory of a task on the fullest stretch, where they hold so many points on average [byte]."""
+    return task_bytes("scatter", UNEVEN * points)
+
+
 def points_within(kind: str, limit: int) -> int:
     """Points that a task can hold within a worker's memory limit [count]."""
     return max(usable_bytes(limit) - WORKER_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
@@ -131,7 +136,7 @@ def surface_reach_m(workflow: Workflow) -> float:
 def needs(
     pieces: Sequence[Piece],
     workflow: Workflow,
-    memory_bytes: int,
+    stretch_points: int,
     *,
     points: int,
     boxes: Sequence[Box] = (),
@@ -145,8 +150,8 @@ def needs(
         Where the points lie.
     workflow : Workflow
         The settings.
-    memory_bytes : int
-        Memory limit of a worker [byte].
+    stretch_points : int
+        Points that a stretch holds on average [count].
     points : int
         Points of the survey [count].
     boxes : sequence of Box
@@ -170,7 +175,7 @@ def needs(
             peak = largest([peak, cells.fullest_joined(boxes, quanta(reach))])
         found.append(Need(_place(kind, peak), task_bytes(kind, peak.points), REMEDIES[kind]))
     tile = largest(piece.peak(tile_q, 0) for piece in pieces).points
-    stretch = min(points, UNEVEN * stretch_points(memory_bytes))
+    stretch = min(points, UNEVEN * stretch_points)
     labels = min(points, PASS_POINTS) * BYTES_PER_LABEL
     chunk = min(points, CHUNK_POINTS)
     records = sum(_records(path) for path in trajectory)

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.errors import grouped
 from spl_batch.plan.blocks import Holders, Sizes, blocks, choose_sizes, layout_of
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.ledger import Ledger
-from spl_batch.plan.memory import halo_m, stretch_points
+from spl_batch.plan.memory import enough_mib, halo_m, stretch_bytes, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, tile_counts
 from spl_batch.runner.index import part_name
@@ -77,6 +78,16 @@ class Survey(Ledger[Inputs, Workflow]):
         """Points of a stretch on average: as memory allows, and no more than in earlier runs."""
         points = stretch_points(self.memory_bytes)
         return min(points, self.remembered_stretch or points)
+
+    def cut_anew(self) -> Iterator[str]:
+        """Why less than it could be is taken over from earlier runs, and what helps."""
+        before = self.remembered_stretch
+        if self.filtering and before is not None and self.stretch_points < before:
+            yield (
+                f"--memory {grouped(self.memory_bytes / 2**20)}MiB: flightlines are cut into "
+                "shorter stretches than in earlier runs, and all from the shots on is done again; "
+                f"with {enough_mib(stretch_bytes(before))}MiB it is taken over"
+            )
 
     @cached_property
     def pieces(self) -> dict[int, Pieces]:
