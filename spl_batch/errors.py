@@ -5,6 +5,7 @@ The command line prints it without a traceback and exits with ``exit_status``. S
 say all at once whom they concern.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 
 
@@ -20,6 +21,15 @@ def grouped(value: float, digits: int = 0) -> str:
     Where typographic ones are at home, in a report, it is :func:`spl_batch.report.format.number`.
     """
     return f"{value:,.{digits}f}".replace(",", " ")
+
+
+def storage(count: float) -> str:
+    """Bytes in the largest binary unit that there is one of; nothing is shown as 0."""
+    if count >= 2**30:
+        return f"{grouped(count / 2**30, 2)} GiB"
+    if count >= 2**20:
+        return f"{grouped(count / 2**20, 1)} MiB"
+    return f"{grouped(math.ceil(count / 2**10))} KiB"
 
 
 def shared(told: Iterable[tuple[str, str]], nouns: str = "") -> Iterator[str]:

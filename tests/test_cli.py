@@ -14,7 +14,7 @@ import pytest
 
 import spl_batch
 from spl_batch.cli import _STAGES, cli, live, main
-from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError
+from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError, storage
 from spl_batch.graph import cluster
 from spl_batch.runner import STAGES
 from tests import surveys
@@ -169,7 +169,7 @@ def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> Non
 
 def test_what_is_expected_is_told_in_units_that_show_it() -> None:
     sizes = {0: "0 KiB", 1: "1 KiB", 3 * 2**20: "3.0 MiB", 2**30: "1.00 GiB", 5e12: "4 656.61 GiB"}
-    assert {n: live.storage(n) for n in sizes} == sizes
+    assert {n: storage(n) for n in sizes} == sizes
     times = {0.0: "under 10 s", 9.9: "under 10 s", 10.0: "10 s", 3700.0: "1 h 01 min"}
     assert {t: live.expected(t) for t in times} == times
 

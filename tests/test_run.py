@@ -460,7 +460,7 @@ def test_a_plan_tells_whose_share_of_the_memory_is_too_little_or_too_much(
     assert "the share of each of 4 workers, 256 MiB" in ended.err
     assert "use fewer workers, raise --memory to" in ended.err
     one = surveys.command("plan", workflow, "--workers", 1)
-    assert "a share of four fifths" in " ".join(one.out.split())
+    assert "its share of four fifths" in " ".join(one.out.split())
     for memory, told in (("1GiB", False), ("1.1GiB", True)):
         ended = surveys.command("plan", workflow, "--workers", 2, "--memory", memory)
         assert ended.status == 0

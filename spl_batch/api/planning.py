@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from spl_batch.api.preparing import prepare
 from spl_batch.api.receiver import Prepared
-from spl_batch.errors import grouped, told_together
+from spl_batch.errors import storage, told_together
 from spl_batch.io.atomic import names_in
 from spl_batch.plan.budget import Cost, refuse_too_large
 from spl_batch.plan.worklist import Worklist
@@ -162,8 +162,7 @@ def _too_full(output: Path, needed: int) -> list[str]:
     free = shutil.disk_usage(_existing(output)).free
     if needed <= free:
         return []
-    sizes = (f"{grouped(size / 2**20, 1)} MiB" for size in (needed, free))
-    return ["output: a run takes about {}, {} are free on its disk".format(*sizes)]
+    return [f"output: a run takes about {storage(needed)}, its disk has {storage(free)} left"]
 
 
 def _existing(path: Path) -> Path:

@@ -87,8 +87,8 @@ def _more_than_there_is(limit: int, workers: int) -> Iterator[str]:
         total, have = (grouped(size / 2**30, 1) for size in (workers * limit, there))
         yield (
             f"--memory: {grouped(workers)} worker{'s' if workers > 1 else ''} may take {total} GiB "
-            f"together, this machine has {have} GiB; with --workers or --memory lower nothing is "
-            "lost to its limit"
+            f"together, this machine has {have} GiB and ends what asks for more; lower --memory "
+            "or --workers"
         )
 
 

@@ -1,6 +1,5 @@
 """The live view of a run: stages, a map of tiles by state, workers, failures, time left."""
 
-import math
 from collections.abc import Iterable
 from typing import Final
 
@@ -210,12 +209,3 @@ def taken(stage: StageStatus) -> str:
 def expected(seconds: float) -> str:
     """A time that is estimated from rates alone."""
     return f"under {TOLD_FROM_S:.0f} s" if seconds < TOLD_FROM_S else duration(seconds)
-
-
-def storage(count: float) -> str:
-    """Bytes in the largest binary unit that there is one of; nothing is shown as 0."""
-    if count >= 2**30:
-        return f"{grouped(count / 2**30, 2)} GiB"
-    if count >= 2**20:
-        return f"{grouped(count / 2**20, 1)} MiB"
-    return f"{grouped(math.ceil(count / 2**10))} KiB"

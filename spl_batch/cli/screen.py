@@ -10,8 +10,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, storage, taken
-from spl_batch.errors import grouped
+from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, taken
+from spl_batch.errors import grouped, storage
 from spl_batch.report.format import centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
@@ -92,7 +92,7 @@ def _memory(summary: "PlanSummary") -> str:
     needed, limit = (grouped(size / 2**20) for size in sizes)
     whose = f"each worker's {limit} MiB"
     if summary.shared:
-        whose += ", a share of four fifths of this machine's,"
+        whose += ", its share of four fifths of this machine's,"
     return f"{needed} of {whose} for {summary.cost.heaviest}"
 
 
