@@ -225,7 +225,7 @@ def test_a_plan_looks_at_the_place_of_the_output(
     usage = shutil.disk_usage(survey.parent)._replace(free=2**16)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     (warning,) = api.plan(survey).warnings
-    assert warning.endswith("MiB, its disk has 64 KiB left")
+    assert warning.endswith("KiB, its disk has 64 KiB left")
 
 
 def test_a_pulse_rate_that_times_contradict_is_told(survey: Path) -> None:
