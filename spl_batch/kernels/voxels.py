@@ -79,6 +79,7 @@ def voxelise(
     if size[0] * size[1] * size[2] >= 2**62:
         raise ValueError(f"voxels of {edges} quanta are too small for this region")
     key = (index[0] * size[1] + index[1]) * size[2] + index[2]
+    del index  # of a block of millions each array counts
     keys, of_point, count = np.unique(key, return_inverse=True, return_counts=True)
     return Voxels(keys, count, of_point.astype(np.int64), (size[1] * size[2], size[2]))
 

@@ -70,12 +70,14 @@ def _least_crowded(cloud: Cloud, settings: FilterSettings) -> NDArray[np.bool_]:
     noise = np.zeros(len(cloud.xyz), dtype=np.bool_)
     if not len(noise):
         return noise
+    # What takes most memory comes before what is kept beside it.
+    square, wanted = _expected(cloud, settings)
     everything = np.ones(len(noise), dtype=np.bool_)
     count = sphere_counts(build(cloud.xyz), everything, quanta(aes.radius_m))
     with np.errstate(divide="ignore", invalid="ignore"):
         quotient = count / cloud.density
     quotient[cloud.density <= 0] = np.inf
-    square, wanted = _expected(cloud, settings)
+    del count
     order = np.lexsort((quotient, square))
     starts = np.searchsorted(square[order], np.arange(len(wanted) + 1))
     for c, (first, last) in enumerate(pairwise(starts)):
