@@ -117,6 +117,7 @@ def test_the_command_of_a_failure_reproduces_it_alone(
     assert f"done: {failure.task}" in ended.out
     log = (result.output / "log.jsonl").read_text()
     assert "Traceback" in log
+    assert " --memory 2GiB " in failure.command
     assert failure.command in [json.loads(line).get("command") for line in log.splitlines()]
     assert_mended(small, small_output)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spl_batch.api import imaging
+from spl_batch.api import findings
 from spl_batch.api.events import Event, Note
 from spl_batch.io.gpstime import leap_seconds
 from spl_batch.model import BeamTable
@@ -98,7 +98,7 @@ def test_a_stretch_that_sees_the_survey_ahead_makes_up_for_one_that_sees_it_aste
     for name, (ahead_m, points) in looks.items():
         receipts[name] = SimpleNamespace(points=points, facts={"ahead": [ahead_m, 2500.0, 49.8]})
     survey: Any = SimpleNamespace(of=lambda kind: receipts if kind == "gather" else {})
-    assert imaging._times_off(survey) == ({}, pytest.approx(off, rel=0.01))
+    assert findings.times_off(survey) == ({}, pytest.approx(off, rel=0.01))
 
 
 def a_scan(seconds: float, speed_m_s: float, ahead_m: float) -> tuple[BeamTable, np.ndarray]:

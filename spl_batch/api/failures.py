@@ -36,10 +36,18 @@ class Invocation:
     def alone(self, task: Task) -> str:
         """Command that does one task of this run, in the process that it starts."""
         parts = ["spl-batch", "run", str(self.workflow), "--workers", str(self.workers)]
-        parts += ["--memory", str(self.memory_bytes)]
+        parts += ["--memory", _size(self.memory_bytes)]
         for override in self.overrides:
             parts += ["--set", override]
         return shlex.join([*parts, "--only", f"{task.kind} {task.name}"])
+
+
+def _size(count: int) -> str:
+    """Bytes as ``--memory`` takes them, exactly, in the largest unit that fits."""
+    for unit, name in ((2**30, "GiB"), (2**20, "MiB")):
+        if count % unit == 0:
+            return f"{count // unit}{name}"
+    return str(count)
 
 
 @dataclass(frozen=True, slots=True)

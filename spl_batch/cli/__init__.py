@@ -22,7 +22,8 @@ def _limits(command: Any) -> Any:
     command = click.option(
         "--memory",
         metavar="SIZE",
-        show_default="four fifths of the machine's, shared by the workers, 16GiB at most",
+        show_default="four fifths of the machine's, shared by the workers, 16GiB at most; "
+        "4GiB with a scheduler",
         help="Memory limit of a worker, such as 4GiB.",
     )(command)
     return click.option(

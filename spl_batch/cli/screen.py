@@ -92,7 +92,7 @@ def _memory(summary: "PlanSummary") -> str:
     needed, limit = (grouped(size / 2**20) for size in sizes)
     whose = f"each worker's {limit} MiB"
     if summary.shared:
-        whose += ", its share of four fifths of this machine's,"
+        whose += " (by default, as --memory is not given)"
     return f"{needed} of {whose} for {summary.cost.heaviest}"
 
 

@@ -1,5 +1,6 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -79,14 +80,21 @@ class Survey(Ledger[Inputs, Workflow]):
         points = stretch_points(self.memory_bytes)
         return min(points, self.remembered_stretch or points)
 
-    def cut_anew(self) -> Iterator[str]:
-        """Why less than it could be is taken over from earlier runs, and what helps."""
+    def stretches_anew(self) -> Iterator[str]:
+        """Why flightlines of earlier runs are done again, and what helps; known once indexed."""
         before = self.remembered_stretch
-        if self.filtering and before is not None and self.stretch_points < before:
+        if not self.filtering or before is None or self.stretch_points >= before:
+            return
+        then = find_flightlines(self.of("index_file"), self.workflow, before)
+        cut = [
+            a.stretch_shots != b.stretch_shots for a, b in zip(then, self.flightlines, strict=True)
+        ]
+        if any(cut):
             yield (
-                f"--memory {grouped(self.memory_bytes / 2**20)}MiB: flightlines are cut into "
-                "shorter stretches than in earlier runs, and all from the shots on is done again; "
-                f"with {enough_mib(stretch_bytes(before))}MiB it is taken over"
+                f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(sum(cut))} of "
+                f"{grouped(len(cut))} flightlines are cut into shorter stretches than in earlier "
+                "runs, and what depends on them is done again; with "
+                f"{enough_mib(stretch_bytes(before))}MiB they are taken over"
             )
 
     @cached_property
@@ -126,6 +134,23 @@ class Survey(Ledger[Inputs, Workflow]):
             pieces = list(from_counts(self.counts, self.tile_q))
             found = choose_sizes(pieces, self.workflow, self.memory_bytes, self.workers)
         return found._replace(memory_bytes=found.under(self.memory_bytes))
+
+    def blocks_anew(self) -> Iterator[str]:
+        """Why blocks of earlier runs are done again, and what helps; known once the shuffle is."""
+        sizes, workflow = self.remembered, self.workflow
+        before = None if sizes is None else sizes.memory_bytes
+        if workflow.tiling.block_tiles is not None or sizes is None or before is None:
+            return
+        if before <= self.memory_bytes or not self.counts:
+            return
+        layout = layout_of(self.counts, workflow)
+        then, now = (set(blocks(layout, sizes, workflow, m)) for m in (before, self.memory_bytes))
+        if lost := len(then - now):
+            yield (
+                f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(lost)} of "
+                f"{grouped(len(then))} blocks are cut smaller than in earlier runs and done again; "
+                f"with {math.ceil(before / 2**20)}MiB they are taken over"
+            )
 
     def holders(self) -> Holders:
         """Blocks that are finished, by the tiles that they own."""

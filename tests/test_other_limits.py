@@ -1,0 +1,141 @@
+"""A run goes on with more or less memory than earlier ones had."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from spl_batch import api
+from spl_batch.api.events import Event, Note, TaskEnded
+from spl_batch.errors import WorkflowError
+from spl_batch.io.store import Store
+from spl_batch.plan import memory, survey
+from spl_batch.plan.blocks import remembered_sizes
+from spl_batch.workflow import load_workflow
+from tests import surveys
+
+SMALL, LARGE = "1536MiB", "8GiB"
+
+
+@pytest.fixture
+def passes(tmp_path: Path) -> Path:
+    """Workflow of four short passes, 60 m apart, on tiles of 50 m."""
+    x, y = surveys.ORIGIN_M
+    for k in range(4):
+        there, then = (x + 60 * k, y), surveys.START_S + 3 * k
+        line = surveys.flightline(shots=120, psid=k + 1, start_s=then, seed=k, origin_m=there)
+        surveys.write_cloud(tmp_path / "lines" / f"line_{k + 1}.laz", line)
+    return surveys.write_workflow(tmp_path, tiling={"tile_m": 50.0})
+
+
+@pytest.fixture
+def _long_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pass of 3000 points is one stretch with 8 GiB, and several with less."""
+    monkeypatch.setattr(survey, "stretch_points", lambda limit: limit // 2**21)
+
+
+@pytest.fixture
+def _large_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The four passes are one block with 8 GiB, and several with less."""
+    heavy = {**memory.BYTES_PER_POINT, "denoise": 70_000}
+    monkeypatch.setattr(memory, "BYTES_PER_POINT", heavy)
+
+
+def go_on(workflow: Path, limit: str, *overrides: str, **options: Any) -> tuple[int, list[str]]:
+    """Run with a memory limit; how many tasks were done, and what is said of the limit."""
+    told: list[Event] = []
+    ended = surveys.run(workflow, *overrides, memory=limit, listener=told.append, **options)
+    assert ended.exit_status == 0
+    done = sum(isinstance(event, TaskEnded) for event in told)
+    return done, [e.text for e in told if isinstance(e, Note) and "--memory" in e.text]
+
+
+def left(workflow: Path, limit: str) -> str:
+    """Stage at which a run with a memory limit would go on; empty where all is finished."""
+    found = api.plan(workflow, workers=0, memory=limit).left
+    assert found is not None
+    return found.stage
+
+
+def warning(workflow: Path, limit: str) -> str:
+    """What a plan says of a memory limit."""
+    said = api.plan(workflow, workers=0, memory=limit).warnings
+    return " ".join(text for text in said if "--memory" in text)
+
+
+@pytest.mark.usefixtures("_long_stretches")
+def test_stretches_stay_as_they_are_with_more_memory(passes: Path) -> None:
+    assert go_on(passes, SMALL, until="shots")[0] > 30
+    assert go_on(passes, LARGE, until="shots") == (0, [])
+    done, _ = go_on(passes, LARGE, until="shots", fresh=True)
+    assert 0 < done < 30, "emptied, they are as long as they can be"
+
+
+def test_short_flightlines_and_their_blocks_are_the_same_with_less_memory(passes: Path) -> None:
+    assert survey.stretch_points(2**30 * 3 // 2) < survey.stretch_points(2**33)
+    go_on(passes, LARGE)
+    assert warning(passes, SMALL) == ""
+    assert go_on(passes, SMALL) == (0, [])
+
+
+@pytest.mark.usefixtures("_long_stretches")
+def test_a_look_with_less_memory_leaves_stretches_as_they_are(passes: Path) -> None:
+    go_on(passes, LARGE)
+    assert not left(passes, LARGE)
+    assert left(passes, SMALL) == "shots"
+    told = "4 of 4 flightlines are cut into shorter stretches than in earlier runs"
+    assert told in warning(passes, SMALL)
+    done, said = go_on(passes, SMALL, until="index")
+    assert done == 0
+    assert [told in text for text in said] == [True]
+    assert not left(passes, LARGE)
+    assert warning(passes, LARGE) == ""
+
+
+@pytest.mark.usefixtures("_long_stretches")
+def test_stretches_of_less_memory_are_kept_once_they_are_gathered(passes: Path) -> None:
+    go_on(passes, LARGE, until="shots")
+    done, _ = go_on(passes, SMALL, until="shots")
+    assert done > 20
+    assert go_on(passes, LARGE, until="shots") == (0, [])
+
+
+@pytest.mark.usefixtures("_large_blocks")
+def test_a_look_with_less_memory_leaves_blocks_as_they_are(passes: Path) -> None:
+    go_on(passes, LARGE)
+    assert left(passes, SMALL) == "denoise"
+    assert "1 of 1 blocks are cut smaller than in earlier runs" in warning(passes, SMALL)
+    assert "with 8192MiB they are taken over" in warning(passes, SMALL)
+    done, said = go_on(passes, SMALL, until="shuffle")
+    assert done == 0
+    assert ["blocks are cut smaller" in text for text in said] == [True]
+    assert not left(passes, LARGE)
+    assert warning(passes, LARGE) == ""
+
+
+@pytest.mark.usefixtures("_large_blocks")
+def test_a_block_of_less_memory_done_alone_leaves_the_others_as_they_are(passes: Path) -> None:
+    go_on(passes, LARGE)
+    with pytest.raises(WorkflowError, match="no such task; there are") as none:
+        api.run_alone(passes, "denoise none", workers=0, memory=SMALL)
+    block = str(none.value).split("there are ")[1].split(",")[0]
+    assert api.run_alone(passes, f"denoise {block}", workers=0, memory=SMALL).exit_status == 0
+    assert not left(passes, LARGE)
+
+
+@pytest.mark.usefixtures("_large_blocks")
+def test_blocks_of_less_memory_are_kept_once_they_are_done(passes: Path) -> None:
+    go_on(passes, LARGE)
+    before = surveys.labels(passes.parent / "out")
+    assert go_on(passes, SMALL)[0] > 4
+    assert go_on(passes, LARGE) == (0, [])
+    surveys.assert_same_labels(before, surveys.labels(passes.parent / "out"))
+
+
+def test_sizes_that_are_given_are_not_remembered(passes: Path) -> None:
+    go_on(passes, LARGE)
+    store = Store(passes.parent / "out/store")
+    known = remembered_sizes(store, load_workflow(passes))
+    assert go_on(passes, SMALL, "tiling.block_tiles=1", until="denoise")[0] > 1
+    assert remembered_sizes(store, load_workflow(passes)) == known
+    assert not left(passes, LARGE)
