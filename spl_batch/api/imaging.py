@@ -157,9 +157,6 @@ class Imaging(Receiver[Survey, Context]):
         survey, store = prepared.ledger, prepared.context.store
         if phase.kind == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-            yield from survey.stretches_anew()
-        if phase.kind == "build_tile":
-            yield from survey.blocks_anew()
         if phase.kind == "denoise" and survey.of("denoise"):
             _remember_blocks(survey, store)
         if phase.kind == "gather" and survey.of("gather"):
@@ -177,6 +174,12 @@ class Imaging(Receiver[Survey, Context]):
                 "the survey lies in pieces far apart: each has rasters of its own "
                 "(dtm.tif, dtm_2.tif, ...), the largest piece comes first"
             )
+
+    def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[str]:
+        """How much of earlier runs is done again for want of memory."""
+        if phase.kind == "index_file":
+            return prepared.ledger.stretches_anew()
+        return prepared.ledger.blocks_anew() if phase.kind == "build_tile" else ()
 
     def follows(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Container[str]:
         """Along wrong beams no gate is what it seems."""

@@ -153,8 +153,10 @@ def run(
         compiles = prepared.receiver.compiles
         ahead = compiles and Ahead(compiles, COMPILING)
         with _telling_the_end(progress):
-            for warning in (*prepared.ledger.remarks, *prepared.ledger.inputs.warnings):
-                progress.warn(warning)
+            for text in prepared.ledger.remarks:
+                progress.tell(Note("warning", text))
+            for text in prepared.ledger.inputs.warnings:
+                progress.warn(text)
             for text in told_together(prepared.ledger.inputs.bad):
                 progress.tell(Note("error", text))
             with executor(
@@ -289,6 +291,8 @@ def _run_phases(
         for phase in phases:
             for text in receiver.after(phase, prepared, progress.failed):
                 progress.warn(text)
+            for text in receiver.aside(phase, prepared):
+                progress.tell(Note("warning", text))
             for text in _warnings(ledger.of(phase.kind), receiver.follows(phase, prepared)):
                 progress.warn(text)
 

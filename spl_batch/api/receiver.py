@@ -152,6 +152,11 @@ class Receiver(ABC, Generic[L, C]):
         del phase, prepared, failed
         return ()
 
+    def aside(self, phase: Phase, prepared: Prepared[L, C]) -> Iterable[str]:
+        """What whoever runs it should know after a phase; the report is for others."""
+        del phase, prepared
+        return ()
+
     def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Container[str]:
         """Names of tasks whose warnings are but consequences of what :meth:`after` has told."""
         del phase, prepared
