@@ -204,6 +204,21 @@ def test_times_that_are_none_do_no_harm_to_the_rest() -> None:
     assert most_points(fullest, 1e17) == 5
 
 
+@given(
+    first=st.floats(0, 1e6),
+    length=st.floats(0.01, 4),
+    points=st.integers(1000, 10**7),
+    wanted=st.sampled_from([125_000, 250_000, 500_000, 1_000_000]),
+)
+def test_a_line_of_one_stretch_is_the_same_where_more_would_fit(
+    first: float, length: float, points: int, wanted: int
+) -> None:
+    files = {"a": indexed("a", {1: [[first, first + length, points]]}, 60_000.0)}
+    (less,), (more,) = (find_flightlines(files, DEFAULTS, n) for n in (wanted, 2 * wanted))
+    if len(list(less.stretches())) == 1:
+        assert less == more
+
+
 def test_files_that_follow_each_other_do_not_add_up() -> None:
     listed = []
     for first in (0.0, 20.0, 40.0):

@@ -148,8 +148,8 @@ def _flightline(
     wanted = shots * stretch_points / points / interval
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
     rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
-    end = (last - clock.t0_s) * prf + 1.0
-    while stretch > interval and stretch // 2 >= end:
+    ends = [round((time - clock.t0_s) * prf) for time in (first, last)]
+    while stretch > interval and len({shot // (stretch // 2) for shot in ends}) == 1:
         stretch //= 2  # one that holds all of it is the same, however much memory there is
     while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * stretch_points:
         stretch //= 2
