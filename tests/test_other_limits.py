@@ -10,7 +10,8 @@ from spl_batch.api.events import Event, Note, TaskEnded
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import Store
 from spl_batch.plan import memory, survey
-from spl_batch.plan.blocks import remembered_sizes
+from spl_batch.plan.blocks import remembered_sizes, remembered_stretch
+from spl_batch.runner import space_domain, time_domain
 from spl_batch.workflow import load_workflow
 from tests import surveys
 
@@ -74,8 +75,11 @@ def test_stretches_stay_as_they_are_with_more_memory(passes: Path) -> None:
 def test_short_flightlines_and_their_blocks_are_the_same_with_less_memory(passes: Path) -> None:
     assert survey.stretch_points(2**30 * 3 // 2) < survey.stretch_points(2**33)
     go_on(passes, LARGE)
+    remembered = passes.parent / "out/store/blocks.json"
+    before = remembered.read_bytes()
     assert warning(passes, SMALL) == ""
     assert go_on(passes, SMALL) == (0, [])
+    assert remembered.read_bytes() == before, "nothing was cut: what comes may be as long as before"
 
 
 @pytest.mark.usefixtures("_long_stretches")
@@ -98,6 +102,26 @@ def test_stretches_of_less_memory_are_kept_once_they_are_gathered(passes: Path) 
     done, _ = go_on(passes, SMALL, until="shots")
     assert done > 20
     assert go_on(passes, LARGE, until="shots") == (0, [])
+
+
+@pytest.mark.usefixtures("_long_stretches")
+def test_stretches_of_less_memory_that_all_fail_are_not_kept(
+    passes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = surveys.flightline(shots=20, psid=9, start_s=surveys.START_S + 30, seed=9)
+    surveys.write_cloud(passes.parent / "lines/short.laz", short)
+    go_on(passes, LARGE, until="shots")
+    store = Store(passes.parent / "out")
+    known = remembered_stretch(store)
+    assert known is not None
+
+    def killed(*_: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as broken:
+        broken.setattr(time_domain, "gather", killed)
+        assert surveys.run(passes, memory=SMALL, until="shots").exit_status == 1
+    assert remembered_stretch(store) == known
 
 
 @pytest.mark.usefixtures("_large_blocks")
@@ -136,10 +160,31 @@ def test_blocks_of_less_memory_are_kept_once_they_are_done(passes: Path) -> None
     surveys.assert_same_labels(before, surveys.labels(passes.parent / "out"))
 
 
+@pytest.mark.usefixtures("_large_blocks")
+def test_blocks_of_less_memory_that_all_fail_are_not_kept(
+    passes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    smaller = "1400MiB"
+    x, y = surveys.ORIGIN_M
+    away = surveys.flightline(shots=20, psid=9, seed=9, origin_m=(x + 5000, y))
+    surveys.write_cloud(passes.parent / "lines/away.laz", away)
+    go_on(passes, LARGE, until="denoise")
+    assert "2 of 3 blocks are cut smaller" in warning(passes, smaller)
+
+    def killed(*_: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as broken:
+        broken.setattr(space_domain, "denoise", killed)
+        assert surveys.run(passes, memory=smaller, until="denoise").exit_status == 1
+    assert left(passes, LARGE) == "ground"
+
+
 def test_sizes_that_are_given_are_not_remembered(passes: Path) -> None:
     go_on(passes, LARGE)
-    store = Store(passes.parent / "out/store")
+    store = Store(passes.parent / "out")
     known = remembered_sizes(store, load_workflow(passes))
+    assert known is not None
     assert go_on(passes, SMALL, "tiling.block_tiles=1", until="denoise")[0] > 1
     assert remembered_sizes(store, load_workflow(passes)) == known
     assert not left(passes, LARGE)

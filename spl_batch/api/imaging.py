@@ -157,10 +157,11 @@ class Imaging(Receiver[Survey, Context]):
         survey, store = prepared.ledger, prepared.context.store
         if phase.kind == "index_file":
             yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
-        if phase.kind == "denoise" and survey.of("denoise"):
+        if phase.kind == "denoise" and survey.has_other_blocks():
             _remember_blocks(survey, store)
-        if phase.kind == "gather" and survey.of("gather"):
-            remember_stretch(store, survey.stretch_points)
+        if phase.kind == "gather":
+            if survey.has_other_stretches():
+                remember_stretch(store, survey.stretch_points)
             yield from copies(survey)
             yield from looks_ahead(survey)
         if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):

@@ -15,6 +15,7 @@ from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Inputs, Source
+from spl_batch.plan.layout import Block
 from spl_batch.plan.ledger import Ledger
 from spl_batch.plan.memory import enough_mib, halo_m, stretch_bytes, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
@@ -82,20 +83,28 @@ class Survey(Ledger[Inputs, Workflow]):
 
     def stretches_anew(self) -> Iterator[str]:
         """Why flightlines of earlier runs are done again, and what helps; known once indexed."""
+        if (cut := self._cut_anew()) and self.remembered_stretch is not None:
+            enough = enough_mib(stretch_bytes(self.remembered_stretch))
+            yield (
+                f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(len(cut))} of "
+                f"{grouped(len(self.flightlines))} flightlines are cut into shorter stretches than "
+                "in earlier runs, and what depends on them is done again; with "
+                f"{enough}MiB they are taken over"
+            )
+
+    def has_other_stretches(self) -> bool:
+        """Whether stretches are gathered that another choice than the remembered one made."""
+        gathered = self.of("gather")
+        return any(name in gathered for line in self._cut_anew() for name, _ in line.stretches())
+
+    def _cut_anew(self) -> list[Flightline]:
+        """Flightlines whose stretches are shorter than in earlier runs."""
         before = self.remembered_stretch
         if not self.filtering or before is None or self.stretch_points >= before:
-            return
+            return []
         then = find_flightlines(self.of("index_file"), self.workflow, before)
-        cut = [
-            a.stretch_shots != b.stretch_shots for a, b in zip(then, self.flightlines, strict=True)
-        ]
-        if any(cut):
-            yield (
-                f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(sum(cut))} of "
-                f"{grouped(len(cut))} flightlines are cut into shorter stretches than in earlier "
-                "runs, and what depends on them is done again; with "
-                f"{enough_mib(stretch_bytes(before))}MiB they are taken over"
-            )
+        pairs = zip(then, self.flightlines, strict=True)
+        return [now for was, now in pairs if was.stretch_shots != now.stretch_shots]
 
     @cached_property
     def pieces(self) -> dict[int, Pieces]:
@@ -137,20 +146,34 @@ class Survey(Ledger[Inputs, Workflow]):
 
     def blocks_anew(self) -> Iterator[str]:
         """Why blocks of earlier runs are done again, and what helps; known once the shuffle is."""
-        sizes, workflow = self.remembered, self.workflow
-        before = None if sizes is None else sizes.memory_bytes
-        if workflow.tiling.block_tiles is not None or sizes is None or before is None:
-            return
-        if before <= self.memory_bytes or not self.counts:
-            return
-        layout = layout_of(self.counts, workflow)
-        then, now = (set(blocks(layout, sizes, workflow, m)) for m in (before, self.memory_bytes))
+        then, now = self._blocks_then_and_now()
         if lost := len(then - now):
+            before = self.remembered.memory_bytes if self.remembered is not None else None
             yield (
                 f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(lost)} of "
                 f"{grouped(len(then))} blocks are cut smaller than in earlier runs and done again; "
-                f"with {math.ceil(before / 2**20)}MiB they are taken over"
+                f"with {math.ceil((before or 0) / 2**20)}MiB they are taken over"
             )
+
+    def has_other_blocks(self) -> bool:
+        """Whether blocks are finished that another choice than the remembered one made."""
+        if self.remembered is not None and self.remembered.memory_bytes is None:
+            return True  # of a version that did not say what they were chosen for
+        then, now = self._blocks_then_and_now()
+        finished = self.of("denoise")
+        return any(str(block) in finished for block in now - then)
+
+    def _blocks_then_and_now(self) -> tuple[set[Block], set[Block]]:
+        """Blocks that the remembered memory limit makes, and this run's; none where it has more."""
+        sizes, workflow = self.remembered, self.workflow
+        before = None if sizes is None else sizes.memory_bytes
+        if workflow.tiling.block_tiles is not None or sizes is None or before is None:
+            return set(), set()
+        if before <= self.memory_bytes or not self.counts:
+            return set(), set()
+        layout = layout_of(self.counts, workflow)
+        then, now = (set(blocks(layout, sizes, workflow, m)) for m in (before, self.memory_bytes))
+        return then, now
 
     def holders(self) -> Holders:
         """Blocks that are finished, by the tiles that they own."""
