@@ -85,6 +85,8 @@ class Survey(Ledger[Inputs, Workflow]):
         """Why flightlines of earlier runs are done again, and what helps; known once indexed."""
         if (cut := self._cut_anew()) and self.remembered_stretch is not None:
             enough = enough_mib(stretch_bytes(self.remembered_stretch))
+            if self.remembered is not None and self.workflow.tiling.block_tiles is None:
+                enough = max(enough, math.ceil((self.remembered.memory_bytes or 0) / 2**20))
             yield (
                 f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(len(cut))} of "
                 f"{grouped(len(self.flightlines))} flightlines are cut into shorter stretches than "
