@@ -89,11 +89,22 @@ def test_a_look_with_less_memory_leaves_stretches_as_they_are(passes: Path) -> N
     assert left(passes, SMALL) == "shots"
     told = "4 of 4 flightlines are cut into shorter stretches than in earlier runs"
     assert told in warning(passes, SMALL)
+    assert "with 8192MiB they are taken over" in warning(passes, SMALL), "blocks too"
     done, said = go_on(passes, SMALL, until="index")
     assert done == 0
     assert [told in text for text in said] == [True]
     assert not left(passes, LARGE)
     assert warning(passes, LARGE) == ""
+
+
+@pytest.mark.usefixtures("_long_stretches")
+def test_filters_are_compared_on_the_stretches_that_there_are(passes: Path) -> None:
+    go_on(passes, SMALL, until="shuffle")
+    told: list[Event] = []
+    api.compare(passes, "vsaes,none", workers=0, memory=LARGE, listener=told.append)
+    done = {event.kind for event in told if isinstance(event, TaskEnded)}
+    assert "denoise" in done
+    assert "gather" not in done
 
 
 @pytest.mark.usefixtures("_long_stretches")

@@ -23,7 +23,7 @@ from spl_batch.errors import WorkflowError
 from spl_batch.io.links import share_finished
 from spl_batch.io.raster_parts import read_overview
 from spl_batch.io.store import Store
-from spl_batch.plan.blocks import Holders
+from spl_batch.plan.blocks import Holders, remember_stretch, remembered_stretch
 from spl_batch.report.comparison import ComparisonReport, MethodResult, write_comparison
 from spl_batch.report.model import Report
 from spl_batch.report.plots import Profile
@@ -217,6 +217,9 @@ def _share(source: Store, target: Store, settings: Workflow, variant: Variant) -
             stages.add("shuffle")
     kinds += [name for name, kind in KINDS.items() if kind.stage in stages]
     share_finished(source, target, kinds)
+    points = remembered_stretch(source)
+    if "shots" in stages and points is not None:
+        remember_stretch(target, points)  # what is shared is cut by it, whatever memory there is
     share_time(source.output, target.output, stages)
 
 
