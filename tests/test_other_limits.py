@@ -107,6 +107,16 @@ def test_filters_are_compared_on_the_stretches_that_there_are(passes: Path) -> N
     assert "gather" not in done
 
 
+@pytest.mark.usefixtures("_large_blocks")
+def test_what_is_cut_anew_is_told_once_where_a_file_is_mended(passes: Path) -> None:
+    go_on(passes, LARGE)
+    tile = min((passes.parent / "out/store/tiles").iterdir())
+    tile.write_bytes(tile.read_bytes()[:-99] + bytes(99))
+    done, said = go_on(passes, SMALL)
+    assert done > 4
+    assert len(said) == 1
+
+
 @pytest.mark.usefixtures("_long_stretches")
 def test_stretches_of_less_memory_are_kept_once_they_are_gathered(passes: Path) -> None:
     go_on(passes, LARGE, until="shots")

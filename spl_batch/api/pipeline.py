@@ -154,7 +154,7 @@ def run(
         ahead = compiles and Ahead(compiles, COMPILING)
         with _telling_the_end(progress):
             for text in prepared.ledger.remarks:
-                progress.tell(Note("warning", text))
+                progress.aside(text)
             for text in prepared.ledger.inputs.warnings:
                 progress.warn(text)
             for text in told_together(prepared.ledger.inputs.bad):
@@ -292,7 +292,7 @@ def _run_phases(
             for text in receiver.after(phase, prepared, progress.failed):
                 progress.warn(text)
             for text in receiver.aside(phase, prepared):
-                progress.tell(Note("warning", text))
+                progress.aside(text)
             for text in _warnings(ledger.of(phase.kind), receiver.follows(phase, prepared)):
                 progress.warn(text)
 

@@ -62,6 +62,7 @@ class Progress:
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    asides: list[str] = field(default_factory=list)
     logged_s: float = -1e9
 
     def __post_init__(self) -> None:
@@ -80,6 +81,12 @@ class Progress:
         """Note something that the report repeats."""
         if text not in self.notes:
             self.notes.append(text)
+            self.tell(Note("warning", text))
+
+    def aside(self, text: str) -> None:
+        """Say once what is for whoever runs it; the report is for others."""
+        if text not in self.asides:
+            self.asides.append(text)
             self.tell(Note("warning", text))
 
     def tidy(self) -> None:
