@@ -107,6 +107,14 @@ def test_filters_are_compared_on_the_stretches_that_there_are(passes: Path) -> N
     assert "gather" not in done
 
 
+@pytest.mark.usefixtures("_long_stretches", "_large_blocks")
+def test_blocks_that_would_be_done_again_anyway_are_not_told_of(passes: Path) -> None:
+    go_on(passes, LARGE)
+    go_on(passes, SMALL, until="shuffle")
+    assert left(passes, LARGE) == "denoise"
+    assert warning(passes, SMALL) == ""
+
+
 @pytest.mark.usefixtures("_large_blocks")
 def test_what_is_cut_anew_is_told_once_where_a_file_is_mended(passes: Path) -> None:
     go_on(passes, LARGE)
@@ -149,7 +157,7 @@ def test_stretches_of_less_memory_that_all_fail_are_not_kept(
 def test_a_look_with_less_memory_leaves_blocks_as_they_are(passes: Path) -> None:
     go_on(passes, LARGE)
     assert left(passes, SMALL) == "denoise"
-    assert "1 of 1 blocks are cut smaller than in earlier runs" in warning(passes, SMALL)
+    assert "1 of 1 finished blocks are cut smaller" in warning(passes, SMALL)
     assert "with 8192MiB they are taken over" in warning(passes, SMALL)
     done, said = go_on(passes, SMALL, until="shuffle")
     assert done == 0
@@ -190,7 +198,7 @@ def test_blocks_of_less_memory_that_all_fail_are_not_kept(
     away = surveys.flightline(shots=20, psid=9, seed=9, origin_m=(x + 5000, y))
     surveys.write_cloud(passes.parent / "lines/away.laz", away)
     go_on(passes, LARGE, until="denoise")
-    assert "2 of 3 blocks are cut smaller" in warning(passes, smaller)
+    assert "2 of 3 finished blocks are cut smaller" in warning(passes, smaller)
 
     def killed(*_: object) -> None:
         raise MemoryError

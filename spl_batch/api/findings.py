@@ -1,6 +1,7 @@
 """What phases bring to light about the inputs of an airborne survey, in words."""
 
-from collections import Counter
+import math
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from statistics import median
 from typing import Final
@@ -10,7 +11,10 @@ import numpy as np
 from spl_batch.errors import WorkflowError, grouped, named, told_together
 from spl_batch.plan.first_look import holds_few
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
+from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, timeless_sources
+from spl_batch.plan.worklist import Worklist
+from spl_batch.runner.context import Context
 from spl_batch.stages.geometry import Ahead
 from spl_batch.task import Receipt
 
@@ -47,6 +51,22 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
             f"{named([source.name for source in timeless])}: no point has a usable gps_time, so "
             "there are no shots to filter by; set filter.method: none and afterpulse.enabled: "
             "false for ground and surfaces"
+        )
+
+
+def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
+    """Which finished blocks this run cuts anew for want of memory, and what helps."""
+    then = survey.with_memory_of_blocks()
+    if then is None:
+        return
+    phase = next(phase for phase in PHASES if phase.kind == "denoise")
+    deque(Worklist(phase, then, context).look(), maxlen=0)
+    finished = set(then.of("denoise"))
+    if lost := finished - {unit.name for unit in survey.blocks()}:
+        yield (
+            f"--memory {grouped(survey.memory_bytes / 2**20)} MiB: {grouped(len(lost))} of "
+            f"{grouped(len(finished))} finished blocks are cut smaller and done again; with "
+            f"{math.ceil(then.memory_bytes / 2**20)}MiB they are taken over"
         )
 
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Final
 
 from spl_batch.api.findings import (
     beams_without_trajectory,
+    blocks_anew,
     copies,
     judge_index,
     looks_ahead,
@@ -124,7 +125,8 @@ class Imaging(Receiver[Survey, Context]):
         """What both ends of the files tell of their times and channels, and of the trajectory's."""
         survey = prepared.ledger
         faults, odd = first_look(survey.inputs, survey.workflow, prepared.context.base)
-        return faults, (*odd, *survey.stretches_anew(), *survey.blocks_anew())
+        anew = (*survey.stretches_anew(), *blocks_anew(survey, prepared.context))
+        return faults, (*odd, *anew)
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
         """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.
@@ -178,9 +180,10 @@ class Imaging(Receiver[Survey, Context]):
 
     def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[str]:
         """How much of earlier runs is done again for want of memory."""
+        survey = prepared.ledger
         if phase.kind == "index_file":
-            return prepared.ledger.stretches_anew()
-        return prepared.ledger.blocks_anew() if phase.kind == "build_tile" else ()
+            return survey.stretches_anew()
+        return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
 
     def follows(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Container[str]:
         """Along wrong beams no gate is what it seems."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -146,16 +146,16 @@ class Survey(Ledger[Inputs, Workflow]):
             found = choose_sizes(pieces, self.workflow, self.memory_bytes, self.workers)
         return found._replace(memory_bytes=found.under(self.memory_bytes))
 
-    def blocks_anew(self) -> Iterator[str]:
-        """Why blocks of earlier runs are done again, and what helps; known once the shuffle is."""
+    def with_memory_of_blocks(self) -> "Survey | None":
+        """The survey under the limit that its blocks were chosen for, none of them looked at.
+
+        None where this run's blocks are those. Known once the shuffle is complete.
+        """
         then, now = self._blocks_then_and_now()
-        if lost := len(then - now):
-            before = self.remembered.memory_bytes if self.remembered is not None else None
-            yield (
-                f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(lost)} of "
-                f"{grouped(len(then))} blocks are cut smaller than in earlier runs and done again; "
-                f"with {math.ceil((before or 0) / 2**20)}MiB they are taken over"
-            )
+        if then <= now or self.remembered is None or self.remembered.memory_bytes is None:
+            return None
+        done = {kind: shelf for kind, shelf in self.done.items() if kind != "denoise"}
+        return replace(self, memory_bytes=self.remembered.memory_bytes, done=done)
 
     def has_other_blocks(self) -> bool:
         """Whether blocks are finished that another choice than the remembered one made."""
