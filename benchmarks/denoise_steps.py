@@ -41,7 +41,7 @@ STEPS: Final = {
     "stages.echoes": ("resolve", "behind_plane", "weigh_around"),
     "stages.denoise": ("denoise", "follow"),
     "stages.evidence": ("build", "count_inside"),
-    "stages.ellipsoid_test": ("judge", "_limit", "_links", "enough_peers"),
+    "stages.ellipsoid_test": ("judge", "build", "_limit", "_links", "enough_peers"),
     "stages.wire_scan": (
         "scan", "cube_counts", "columns", "fullest", "refine", "agreeing", "vote",
     ),

@@ -130,11 +130,16 @@ def test_the_scan_and_the_test_share_alpha(monkeypatch: pytest.MonkeyPatch) -> N
     scanned = wire_scan.Found(drawn, drawn, np.where(drawn, 0.01, np.nan).astype(np.float32))
     monkeypatch.setattr(wire_null, "spent", lambda density, _: np.full(len(density), 0.01))
     monkeypatch.setattr(wire_scan, "scan", lambda *_: scanned)
-    label = denoise(as_table(xyz), np.full(n, 0.2), core, whole)["noise_class"]
+    found = denoise(as_table(xyz), np.full(n, 0.2), core, whole)
+    label = found["noise_class"]
     assert (label[drawn] == 0).all()
-    rest = judge(cloud, whole, spent=all_spend(0.01)).signal
-    np.testing.assert_array_equal(label == 0, drawn | rest)
-    assert with_half.sum() < rest.sum() < without.sum()
+    rest = judge(cloud, whole, spent=all_spend(0.01))
+    np.testing.assert_array_equal(label == 0, drawn | rest.signal)
+    assert with_half.sum() < rest.signal.sum() < without.sum()
+    # and p says what both keep
+    tested = np.flatnonzero(~drawn & (rest.p_value > 0.02) & (rest.p_value < 0.9))
+    assert len(tested) > 100
+    np.testing.assert_allclose(found["p_value"][tested], rest.p_value[tested] + 0.01, rtol=1e-5)
 
 
 def test_labels_are_the_same_where_p_is_exact() -> None:

@@ -362,7 +362,14 @@ def test_halo_and_order_do_not_matter() -> None:
 
 def test_strips_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     table, density = _wide_crowns()
-    whole, chance = echoes.resolve(table, density, DEFAULT), chances(table, density)
+    last = int(np.flatnonzero(table["afterpulse_rate"] > 0)[-1]) + 1  # the easternmost is one too
+    table, density = table.take(slice(0, last)), density[:last]
+
+    def by_row() -> list[np.ndarray]:
+        found = echoes.probability(table, density)
+        return [values[np.argsort(found.rows)] for values in found]
+
+    whole, said = echoes.resolve(table, density, DEFAULT), by_row()
     monkeypatch.setattr(echoes, "STRIP_POINTS", 900)
     monkeypatch.setattr(echoes, "STRIP_M", 2.5)
     looked: list[int] = []
@@ -372,7 +379,21 @@ def test_strips_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_array_equal(got, want)
     assert len(looked) > 4
     assert max(looked) < len(table)
-    np.testing.assert_array_equal(chances(table, density), chance)
+    for got, want in zip(by_row(), said, strict=True):
+        np.testing.assert_array_equal(got, want)
+
+
+def test_no_strip_is_narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dense corridor and a few returns far away: cuts by number alone would be its slices."""
+    monkeypatch.setattr(echoes, "STRIP_POINTS", 1000)
+    rng = np.random.default_rng(3)
+    x = np.concatenate([rng.uniform(0, 14, 9000), rng.uniform(0, 4000, 4000)])
+    x = np.sort((1000 * x).astype(np.int64))
+    owned = [own for own, _, _ in echoes._strips(x)]
+    assert len(owned) > 3
+    assert [own.start for own in owned] == [0, *(own.stop for own in owned[:-1])]
+    assert owned[-1].stop == len(x)
+    assert np.diff([x[own.start] for own in owned]).min() >= 1000 * echoes.STRIP_M
 
 
 def test_of_two_parents_as_high_the_table_does_not_decide() -> None:

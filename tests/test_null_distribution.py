@@ -101,6 +101,10 @@ def test_the_shipped_table_is_what_is_drawn() -> None:
         np.testing.assert_allclose(found, shipped, atol=within)
         # the count's own tail is far smaller: the ellipsoid was fitted to what it counts
         assert (shipped < np.log(share)).all()
+    for of in ("alone", "link"):
+        np.testing.assert_allclose(
+            getattr(drawn, of)(densities, 0.05), getattr(table, of)(densities, 0.05), rtol=0.05
+        )
 
 
 def test_p_values_are_shares_and_vanish_without_noise() -> None:

@@ -67,9 +67,10 @@ FLAT_M: Final = (1.5, 0.2)
 WIDE_M: Final = max(FLAT_M[0], foliage.KERNELS_M[0][0])
 """How far a count of returns looks, and how far a parent is sought aside [m]."""
 
-REACH_M: Final = WIDE_M + foliage.REACH_M
+REACH_M: Final = 2.0 * WIDE_M + foliage.REACH_M
 """How far the decision about a point looks: the second round counts returns by what the first
-one found [m]."""
+one found, that by parents near by, and a parent is one as no other is nearer to its follower
+[m]."""
 
 AFTERPULSE_MIN: Final = 0.5
 """Probability from which the time domain's word is believed: behind hard surfaces."""
@@ -215,8 +216,11 @@ def _strips(x: NDArray[np.int64]) -> Iterator[list[slice]]:
     if count == 1:
         yield [slice(0, len(x))] * 3
         return
-    cuts = [int(x[len(x) * k // count]) for k in range(1, count)]
-    for low, high in pairwise([int(x[0]), *cuts, int(x[-1]) + 1]):
+    edges = [int(x[0])]
+    for k in range(1, count):
+        if (cut := int(x[len(x) * k // count])) - edges[-1] >= quanta(STRIP_M):
+            edges.append(cut)
+    for low, high in pairwise([*edges, int(x[-1]) + 1]):
         spans = ((low - margin, high + margin) for margin in map(quanta, (0.0, WIDE_M, REACH_M)))
         yield [slice(*np.searchsorted(x, span).tolist()) for span in spans]
 
