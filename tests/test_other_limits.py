@@ -12,6 +12,7 @@ from spl_batch.io.store import Store
 from spl_batch.plan import memory, survey
 from spl_batch.plan.blocks import remembered_sizes, remembered_stretch
 from spl_batch.runner import space_domain, time_domain
+from spl_batch.stages import denoise
 from spl_batch.workflow import load_workflow
 from tests import surveys
 
@@ -217,3 +218,26 @@ def test_sizes_that_are_given_are_not_remembered(passes: Path) -> None:
     assert go_on(passes, SMALL, "tiling.block_tiles=1", until="denoise")[0] > 1
     assert remembered_sizes(store, load_workflow(passes)) == known
     assert not left(passes, LARGE)
+
+
+@pytest.mark.usefixtures("_large_blocks")
+def test_a_choice_that_has_led_to_nothing_does_not_bind(
+    passes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(denoise, "judge", none)
+        with pytest.raises(KeyboardInterrupt):
+            go_on(passes, SMALL)
+    store = Store(passes.parent / "out")
+    chosen = remembered_sizes(store, load_workflow(passes))
+    assert chosen is not None
+    go_on(passes, LARGE, until="denoise")
+    now = remembered_sizes(store, load_workflow(passes))
+    assert now is not None
+    assert (chosen.memory_bytes, now.memory_bytes) == (3 * 2**29, 2**33)
+    unfiltered = ("filter.method=none", "afterpulse.enabled=false")
+    go_on(passes, SMALL, *unfiltered, until="shuffle", fresh=True)
+    assert remembered_stretch(store) is None

@@ -16,6 +16,7 @@ from spl_batch.api.findings import (
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError, grouped
+from spl_batch.io.atomic import names_in
 from spl_batch.io.cells import create_raster_store
 from spl_batch.io.las import promised_points
 from spl_batch.io.store import Store
@@ -84,8 +85,7 @@ class Imaging(Receiver[Survey, Context]):
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
         context = Context(workflow, place.base, place.output, crs_wkt, code_version())
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
-        survey.remembered = remembered_sizes(context.store, workflow)
-        survey.remembered_stretch = remembered_stretch(context.store)
+        _recall(survey, context.store)
         return Prepared(self, survey, context)
 
     def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
@@ -138,9 +138,8 @@ class Imaging(Receiver[Survey, Context]):
         survey, store = prepared.ledger, prepared.context.store
         workflow = survey.workflow
         if phase.kind == "index_part":
-            survey.remembered = remembered_sizes(store, workflow)
-            survey.remembered_stretch = remembered_stretch(store)
-        if phase.kind == "gather" and survey.remembered_stretch is None:
+            _recall(survey, store)
+        if phase.kind == "gather" and survey.filtering and survey.remembered_stretch is None:
             remember_stretch(store, survey.stretch_points)
         if phase.kind == "denoise" and survey.remembered is None:
             _remember_blocks(survey, store)
@@ -233,6 +232,15 @@ class Imaging(Receiver[Survey, Context]):
 
 RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 """The one there is."""
+
+
+def _recall(survey: Survey, store: Store) -> None:
+    """How earlier runs have cut what they have finished; what has led to nothing does not bind."""
+    gathered, denoised = (
+        names_in(store.path("receipts", kind), ".json") for kind in ("gather", "denoise")
+    )
+    survey.remembered_stretch = remembered_stretch(store) if gathered else None
+    survey.remembered = remembered_sizes(store, survey.workflow) if denoised else None
 
 
 def _remember_blocks(survey: Survey, store: Store) -> None:
