@@ -252,6 +252,24 @@ class TestSummary:
         assert rows["time"] == "1 min 44 s (108 k points/s)"
         assert rows["failures"] == "none"
 
+    def test_it_names_what_has_failed_and_what_helps(self) -> None:
+        first, second = make_failures()
+        rows = screen_summary(make_report(failures=(first, second)))
+        assert ("failures", "2") in rows
+        assert [value for label, value in rows if label == "failed"] == [
+            f"{first.place}: {first.reason}; {first.remedy}",
+            "cell 2501_16502: worker ran out of memory",
+        ]
+        said = second.model_copy(
+            update={"reason": f"{second.place}: cut off, copy it again",
+                    "remedy": "copy it again or remove it"}
+        )  # fmt: skip
+        rows = screen_summary(make_report(failures=(said, first, first, first, second)))
+        failed = [value for label, value in rows if label == "failed"]
+        assert failed[0] == said.reason, "as named, with its remedy"
+        assert len(failed) == 3
+        assert ("", "and 2 more, see the report") in rows
+
     def test_the_time_names_what_a_first_run_compiles(self) -> None:
         work = make_report().performance.model_copy(update={"compile_s": 31.0})
         report = make_report(performance=work)

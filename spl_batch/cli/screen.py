@@ -196,7 +196,7 @@ def print_alone(result: "AloneResult") -> None:
 def _pairs(pairs: Sequence[tuple[str, str]]) -> None:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for label, value in pairs:
-        loud = "bold red" if label == "attention" else ""
+        loud = {"attention": "bold red", "failed": "red"}.get(label, "")
         table.add_row(Text(label, style=loud or "dim"), Text(value, style=loud))
     _OUT.print(table)
 

@@ -24,6 +24,9 @@ Specification, table of absolute vertical accuracy. Pulse density is judged apar
 OPEN_SURFACES: Final = ("open_ground", "open", "bare_ground", "ground", "all")
 """Classes that the terrain verdict is taken from; the first one that is there."""
 
+FAILURES_NAMED: Final = 3
+"""Failures that the console names at the end; the report has all [count]."""
+
 _NO_REFERENCE: Final = "no reference was given"
 
 
@@ -136,9 +139,20 @@ def ending_rows(
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MB per worker"))
     rows.append(("failures", number(len(failures)) if failures else "none"))
+    rows += [("failed", _failed(failure)) for failure in failures[:FAILURES_NAMED]]
+    if more := failures[FAILURES_NAMED:]:
+        rows.append(("", f"and {number(len(more))} more, see the report"))
     if warnings:
         rows.append(("warnings", number(len(warnings))))
     return [(label, as_ascii(value)) for label, value in rows]
+
+
+def _failed(failure: Failure) -> str:
+    """What has failed, why, and what helps."""
+    named = failure.place in failure.reason
+    what = failure.reason if named else f"{failure.task or failure.place}: {failure.reason}"
+    said = failure.remedy is None or failure.remedy.split(" or ", maxsplit=1)[0] in what
+    return what if said else f"{what}; {failure.remedy}"
 
 
 def _of_which(work: Performance) -> str:
