@@ -136,7 +136,10 @@ def by_area(folder: Path, memory: str) -> None:
     for side_m in SIDES_M:
         content = scene(float(side_m))
         content["acquisition"]["prf_hz"] /= 4
-        costs, report, wall_s = run(survey(folder, f"side{side_m}", content), 1, memory)
+        workflow = survey(folder, f"side{side_m}", content)
+        if side_m == SIDES_M[0]:
+            run(workflow, 1, memory)
+        costs, report, wall_s = run(workflow, 1, memory)
         if side_m == SIDES_M[0]:
             head("side [m]", costs)
         print_run(str(side_m), costs, report, wall_s)
@@ -152,7 +155,10 @@ def by_noise(folder: Path, memory: str) -> None:
     for background in BACKGROUNDS:
         content = scene(200.0)
         content["sky"]["background_per_m3"] = background
-        costs, report, wall_s = run(survey(folder, f"sky{background:g}", content), 1, memory)
+        workflow = survey(folder, f"sky{background:g}", content)
+        if background == BACKGROUNDS[0]:
+            run(workflow, 1, memory)
+        costs, report, wall_s = run(workflow, 1, memory)
         if background == BACKGROUNDS[0]:
             head("1/m3", costs)
         print_run(f"{background:g}", costs, report, wall_s)

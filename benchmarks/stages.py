@@ -28,7 +28,7 @@ def main(output: Path) -> None:
     # What a reference says takes time by its own points, and is no part of the chain.
     compared = stages.pop("report", {"wall_s": 0.0})["wall_s"]
     total = sum(stage["wall_s"] for stage in stages.values())
-    print(f"{output}: {millions:.2f} M returns, {report['performance']['workers']} workers")
+    print(f"{output}: {millions:.2f} M returns, workers: {report['performance']['workers']}")
     print(f"{'stage':10s}{'s / M':>9s}{'points/s':>12s}{'share %':>9s}{'MB':>8s}")
     for name, stage in stages.items():
         rate = report["counts"]["points_in"] / stage["wall_s"] if stage["wall_s"] else 0.0

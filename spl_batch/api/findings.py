@@ -64,9 +64,9 @@ def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
     finished = set(then.of("denoise"))
     if lost := finished - {unit.name for unit in survey.blocks()}:
         yield (
-            f"--memory {grouped(survey.memory_bytes / 2**20)} MiB: {grouped(len(lost))} of "
+            f"with {grouped(survey.memory_bytes / 2**20)} MiB a worker {grouped(len(lost))} of "
             f"{grouped(len(finished))} finished blocks are cut smaller and done again; with "
-            f"{math.ceil(then.memory_bytes / 2**20)}MiB they are taken over"
+            f"--memory {math.ceil(then.memory_bytes / 2**20)}MiB they are taken over"
         )
 
 

@@ -107,7 +107,9 @@ def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str,
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Use a running dask scheduler.")
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
 @click.option("--verify", is_flag=True, help="Compare all that is finished with its checksum.")
-@click.option("--until", metavar="STAGE", help=f"Stop after this stage; in imaging: {_STAGES}.")
+@click.option(
+    "--until", metavar="STAGE", help=f"Stop after this stage; of an airborne survey: {_STAGES}."
+)
 @click.option(
     "--only",
     metavar="'KIND NAME'",

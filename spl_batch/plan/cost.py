@@ -13,6 +13,7 @@ from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
 from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Source
+from spl_batch.plan.layout import CORE_COST
 from spl_batch.plan.memory import Need, halo_m, needs
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.context import Context
@@ -37,18 +38,18 @@ with which they read less."""
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {
         "index": 2.2e6,
-        "shots": 5.5e6,
-        "shuffle": 1.3e6,
-        "denoise": 0.42e6,
-        "ground": 1.5e6,
-        "surfaces": 1.4e6,
-        "deliver": 6.5e6,
+        "shots": 4.0e6,
+        "shuffle": 1.4e6,
+        "denoise": 0.44e6,
+        "ground": 2.0e6,
+        "surfaces": 1.7e6,
+        "deliver": 7.0e6,
         "report": 0.5e6,
     }
 )
-"""Points per second and worker until a store has measured its own, those of ``denoise`` with the
+"""Points per second and worker until a store has measured its own, those of ``denoise`` without the
 halos that blocks read, those of ``report`` of the reference; ``benchmarks/end_to_end.py``, two
-workers, 83 % noise."""
+workers, 53 % noise, and a little less."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +105,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     heaviest = _heaviest(survey, pieces, boxes)
     typical = {
         **RATES_POINTS_PER_S,
-        "denoise": RATES_POINTS_PER_S["denoise"] / max(blocks.read, 1.0),
+        "denoise": RATES_POINTS_PER_S["denoise"] * CORE_COST / (CORE_COST - 1 + blocks.read),
     }
     rates, measured = measured_rates(typical, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference)

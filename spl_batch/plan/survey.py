@@ -88,10 +88,10 @@ class Survey(Ledger[Inputs, Workflow]):
             if self.remembered is not None and self.workflow.tiling.block_tiles is None:
                 enough = max(enough, math.ceil((self.remembered.memory_bytes or 0) / 2**20))
             yield (
-                f"--memory {grouped(self.memory_bytes / 2**20)} MiB: {grouped(len(cut))} of "
+                f"with {grouped(self.memory_bytes / 2**20)} MiB a worker {grouped(len(cut))} of "
                 f"{grouped(len(self.flightlines))} flightlines are cut into shorter stretches than "
                 "in earlier runs, and what depends on them is done again; with "
-                f"{enough}MiB they are taken over"
+                f"--memory {enough}MiB they are taken over"
             )
 
     def has_other_stretches(self) -> bool:
