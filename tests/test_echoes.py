@@ -389,11 +389,13 @@ def test_no_strip_is_narrow(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     x = np.concatenate([rng.uniform(0, 14, 9000), rng.uniform(0, 4000, 4000)])
     x = np.sort((1000 * x).astype(np.int64))
-    owned = [own for own, _, _ in echoes._strips(x)]
-    assert len(owned) > 3
-    assert [own.start for own in owned] == [0, *(own.stop for own in owned[:-1])]
-    assert owned[-1].stop == len(x)
-    assert np.diff([x[own.start] for own in owned]).min() >= 1000 * echoes.STRIP_M
+    for along in (x, x[-1] - x[::-1]):
+        owned = [own for own, _, _ in echoes._strips(along)]
+        assert len(owned) > 3
+        assert [own.start for own in owned] == [0, *(own.stop for own in owned[:-1])]
+        assert owned[-1].stop == len(along)
+        starts = [along[own.start] for own in owned]
+        assert np.diff([*starts, along[-1] + 1]).min() >= 1000 * echoes.STRIP_M
 
 
 def test_of_two_parents_as_high_the_table_does_not_decide() -> None:

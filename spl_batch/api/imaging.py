@@ -16,10 +16,9 @@ from spl_batch.api.findings import (
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError, grouped
-from spl_batch.io.atomic import names_in
 from spl_batch.io.cells import create_raster_store
 from spl_batch.io.las import promised_points
-from spl_batch.io.store import Store
+from spl_batch.io.store import Store, read_receipts
 from spl_batch.kernels.ahead import compile_share
 from spl_batch.plan.blocks import (
     remember_sizes,
@@ -237,7 +236,8 @@ RECEIVER: Final[Receiver[Any, Any]] = Imaging()
 def _recall(survey: Survey, store: Store) -> None:
     """How earlier runs have cut what they have finished; what has led to nothing does not bind."""
     gathered, denoised = (
-        names_in(store.path("receipts", kind), ".json") for kind in ("gather", "denoise")
+        any(not receipt.failed for receipt in read_receipts(store, kind))
+        for kind in ("gather", "denoise")
     )
     survey.remembered_stretch = remembered_stretch(store) if gathered else None
     survey.remembered = remembered_sizes(store, survey.workflow) if denoised else None

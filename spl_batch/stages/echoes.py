@@ -216,11 +216,12 @@ def _strips(x: NDArray[np.int64]) -> Iterator[list[slice]]:
     if count == 1:
         yield [slice(0, len(x))] * 3
         return
-    edges = [int(x[0])]
+    edges, end = [int(x[0])], int(x[-1]) + 1
     for k in range(1, count):
-        if (cut := int(x[len(x) * k // count])) - edges[-1] >= quanta(STRIP_M):
+        cut = int(x[len(x) * k // count])
+        if min(cut - edges[-1], end - cut) >= quanta(STRIP_M):
             edges.append(cut)
-    for low, high in pairwise([*edges, int(x[-1]) + 1]):
+    for low, high in pairwise([*edges, end]):
         spans = ((low - margin, high + margin) for margin in map(quanta, (0.0, WIDE_M, REACH_M)))
         yield [slice(*np.searchsorted(x, span).tolist()) for span in spans]
 
