@@ -11,6 +11,7 @@ import numpy as np
 from spl_batch.errors import WorkflowError, grouped, named, told_together
 from spl_batch.plan.first_look import holds_few
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
+from spl_batch.plan.memory import enough_mib, stretch_bytes
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, timeless_sources
 from spl_batch.plan.worklist import Worklist
@@ -54,6 +55,20 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
         )
 
 
+def stretches_anew(survey: Survey) -> Iterator[str]:
+    """Which flightlines this run cuts anew for want of memory, and what helps."""
+    before = survey.remembered_stretch
+    if before is None or not survey.cut_anew:
+        return
+    enough_bytes = max(enough_mib(stretch_bytes(before)) * 2**20, survey.block_memory_bytes or 0)
+    yield _cut_smaller(
+        survey,
+        f"{grouped(len(survey.cut_anew))} of {grouped(len(survey.flightlines))} flightlines are "
+        "cut into shorter stretches than in earlier runs, and what depends on them is done again",
+        enough_bytes,
+    )
+
+
 def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
     """Which finished blocks this run cuts anew for want of memory, and what helps."""
     then = survey.with_memory_of_blocks()
@@ -63,11 +78,20 @@ def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
     deque(Worklist(phase, then, context).look(), maxlen=0)
     finished = set(then.of("denoise"))
     if lost := finished - {unit.name for unit in survey.blocks()}:
-        yield (
-            f"with {grouped(survey.memory_bytes / 2**20)} MiB a worker {grouped(len(lost))} of "
-            f"{grouped(len(finished))} finished blocks are cut smaller and done again; with "
-            f"--memory {math.ceil(then.memory_bytes / 2**20)}MiB they are taken over"
+        yield _cut_smaller(
+            survey,
+            f"{grouped(len(lost))} of {grouped(len(finished))} finished blocks are cut smaller "
+            "and done again",
+            then.memory_bytes,
         )
+
+
+def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> str:
+    """What less memory than earlier runs had does, and with how much it does not."""
+    return (
+        f"with {grouped(survey.memory_bytes / 2**20)} MiB a worker {what}; with "
+        f"--memory {math.ceil(enough_bytes / 2**20)}MiB they are taken over"
+    )
 
 
 def _check_channels(survey: Survey) -> None:

@@ -11,6 +11,7 @@ from spl_batch.api.findings import (
     copies,
     judge_index,
     looks_ahead,
+    stretches_anew,
     times_off,
 )
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
@@ -124,8 +125,7 @@ class Imaging(Receiver[Survey, Context]):
         """What both ends of the files tell of their times and channels, and of the trajectory's."""
         survey = prepared.ledger
         faults, odd = first_look(survey.inputs, survey.workflow, prepared.context.base)
-        anew = (*survey.stretches_anew(), *blocks_anew(survey, prepared.context))
-        return faults, (*odd, *anew)
+        return faults, (*odd, *stretches_anew(survey), *blocks_anew(survey, prepared.context))
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
         """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.
@@ -180,7 +180,7 @@ class Imaging(Receiver[Survey, Context]):
         """How much of earlier runs is done again for want of memory."""
         survey = prepared.ledger
         if phase.kind == "index_file":
-            return survey.stretches_anew()
+            return stretches_anew(survey)
         return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
 
     def follows(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Container[str]:

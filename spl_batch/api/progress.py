@@ -79,14 +79,15 @@ class Progress:
 
     def warn(self, text: str) -> None:
         """Note something that the report repeats."""
-        if text not in self.notes:
-            self.notes.append(text)
-            self.tell(Note("warning", text))
+        self._warn_once(text, self.notes)
 
     def aside(self, text: str) -> None:
-        """Say once what is for whoever runs it; the report is for others."""
-        if text not in self.asides:
-            self.asides.append(text)
+        """Say what is for whoever runs it; the report is for others."""
+        self._warn_once(text, self.asides)
+
+    def _warn_once(self, text: str, said: list[str]) -> None:
+        if text not in said:
+            said.append(text)
             self.tell(Note("warning", text))
 
     def tidy(self) -> None:

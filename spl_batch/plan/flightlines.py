@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from spl_batch.model import ShotClock
 from spl_batch.plan.memory import STRETCH_POINTS, UNEVEN
 from spl_batch.runner.rate import most_points
@@ -148,8 +150,8 @@ def _flightline(
     wanted = shots * stretch_points / points / interval
     stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
     rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
-    ends = [round((time - clock.t0_s) * prf) for time in (first, last)]
-    while stretch > interval and len({shot // (stretch // 2) for shot in ends}) == 1:
+    start, end = clock.shot(np.array([first, last])).tolist()
+    while stretch > interval and start // (stretch // 2) == end // (stretch // 2):
         stretch //= 2  # one that holds all of it is the same, however much memory there is
     while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * stretch_points:
         stretch //= 2

@@ -1,6 +1,5 @@
 """What a run knows about its survey: inputs, limits, and what is finished so far."""
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import grouped
 from spl_batch.plan.blocks import Holders, Sizes, blocks, choose_sizes, layout_of
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
@@ -17,7 +15,7 @@ from spl_batch.plan.ground_cells import GroundCells
 from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.layout import Block
 from spl_batch.plan.ledger import Ledger
-from spl_batch.plan.memory import enough_mib, halo_m, stretch_bytes, stretch_points
+from spl_batch.plan.memory import halo_m, stretch_points
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, tile_counts
 from spl_batch.runner.index import part_name
@@ -81,32 +79,20 @@ class Survey(Ledger[Inputs, Workflow]):
         points = stretch_points(self.memory_bytes)
         return min(points, self.remembered_stretch or points)
 
-    def stretches_anew(self) -> Iterator[str]:
-        """Why flightlines of earlier runs are done again, and what helps; known once indexed."""
-        if (cut := self._cut_anew()) and self.remembered_stretch is not None:
-            enough = enough_mib(stretch_bytes(self.remembered_stretch))
-            if self.remembered is not None and self.workflow.tiling.block_tiles is None:
-                enough = max(enough, math.ceil((self.remembered.memory_bytes or 0) / 2**20))
-            yield (
-                f"with {grouped(self.memory_bytes / 2**20)} MiB a worker {grouped(len(cut))} of "
-                f"{grouped(len(self.flightlines))} flightlines are cut into shorter stretches than "
-                "in earlier runs, and what depends on them is done again; with "
-                f"--memory {enough}MiB they are taken over"
-            )
-
-    def has_other_stretches(self) -> bool:
-        """Whether stretches are gathered that another choice than the remembered one made."""
-        gathered = self.of("gather")
-        return any(name in gathered for line in self._cut_anew() for name, _ in line.stretches())
-
-    def _cut_anew(self) -> list[Flightline]:
-        """Flightlines whose stretches are shorter than in earlier runs."""
+    @cached_property
+    def cut_anew(self) -> list[Flightline]:
+        """Flightlines with shorter stretches than in earlier runs; known once they are indexed."""
         before = self.remembered_stretch
         if not self.filtering or before is None or self.stretch_points >= before:
             return []
         then = find_flightlines(self.of("index_file"), self.workflow, before)
         pairs = zip(then, self.flightlines, strict=True)
         return [now for was, now in pairs if was.stretch_shots != now.stretch_shots]
+
+    def has_other_stretches(self) -> bool:
+        """Whether stretches are gathered that another choice than the remembered one made."""
+        gathered = self.of("gather")
+        return any(name in gathered for line in self.cut_anew for name, _ in line.stretches())
 
     @cached_property
     def pieces(self) -> dict[int, Pieces]:
@@ -146,35 +132,40 @@ class Survey(Ledger[Inputs, Workflow]):
             found = choose_sizes(pieces, self.workflow, self.memory_bytes, self.workers)
         return found._replace(memory_bytes=found.under(self.memory_bytes))
 
+    @property
+    def block_memory_bytes(self) -> int | None:
+        """Memory limit that blocks of earlier runs were chosen for, where it is known [byte]."""
+        given = self.workflow.tiling.block_tiles is not None
+        return None if given or self.remembered is None else self.remembered.memory_bytes
+
     def with_memory_of_blocks(self) -> "Survey | None":
         """The survey under the limit that its blocks were chosen for, none of them looked at.
 
         None where this run's blocks are those. Known once the shuffle is complete.
         """
-        then, now = self._blocks_then_and_now()
-        if then <= now or self.remembered is None or self.remembered.memory_bytes is None:
+        then, now = self._blocks_then_and_now
+        if then <= now or self.block_memory_bytes is None:
             return None
         done = {kind: shelf for kind, shelf in self.done.items() if kind != "denoise"}
-        return replace(self, memory_bytes=self.remembered.memory_bytes, done=done)
+        return replace(self, memory_bytes=self.block_memory_bytes, done=done)
 
     def has_other_blocks(self) -> bool:
         """Whether blocks are finished that another choice than the remembered one made."""
         if self.remembered is not None and self.remembered.memory_bytes is None:
             return True  # of a version that did not say what they were chosen for
-        then, now = self._blocks_then_and_now()
+        then, now = self._blocks_then_and_now
         finished = self.of("denoise")
         return any(str(block) in finished for block in now - then)
 
+    @cached_property
     def _blocks_then_and_now(self) -> tuple[set[Block], set[Block]]:
         """Blocks that the remembered memory limit makes, and this run's; none where it has more."""
-        sizes, workflow = self.remembered, self.workflow
-        before = None if sizes is None else sizes.memory_bytes
-        if workflow.tiling.block_tiles is not None or sizes is None or before is None:
+        sizes, before = self.remembered, self.block_memory_bytes
+        if sizes is None or before is None or before <= self.memory_bytes or not self.counts:
             return set(), set()
-        if before <= self.memory_bytes or not self.counts:
-            return set(), set()
-        layout = layout_of(self.counts, workflow)
-        then, now = (set(blocks(layout, sizes, workflow, m)) for m in (before, self.memory_bytes))
+        layout = layout_of(self.counts, self.workflow)
+        limits = before, self.memory_bytes
+        then, now = (set(blocks(layout, sizes, self.workflow, limit)) for limit in limits)
         return then, now
 
     def holders(self) -> Holders:
