@@ -16,8 +16,8 @@ highest memory of a worker, and
 - ``noise``: squares of 200 m from little background to more than half of all returns, one worker.
 
 All three by default. Kernels are compiled before, and a first run of ``workers``, which touches
-memory for the first time, is not counted. Workers have the same
-memory whether one works or two: by default one has more of it, and larger blocks.
+memory for the first time, is not counted. Workers have the same memory whether one works or two: by
+default one has more of it, and larger blocks.
 """
 
 import argparse
