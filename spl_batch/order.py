@@ -119,7 +119,7 @@ def sorted_by_digits(word: NDArray[np.uint64], first: int, width: int) -> NDArra
 @cache
 def _compiled() -> Callable[..., None]:
     """:func:`_deal` compiled; who sorts nothing does without numba."""
-    from numba import njit  # noqa: PLC0415 - slow import, only when used
+    from spl_batch.numerics.compiled import njit  # noqa: PLC0415 - slow import, only when used
 
     compiled: Callable[..., None] = njit(nogil=True, cache=True)(_deal)
     return compiled

@@ -64,7 +64,7 @@ def enter(heard: Heard) -> Any:
         memory_bytes=2**30,
         scheduler=None,
         observer=heard,
-        footing=Footing("code", "mark", "content"),
+        footing=Footing("imaging", "code", "mark", "content"),
     )
 
 

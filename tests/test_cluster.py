@@ -26,7 +26,7 @@ from tests.clusters import Cluster
 @pytest.mark.parametrize(
     ("patch", "arguments", "said"),
     [
-        (("imaging.code_version", lambda: "0.0+other"), (), "here it is 0.0+other"),
+        (("imaging.code_version", lambda _: "0.0+other"), (), "here it is 0.0+other"),
         (("pipeline.lock_file", lambda _: Path("/nowhere")), (), "must share that path"),
         (None, ("--memory", "3GiB"), "less than --memory 3072 MiB; lower --memory"),
     ],
@@ -126,7 +126,7 @@ def flow_through(
     monkeypatch.setattr(work, "run_task", do)
     watcher, found = Watcher(), []
     with Client(threads) as client:
-        on_dask = OnDask(client, watcher, Footing("", "", ""), local=False)
+        on_dask = OnDask(client, watcher, Footing("", "", "", ""), local=False)
         on_dask.run(todo, None, found.append)  # type: ignore[arg-type]
     return found, watcher
 

@@ -1,5 +1,7 @@
 """Compiled code that is kept: by several processes at once, and as long as it is current."""
 
+import importlib
+import pkgutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,9 +10,14 @@ from typing import Any
 
 import pytest
 from numba.core.caching import IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
 
-from spl_batch.kernels import code_cache
+import spl_batch
+from spl_batch import order
+from spl_batch.imports import content_hash, imported
 from spl_batch.kernels.ellipsoid_walk import walk
+from spl_batch.numerics import compiled
+from spl_batch.numerics.compiled import KeptCode, source_stamp
 
 WRITERS = 4
 
@@ -34,9 +41,9 @@ def slow(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Barrier]:
         yield together
 
 
-def kept(folder: Path) -> IndexDataCacheFile:
+def kept(folder: Path) -> KeptCode:
     """What another process sees of a function's code."""
-    return IndexDataCacheFile(str(folder), "module.function", "stamp")
+    return KeptCode(str(folder), "module.function", "stamp")
 
 
 @pytest.mark.usefixtures("slow")
@@ -55,7 +62,7 @@ def test_writers_at_the_same_time_lose_and_mix_nothing(tmp_path: Path) -> None:
 
 
 def test_what_was_not_written_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    earlier = IndexDataCacheFile(str(tmp_path), "module.function", "earlier stamp")
+    earlier = KeptCode(str(tmp_path), "module.function", "earlier stamp")
     earlier.save("types", "earlier code")
 
     def killed(*_: Any) -> None:
@@ -74,47 +81,32 @@ def test_what_was_not_written_is_not_named(tmp_path: Path, monkeypatch: pytest.M
     assert earlier.load("types") is None
 
 
-def test_code_is_current_as_long_as_all_that_it_calls_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(code_cache, "_ROOT", tmp_path)
-    monkeypatch.setattr(code_cache, "_PACKAGE", "project")
-    sources = {
-        "kernels/first": "from project.kernels.second import g",
-        "kernels/second": "from project.kernels import third\nimport numpy",
-        "kernels/third": "import project.kernels.first",
-        "kernels/alone": "import numpy",
-        "before": "from project import constants",
-        "constants": "",
-    }
-    files = {name: tmp_path / "project" / f"{name}.py" for name in sources}
-    files["kernels/first"].parent.mkdir(parents=True)
-    for name, source in sources.items():
-        files[name].write_text(source)
-
-    def changed() -> set[str]:
-        code_cache._contents.cache_clear()
-        code_cache._imports.cache_clear()
-        found = set()
-        for name, path in files.items():
-            stamp = code_cache.source_stamp(SimpleNamespace(_py_file=str(path)))
-            if known.get(name) != stamp:
-                found.add(name)
-            known[name] = stamp
-        return found
-
-    known: dict[str, Any] = {}
-    assert changed() == set(files)
-    assert changed() == set()
-    files["kernels/alone"].write_text("import scipy")
-    files["constants"].write_text("# changed")
-    assert changed() == {"kernels/alone", "constants"}
-    files["kernels/third"].write_text(sources["kernels/third"] + "\n# changed")
-    assert changed() == {"kernels/first", "kernels/second", "kernels/third"}
+def kernels() -> Iterator[Any]:
+    """Every compiled function of the project."""
+    for module in pkgutil.walk_packages(spl_batch.__path__, "spl_batch."):
+        if not module.name.endswith("__main__"):
+            found = vars(importlib.import_module(module.name)).values()
+            yield from (value for value in found if isinstance(value, Dispatcher))
 
 
-def test_kernels_are_kept_by_this_stamp_and_under_the_lock() -> None:
-    assert IndexDataCacheFile.save is code_cache.save
-    stamp = code_cache.source_stamp(walk._cache._impl.locator)
-    assert walk._cache._cache_file._source_stamp == stamp
-    assert stamp != code_cache._stamp_of_file(walk._cache._impl.locator)
+def test_every_kernel_is_kept_so() -> None:
+    """Also those outside the airborne survey's: the receivers' own and what sorts rows."""
+    found = [*kernels(), order._compiled()]
+    homes = {kernel.py_func.__module__.rpartition(".")[0] for kernel in found}
+    assert {"spl_batch.geiger.coincidence", "spl_batch.geiger.coincidence.kernels"} <= homes
+    for kernel in found:
+        files = kernel._cache._cache_file
+        assert type(files) is KeptCode, kernel
+        assert files._source_stamp == source_stamp(Path(kernel.py_func.__code__.co_filename))
+        assert kernel.targetoptions["nogil"] is True
+
+
+def test_the_stamp_follows_what_is_called() -> None:
+    files = imported(Path(walk.py_func.__code__.co_filename))
+    assert {"ellipsoid_walk.py", "kdtree.py", "compiled.py"} <= {file.name for file in files}
+    assert source_stamp(Path(walk.py_func.__code__.co_filename)) == content_hash(files)
+
+
+def test_another_numba_keeps_code_in_its_own_way() -> None:
+    own = SimpleNamespace()
+    assert compiled.kept(SimpleNamespace(_cache_file=own)) is own

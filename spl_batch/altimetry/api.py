@@ -53,7 +53,7 @@ class Altimetry(Receiver[Tracks, Context]):
     ) -> Prepared[Tracks, Context]:
         """Find and check every file of a workflow, from headers alone."""
         inputs = gather_inputs(workflow, place.base, place.output)
-        context = self.context(workflow, place, "", code_version())
+        context = self.context(workflow, place, "", code_version(workflow.kind))
         tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, tracks, context)
 

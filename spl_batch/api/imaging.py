@@ -83,7 +83,7 @@ class Imaging(Receiver[Survey, Context]):
         _check_cells(workflow, place.workflow)
         inputs = gather_inputs(workflow, place.base, place.output)
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
-        context = Context(workflow, place.base, place.output, crs_wkt, code_version())
+        context = Context(workflow, place.base, place.output, crs_wkt, code_version(workflow.kind))
         survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
         _recall(survey, context.store)
         return Prepared(self, survey, context)

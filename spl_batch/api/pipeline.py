@@ -164,7 +164,7 @@ def run(
                 memory_bytes=prepared.ledger.memory_bytes,
                 scheduler=scheduler,
                 observer=progress,
-                footing=Footing(code, str(lock_file(output)), mark),
+                footing=Footing(_kind(prepared), code, str(lock_file(output)), mark),
                 ahead=ahead,
             ) as pool:
                 _process(prepared, pool, progress, until, verify=verify)

@@ -52,14 +52,17 @@ class Footing:
 
     Parameters
     ----------
+    receiver : str
+        The workflow's ``kind``.
     code : str
-        Version of the code.
+        Version of the code that this receiver's tasks run.
     mark : str
         Path of a file.
     content : str
         What it holds.
     """
 
+    receiver: str
     code: str
     mark: str
     content: str
@@ -99,9 +102,10 @@ def work(
 @cache
 def misfit(footing: Footing) -> str:
     """Why this process cannot work for a run; empty where it can."""
-    if code_version() != footing.code:
+    code = code_version(footing.receiver)
+    if code != footing.code:
         return (
-            f"has spl_batch {code_version()}, here it is {footing.code} "
+            f"has spl_batch {code}, here it is {footing.code} "
             "(the version, and a hash of code and libraries)"
         )
     # A shared file system may take a while to show a new file everywhere.

@@ -6,8 +6,9 @@ writes, byte by byte. Several scanner channels in a chunk are left to the compre
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 _SYMBOLS = 256
 _LENGTH_BITS = 15

@@ -6,7 +6,6 @@ See :mod:`spl_batch.stages.afterpulse_law`.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.dcc import dcc_keep
@@ -18,6 +17,7 @@ from spl_batch.kernels.hard_surfaces import (
     on_surface,
 )
 from spl_batch.kernels.robust_plane import residual
+from spl_batch.numerics.compiled import njit
 
 CLEAN = 0.9
 """Share of a shot's first returns on its plane and behind it that must lie on it."""

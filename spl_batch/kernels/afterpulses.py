@@ -6,7 +6,6 @@ See :mod:`spl_batch.stages.afterpulse` for the method and its source.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.afterpulse_law import across_beams
@@ -23,6 +22,7 @@ from spl_batch.kernels.hard_surfaces import (
 )
 from spl_batch.kernels.lanes import LANES, UL, absolute, ascending, load, number, pack, spread
 from spl_batch.kernels.planes_abreast import fit_planes
+from spl_batch.numerics.compiled import njit
 
 TOGETHER = 128
 """Shots whose planes are fitted together: that some are finished early hardly matters [count]."""

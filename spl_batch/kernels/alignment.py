@@ -14,9 +14,9 @@ w       r + ``spread`` |x|: half-width of a line drawn out [quanta]
 import math
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.columns import first_above, stretch_of
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True, inline="always")

@@ -9,7 +9,6 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.lanes import (
@@ -26,6 +25,7 @@ from spl_batch.kernels.lanes import (
     spread,
     where,
 )
+from spl_batch.numerics.compiled import njit
 
 FEW: Final = 12
 """Points up to which they are sorted in one by one [count]."""

@@ -1,8 +1,9 @@
 """Points of two kinds counted in the cells of a lattice whose wide gaps are closed."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 _Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]
 

@@ -8,10 +8,10 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.lanes import LANES
+from spl_batch.numerics.compiled import njit
 
 STEEP: Final = 0.7
 """Vertical part of a direction from which a beam crosses a voxel's height in one square."""

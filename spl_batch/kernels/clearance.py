@@ -12,9 +12,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.columns import first_above, stretch_of
+from spl_batch.numerics.compiled import njit
 
 PARTS: Final = 8
 """Equal parts of a tube that are told apart [count]."""

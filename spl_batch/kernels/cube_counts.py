@@ -9,10 +9,10 @@ each axis a gap counts as a single cell.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.kdtree import U1
+from spl_batch.numerics.compiled import njit
 
 
 def cube_counts(

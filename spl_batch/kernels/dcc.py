@@ -11,8 +11,9 @@ with N_s the signal expected in the bin, N_b the noise expected in a *fine* bin.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 SPAN_MAX = 4096
 """Bins that a shot's returns are counted in; those that spread farther are compared [count]."""

@@ -1,10 +1,10 @@
 """Differential cell count of every shot of a table [W17 3.2.3, Eq. 3.3]."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.dcc import dcc_keep
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

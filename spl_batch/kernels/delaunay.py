@@ -19,8 +19,9 @@ on the order of insertion.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 GHOST = -1
 """Corner at infinity."""

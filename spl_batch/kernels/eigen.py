@@ -9,7 +9,7 @@ and lanes of eight alike (:mod:`~spl_batch.kernels.eigen_lanes`).
 
 import math
 
-from numba import njit
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

@@ -7,7 +7,6 @@ are: what a matrix gets does not depend on its neighbours, and is the same to th
 import math
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.eigen import cross, restricted
 from spl_batch.kernels.lanes import (
@@ -21,6 +20,7 @@ from spl_batch.kernels.lanes import (
     store,
     where,
 )
+from spl_batch.numerics.compiled import njit
 
 _ROW = tuple(np.uint64(i) for i in range(9))
 R0, R1, R2, R3, R4, R5, R6, R7, R8 = _ROW

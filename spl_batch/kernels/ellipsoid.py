@@ -34,7 +34,6 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.ellipsoid_shape import (
@@ -75,6 +74,7 @@ from spl_batch.kernels.lanes import (
 from spl_batch.kernels.neighbours import edges_of_leaves, neighbours_of_leaves
 from spl_batch.kernels.poisson import critical_by_logs, log_factorials, tail_by_logs
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
+from spl_batch.numerics.compiled import njit
 
 CHUNK: Final = 2048
 """Leaves whose neighbours are kept at a time, so that their spacings come with them [count]."""

@@ -8,7 +8,6 @@ stops where that is decided.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.ellipsoid_shape import (
@@ -26,6 +25,7 @@ from spl_batch.kernels.kdtree import LEAF, U0, U1, U2, U3, KdTree, check_cap, le
 from spl_batch.kernels.neighbours import edges_of_leaves, neighbours_of_leaves
 from spl_batch.kernels.spacing import Spacing, spacing_scratch
 from spl_batch.kernels.volumes import within
+from spl_batch.numerics.compiled import njit
 
 NO_SPACING = Spacing(1, 1)
 """Every neighbour counts, whatever its spacing."""

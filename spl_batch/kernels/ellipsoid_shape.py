@@ -19,12 +19,12 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.eigen_lanes import eigen_of_eight
 from spl_batch.kernels.kdtree import U0, U1, U2, U3, U4, U5
 from spl_batch.kernels.lanes import LANES, load, spread, store
+from spl_batch.numerics.compiled import njit
 
 SHAPE_MIN: Final = 4
 """Neighbours below which the ellipsoid is the sphere [count]."""

@@ -1,11 +1,11 @@
 """Walk of the tree for the peers inside one ellipsoid, from its centre's leaf upwards."""
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.ellipsoid_shape import flag
 from spl_batch.kernels.kdtree import U0, U1, U2, U3, U4, U5, leaf_of, leaf_slots
 from spl_batch.kernels.spacing import spacing_at
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

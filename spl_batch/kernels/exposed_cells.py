@@ -4,11 +4,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
 from spl_batch.kernels.fired_beams import CELL_BITS, SILENT, Blocks, aim_at
+from spl_batch.numerics.compiled import njit
 
 COARSE = 8
 """Cells along one side of the coarse squares that bound heights [count]."""

@@ -3,10 +3,10 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTUM_M
+from spl_batch.numerics.compiled import njit
 
 SILENT = -(1 << 63)
 """First return of a beamlet that has none. Others are a word: the height [quanta] in the upper

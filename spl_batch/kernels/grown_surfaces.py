@@ -6,7 +6,6 @@ See :mod:`spl_batch.stages.afterpulse` for the method and its deviations.
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.hard_surfaces import (
@@ -19,6 +18,7 @@ from spl_batch.kernels.hard_surfaces import (
     on_surface,
 )
 from spl_batch.kernels.lanes import LANES, UL, absolute, ascending, load, number, pack, spread
+from spl_batch.numerics.compiled import njit
 
 GROWN: Final = 2
 """How often candidates on a surface replace those that it is fitted to [count]."""

@@ -6,13 +6,13 @@ See :mod:`spl_batch.stages.afterpulse` for the method and its deviations.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.lanes import LANES, UL, load, store, where
 from spl_batch.kernels.lanes import spread as everywhere
 from spl_batch.kernels.planes_abreast import U0, fit_planes
 from spl_batch.kernels.robust_plane import percentile_68_below, spread
+from spl_batch.numerics.compiled import njit
 
 SURFACES_MAX = 3
 """Hard surfaces looked for in a shot: a roof, the ground beside it, one between."""

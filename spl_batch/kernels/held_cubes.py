@@ -3,8 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 _Place = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]
 

@@ -1,8 +1,9 @@
 """Labels that a return takes over from the one in front of it in its own beamlet."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

@@ -7,12 +7,12 @@ every triangle once. Rows count from the south.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from spl_batch.kernels.delaunay import triangles
+from spl_batch.numerics.compiled import njit
 
 RIM = 1.5
 """So far from the centre of a cell outside the triangles a vertex lends its height [cells]."""

@@ -7,8 +7,9 @@ at any of them.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 GROUP_RETURNS = 100
 """Returns that a group should have, so that its own peak is sure [count]."""

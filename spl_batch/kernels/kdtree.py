@@ -13,10 +13,10 @@ on the neighbours alone and neither on the tree nor on what else the table holds
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.arrange import arrange
+from spl_batch.numerics.compiled import njit
 
 LEAF: Final = 32
 """Most points in a leaf [count]; a power of two."""

@@ -9,11 +9,11 @@ single point that noise has left below the ground makes no node of its own weigh
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.kernels.grouping import Cells
+from spl_batch.numerics.compiled import njit
 
 SUPPORTED = 3
 """Points that make a layer trustworthy by itself [count]."""

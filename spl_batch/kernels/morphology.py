@@ -7,8 +7,9 @@ compiler turns into vector instructions, and all cost what the radius is, not th
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 Grid = NDArray[np.float64]
 Cells = NDArray[np.float64]

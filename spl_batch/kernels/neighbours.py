@@ -23,7 +23,6 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.kdtree import (
     LEAF,
@@ -48,6 +47,7 @@ from spl_batch.kernels.lanes import (
 )
 from spl_batch.kernels.search_bounds import BESIDE, first_limits
 from spl_batch.kernels.selection import distance_to, keep_nearest, largest
+from spl_batch.numerics.compiled import njit
 
 CROWD: Final = 96
 """Points within the distance, beside k, beyond which it is made to shrink [count]."""

@@ -1,8 +1,9 @@
 """Quantiles and shares from a table, between its rows and columns."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 
 def place_of(values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:

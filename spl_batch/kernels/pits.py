@@ -22,8 +22,9 @@ After the low-point tests of ground filters (isolated points below all neighbour
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 REACH_M = 2.0
 """Neighbours up to this far on each side, but in cells next to it at least [m]."""

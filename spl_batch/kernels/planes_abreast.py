@@ -16,7 +16,6 @@ network counts as less than all values, half as more: the median then stands in 
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.lanes import (
@@ -31,6 +30,7 @@ from spl_batch.kernels.lanes import (
     where,
 )
 from spl_batch.kernels.robust_plane import BISQUARE, FLATTEST, GAUSSIAN, select
+from spl_batch.numerics.compiled import njit
 
 ITERATIONS = 30
 """Most re-weightings."""

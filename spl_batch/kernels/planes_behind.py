@@ -5,7 +5,6 @@ cylinder, is fitted by a plane; sums are of whole numbers, in any order.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.columns import first_above
@@ -13,6 +12,7 @@ from spl_batch.kernels.kdtree import U0, U1, U2
 from spl_batch.kernels.lanes import LANES, UL, ascending, load, number, pack, spread
 from spl_batch.kernels.robust_plane import plane_of_moments
 from spl_batch.kernels.surroundings import most_around, spare_rows
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

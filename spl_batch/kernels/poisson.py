@@ -13,8 +13,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 NO_LOGS: Final = np.empty(0)
 """No table of :func:`log_factorials`."""

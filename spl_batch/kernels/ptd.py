@@ -18,12 +18,12 @@ surface is framed by extrapolated vertices, so that points at the edge have face
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.kernels.delaunay import along_curve, empty_mesh, finite, insert
 from spl_batch.kernels.tin import Tin, locate_one, tin_of
+from spl_batch.numerics.compiled import njit
 
 _ROUNDS = 60
 """Rounds after which densification stops anyway; ten to twenty are usual [count]."""

@@ -6,8 +6,9 @@ raster, so every comparison here is exact and no result depends on the order of 
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 _FEW = 64
 """Points of a cell that are sorted by inserting one after the other [count]."""

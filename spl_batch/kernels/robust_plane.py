@@ -3,8 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 BISQUARE = 4.685
 """Tuning constant of the bisquare: 95 % efficiency on Gaussian residuals."""

@@ -4,7 +4,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.scene_trace import (
@@ -20,6 +19,7 @@ from spl_batch.kernels.scene_trace import (
     lit_share,
     meet_wire,
 )
+from spl_batch.numerics.compiled import njit
 
 LAYER_FIELDS = 5
 """Columns of a layer: enter, leave [m], share intercepted, reflectance, kind."""

@@ -17,8 +17,9 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 KIND_BACKGROUND: Final = 0
 KIND_GROUND: Final = 1

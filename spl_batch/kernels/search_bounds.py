@@ -4,11 +4,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.kdtree import U0, U1, U2, U3, leaf_slots
 from spl_batch.kernels.lanes import UL, least, lesser, load, root, spread
 from spl_batch.kernels.selection import largest, within_which
+from spl_batch.numerics.compiled import njit
 
 SPARE: Final = 6
 """Neighbours more than needed with which a first bound is good enough [count]."""

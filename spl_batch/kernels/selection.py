@@ -8,7 +8,6 @@ instructions. Distances are whole numbers in float64 [quanta2].
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.kdtree import U0, U3
 from spl_batch.kernels.lanes import (
@@ -22,6 +21,7 @@ from spl_batch.kernels.lanes import (
     spread,
     where,
 )
+from spl_batch.numerics.compiled import njit
 
 GUESSES: Final = 6
 """Guesses by interpolation, before bisection, at the distance of the last neighbour [count]."""

@@ -9,10 +9,10 @@ with :math:`\tau` from -1 to 1 over the block of shots and :math:`g` the place i
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.lanes import load, spread, store
+from spl_batch.numerics.compiled import njit
 
 TERMS = 8
 """Coefficients of each coordinate: as many as there are lanes."""

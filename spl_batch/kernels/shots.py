@@ -6,8 +6,9 @@ share where the times jitter.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 
 def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:

@@ -10,8 +10,9 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 NO_PARENT: Final = 255
 """Value of ``parent`` for returns that are no afterpulse."""

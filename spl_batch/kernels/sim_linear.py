@@ -1,7 +1,6 @@
 """A scene seen from straight above: linear-mode returns, and heights of surfaces."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.scene_layers import cell_range, look, nearest_node
@@ -13,6 +12,7 @@ from spl_batch.kernels.scene_trace import (
     bilinear,
     clip_convex,
 )
+from spl_batch.numerics.compiled import njit
 
 SEE_THROUGH = 0.15
 """Share of a pulse that must be left for the hard surface to be recorded."""

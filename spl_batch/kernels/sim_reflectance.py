@@ -1,7 +1,6 @@
 """Reflectance of what a scene shows from straight above."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.scene_layers import cell_range, nearest_node
@@ -12,6 +11,7 @@ from spl_batch.kernels.scene_trace import (
     bilinear,
     clip_convex,
 )
+from spl_batch.numerics.compiled import njit
 
 ABOVE_M = 1e4
 """Height to look from [m]."""

@@ -4,7 +4,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.scene_layers import LAYER_FIELDS, look
@@ -17,6 +16,7 @@ from spl_batch.kernels.sim_detect import (
     poisson_count,
     record,
 )
+from spl_batch.numerics.compiled import njit
 
 NOISE_SAMPLES = 6
 """Places along the gate at which a beamlet adds to the true noise density."""

@@ -23,7 +23,6 @@ Deviation: the sources count every neighbour.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.kdtree import (
@@ -35,6 +34,7 @@ from spl_batch.kernels.kdtree import (
     leaf_slots,
     nearest_keys,
 )
+from spl_batch.numerics.compiled import njit
 
 
 class Spacing(NamedTuple):

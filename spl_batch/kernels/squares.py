@@ -3,8 +3,9 @@
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 CHANCE: Final = 3.0
 """Part of the relative variance of a density by chance that is added to it: where it is too small

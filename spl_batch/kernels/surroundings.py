@@ -10,12 +10,12 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.columns import first_above
 from spl_batch.kernels.kdtree import U0, U1, U2
 from spl_batch.kernels.lanes import LANES, UL, ascending, load, number, pack, spread
+from spl_batch.numerics.compiled import njit
 
 UNIT: Final = 1024
 """Weight of a whole return, and of a kernel at its centre."""

@@ -8,10 +8,10 @@ offer and holds the GIL.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.delaunay import triangles
+from spl_batch.numerics.compiled import njit
 
 OUTSIDE = -1
 """Facet number of a place outside the triangulation."""

@@ -24,8 +24,9 @@ way of the ground there, and two of the tops around are enough. One alone may be
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 PIT_NEIGHBOURS = 6
 """Of eight cells around, those that have to stand above a pit [count]."""

@@ -14,10 +14,10 @@ ground cells agree.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.smrf import fill_gaps
+from spl_batch.numerics.compiled import njit
 
 STEP_M = 4.0
 """Edge of the lattice [m]."""

@@ -24,11 +24,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from spl_batch.kernels.columns import columns_around, first_above
 from spl_batch.kernels.kdtree import U0, U1, U2, U3
 from spl_batch.kernels.lanes import UL, ascending, load, number, pack, spread
+from spl_batch.numerics.compiled import njit
 
 CELL: Final = 0.83
 """Edge of a cell of direction [r / L]: windows are 2 r wide, each weighted by its volume."""

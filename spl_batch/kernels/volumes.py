@@ -5,10 +5,10 @@ differences are whole numbers below 2**26 or so, their squares exact in float64.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.kdtree import U0, U1, U2, U3, U4, U5, KdTree, box_distance, leaf_slots
+from spl_batch.numerics.compiled import njit
 
 
 def sphere_counts(tree: KdTree, query: NDArray[np.bool_], radius: int) -> NDArray[np.int64]:

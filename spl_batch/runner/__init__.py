@@ -22,6 +22,7 @@ from typing import Any, Final
 
 from spl_batch import __version__
 from spl_batch.errors import DamagedError, SplBatchError, StoppedError
+from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.io.atomic import checksum, size, stop_if_full
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
 from spl_batch.receivers import load, task_kinds
@@ -61,6 +62,13 @@ class Kind:
     function: TaskFunction | str
     settings: tuple[str, ...]
 
+    @property
+    def module(self) -> str:
+        """Name of the module that holds the function."""
+        if isinstance(self.function, str):
+            return self.function.partition(":")[0]
+        return self.function.__module__
+
     def loaded(self) -> TaskFunction:
         """The function itself."""
         if not isinstance(self.function, str):
@@ -69,7 +77,7 @@ class Kind:
         return found
 
 
-LIBRARIES: Final = (
+DECISIVE: Final = (
     "laspy",
     "lazrs",
     "numba",
@@ -82,6 +90,9 @@ LIBRARIES: Final = (
     "zarr",
 )
 """Libraries whose versions can change a result."""
+
+LIBRARIES: Final = (*DECISIVE, "dask", "distributed", "h5py", "pyarrow", "pyogrio")
+"""Libraries whose versions a report tells."""
 
 _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 _OBSERVED: Final = ("noise", "acquisition", "survey.sensor")
@@ -156,27 +167,26 @@ def stages(receiver: str) -> tuple[str, ...]:
 
 
 @cache
-def code_version() -> str:
-    """Version of the project, hash of the modules and of the libraries that decide results."""
-    root = Path(__file__).parent.parent
-    digest = hashlib.blake2b(digest_size=8)
-    for path in _code(root):
-        digest.update(path.name.encode() + path.read_bytes())
-    for name in LIBRARIES:
+def code_version(receiver: str) -> str:
+    """Version of the project, hash of the code and of the libraries that decide results.
+
+    Parameters
+    ----------
+    receiver : str
+        A workflow's ``kind``: code that its tasks do not import changes nothing of its results.
+    """
+    digest = hashlib.blake2b(content_hash(task_files(receiver)).encode(), digest_size=8)
+    for name in DECISIVE:
         digest.update(f"{name} {version(name)}".encode())
     return f"{__version__}+{digest.hexdigest()}"
 
 
-def _code(root: Path) -> Iterable[Path]:
-    """Files that decide results."""
-    for folder in (".", "accuracy", "io", "kernels", "plan", "runner", "stages", "sensors"):
-        yield from _sources((root / folder).glob("*"))
-    for folder in ("altimetry", "geiger"):
-        yield from _sources((root / folder).rglob("*"))
-
-
-def _sources(paths: Iterable[Path]) -> Iterable[Path]:
-    return sorted(path for path in paths if path.suffix in {".py", ".yaml", ".json"})
+def task_files(receiver: str) -> frozenset[Path]:
+    """Modules that a receiver's tasks import, directly or not, and the tables that these read."""
+    homes = {kind.module for kind in kinds(receiver).values()}
+    files = (module_file(name) for name in (__name__, *homes))
+    modules = frozenset[Path]().union(*(imported(path) for path in files if path is not None))
+    return modules.union(*map(data_files, modules))
 
 
 def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> str:

@@ -13,7 +13,9 @@ from typing import Any, Final
 
 from spl_batch import __version__
 from spl_batch.errors import StoreError
+from spl_batch.imports import content_hash, imported, module_file
 from spl_batch.io.atomic import checksum, write_bytes
+from spl_batch.receivers import HOMES
 from spl_batch.report.model import (
     Failure,
     InputFile,
@@ -21,6 +23,7 @@ from spl_batch.report.model import (
     Provenance,
     StagePerformance,
 )
+from spl_batch.runner import LIBRARIES
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Receipt
@@ -33,9 +36,6 @@ _POLYGONS: Final = ("aoi", "water")
 
 Receipts = Mapping[str, Mapping[str, Receipt]]
 """Finished tasks by kind and name."""
-
-LIBRARIES: Final = ("dask", "distributed", "laspy", "lazrs", "numba", "numpy", "pyarrow", "pyproj")
-"""Libraries whose versions a report names."""
 
 
 @dataclass
@@ -155,7 +155,7 @@ def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict
     polygons = [workflow[key] for key in _POLYGONS if workflow.get(key)]
     beside = [*map(Path, facts.reference), *map(context.resolve, polygons)]
     says = [
-        *(workflow, context.crs_wkt, context.code, _report_code()),
+        *(workflow, context.crs_wkt, context.code, _report_code(context.workflow.kind)),
         *(list(facts.notes), list(facts.reference), facts.not_read),
         [failure.model_dump() for failure in facts.failures],
         [stamp_if_there(path) for path in beside],
@@ -167,13 +167,12 @@ def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict
 
 
 @cache
-def _report_code() -> str:
-    """Hash of what draws reports, which decides no result."""
-    digest = hashlib.blake2b(version("matplotlib").encode(), digest_size=8)
-    root = Path(__file__).parent.parent
-    for path in sorted(root.rglob("report/*.*")):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()
+def _report_code(receiver: str) -> str:
+    """Hash of the code that makes a receiver's report, which decides no result."""
+    start = module_file(HOMES[receiver].receiver.partition(":")[0])
+    modules = imported(start) if start is not None else frozenset()
+    pages = {page for folder in {file.parent for file in modules} for page in folder.glob("*.j2")}
+    return f"{content_hash({*modules, *pages})} matplotlib {version('matplotlib')}"
 
 
 def recall(output: Path) -> dict[str, Any]:

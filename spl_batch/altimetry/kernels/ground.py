@@ -14,8 +14,9 @@ depends on where a piece of track begins.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 _DENSE: float = 0.3
 _STEPS: int = 10

@@ -7,10 +7,10 @@ result depends on its neighbours alone, not on what else the table holds.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.kdtree import LEAF, U1, U3, build, check_cap, leaf_slots, nearest_keys
+from spl_batch.numerics.compiled import njit
 
 
 def noise_posterior(

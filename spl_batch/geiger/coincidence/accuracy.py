@@ -6,7 +6,6 @@ Places are relative to the scene's centre and ground [m].
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -17,6 +16,7 @@ from spl_batch.geiger.coincidence.simulate.scene import (
     TARGET_HEIGHT_M,
     bars,
 )
+from spl_batch.numerics.compiled import njit
 
 BAND_M = 0.3
 """Height around a level target within which points are taken for its own [m]."""

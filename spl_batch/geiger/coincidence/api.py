@@ -41,7 +41,9 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
         """Find and check every file of a workflow, from headers alone."""
         inputs = gather(workflow, place.base, place.output)
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
-        context = RunContext(workflow, place.base, place.output, crs_wkt, code_version())
+        context = RunContext(
+            workflow, place.base, place.output, crs_wkt, code_version(workflow.kind)
+        )
         ledger = L1Ledger(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, ledger, context)
 

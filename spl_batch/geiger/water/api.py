@@ -55,7 +55,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
         """Find and check every file of a workflow, from what it declares."""
         inputs = gather_inputs(workflow, place.base, place.output)
         crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
-        context = self.context(workflow, place, crs_wkt, code_version())
+        context = self.context(workflow, place, crs_wkt, code_version(workflow.kind))
         ledger = WaterLedger(inputs, workflow, limits.memory_bytes, limits.workers)
         return Prepared(self, ledger, context)
 

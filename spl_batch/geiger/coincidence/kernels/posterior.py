@@ -18,10 +18,10 @@ the detection stays when
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.geiger.coincidence.kernels.raster import UNIT
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

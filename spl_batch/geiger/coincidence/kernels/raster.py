@@ -20,8 +20,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 STEPS: Final = 32
 """Parts of a voxel's edge that places are told apart by [count]."""

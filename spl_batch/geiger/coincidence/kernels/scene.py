@@ -15,10 +15,10 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.geiger.coincidence.kernels.raster import look_direction
+from spl_batch.numerics.compiled import njit
 
 _FAR: Final = 1e30
 _COIL_STEPS: Final = 200

@@ -34,11 +34,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.geiger.coincidence.kernels.raster import UNIT
 from spl_batch.kernels.eigen import eigen_symmetric
+from spl_batch.numerics.compiled import njit
 
 NOTHING: Final = 0
 SURFACE: Final = 1

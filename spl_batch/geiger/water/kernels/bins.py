@@ -5,8 +5,9 @@ is added up is integer, so that pieces of a file may be added in any order.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

@@ -17,10 +17,10 @@ wide where the surface is even and narrow where it bends.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.kernels.robust_plane import plane_of_moments
+from spl_batch.numerics.compiled import njit
 
 
 @njit(nogil=True, cache=True)

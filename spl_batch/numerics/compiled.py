@@ -1,0 +1,125 @@
+"""The project's ``njit``: kernels whose compiled code is kept whole, and only while it is current.
+
+numba keeps an index of each function on disk, which names files of code by number. It writes each
+file at once, but takes the number from an index that another process may be about to replace. Two
+processes that compile a function for other types, or for other processors on a shared file system,
+then take the same number, and the index of one names the code of the other (numba issue 8851). The
+index comes before the code, too: a process that is killed between them leaves the code of an
+earlier version under the stamp of the new one.
+
+numba takes code for current as long as the file of its function stays as it is. But code that the
+function calls is compiled into it: where only the file of a called function has changed, as after
+an upgrade, the old code would go on (numba issue 10128).
+
+:func:`njit` mends both. It writes under a lock of the folder, the code first; and code is current
+as long as no file of the project that its own file imports, directly or not, has changed.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from functools import cache
+from itertools import count
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+import numba
+from numba.core import caching
+from numba.core.dispatcher import Dispatcher
+
+from spl_batch.imports import content_hash, imported
+
+try:
+    import fcntl
+except ImportError:  # Windows has none; there numba keeps its code in its own way
+    fcntl = None  # type: ignore[assignment]
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_LOCK: Final = "spl_batch.lock"
+_STEPS: Final = ("_load_index", "_save_index", "_data_name", "_save_data", "_source_stamp")
+
+
+def njit(**options: Any) -> Callable[[_F], "Dispatcher[_F]"]:
+    """Compile a function when it is first called, and keep the code on disk.
+
+    Parameters
+    ----------
+    **options
+        As of :func:`numba.njit`; the function releases the GIL.
+
+    Returns
+    -------
+    callable
+        Decorator that makes a dispatcher of numba of a function.
+    """
+    compiled = numba.njit(**{**options, "nogil": True, "cache": True})
+
+    def decorate(function: _F) -> "Dispatcher[_F]":
+        kernel: Any = compiled(function)
+        kernel._cache._cache_file = kept(kernel._cache)  # noqa: SLF001 - there is no other way
+        return cast("Dispatcher[_F]", kernel)
+
+    return decorate
+
+
+def kept(known: Any) -> Any:
+    """Files of a function's code, written and stamped as this module says.
+
+    Parameters
+    ----------
+    known : numba.core.caching.FunctionCache
+        What numba has made for the function.
+
+    Returns
+    -------
+    KeptCode or numba.core.caching.IndexDataCacheFile
+        numba's own files where they are not as this module knows them.
+    """
+    own = known._cache_file  # noqa: SLF001
+    if fcntl is None or not all(hasattr(own, step) for step in _STEPS):
+        return own
+    locator = known._impl.locator  # noqa: SLF001
+    path = Path(locator._py_file)  # noqa: SLF001
+    stamp = source_stamp(path) if path.is_file() else own._source_stamp  # noqa: SLF001
+    return KeptCode(locator.get_cache_path(), known._impl.filename_base, stamp)  # noqa: SLF001
+
+
+class KeptCode(caching.IndexDataCacheFile):
+    """Index and code of a function, for some types and processors."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep code: under a lock, the code before the index that names it.
+
+        Parameters
+        ----------
+        key : tuple
+            The types, the processor and hashes of the function.
+        data : object
+            The code.
+        """
+        with _locked(Path(self._cache_path) / _LOCK):
+            overloads = self._load_index()
+            taken = set(overloads.values())
+            free = (name for name in map(self._data_name, count(1)) if name not in taken)
+            name = overloads.get(key) or next(free)
+            self._save_data(name, data)
+            self._save_index({**overloads, key: name})
+
+
+@cache
+def source_stamp(path: Path) -> str:
+    """Hash of a file and of the files of the project that it imports, directly or not."""
+    return content_hash(imported(path))
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock that the system drops when the process ends."""
+    handle = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+    try:
+        with contextlib.suppress(OSError):  # some network file systems know no locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
