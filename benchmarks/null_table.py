@@ -46,7 +46,7 @@ def scores(points: int) -> None:
     content = {
         "about": f"null distribution of the noise test; {points} noise points per density, a "
         f"fourth beyond {USUAL[0]:g}-{USUAL[1]:g} per m3; made by python -m benchmarks.null_table",
-        "settings": null.settings_key(settings),
+        "settings": null.settings_key(settings, null.IRRELEVANT),
         "density": table.density.round(5).tolist(),
         "level": table.level.round(5).tolist(),
         "alpha": table.alpha.round(5).tolist(),
@@ -75,7 +75,7 @@ def wires(points: int) -> None:
     content = {
         "about": f"pure noise kept by the scan for conductors; {points} noise points per density; "
         "made by python -m benchmarks.null_table",
-        "settings": wire_null.settings_key(settings),
+        "settings": null.settings_key(settings, wire_null.IRRELEVANT),
         "density": np.log(wire_null.DENSITIES).round(5).tolist(),
         "share": [float(f"{s:.4g}") for s in smooth],
         "power": round(power, 3),

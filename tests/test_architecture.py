@@ -20,7 +20,7 @@ STOREYS: list[set[str]] = [
     {"io"},
     {"kernels"},
     {"tiling"},
-    {"model", "task"},
+    {"model", "task", "products"},
     {
         *{"workflow", "settings", "sensor", "sensors", "constants", "errors", "order"},
         *{"receivers", "imports", "numerics", "__init__"},

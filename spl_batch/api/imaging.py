@@ -34,13 +34,13 @@ from spl_batch.plan.ledger import Phase
 from spl_batch.plan.memory import REMEDIES, surface_reach_m
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, mosaic_parts
+from spl_batch.products import NAMES
 from spl_batch.report.model import Report
 from spl_batch.report.summary import screen_summary
 from spl_batch.runner import code_version
 from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
-from spl_batch.stages.surface import PRODUCTS
 from spl_batch.task import Receipt
 from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow
@@ -145,7 +145,7 @@ class Imaging(Receiver[Survey, Context]):
         if phase.kind == "surface":
             create_raster_store(
                 prepared.context.rasters,
-                (*PRODUCTS, "noise"),
+                NAMES,
                 ground_cell=quanta(workflow.ground.cell_m),
                 raster_cell=quanta(workflow.products.cell_m),
             )

@@ -16,9 +16,9 @@ from spl_batch.plan.inputs import Source
 from spl_batch.plan.layout import CORE_COST
 from spl_batch.plan.memory import Need, halo_m, needs
 from spl_batch.plan.survey import Survey
+from spl_batch.products import PRODUCTS
 from spl_batch.runner.context import Context
 from spl_batch.runner.index import parts_of
-from spl_batch.stages.surface import PRODUCTS
 from spl_batch.tiling import Bounds
 from spl_batch.workflow import Workflow
 
@@ -112,10 +112,10 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     work = {stage: compared if stage == "report" else points for stage in rates}
     delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
     # every file is indexed, a large one by parts, and most likely is a flightline; each stretch is
-    # gathered and scattered; the noise map is a mosaic too; without a trajectory flightlines have
-    # a heading and a path, and stretches are observed after that
-    mosaics = len(PRODUCTS) + 1
-    tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered + mosaics
+    # gathered and scattered; without a trajectory flightlines have a heading and a path, and
+    # stretches are observed after that
+    tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered
+    tasks += len(PRODUCTS)
     tasks += sum(parts_of(source.facts.n_points) for source in sources)
     tasks += len(survey.inputs.reference) + reference.squares(survey)
     if survey.filtering:

@@ -11,25 +11,10 @@ from spl_batch.plan.inputs import source_args
 from spl_batch.plan.memory import refusal, surface_reach_m
 from spl_batch.plan.space import Unit, fired_index, voxel_index
 from spl_batch.plan.survey import Survey, mosaic_parts
+from spl_batch.products import products
 from spl_batch.stages.local_noise import MARGIN_VOXELS
-from spl_batch.stages.surface import PRODUCTS
 from spl_batch.task import Task
 from spl_batch.tiling import CellId, cell_runs, grow, parse_cell, quanta
-
-INTENSITY = (
-    ("mean LAS intensity of first returns", ""),
-    ("reflectance from detections, 1 is all light", "1"),
-)
-"""What the intensity raster holds, as its band is called, and its unit: none, and a pure number."""
-
-BANDS = {
-    "dtm": ("height of the terrain", "m"),
-    "dsm": ("height of the surface", "m"),
-    "chm": ("height of the surface above the terrain", "m"),
-    "density": ("signal returns per m2", "1/m2"),
-    "noise": ("expected noise", "1/m3"),
-}
-"""What the other rasters hold, as their bands are called, and its unit."""
 
 
 class _Pieces(NamedTuple):
@@ -101,6 +86,7 @@ def denoise(survey: Survey) -> Iterator[Task]:
             "block": block.name,
             "core": list(block.core),
             "tiles": [str(t) for t in block.tiles],
+            "halo": survey.halo_q,
             "voxels": parts,
             "beamlets": survey.beamlets,
         }
@@ -114,7 +100,7 @@ def ground(survey: Survey) -> Iterator[Task]:
     holders = survey.holders()
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
-        args = {**_cell_args(cell), "noise": _named("noise", noise)}
+        args = {**_cell_args(cell), "halo": halo, "noise": _named("noise", noise)}
         needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
         yield _task("ground", cell, args, needs, survey)
 
@@ -132,6 +118,7 @@ def surface(survey: Survey) -> Iterator[Task]:
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
             **_cell_args(cell),
+            "halo": halo,
             "noise": _named("noise", noise),
             "ground": _named("ground", ground_of),
             "polygons": list(survey.inputs.polygons),
@@ -190,17 +177,17 @@ def mosaic(survey: Survey) -> Iterator[Task]:
     for number, (cells, bounds) in enumerate(mosaic_parts(survey), start=1):
         keepers = dict.fromkeys(map(survey.ground_cells.keeper, cells))
         needs = tuple(("surface", str(cell)) for cell in keepers)
-        for product in (*PRODUCTS, "noise"):
-            name = product if number == 1 else f"{product}_{number}"
+        for product in products(reflectance=knows_reflectance(survey)):
+            name = product.name if number == 1 else f"{product.name}_{number}"
             args = {
-                "product": product,
+                "product": product.name,
                 "name": name,
                 "cells": cell_runs(cells),
                 "bounds": list(bounds),
-                "delivered": product in PRODUCTS,
+                "delivered": product.delivered,
+                "meaning": product.meaning,
+                "unit": product.unit,
             }
-            intensity = INTENSITY[knows_reflectance(survey)]
-            args["meaning"], args["unit"] = BANDS.get(product, intensity)
             yield Task("mosaic", name, args, needs)
 
 

@@ -52,7 +52,7 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     """Decide which points of a block are noise."""
     workflow = context.workflow
     core = Bounds(*args["core"])
-    region = grow(core, quanta(denoising.reach_m(workflow.filter)))
+    region = grow(core, args["halo"])
     cells = _cells(args["tiles"])
     table, origin = read_region(context.store, cells, region, denoising.COLUMNS_NEEDED, {})
     owned = inside(table["x"], table["y"], core)
@@ -96,7 +96,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     table, origin = read_region(
         context.store,
         _cells(args["tiles"]),
-        grow(core, quanta(settings.buffer_m)),
+        grow(core, args["halo"]),
         _GROUND_COLUMNS,
         {"noise_class": _units(args["noise"])},
         ordered=False,
@@ -113,7 +113,6 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     """Raster cells and final classes of a ground cell."""
     workflow = context.workflow
     core = Bounds(*args["core"])
-    reach = quanta(max(module.reach_m(workflow.products) for module in (surfacing, reflectance)))
     noise = _units(args["noise"])
     labels = {"noise_class": noise, "noise_density": noise, "ground": _units(args["ground"])}
     if workflow.filter.wires.classify:
@@ -121,8 +120,9 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     # The intensity raster is of detections or of what was delivered.
     seen = surfacing.COLUMNS_OF_INTENSITY if args["fired"] is None else _FIRED_COLUMNS
     columns = (*_SURFACE_COLUMNS, *seen)
+    region = grow(core, args["halo"])
     table, origin = read_region(
-        context.store, _cells(args["tiles"]), grow(core, reach), columns, labels, ordered=False
+        context.store, _cells(args["tiles"]), region, columns, labels, ordered=False
     )
     noise_m3 = _mean_noise(table, core, quanta(workflow.products.cell_m))
     kept_noise = within_signal(table, core)

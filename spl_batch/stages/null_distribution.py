@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.null_table import between, level_of, place_of, value_of
 from spl_batch.kernels.spacing import peer_distances
-from spl_batch.settings import FilterSettings
+from spl_batch.settings import FilterSettings, Section
 from spl_batch.stages.evidence import evidence
 from spl_batch.tiling import quanta
 
@@ -44,13 +44,22 @@ DOMAIN: Final = "space"
 
 FILE: Final = "null_table.json"
 
-SCORE_KEYS: Final = (
-    "neighbours", "radius_m", "axis_power", "eigen_floor_m", "axis_cap_m", "neighbour_cap_m",
-    "peer_ratio", "spacing_neighbours", "spacing_cap_m",
-)  # fmt: skip
-LINK_KEYS: Final = ("weak_alpha", "link_m", "link_count", "link_share")
-KEYS: Final = (*SCORE_KEYS, *LINK_KEYS)
-"""Settings that the null distribution depends on."""
+IRRELEVANT: Final = frozenset(
+    {
+        "method",
+        "test",
+        "alpha",
+        "selection",
+        "wires",
+        "aes",
+        "dcc",
+        "voxel",
+        "multilevel",
+        "cylinder",
+    }
+)
+"""Settings that the null distribution does not depend on. A setting that is not named here is part
+of a table's key: a new one draws a table of its own and cannot be overlooked."""
 
 DENSITIES: Final = 10.0 ** np.linspace(-4, 1, 51)
 """Noise densities of the table [1/m3]."""
@@ -158,14 +167,22 @@ class NullTable:
         return float(np.mean((self.level[first] - self.level[-1]) / rise))
 
 
-def settings_key(settings: FilterSettings) -> dict[str, Any]:
-    """Settings that a table belongs to."""
-    return settings.model_dump(mode="json", include=set(KEYS))
+def settings_key(settings: Section, irrelevant: frozenset[str]) -> dict[str, Any]:
+    """Settings that a drawn table belongs to: all but those that do not matter to it.
+
+    Parameters
+    ----------
+    settings : Section
+        Of the filter, or of a part of it.
+    irrelevant : frozenset of str
+        Names of the settings that do not matter.
+    """
+    return settings.model_dump(mode="json", exclude=set(irrelevant))
 
 
 def null_table(settings: FilterSettings) -> NullTable:
     """The shipped table, or for other settings one that is drawn now and kept in memory."""
-    key = json.dumps(settings_key(settings), sort_keys=True)
+    key = json.dumps(settings_key(settings, IRRELEVANT), sort_keys=True)
     with _LOCK:
         return _table(key)
 
@@ -197,7 +214,7 @@ def draw_table(
     Parameters
     ----------
     settings : FilterSettings
-        Those named in :data:`KEYS` matter.
+        All matter but :data:`IRRELEVANT`.
     points : int or (d,) int64
         Noise points per density [count].
     densities : (d,) float64

@@ -66,9 +66,6 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class", "ground", "flags")
 COLUMNS_OF_INTENSITY: Final = ("intensity", "return_number")
 """Columns that it reads where they are there, for a raster of what was delivered."""
 
-PRODUCTS: Final = ("dtm", "dsm", "chm", "density", "intensity")
-"""Names of the rasters."""
-
 GROUND_FLOOR_M: Final = 0.15
 """Ground returns this near to the median of their cell are no outliers: 3 sigma of a range [m]."""
 

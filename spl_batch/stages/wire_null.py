@@ -27,13 +27,16 @@ from numpy.typing import NDArray
 
 from spl_batch.settings import FilterSettings, WireSettings
 from spl_batch.stages.cloud import Cloud
-from spl_batch.stages.null_distribution import repeated
+from spl_batch.stages.null_distribution import repeated, settings_key
 from spl_batch.stages.wire_scan import scan
 from spl_batch.tiling import quanta
 
 DOMAIN: Final = "space"
 
 FILE: Final = "wire_null.json"
+
+IRRELEVANT: Final = frozenset({"enabled", "classify"})
+"""Settings that the share does not depend on."""
 
 DENSITIES: Final = 10.0 ** np.linspace(-2, 0, 51)
 """Noise densities of the table [1/m3]; its first and last shares hold beyond. A tube is significant
@@ -114,14 +117,9 @@ def _stricter(settings: FilterSettings) -> float:
     return float((allowed / most) ** (1.0 / table.power)) if most > allowed else 1.0
 
 
-def settings_key(wires: WireSettings) -> dict[str, Any]:
-    """Settings that a table belongs to."""
-    return wires.model_dump(mode="json", exclude={"enabled", "classify"})
-
-
 def wire_null(wires: WireSettings) -> WireNull:
     """The shipped table, or for other settings one that is drawn now and kept in memory."""
-    key = json.dumps(settings_key(wires), sort_keys=True)
+    key = json.dumps(settings_key(wires, IRRELEVANT), sort_keys=True)
     with _LOCK:
         return _table(key)
 

@@ -1,0 +1,53 @@
+"""The rasters of an airborne survey: one table that plan, stages, delivery and report read."""
+
+from typing import Final, NamedTuple
+
+
+class Product(NamedTuple):
+    """A raster.
+
+    Parameters
+    ----------
+    name : str
+        Name of its array in the store, and of its file.
+    meaning : str
+        What it holds, as its band is called.
+    unit : str
+        Unit of its values, as GDAL's unit type; empty where they have none.
+    delivered : bool
+        Whether it goes into the output; else it serves the report alone.
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    delivered: bool = True
+
+
+PRODUCTS: Final = (
+    Product("dtm", "height of the terrain", "m"),
+    Product("dsm", "height of the surface", "m"),
+    Product("chm", "height of the surface above the terrain", "m"),
+    Product("density", "signal returns per m2", "1/m2"),
+    Product("intensity", "mean LAS intensity of first returns", ""),
+    Product("noise", "expected noise", "1/m3", delivered=False),
+)
+"""Every raster, in the order in which they are written."""
+
+REFLECTANCE: Final = Product("intensity", "reflectance from detections, 1 is all light", "1")
+"""What ``intensity`` holds where detections tell how much light came back."""
+
+NAMES: Final = tuple(product.name for product in PRODUCTS)
+"""Names of all rasters."""
+
+
+def products(*, reflectance: bool) -> tuple[Product, ...]:
+    """Every raster of a survey.
+
+    Parameters
+    ----------
+    reflectance : bool
+        Whether the intensity raster is made of detections, and not of the input's values.
+    """
+    of_detections = {REFLECTANCE.name: REFLECTANCE} if reflectance else {}
+    return tuple(of_detections.get(product.name, product) for product in PRODUCTS)
