@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from spl_batch.kernels.eigen import eigen_symmetric
-from spl_batch.kernels.eigen_lanes import eigen_of_eight
 from spl_batch.kernels.ellipsoid import count_inside
 from spl_batch.kernels.ellipsoid_shape import Shape
 from spl_batch.kernels.kdtree import build
@@ -186,25 +185,3 @@ def test_eigenvectors_rebuild_the_matrix(seed: int, spread: tuple[float, float, 
     np.testing.assert_allclose(values, np.sort(spread)[::-1], atol=2e-7 * size)
     np.testing.assert_allclose(vectors @ vectors.T, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(vectors.T @ np.diag(values) @ vectors, matrix, atol=5e-7 * size)
-
-
-@given(
-    st.integers(0, 2**32 - 1),
-    st.lists(st.sampled_from(["any", "flat", "line", "place", "sphere"]), min_size=8, max_size=8),
-)
-@settings(max_examples=100, deadline=None)
-def test_of_eight_matrices_each_gets_what_it_gets_alone(seed: int, kinds: list[str]) -> None:
-    rng = np.random.default_rng(seed)
-    matrices = np.empty((6, 8))
-    for i, kind in enumerate(kinds):
-        points = np.rint(rng.normal(size=(6, 3)) * rng.choice([1, 30, 1e4], 3))
-        points[:, {"flat": 2, "line": 1, "place": 0}.get(kind, 3) :] = 0.0
-        matrix = np.eye(3) * rng.integers(1, 9) if kind == "sphere" else points.T @ points
-        matrices[:, i] = matrix[np.triu_indices(3)]
-    values, vectors = np.empty((3, 8)), np.empty((9, 8))
-    eigen_of_eight(matrices, values, vectors, np.empty((3, 8)))
-    for i in range(8):
-        alone, axes = np.empty(3), np.empty((3, 3))
-        eigen_symmetric(matrices[:, i].copy(), alone, axes)
-        np.testing.assert_array_equal(values[:, i], alone)
-        np.testing.assert_array_equal(vectors[:, i], axes.ravel())

@@ -1,24 +1,17 @@
 """Copied layers: the same as decoding and compressing all of a file again."""
 
-import io
 from pathlib import Path
 from typing import Any
 
 import laspy
-import lazrs
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from spl_batch.io.las_chunks import RecordReader, chunk_layers
-from spl_batch.io.las_frame import Extent, laz_record
+from spl_batch.io.las_chunks import RecordReader
+from spl_batch.io.las_frame import Extent
 from spl_batch.io.las_header import read_header
 from spl_batch.io.las_layers import can_be_copied, given_of
-from spl_batch.io.las_records import RecordLayout, new_dimension
 from spl_batch.io.las_write import Decoded, write_classified, write_points
-from spl_batch.io.laz_coder import byte_layer, class_layer
 from spl_batch.model import PointTable
 from tests.io_files import write_las
 from tests.test_io_las_write import labels
@@ -94,37 +87,6 @@ def test_chunks_of_any_size(tmp_path: Path) -> None:
     assert ours.points.array.tobytes() == theirs.points.array.tobytes()
     with RecordReader(read_header(copied)) as reader:
         assert {stop - start for start, stop, _ in reader.packed_chunks()} == sizes
-
-
-def compressed(classes: NDArray[np.uint8], returns: NDArray[np.uint8]) -> tuple[bytes, bytes]:
-    """Layers of classes and of an extra byte with the same values, by another implementation."""
-    layout = RecordLayout(6, (new_dimension("byte", np.dtype("u1"), ""),))
-    records = np.zeros(len(classes), layout.dtype)
-    records["classification"] = records["byte"] = classes
-    records["bit_fields"] = returns
-    content = io.BytesIO()
-    compressor = lazrs.LasZipCompressor(content, laz_record(layout, 1_000_000))
-    compressor.compress_many(records.view(np.uint8))
-    compressor.done()
-    layers = chunk_layers(content.getvalue()[8:], layout.dtype.itemsize, 10)
-    return layers[2], layers[9]
-
-
-@given(
-    n=st.integers(1, 4000),
-    kinds=st.lists(st.integers(0, 255), min_size=1, max_size=9),
-    seed=st.integers(0, 999),
-)
-@settings(max_examples=60, deadline=None)
-def test_the_coder_writes_what_another_one_does(n: int, kinds: list[int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    # Few values for long make the widest intervals, which is where carries come from.
-    share = rng.dirichlet(np.full(len(kinds), 0.3))
-    classes = rng.choice(np.array(kinds, np.uint8), n, p=share)
-    returns = rng.integers(0, 256, n).astype(np.uint8)
-    number, count = returns & 15, returns >> 4
-    ours = class_layer(classes, (number == 1) & (number >= count)), byte_layer(classes)
-    assert ours == compressed(classes, returns)
 
 
 @pytest.mark.parametrize(

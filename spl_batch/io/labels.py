@@ -98,7 +98,7 @@ def write_labels(
     cuts = _tile_starts(columns).tolist()
     dtypes = {k: v.dtype for k, v in columns.items()}
     sought = ("tile_i", "tile_j", "row")
-    with writing(path, dtypes, sought=sought, sharing=True) as writer:
+    with writing(path, dtypes, sought=sought) as writer:
         for start, end in pairwise([0, *cuts, len(rows)]):
             for first in range(start, max(end, start + 1), GROUP_ROWS):
                 last = min(first + GROUP_ROWS, end)

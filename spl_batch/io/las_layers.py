@@ -30,14 +30,12 @@ from spl_batch.io.las_chunks import (
 from spl_batch.io.las_convert import Conversion
 from spl_batch.io.las_frame import laz_record
 from spl_batch.io.las_records import RecordLayout
-from spl_batch.io.laz_coder import byte_layer, class_layer
 
 GIVEN: Final = "given"
 """Name of the column of :func:`given_of`."""
 
 _COPIED_FORMATS: Final = (6, 7, 8)
 _FORMAT: Final = 6
-_CHANNEL_BITS: Final = 0x30
 _CLASSES: Final = 2
 """Place of the layer of classes among those of a format."""
 
@@ -118,26 +116,15 @@ class LayerCopy:
             From :meth:`records`, with the same for all points.
         """
         theirs = chunk_layers(packed, self._given_dtype.itemsize, self._given_layers)
-        channel = own["classification_flags"] & _CHANNEL_BITS
-        one_channel = bool(np.all(channel == channel[0]))
-        classes, *added = self._coded(own) if one_channel else self._compressed(own)
+        classes, *added = self._compressed(own)
         layers = [theirs[k] for k in self._kept]
         layers[_CLASSES] = classes
         layers += added
         sizes = np.array([len(own), *map(len, layers)], "<u4")
         return b"".join([first.tobytes(), sizes.tobytes(), *layers])
 
-    def _coded(self, own: NDArray[Any]) -> list[bytes]:
-        """Layers of the classes and of each added byte, of one scanner channel."""
-        number, count = own["bit_fields"] & np.uint8(15), own["bit_fields"] >> np.uint8(4)
-        single = (number == 1) & (number >= count)
-        values = np.ascontiguousarray(own["classification"])
-        octets = own.view(np.uint8).reshape(len(own), -1)[:, -self._added_bytes :]
-        added = [byte_layer(np.ascontiguousarray(column)) for column in octets.T]
-        return [class_layer(values, single), *added]
-
     def _compressed(self, own: NDArray[Any]) -> list[bytes]:
-        """The same, whatever the scanner channels."""
+        """Layers of the classes and of each added byte."""
         content = io.BytesIO()
         compressor = lazrs.LasZipCompressor(content, self._own_laz)
         compressor.compress_many(own.view(np.uint8))

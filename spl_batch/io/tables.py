@@ -2,10 +2,9 @@
 
 Numbers are stored byte by byte (byte-stream split): neighbouring points share their high bytes,
 which then cost next to nothing. Parquet has no numbers of one byte, and what it makes of them is
-written twice as fast this way as with a dictionary; in the working store they share columns
-(:mod:`~spl_batch.io.short_columns`). A dictionary is for long numbers that take few values; what is
-mostly zero is stored as it is. Over all goes LZ4, which writes and reads twice as fast as zstd; the
-files are as large.
+written twice as fast this way as with a dictionary. A dictionary is for long numbers that take few
+values; what is mostly zero is stored as it is. Over all goes LZ4, which writes and reads twice as
+fast as zstd; the files are as large.
 
 Parquet has checksums for pages but none for its footer, which says where they are and what
 lies in them. A checksum of it is put before it, where the format leaves bytes unread, so any
@@ -31,7 +30,6 @@ from numpy.typing import DTypeLike, NDArray
 from spl_batch.errors import DamagedError
 from spl_batch.io.atomic import read_bytes, replacing, write_bytes
 from spl_batch.io.remote import RemoteFile, is_remote
-from spl_batch.io.short_columns import holders, joined, shared, taken
 from spl_batch.model import COLUMNS, PointTable
 
 _FEW_VALUES: Final = {"source", "afterpulse_share"}
@@ -68,7 +66,7 @@ class GroupWriter:
 
     def write(self, columns: Mapping[str, NDArray[Any]]) -> None:
         """Append rows as one row group."""
-        stored = {k: pa.array(joined(columns, k)) for k in self._schema.names}
+        stored = {k: pa.array(columns[k]) for k in self._schema.names}
         arrow = pa.table(stored, schema=self._schema)
         self._file.write_table(arrow, row_group_size=max(arrow.num_rows, 1))
 
@@ -83,7 +81,6 @@ def writing(
     dtypes: Mapping[str, DTypeLike],
     *,
     sought: Sequence[str] | None = None,
-    sharing: bool = False,
     durable: bool = False,
 ) -> Iterator[GroupWriter]:
     """Write a Parquet file by row groups, atomically.
@@ -96,16 +93,12 @@ def writing(
         Columns of the file, in order.
     sought : sequence of str, optional
         Columns by whose bounds row groups are chosen; by default the footer has bounds of all.
-    sharing : bool
-        Whether columns of one byte share columns. :func:`read_groups` and all that call it find
-        them by their own names; other readers of Parquet do not. None of them can be sought.
     durable : bool
         As :func:`~spl_batch.io.atomic.replacing` has it: for what is delivered.
     """
-    fields = shared(dtypes) if sharing else dtypes
     schema = pa.schema(
         # What cannot be missing is written and read a quarter faster.
-        [pa.field(k, pa.from_numpy_dtype(np.dtype(v)), nullable=False) for k, v in fields.items()]
+        [pa.field(k, pa.from_numpy_dtype(np.dtype(v)), nullable=False) for k, v in dtypes.items()]
     )
     with replacing(path, durable=durable) as temporary:
         writer = GroupWriter(temporary, schema, sought)
@@ -123,7 +116,7 @@ def write_table(
     group_starts: Sequence[int] = (0,),
     sought: Sequence[str] | None = None,
 ) -> None:
-    """Write a table of the working store atomically; columns of one byte share columns.
+    """Write a table of the working store atomically.
 
     Parameters
     ----------
@@ -138,7 +131,7 @@ def write_table(
     """
     dtypes = {name: COLUMNS[name].dtype for name in table.columns}
     ends = [*group_starts[1:], len(table)]
-    with writing(path, dtypes, sought=sought, sharing=True) as writer:
+    with writing(path, dtypes, sought=sought) as writer:
         for start, end in zip(group_starts, ends, strict=True):
             writer.write(table.take(slice(start, end)).columns)
 
@@ -174,16 +167,13 @@ def read_groups(
 ) -> dict[str, NDArray[Any]]:
     """Columns of some row groups, or of all, of a file from :func:`reading`."""
     wanted = list(range(file.num_row_groups) if groups is None else groups)
-    places = holders(file.metadata.schema.names)
-    stored = list(dict.fromkeys(places[name][0] for name in names))
     # A worker has one thread; more of pyarrow's would be in the way of other workers.
-    arrow = file.read_row_groups(wanted, columns=stored, use_threads=False)
+    arrow = file.read_row_groups(wanted, columns=list(names), use_threads=False)
     # A damaged page header can hide its page; the footer is known to be sound.
     rows = sum(file.metadata.row_group(g).num_rows for g in wanted)
     if arrow.num_rows != rows:
         raise pa.ArrowInvalid(f"{arrow.num_rows} rows where there were {rows}")
-    found = {name: arrow.column(name).to_numpy() for name in stored}
-    return {name: taken(found[places[name][0]], places[name][1]) for name in names}
+    return {name: arrow.column(name).to_numpy() for name in names}
 
 
 def read_columns(

@@ -3,8 +3,7 @@
 Eigenvalues by the trigonometric solution of the cubic, eigenvectors by cross products
 starting from the eigenvalue that stands farthest apart (Eberly, "A robust eigensolver
 for 3 x 3 symmetric matrices", Geometric Tools, 2014). Degenerate matrices - planes,
-lines, a single place - give an orthonormal basis all the same. What has no branch serves numbers
-and lanes of eight alike (:mod:`~spl_batch.kernels.eigen_lanes`).
+lines, a single place - give an orthonormal basis all the same.
 """
 
 import math

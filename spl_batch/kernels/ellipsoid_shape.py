@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.kernels.eigen_lanes import eigen_of_eight
+from spl_batch.kernels.eigen import eigen_symmetric
 from spl_batch.kernels.kdtree import U0, U1, U2, U3, U4, U5
 from spl_batch.kernels.lanes import LANES, load, spread, store
 from spl_batch.numerics.compiled import njit
@@ -158,8 +158,8 @@ class Bodies(NamedTuple):
         Unit axes, x, y, z of each.
     volume : (8,) float64
         [quanta3].
-    spare : (3, 8) float64
-        Scratch.
+    matrix, value, rows : (6,), (3,), (3, 3) float64
+        Scratch for one of them.
     """
 
     found: NDArray[np.int64]
@@ -169,7 +169,9 @@ class Bodies(NamedTuple):
     axes: NDArray[np.float64]
     vectors: NDArray[np.float64]
     volume: NDArray[np.float64]
-    spare: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+    value: NDArray[np.float64]
+    rows: NDArray[np.float64]
 
 
 @njit(nogil=True, cache=True)
@@ -178,21 +180,23 @@ def no_bodies():  # type: ignore[no-untyped-def]
     return Bodies(
         np.zeros(LANES, np.int64), np.zeros((6, LANES)), np.zeros((6, LANES)),
         np.zeros((3, LANES)), np.zeros((3, LANES)), np.zeros((9, LANES)), np.zeros(LANES),
-        np.zeros((3, LANES)),
+        np.zeros(6), np.zeros(3), np.zeros((3, 3)),
     )  # fmt: skip
 
 
 @njit(nogil=True, cache=True)
 def fit(bodies, shape):  # type: ignore[no-untyped-def]
     """Ellipsoids of eight points by how many neighbours they have, and by their covariance."""
-    found, moments, quadrics, values, axes, vectors, volume, spare = bodies
-    eigen_of_eight(moments, values, vectors, spare)
+    found, moments, quadrics, values, axes, vectors, volume, matrix, value, rows = bodies
     for member in range(LANES):
-        if found[member] < SHAPE_MIN:
-            for i in range(3):
-                values[i, member] = 1.0
-                for j in range(3):
-                    vectors[3 * i + j, member] = 1.0 if i == j else 0.0
+        for i in range(6):
+            matrix[i] = moments[i, member]
+        eigen_symmetric(matrix, value, rows)
+        lone = found[member] < SHAPE_MIN
+        for i in range(3):
+            values[i, member] = 1.0 if lone else value[i]
+            for j in range(3):
+                vectors[3 * i + j, member] = (1.0 if i == j else 0.0) if lone else rows[i, j]
         volume[member] = _axes(values, shape, axes, member)
     _quadrics(vectors, axes, quadrics)
 

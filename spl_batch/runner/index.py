@@ -130,7 +130,7 @@ def _read(args: Mapping[str, Any], context: Context, part: int | None) -> _Found
     given = context.store.path("given", f"{name}.parquet")
     dtypes = {name: COLUMNS[name].dtype for name in KEPT_COLUMNS}
     with ExitStack() as stack:
-        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",), sharing=True))
+        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",)))
         found.outputs.append(points)
         watch: Callable[[NDArray[Any]], None] | None = None
         if header.layers_can_be_copied:
