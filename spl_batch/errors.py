@@ -7,6 +7,7 @@ say all at once whom they concern.
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 
 def named(names: Sequence[object], most: int = 5) -> str:
@@ -78,6 +79,38 @@ class InputError(SplBatchError, ValueError):
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, tuple[str, ...]]]:
         return type(self), (self.path, self.faults)
+
+
+def is_fault(error: BaseException) -> bool:
+    """Whether something went wrong, and nobody just wants the program to stop.
+
+    The Rust decoder of LAZ panics with an exception that derives from ``BaseException``.
+    """
+    return isinstance(error, Exception) or type(error).__name__ == "PanicException"
+
+
+def one_line(error: BaseException) -> str:
+    """Kind and message of an exception in one line of at most 200 characters."""
+    text = " ".join(str(error).split())
+    said = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return said if len(said) <= 200 else f"{said[:197]}..."
+
+
+@contextmanager
+def as_input_fault(path: object) -> Iterator[None]:
+    """Turn whatever a library makes of a damaged file into an :class:`InputError` that names it.
+
+    The project's own errors pass as they are, and so does a lack of memory.
+    """
+    try:
+        yield
+    except (SplBatchError, MemoryError):
+        raise
+    except BaseException as error:
+        if not is_fault(error):
+            raise
+        text = f"it cannot be read ({one_line(error)}): copy it again, or rewrite it"
+        raise InputError(str(path), text) from error
 
 
 def told_together(errors: Iterable[InputError]) -> Iterator[str]:

@@ -236,3 +236,41 @@ def test_any_damaged_header_is_refused_or_read(tmp_path: Path) -> None:
         except InputError:
             refused += 1
     assert 50 < refused < 300
+
+
+@pytest.mark.parametrize("entry", [(50_000, 2**63 - 1), (2**63 - 1, 9), (50_000, 0), (-1, 9)])
+def test_a_chunk_table_that_decodes_to_nonsense(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: tuple[int, int]
+) -> None:
+    """Its sums do not fit into 64 bits: they are checked before numpy sees them."""
+    path = write_las(tmp_path / "a.laz", n=60_000)
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<I", content, _laz_places(bytes(content))[0] + 12, 2**32 - 1)
+    path.write_bytes(content)
+    monkeypatch.setattr(lazrs, "read_chunk_table", lambda *_: [entry, (10_000, 2**63 - 1)])
+    words = fault(path)
+    assert "the LAZ chunk table covers" in words
+    assert len(words) < 300
+
+
+class PanicException(BaseException):
+    """What a panic of the Rust decoder raises."""
+
+
+@pytest.mark.parametrize("error", [OverflowError("int too big"), PanicException("index 9 of 3")])
+def test_what_a_library_raises_over_a_file_is_that_files_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def raising(*_: object) -> None:
+        raise error
+
+    path = write_las(tmp_path / "a.laz")
+    monkeypatch.setattr("spl_batch.io.las.header_crs", raising)
+    assert str(error) in fault(path)
+    monkeypatch.setattr("spl_batch.io.las.header_crs", interrupting)
+    with pytest.raises(KeyboardInterrupt):
+        inspect(path)
+
+
+def interrupting(*_: object) -> None:
+    raise KeyboardInterrupt

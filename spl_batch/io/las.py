@@ -16,7 +16,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTA_PER_M
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, as_input_fault
 from spl_batch.io.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
 from spl_batch.io.las_chunks import RecordReader
 from spl_batch.io.las_header import LasHeader, open_input, read_header
@@ -80,6 +80,11 @@ def inspect(path: Path) -> LasFacts:
     InputError
         With every fault of the file, each with its remedy.
     """
+    with as_input_fault(path):
+        return _inspected(path)
+
+
+def _inspected(path: Path) -> LasFacts:
     header = read_header(path)
     with RecordReader(header) as reader:
         layout = reader.layout
@@ -249,6 +254,11 @@ def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     InputError
         If they are damaged, or the channels are not in 0..255.
     """
+    with as_input_fault(path):
+        return _ends(path, channel_dimension, count)
+
+
+def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     header = read_header(path)
     with RecordReader(header) as reader:
         records, layout = reader.read_ends(count), reader.layout

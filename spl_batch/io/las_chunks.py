@@ -7,7 +7,7 @@ that decodes to other values of an attribute cannot be seen.)
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +18,7 @@ import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, is_fault
 from spl_batch.io.las_header import LasHeader, open_input
 from spl_batch.io.las_records import RecordLayout, record_layout
 
@@ -98,18 +98,12 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
         "its LAZ chunk table cannot be decoded",
         lambda: lazrs.read_chunk_table(file, lazrs.LazVlr(laszip)),
     )
+    _check_sums(header, entries, table_byte - start_byte, variable=chunk_points == _VARIABLE)
     table = np.asarray(entries, dtype=np.int64).reshape(-1, 2)
     points = np.concatenate([[0], np.cumsum(table[:, 0])])
     if chunk_points != _VARIABLE:
         points = np.minimum(np.arange(count + 1) * chunk_points, header.n_points)
     places = np.concatenate([[start_byte], start_byte + np.cumsum(table[:, 1])])
-    if points[-1] != header.n_points or places[-1] > table_byte or np.any(table[:, 1] <= 0):
-        raise InputError(
-            path,
-            f"the LAZ chunk table covers {points[-1]} of {header.n_points} points in"
-            f" {places[-1] - start_byte} of {table_byte - start_byte} bytes:"
-            " the file is damaged, copy it again",
-        )
     if np.max(np.diff(points)) > CHUNK_POINTS_MAX:
         raise InputError(
             path,
@@ -117,6 +111,21 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
             f" {CHUNK_POINTS_MAX} can be decoded in bounded memory: {_REMEDY}",
         )
     return ChunkTable(points.astype(np.int64), places.astype(np.int64))
+
+
+def _check_sums(
+    header: LasHeader, entries: Sequence[tuple[int, int]], there: int, *, variable: bool
+) -> None:
+    """Compare the chunk table with the file, in Python's integers: damaged ones exceed 64 bits."""
+    covered = sum(points for points, _ in entries) if variable else header.n_points
+    length = sum(size for _, size in entries)
+    sound = all(size > 0 and (points >= 0 or not variable) for points, size in entries)
+    if covered != header.n_points or length > there or not sound:
+        raise InputError(
+            str(header.path),
+            f"the LAZ chunk table covers {covered:.6g} of {header.n_points} points in"
+            f" {length:.6g} of {there} bytes: the file is damaged, copy it again",
+        )
 
 
 def _laszip_data(header: LasHeader) -> bytes:
@@ -190,11 +199,7 @@ def _guarded(path: str, fault: str, call: Any) -> Any:
     try:
         return call()
     except BaseException as error:
-        # A panic of the Rust decoder derives from BaseException.
-        panic = type(error).__name__ == "PanicException"
-        if not panic and not isinstance(error, Exception):
-            raise
-        if isinstance(error, MemoryError):
+        if not is_fault(error) or isinstance(error, MemoryError):
             raise
         raise InputError(path, f"{fault} ({error}): it is damaged, copy it again") from None
 

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from spl_batch.errors import as_input_fault
 from spl_batch.io.las_header import open_input
 from spl_batch.io.sbet import SBET_RECORD, SBET_SUFFIXES
 from spl_batch.io.trajectory_files import PARQUET_SUFFIXES, columns_of, csv_head
@@ -40,14 +41,18 @@ def ends(path: Path) -> tuple[float, float] | None:
     InputError
         If the file cannot be opened, or has no such columns.
     """
-    suffix = path.suffix.lower()
-    if suffix in PARQUET_SUFFIXES:
-        found = _of_parquet(path)
-    else:
-        with open_input(path) as file:
-            found = _of_sbet(file) if suffix in SBET_SUFFIXES else _of_csv(path, file)
+    with as_input_fault(path):
+        found = _first_and_last(path)
     times = [time for time in found if np.isfinite(time)]
     return (min(times), max(times)) if len(times) > 1 else None
+
+
+def _first_and_last(path: Path) -> list[float]:
+    suffix = path.suffix.lower()
+    if suffix in PARQUET_SUFFIXES:
+        return _of_parquet(path)
+    with open_input(path) as file:
+        return _of_sbet(file) if suffix in SBET_SUFFIXES else _of_csv(path, file)
 
 
 def _of_parquet(path: Path) -> list[float]:

@@ -21,7 +21,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from spl_batch import __version__
-from spl_batch.errors import DamagedError, SplBatchError, StoppedError
+from spl_batch.errors import DamagedError, SplBatchError, StoppedError, is_fault, one_line
 from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.io.atomic import checksum, size, stop_if_full
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
@@ -306,10 +306,12 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     except SplBatchError as error:
         trace = traceback.format_exc()
         receipt = failure(task, key, str(error), time.perf_counter() - start, trace=trace)
-    except Exception as error:  # noqa: BLE001 - one task's fault must not end the others
+    except BaseException as error:  # one task's fault must not end the others
+        if not is_fault(error):
+            raise
         stop_if_full(error, f"{task.kind} {task.name}")
-        reason, trace = f"{type(error).__name__}: {error}", traceback.format_exc()
-        receipt = failure(task, key, reason, time.perf_counter() - start, trace=trace)
+        trace = traceback.format_exc()
+        receipt = failure(task, key, one_line(error), time.perf_counter() - start, trace=trace)
     write_receipt(context.store, receipt)
     return receipt
 
