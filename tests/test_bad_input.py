@@ -234,6 +234,19 @@ def test_some_times_are_nan(survey: Path) -> None:
     assert f'"no_beam": {missing}' in (survey.parent / "out/report.json").read_text()
 
 
+@pytest.mark.parametrize("time_s", [1e300, -1e100, 9e9, surveys.START_S - 4e7])
+def test_a_time_that_can_be_none(survey: Path, time_s: float) -> None:
+    line = surveys.flightline(shots=TINY, psid=2, seed=4)
+    line["gps_time"][[5, 40]] = time_s
+    surveys.write_cloud(survey.parent / "lines/stray.laz", line)
+    ended = run(survey)
+    warned(ended, "lines/stray.laz: 2 points have no usable gps_time")
+    assert max(map(len, ended.text.splitlines())) < 300
+    columns = surveys.delivered(survey.parent / "out")["lines/stray.laz"]
+    assert np.array_equal(columns["noise_class"] == 255, columns["gps_time"] == time_s)
+    assert '"no_beam": 2' in (survey.parent / "out/report.json").read_text()
+
+
 def test_a_file_of_nan_times(survey: Path) -> None:
     line = line_without_time()
     line["gps_time"][:] = np.nan

@@ -24,9 +24,18 @@ _ADJUSTED_MAX_S: Final = 9e8
 
 _EPOCH_MAX_S: Final = 2.6e9
 
+LATEST_S: Final = 1e10
+"""No clock counts more seconds: three centuries [s]."""
+
 _LEAPS: Final = ((1_025_136_016, 16), (1_119_744_017, 17), (1_167_264_018, 18))
 """GPS seconds, and leap seconds since then: of July 2012, July 2015 and January 2017 [IERS
 Bulletins C 43, 49 and 52]."""
+
+
+def usable_times(times: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which times can be times at all: finite, and at most :data:`LATEST_S` from zero."""
+    can_be: NDArray[np.bool_] = np.abs(times) <= LATEST_S
+    return can_be
 
 
 def time_standard(times: NDArray[np.float64]) -> TimeStandard:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError, named
-from spl_batch.io.gpstime import clock, time_standard
+from spl_batch.io.gpstime import clock, time_standard, usable_times
 from spl_batch.io.las import Ends, read_ends
 from spl_batch.io.trajectory_ends import ends
 from spl_batch.plan.flightlines import points_of_a_shot
@@ -101,7 +101,7 @@ def _look_into(source: Source, workflow: Workflow, seen: _Seen) -> None:
     except InputError as error:
         seen.faults.append(str(error))
         return
-    time = found.gps_time[np.isfinite(found.gps_time)]
+    time = found.gps_time[usable_times(found.gps_time)]
     if len(time) and (len(time) <= points_of_a_shot(workflow) or np.any(time != time[0])):
         seen.spans[source.name] = float(time.min()), float(time.max())
     else:

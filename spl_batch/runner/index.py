@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, named
+from spl_batch.errors import InputError, grouped, named
 from spl_batch.io.atomic import checksum
 from spl_batch.io.gpstime import bit_warning
 from spl_batch.io.las import inspect, iter_points
@@ -85,19 +85,34 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
     tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
     write_arrays(index, tracks | found.extent.to_arrays())
     contradiction = bit_warning(tally.standard, adjusted_bit=header.adjusted_standard_bit)
+    known = tally.facts()
     facts = {
         "name": args["name"],
         "path": str(path),
         "hash": digest,
         "size": args["stamp"][0],
-        **tally.facts(),
+        **known,
         "parts": spans,
         "standard": tally.standard,
         # What the header alone tells, the plan has said.
-        "warnings": [contradiction] if contradiction else [],
+        "warnings": [text for text in (contradiction, _without_time(known)) if text],
     }
     inputs = {str(path): args["stamp"]}
     return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
+
+
+def _without_time(known: Mapping[str, Any]) -> str:
+    """That some points of a file have no usable time, if so and others have one."""
+    if not known["timeless"] or not known["spans"]:
+        return ""
+    why = "not finite, or beyond 1e10 s"
+    if known["astray_s"]:
+        why = f"such as {known['astray_s'][0]:.6g} s, more than a year from most"
+    many = known["timeless"] > 1
+    return (
+        f"{grouped(known['timeless'])} point{'s have' if many else ' has'} no usable gps_time "
+        f"({why}); delivered with noise_class 255, not assessed"
+    )
 
 
 class _Found:

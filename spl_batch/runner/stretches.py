@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from spl_batch.io.gpstime import usable_times
 from spl_batch.io.tables import GroupWriter, group_ranges, read_table
 from spl_batch.model import EXCLUDED, SOURCE_COLUMNS, PointTable, ShotClock, concat, rows_of
 from spl_batch.order import in_order, lexicographic_order
@@ -50,7 +51,7 @@ def add_points(writer: GroupWriter, table: PointTable) -> None:
     """
     time = table["gps_time"]
     mixed = bool(np.any(time[1:] < time[:-1]))
-    table = _in_time_order(table.take(rows_of(np.isfinite(time) & ~table.has(EXCLUDED))))
+    table = _in_time_order(table.take(rows_of(usable_times(time) & ~table.has(EXCLUDED))))
     step = MIXED_RUN_POINTS if mixed else RUN_POINTS
     for start in range(0, len(table), step):
         writer.write(table.take(slice(start, start + step)).columns)

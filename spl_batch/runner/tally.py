@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.io.gpstime import TimeStandard, time_standard
+from spl_batch.io.gpstime import TimeStandard, time_standard, usable_times
 from spl_batch.model import EXCLUDED, PointFlag, PointTable, rows_of
 from spl_batch.runner.rate import Rate
 from spl_batch.stages.geometry import (
@@ -21,6 +21,9 @@ from spl_batch.stages.geometry import (
 Track = dict[str, NDArray[np.int64]]
 
 _COUNTED: Final = ("points", "timeless", "withheld", "vendor_noise", "excluded")
+
+YEAR_S: Final = 365.25 * 86_400
+"""A time that is farther from the middle of a file's times is none of them [s]."""
 
 _TIMED: Final = ("gps_time", "point_source_id", "x", "y", "scan_angle")
 """Columns that say when and whereto a flightline was flown."""
@@ -45,12 +48,11 @@ class Tally:
         self._low = np.full(3, np.iinfo(np.int64).max)
         self._high = np.full(3, np.iinfo(np.int64).min)
         self._channels: set[int] = set()
-        self._sample: list[float] = []
 
     def add(self, table: PointTable) -> None:
         """Count one chunk in."""
         time = table["gps_time"]
-        valid = np.isfinite(time)
+        valid = usable_times(time)
         excluded = table.has(EXCLUDED)
         self.counts["points"] += len(table)
         self.counts["timeless"] += int(np.count_nonzero(~valid & ~excluded))
@@ -67,7 +69,6 @@ class Tally:
         time = table["gps_time"]
         if not len(time):
             return
-        self._sample.extend((float(time.min()), float(time.max())))
         line = table["point_source_id"]
         for psid in np.flatnonzero(np.bincount(line)).tolist():
             mine = table.take(rows_of(line == psid))
@@ -91,17 +92,38 @@ class Tally:
     @property
     def standard(self) -> TimeStandard:
         """How the times are counted, as :func:`~spl_batch.io.gpstime.time_standard` says."""
-        return time_standard(np.array(self._sample))
+        near, _ = self._near_and_astray()
+        return time_standard(np.array([span[:2] for spans in near.values() for span in spans]))
+
+    def _near_and_astray(self) -> tuple[dict[int, list[list[float]]], list[list[float]]]:
+        """Time spans of each flightline, and those that lie more than a year from the others."""
+        merged = {k: merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())}
+        spans = np.array([span for listed in merged.values() for span in listed]).reshape(-1, 3)
+        if not len(spans):
+            return {}, []
+        order = np.argsort(spans[:, 0], kind="stable")
+        total = np.cumsum(spans[order, 2])
+        middle = float(spans[order[np.searchsorted(total, total[-1] / 2)], 0])
+        near: dict[int, list[list[float]]] = {}
+        astray: list[list[float]] = []
+        for psid, listed in merged.items():
+            for span in listed:
+                far = max(span[0] - middle, middle - span[1]) > YEAR_S
+                (astray if far else near.setdefault(psid, [])).append(span)
+        return near, astray
 
     def facts(self) -> dict[str, Any]:
         """What later phases and the report read of it."""
+        near, astray = self._near_and_astray()
         return {
             **self.counts,
+            "timeless": self.counts["timeless"] + int(sum(points for *_, points in astray)),
+            "astray_s": [first for first, *_ in astray[:1]],
             "bounds": [*self._low.tolist(), *self._high.tolist()]
             if self.counts["points"]
             else None,
             "channels_seen": f"{sum(1 << channel for channel in self._channels):x}",
-            "spans": {str(k): merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())},
+            "spans": {str(psid): spans for psid, spans in near.items()},
             "fullest": {str(k): v.fullest() for k, v in sorted(self._rates.items())},
             "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(self._steps.items())},
         }
@@ -112,7 +134,6 @@ class Tally:
             "counts": np.array(list(self.counts.values())),
             "bounds": np.array([self._low, self._high]),
             "channels": np.array(sorted(self._channels), np.int64),
-            "sample": np.array(self._sample),
             "lines": np.array(sorted(self._rates), np.int64),
         }
         for psid, rate in self._rates.items():
@@ -130,7 +151,6 @@ class Tally:
         self._low = np.minimum(self._low, arrays["bounds"][0])
         self._high = np.maximum(self._high, arrays["bounds"][1])
         self._channels.update(arrays["channels"].tolist())
-        self._sample.extend(arrays["sample"].tolist())
         for psid in arrays["lines"].tolist():
             spans = arrays[f"{psid}/spans"].tolist()
             self._spans.setdefault(psid, []).extend([a, b, int(n)] for a, b, n in spans)
