@@ -15,6 +15,8 @@ from pyproj import CRS
 from spl_batch.errors import InputError, StoppedError, WorkflowError
 from spl_batch.io.las import inspect, iter_points
 from spl_batch.io.las_convert import EXTENDED_FORMAT
+from spl_batch.io.las_header import read_header
+from spl_batch.io.las_known import broken_records
 from spl_batch.io.las_write import write_classified, write_points
 from spl_batch.model import SOURCE_COLUMNS, PointTable, concat
 from tests.io_files import VERSIONS, patch, write_las
@@ -265,3 +267,64 @@ def test_points_far_from_zero_and_too_far_apart(tmp_path: Path) -> None:
     columns["x"] = np.array([0, 5_000_000_000], np.int64)
     with pytest.raises(WorkflowError, match="2000 km"):
         write_points(tmp_path / "b.laz", PointTable(columns), crs=None)
+
+
+BROKEN = {
+    "WKT of no text": ("LASF_Projection", 2112, b"PROJCS[\xff\xfe\x00"),
+    "GeoTIFF text of no text": ("LASF_Projection", 34737, b"UTM \xff\xfe|"),
+    "classes cut off": ("LASF_Spec", 0, b"\x01abc"),
+}
+
+
+@pytest.mark.parametrize("which", BROKEN)
+@pytest.mark.parametrize("extended", [False, True])
+def test_a_record_that_no_reader_parses_is_left_out(
+    tmp_path: Path,
+    which: str,
+    extended: bool,  # noqa: FBT001
+) -> None:
+    user, number, data = BROKEN[which]
+    good = laspy.VLR("ours", 7, "kept", b"whole")
+    listed = [good, laspy.VLR(user, number, "broken", data)]
+    given: dict[str, Any] = {"evlrs": listed} if extended else {"vlrs": listed}
+    src, dst = write_las(tmp_path / "a.laz", **given), tmp_path / "out.laz"
+    (text,) = broken_records(read_header(src))
+    assert text.startswith(f"header record {user} {number} cannot be parsed (")
+    crs = CRS.from_epsg(32615)
+    assert classify(src, dst, crs=crs) == 1000
+    with laspy.open(dst) as reader:
+        records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
+        assert reader.header.parse_crs() == crs
+    kept = [record for record in records if record.user_id == "ours"]
+    assert [bytes(record.record_data) for record in kept] == [b"whole"]
+    assert not [record for record in records if bytes(record.record_data_bytes()) == data]
+
+
+def test_a_user_id_that_is_no_text(tmp_path: Path) -> None:
+    """laspy cannot open such a file at all."""
+    src, dst = tmp_path / "a.las", tmp_path / "out.laz"
+    write_las(src, vlrs=[laspy.VLR("broken", 7, "x", b"1"), laspy.VLR("whole", 8, "y", b"2")])
+    content = src.read_bytes().replace(b"broken", b"br\xff\xfe\n\x1b")
+    src.write_bytes(content)
+    with pytest.raises(UnicodeDecodeError):
+        laspy.open(src)
+    (text,) = broken_records(read_header(src))
+    assert text.isprintable()
+    assert classify(src, dst) == 1000
+    with laspy.open(dst) as reader:
+        assert "whole" in [record.user_id for record in reader.header.vlrs]
+
+
+def test_what_laspy_cannot_open_takes_no_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    src, dst = write_las(tmp_path / "a.laz"), tmp_path / "out.laz"
+
+    def failing(*_: Any) -> None:
+        raise UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(laspy, "open", failing)
+        with pytest.raises(InputError, match="as it was written: it cannot be read"):
+            classify(src, dst)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz"]

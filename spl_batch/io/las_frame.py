@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
+import laspy
 import lazrs
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from pyproj import CRS
 from pyproj.enums import WktVersion
 
 from spl_batch import __version__
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, as_input_fault
 from spl_batch.io.atomic import replacing
 from spl_batch.io.crs import WKT_KEY
 from spl_batch.io.las_chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
@@ -142,10 +143,13 @@ def output_file(path: Path) -> Iterator[WatchedFile]:
             watched = WatchedFile(file)
             try:
                 yield watched
+                watched.flush()
             except lazrs.LazrsError:
                 if watched.error is not None:
                     raise watched.error from None
                 raise
+            with as_input_fault(f"{path} as it was written"), laspy.open(temporary):
+                pass  # whoever gets it can open it
     except (FileExistsError, IsADirectoryError, NotADirectoryError) as error:
         raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
 

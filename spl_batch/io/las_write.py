@@ -30,6 +30,7 @@ from spl_batch.io.las_frame import (
     write_packed,
 )
 from spl_batch.io.las_header import LasHeader, Vlr, read_header
+from spl_batch.io.las_known import reads_back
 from spl_batch.io.las_layers import LayerCopy, can_be_copied
 from spl_batch.io.las_records import (
     EXTRA_BYTES_KEY,
@@ -102,9 +103,10 @@ def write_classified(
 
     Every point comes once and in order, with all its dimensions, raw coordinates, scale
     and offset. Point formats 0-5 become 6-10. Records that describe the old packing
-    (LASzip, COPC) are left out, all others kept; a CRS in GeoTIFF keys, which formats
-    6-10 do not know, is given as WKT as well. Extra bytes that the input has under a
-    name of :data:`ADDED` are replaced.
+    (LASzip, COPC) are left out, and so are those that no reader could parse
+    (:func:`~spl_batch.io.las_known.broken_records`); all others are kept. A CRS in GeoTIFF
+    keys, which formats 6-10 do not know, is given as WKT as well. Extra bytes that the input
+    has under a name of :data:`ADDED` are replaced.
 
     Parameters
     ----------
@@ -162,13 +164,14 @@ def write_classified(
                 yield stop - start, copy.chunk(chunk, first, own)
 
         vlrs, wkt = _vlrs(header, crs)
+        evlrs = [e for e in header.evlrs if e.key[0] != "copc" and reads_back(src, e)]
         frame = Frame(
             preamble=preamble(header.raw, wkt=wkt),
             scales=header.scales,
             offsets=header.offsets,
             layout=convert.layout,
             vlrs=vlrs,
-            evlrs=[(e, src) for e in header.evlrs if e.key[0] != "copc"],
+            evlrs=[(e, src) for e in evlrs],
         )
         if decoded is None or not can_be_copied(reader):
             return write_laz(dst, frame, chunks())
@@ -199,7 +202,9 @@ def _vlrs(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], bool]:
     """Records that are kept, and whether there is a WKT record among them."""
     dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
     kept = [v for v in header.vlrs if v.key not in dropped and v.key[0] != "copc"]
-    if WKT_KEY in {v.key for v in kept} | {e.key for e in header.evlrs}:
+    kept = [v for v in kept if reads_back(header.path, v)]
+    evlrs = {e.key for e in header.evlrs if reads_back(header.path, e)}
+    if WKT_KEY in {v.key for v in kept} | evlrs:
         return kept, True
     known = header_crs(header)[0] or crs
     return (kept, False) if known is None else ([*kept, wkt_vlr(known)], True)

@@ -12,6 +12,8 @@ from spl_batch.io.atomic import remove
 from spl_batch.io.cells import frame, stored_blocks
 from spl_batch.io.labels import LabelFiles, read_labelled_tile
 from spl_batch.io.las_frame import Extent
+from spl_batch.io.las_header import read_header
+from spl_batch.io.las_known import broken_records
 from spl_batch.io.las_layers import GIVEN
 from spl_batch.io.las_write import Decoded, write_classified, write_points
 from spl_batch.io.rasters import write_cog
@@ -99,10 +101,13 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         # What an earlier run made of it would pass for this run's.
         remove(target)
         raise
+    broken = broken_records(read_header(source))
     facts = {
+        "name": args["delivered"],
         "points": written,
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(labels.classes),
+        "warnings": [f"{text}; left out of the delivered copy" for text in broken],
     }
     return Produced([target], facts, written)
 
