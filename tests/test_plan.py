@@ -499,7 +499,9 @@ def box(x: int, y: int, size: int = 150_000) -> list[int]:
 
 def test_one_mosaic_where_the_survey_is_in_one_piece() -> None:
     cells = [CellId(0, 0), CellId(1, 0), CellId(-1, 2)]
-    ((kept, region),) = split_mosaic(dict.fromkeys(cells, 9), [box(-100_500, 10_200, 400_000)], 200_000, 1000)
+    ((kept, region),) = split_mosaic(
+        dict.fromkeys(cells, 9), [box(-100_500, 10_200, 400_000)], 200_000, 1000
+    )
     assert kept == sorted(cells)
     assert region == Bounds(-101_000, 10_000, 300_000, 411_000)
     assert split_mosaic({}, [], 200_000, 1000) == []

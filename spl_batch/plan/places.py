@@ -111,7 +111,10 @@ def denoise(survey: Survey) -> Iterator[Task]:
             "voxels": parts,
             "beamlets": survey.beamlets,
         }
-        needs = (*_tile_needs(block), *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))))
+        needs = (
+            *_tile_needs(block),
+            *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
+        )
         yield _task("denoise", block, args, needs, survey)
 
 
