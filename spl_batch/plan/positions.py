@@ -79,8 +79,8 @@ def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
             f"{held[k][0]}: its {grouped(points[k])} points span {grouped(length_m[k] / 1000)} km; "
             "some of them must lie astray: check its CRS and coordinates"
         )
-    if np.count_nonzero(wide) > TOLD:
-        more = np.count_nonzero(wide) - TOLD
+    more = int(np.count_nonzero(wide)) - TOLD
+    if more > 0:
         yield f"{grouped(more)} more files span too much for their points: check them as well"
     rest = np.flatnonzero(~wide)
     yield from _distant([held[k][0] for k in rest.tolist()], boxes[rest], points[rest])

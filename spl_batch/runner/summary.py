@@ -14,7 +14,6 @@ from spl_batch.report.maps import Raster
 from spl_batch.report.model import (
     Accuracy,
     Counts,
-    Density,
     Flightline,
     InputFile,
     Noise,
@@ -28,6 +27,7 @@ from spl_batch.report.summary import mostly_unfiltered
 from spl_batch.report.write import write_report
 from spl_batch.runner.accuracy import Comparison, compared, not_compared
 from spl_batch.runner.context import Context
+from spl_batch.runner.coverage import area_km2, density
 from spl_batch.runner.profile import cut_profile
 from spl_batch.runner.remember import (
     Receipts,
@@ -58,7 +58,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         survey=_survey(done, context),
         counts=counts,
         accuracy=_accuracy(found),
-        density=_density(context, counts),
+        density=density(done, context, counts.ground),
         noise=_noise(done, context, counts.background),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
@@ -86,7 +86,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
         sensor=workflow.sensor.name,
-        area_km2=_covered_km2(context),
+        area_km2=area_km2(done),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
         flightlines=tuple(_flightlines(done, context)),
@@ -158,25 +158,6 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
         reference_points=found.points,
         bias_m=said["vertical_bias_m"],
         bias_removed=removed,
-    )
-
-
-def _density(context: Context, counts: Counts) -> Density:
-    part = _overview(context.output / "density.tif")
-    dtm = _overview(context.output / "dtm.tif")
-    if part is None or dtm is None:
-        return Density()
-    covered = part.values[part.values > 0]
-    if not len(covered):
-        return Density()
-    mean = float(covered.mean())
-    return Density(
-        mean_per_m2=mean,
-        median_per_m2=float(np.median(covered)),
-        p05_per_m2=float(np.percentile(covered, 5)),
-        # A part of the signal: a survey in pieces has several rasters, and this is of the largest.
-        ground_per_m2=mean * counts.ground / counts.signal if counts.signal else None,
-        void_share=float(np.mean(dtm.values[part.values > 0] == NODATA)),
     )
 
 
@@ -279,8 +260,3 @@ def _pictures(done: Receipts, context: Context, found: Comparison | None) -> Pic
 
 def _overview(path: Path) -> Part | None:
     return read_overview(path) if path.exists() else None
-
-
-def _covered_km2(context: Context) -> float | None:
-    part = _overview(context.output / "density.tif")
-    return None if part is None else float(np.count_nonzero(part.values > 0)) * part.cell_m**2 / 1e6
