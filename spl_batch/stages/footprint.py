@@ -19,7 +19,7 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.model import PointTable
 from spl_batch.settings import ProductSettings
 from spl_batch.stages.flown import about_ground, close
-from spl_batch.tiling import Bounds, grow, quanta, shared
+from spl_batch.tiling import Bounds, grow, inside, quanta, shared
 
 DOMAIN: Final = "space"
 """Needs every flightline of a place."""
@@ -32,6 +32,9 @@ SQUARE_M2: Final = (SQUARE_Q * QUANTUM_M) ** 2
 
 COARSE: Final = 4
 """Squares along those that tell soon that all of a cell is covered [count]."""
+
+ENOUGH: Final = 100_000
+"""Points that are looked at for that, evenly among more of them [count]."""
 
 Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
 """Which places, by easting and northing [quanta], count."""
@@ -54,18 +57,14 @@ def footprint(
     within : callable, optional
         Takes the centres of squares; those that it refuses do not count.
     """
-    wide = _squares(grow(cell, quanta(2 * settings.void_max_m)), SQUARE_Q)
-    there = about_ground(table, _quanta(wide, SQUARE_Q))
-    x, y = table["x"][there], table["y"][there]
-    core = _squares(cell, SQUARE_Q)
+    wide = _squares(grow(cell, quanta(2 * settings.void_max_m)))
+    core = _squares(cell)
     # the margin is that of two discs; a square's own width is taken off them
     reach = quanta(settings.void_max_m) // SQUARE_Q - 1
-    if not len(x):
-        return 0
-    if _covers_all(x, y, wide, reach // COARSE - 2):
+    if _covers_all(table, wide, reach // COARSE - 2):
         covered = np.ones((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
     else:
-        covered = _covered(x // SQUARE_Q, y // SQUARE_Q, wide, core, reach)
+        covered = _covered(table, wide, core, reach)
     if within is not None:
         row, column = np.nonzero(covered)
         half = SQUARE_Q // 2
@@ -74,13 +73,13 @@ def footprint(
     return int(np.count_nonzero(covered))
 
 
-def _squares(region: Bounds, edge: int) -> Bounds:
+def _squares(region: Bounds) -> Bounds:
     """Columns and rows of squares whose south-western corner a region owns."""
-    return Bounds(*(-(-side // edge) for side in region))
+    return Bounds(*(-(-side // SQUARE_Q) for side in region))
 
 
-def _quanta(squares: Bounds, edge: int) -> Bounds:
-    return Bounds(*(side * edge for side in squares))
+def _quanta(squares: Bounds) -> Bounds:
+    return Bounds(*(side * SQUARE_Q for side in squares))
 
 
 def _held(column: NDArray[np.int64], row: NDArray[np.int64], frame: Bounds) -> NDArray[np.bool_]:
@@ -90,25 +89,40 @@ def _held(column: NDArray[np.int64], row: NDArray[np.int64], frame: Bounds) -> N
     return held
 
 
-def _covers_all(x: NDArray[np.int64], y: NDArray[np.int64], wide: Bounds, reach: int) -> bool:
-    """Whether it is plain that no place is far from all points."""
+def _covers_all(table: PointTable, wide: Bounds, reach: int) -> bool:
+    """Whether some of the ground already tells that no place is far from all points."""
+    some = table.select(("x", "y", "ground")).take(slice(None, None, len(table) // ENOUGH + 1))
+    some = some.take((some["ground"] == 1) & inside(some["x"], some["y"], _quanta(wide)))
+    if reach < 1 or not len(some):
+        return False
     edge = SQUARE_Q * COARSE
     frame = Bounds(
         wide.xmin // COARSE, wide.ymin // COARSE, -(-wide.xmax // COARSE), -(-wide.ymax // COARSE)
     )
-    held = _held(x // edge, y // edge, frame)
-    return reach > 0 and bool((distance_transform_edt(~held) <= reach).all())
+    held = _held(some["x"] // edge, some["y"] // edge, frame)
+    return bool((distance_transform_edt(~held) <= reach).all())
 
 
-def _covered(
-    column: NDArray[np.int64], row: NDArray[np.int64], wide: Bounds, core: Bounds, reach: int
-) -> NDArray[np.bool_]:
+def _covered(table: PointTable, wide: Bounds, core: Bounds, reach: int) -> NDArray[np.bool_]:
     """Squares of the core that points cover, as far as points reach."""
+    covered = np.zeros((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
+    there = about_ground(table, _quanta(wide))
+    column, row = (table[axis][there] // SQUARE_Q for axis in "xy")
+    if not len(column):
+        return covered
     hull = Bounds(int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1)
+    # farther out than a disc nothing is covered
     around = shared(grow(hull, reach + 2), wide)
     closed = close(_held(column, row, around), reach)
     mine = shared(around, core)
-    return closed[
-        mine.ymin - around.ymin : mine.ymax - around.ymin,
-        mine.xmin - around.xmin : mine.xmax - around.xmin,
-    ]
+    if mine.area_m2 > 0:
+        covered[_place(mine, core)] = closed[_place(mine, around)]
+    return covered
+
+
+def _place(part: Bounds, frame: Bounds) -> tuple[slice, slice]:
+    """Rows and columns of a part of a frame."""
+    return (
+        slice(part.ymin - frame.ymin, part.ymax - frame.ymin),
+        slice(part.xmin - frame.xmin, part.xmax - frame.xmin),
+    )
