@@ -163,20 +163,36 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
 
 def _noise(done: Receipts, context: Context, removed: int) -> Noise:
     settings = context.workflow.filter
-    part = _overview(context.store.local / "noise.tif")
-    values = part.values[part.values > NODATA] if part is not None else np.empty(0)
-    some = len(values) > 0
+    mean, low, high = _noise_levels(done, context)
     return Noise(
         method=settings.method,
         test=settings.test if settings.method == "vsaes" else None,
         alpha=settings.alpha if settings.method == "vsaes" else None,
-        mean_per_m3=float(values.mean()) if some else None,
-        p05_per_m3=float(np.percentile(values, 5)) if some else None,
-        p95_per_m3=float(np.percentile(values, 95)) if some else None,
+        mean_per_m3=mean,
+        p05_per_m3=low,
+        p95_per_m3=high,
         kept_by_chance=_kept_by_chance(settings, removed),
         kept_within_signal=_kept_within_signal(done, settings),
         dsm_support=context.workflow.products.dsm_support,
     )
+
+
+def _noise_levels(
+    done: Receipts, context: Context
+) -> tuple[float, float, float] | tuple[None, None, None]:
+    """Mean, 5th and 95th percentile of the expected noise over all pieces [1/m3]."""
+    names = sorted(n for n in done.get("mosaic", {}) if n.partition("_")[0] == "noise")
+    found = (_overview(context.store.local / f"{name}.tif") for name in names)
+    parts = [(p.values[p.values > NODATA], p.cell_m**2) for p in found if p is not None]
+    values = np.concatenate([np.empty(0, np.float32), *(held for held, _ in parts)])
+    if not len(values):
+        return None, None, None
+    # a large piece is seen in coarser cells
+    weights = np.concatenate([np.full(len(held), area_m2) for held, area_m2 in parts])
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) / weights.sum()
+    low, high = (float(values[order[np.searchsorted(below, end)]]) for end in (0.05, 0.95))
+    return float(np.average(values, weights=weights)), low, high
 
 
 def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:

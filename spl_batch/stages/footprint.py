@@ -3,7 +3,8 @@
 Squares of a fixed absolute grid that hold a return count, and gaps between them no wider than
 twice ``products.void_max_m``: the rule of :mod:`~spl_batch.stages.flown`, which says where
 ``density.tif`` has a value. A raster cell at the edge of a survey counts as a whole there, so
-that coarse cells would cover more than fine ones.
+that coarse cells would cover more than fine ones. Around sparse returns a rim of half their mean
+spacing counts too.
 
 Each square belongs to one ground cell, so that areas add up.
 """
@@ -32,6 +33,9 @@ SQUARE_M2: Final = (SQUARE_Q * QUANTUM_M) ** 2
 
 COARSE: Final = 4
 """Squares along those that tell soon that all of a cell is covered [count]."""
+
+WIDEST_RIM: Final = 20
+"""Half the mean spacing of returns, up to which they stand for what lies around [squares]."""
 
 ENOUGH: Final = 100_000
 """Points that are looked at for that, evenly among more of them [count]."""
@@ -113,11 +117,25 @@ def _covered(table: PointTable, wide: Bounds, core: Bounds, reach: int) -> NDArr
     hull = Bounds(int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1)
     # farther out than a disc nothing is covered
     around = shared(grow(hull, reach + 2), wide)
-    closed = close(_held(column, row, around), reach)
+    closed = _with_rim(close(_held(column, row, around), reach), len(column))
     mine = shared(around, core)
     if mine.area_m2 > 0:
         covered[_place(mine, core)] = closed[_place(mine, around)]
     return covered
+
+
+def _with_rim(closed: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:
+    """Squares with those that lie less than half the mean spacing from one.
+
+    Sparse returns end inside the place that they stand for; a held square reaches half its width
+    beyond its returns already.
+    """
+    spacing = np.sqrt(np.count_nonzero(closed) / points)
+    rim = min(spacing / 2 - 0.5, WIDEST_RIM)
+    if rim < 1:
+        return closed
+    near: NDArray[np.bool_] = distance_transform_edt(~closed) <= rim
+    return near
 
 
 def _place(part: Bounds, frame: Bounds) -> tuple[slice, slice]:
