@@ -34,13 +34,14 @@ def plain(path: Path, per_m2: float, side_m: float = SIDE_M, east_m: float = 0.0
         "return_number": np.ones(n, np.uint8),
         "number_of_returns": np.ones(n, np.uint8),
         "intensity": np.full(n, 9, np.uint16),
+        "classification": np.full(n, 2, np.uint8),
     }
     surveys.write_cloud(path, columns, point_format=6, channel=False)
     assert laspy.read(path).header.point_count == n
     return n
 
 
-def linear(folder: Path, cell_m: float, output: str) -> dict[str, Any]:
+def linear(folder: Path, cell_m: float, output: str, **sections: Any) -> dict[str, Any]:
     """Report of a run that filters nothing."""
     surveys.write_workflow(
         folder,
@@ -50,6 +51,7 @@ def linear(folder: Path, cell_m: float, output: str) -> dict[str, Any]:
         filter={"method": "none"},
         afterpulse={"enabled": False},
         products={"cell_m": cell_m},
+        **sections,
     )
     surveys.run(folder / "workflow.yaml")
     report: dict[str, Any] = json.loads((folder / output / "report.json").read_text())
@@ -83,14 +85,16 @@ def test_density_and_area_do_not_depend_on_the_raster_cell(tmp_path: Path, per_m
 
 
 def test_all_pieces_count_and_the_console_says_so(tmp_path: Path) -> None:
-    n = sum(
-        plain(tmp_path / f"lines/{k}.laz", per_m2, 60.0, east_m=k * 60_000.0)
-        for k, per_m2 in enumerate((8.0, 2.0, 5.0))
-    )
-    report = linear(tmp_path, 1.0, "out")
+    n = 0
+    for k, per_m2 in enumerate((8.0, 2.0, 5.0)):
+        n += plain(tmp_path / f"lines/{k}.laz", per_m2, 60.0, east_m=k * 60_000.0)
+        plain(tmp_path / f"reference/{k}.laz", 0.2, 60.0, east_m=k * 60_000.0)
+    report = linear(tmp_path, 1.0, "out", reference={"points": "reference/*.laz"})
     assert (tmp_path / "out/dtm_3.tif").exists()
     assert report["survey"]["area_km2"] * 1e6 == pytest.approx(3 * 60.0**2, rel=0.02)
     assert report["density"]["mean_per_m2"] == pytest.approx(n / (3 * 60.0**2), rel=0.02)
+    compared = report["accuracy"]["dtm"]["all"]["n"]
+    assert 0.85 * 3 * 720 < compared <= 3 * 720, "ground of the reference on every piece"
     ended = surveys.command("report", tmp_path / "out")
     assert f"{report['density']['mean_per_m2']:.3g}" in ended.text
 
