@@ -328,6 +328,11 @@ class VoxelPart:
     beamlets: NDArray[np.int64] | None = None
     squares: NDArray[np.uint16] | None = None
 
+    def box(self) -> list[int]:
+        """First voxel along x, y, z, and the ones past the last."""
+        ends = (c + n for c, n in zip(self.corner, self.amount.shape, strict=True))
+        return [*self.corner, *ends]
+
 
 VOXEL_FIXED_POINT: Final = 2.0**32
 """Steps of :attr:`VoxelPart.amount` per point."""

@@ -148,6 +148,34 @@ def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     return index
 
 
+def far_apart(places: NDArray[np.int64], gap: int) -> Iterator[NDArray[np.intp]]:
+    """Rows of places in groups that wide empty columns or rows keep apart, again and again.
+
+    Parameters
+    ----------
+    places : (n, 2) int64
+        Easting and northing, or column and row.
+    gap : int
+        Places along an axis that differ by more than this, with none between, are apart.
+
+    Yields
+    ------
+    (k,) intp
+        Rows of a group, in any order; each row is in one group.
+    """
+    waiting = [np.arange(len(places))] if len(places) else []
+    while waiting:
+        rows = waiting.pop()
+        for axis in (0, 1):
+            rows = rows[np.argsort(places[rows, axis], kind="stable")]
+            cuts = np.flatnonzero(np.diff(places[rows, axis]) > gap) + 1
+            if len(cuts):
+                waiting.extend(reversed(np.split(rows, cuts)))
+                break
+        else:
+            yield rows
+
+
 def cell_runs(cells: Iterable[CellId]) -> list[list[int]]:
     """Cells in few numbers: row, first column and the one past the last of each run.
 

@@ -15,7 +15,6 @@ from spl_batch.api import preparing
 from spl_batch.api.preparing import parse_bytes
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import Store, read_json, write_json
-from spl_batch.plan import mosaics
 from spl_batch.plan.blocks import (
     FEW_TILES,
     LARGEST,
@@ -500,20 +499,25 @@ def box(x: int, y: int, size: int = 150_000) -> list[int]:
 
 def test_one_mosaic_where_the_survey_is_in_one_piece() -> None:
     cells = [CellId(0, 0), CellId(1, 0), CellId(-1, 2)]
-    ((kept, region),) = split_mosaic(cells, [box(-100_500, 10_200, 400_000)], 200_000, 1000)
+    ((kept, region),) = split_mosaic(
+        dict.fromkeys(cells, 9), [box(-100_500, 10_200, 400_000)], 200_000, 1000
+    )
     assert kept == sorted(cells)
     assert region == Bounds(-101_000, 10_000, 300_000, 411_000)
-    assert split_mosaic([], [], 200_000, 1000) == []
+    assert split_mosaic({}, [], 200_000, 1000) == []
 
 
 def test_pieces_far_apart_get_rasters_of_their_own() -> None:
     near = [CellId(i, 0) for i in range(3)]
     far = [CellId(200_000, 100_000)]
     boxes = [box(0, 0, 599_000), box(200_000 * 200_000, 100_000 * 200_000)]
-    parts = split_mosaic([*far, *near], boxes, 200_000, 1000)
-    assert [p[0] for p in parts] == [near, far], "the largest piece comes first"
+    points = dict.fromkeys(near, 20) | dict.fromkeys(far, 50)
+    parts = split_mosaic(points, boxes, 200_000, 1000)
+    assert [p[0] for p in parts] == [near, far], "the piece with most points comes first"
+    points[far[0]] = 61
+    assert [p[0] for p in split_mosaic(points, boxes, 200_000, 1000)] == [far, near]
     for cells, region in parts:
-        assert region.area_m2 < mosaics.LARGEST_SPARSE
+        assert region.area_m2 <= 600 * 200
         assert all(v % 1000 == 0 for v in region)
         assert all(overlap(cell_bounds(c, 200_000), region) for c in cells)
 

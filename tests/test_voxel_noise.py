@@ -89,6 +89,25 @@ def slow_deposit(
     return total
 
 
+def test_a_stretch_in_several_boxes_adds_up_to_one() -> None:
+    flight = fly(shots=240)
+    beams = geometry.beams(flight.table, flight.trajectory)
+    model, whole = run(flight)
+    place = np.column_stack((flight.table["x"], flight.table["y"]))
+    gap = int(np.diff(np.sort(place, axis=0), axis=0).max()) - 1
+    parts = voxel_noise.deposit_apart(flight.table, beams, model, SEEN, gap)
+    assert len(parts) > 1
+    for name in ("amount", "squares"):
+        total = getattr(whole, name).astype(np.int64)
+        for part in parts:
+            box = tuple(
+                slice(a - c, a - c + n)
+                for a, c, n in zip(part.corner, whole.corner, part.amount.shape, strict=True)
+            )
+            total[box] -= getattr(part, name)
+        assert not total.any(), name
+
+
 def test_deposit_against_every_sphere() -> None:
     flight = fly(shots=240, first_shot=12_360, detection=0.1)
     model, _ = run(flight)

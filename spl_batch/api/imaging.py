@@ -173,7 +173,7 @@ class Imaging(Receiver[Survey, Context]):
         if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
             yield (
                 "the survey lies in pieces far apart: each has rasters of its own "
-                "(dtm.tif, dtm_2.tif, ...), the largest piece comes first"
+                "(dtm.tif, dtm_2.tif, ...), the piece with most points comes first"
             )
 
     def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[str]:

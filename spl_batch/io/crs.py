@@ -21,6 +21,13 @@ GEO_KEYS: Final = (
 """GeoTIFF key directory, doubles and text; the record id is the TIFF tag."""
 
 _TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
+
+DEGREES_ACROSS: Final = 5.0
+"""Extent from which on coordinates that could be degrees are taken as metres."""
+
+LIKE_DEGREES: Final = "no CRS is known and the coordinates look like degrees; reproject to metres"
+"""What is wrong with a file of which :func:`look_like_degrees` is true."""
+
 _EARTH_RADII_M: Final = (6.3e6, 6.45e6)
 
 
@@ -193,6 +200,26 @@ def crs_problems(
         )
         for unit, names in units.items()
     ]
+
+
+def look_like_degrees(
+    mins: Sequence[float], maxs: Sequence[float], within: Sequence[Sequence[float]] = ()
+) -> bool:
+    """Whether a bounding box without a CRS is one of longitudes and latitudes.
+
+    Parameters
+    ----------
+    mins, maxs : (2 or 3,) float
+        Ends of the box, in whatever unit.
+    within : sequence of (2,) float
+        Corners of other boxes of the same survey: small tiles of a large one in local metres
+        would look like degrees each for itself.
+    """
+    fits = all(-half <= low and high <= most for half, most, low, high in zip(
+        (180.0, 90.0), (360.0, 90.0), mins, maxs, strict=False
+    ))  # fmt: skip
+    corners = np.array([mins[:2], maxs[:2], *within], np.float64)
+    return fits and bool((np.ptp(corners, axis=0) < DEGREES_ACROSS).all())
 
 
 def _geocentric(crs: CRS, mins_m: Sequence[float] | None, maxs_m: Sequence[float] | None) -> str:

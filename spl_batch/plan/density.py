@@ -14,10 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.tiling import Bounds, CellId
+from spl_batch.tiling import Bounds, CellId, far_apart
 
 MAX_SQUARES = 8_000_000
 """Squares of a piece; a larger one is counted in squares of twice the edge, and so on."""
+
+FEW_SQUARES = 4096
+"""Squares that a piece may have however few its points are; beyond, it has no more than points."""
 
 FAR_Q = 10_000_000
 """Straight gap beyond which what lies on either side is a piece of its own [quanta]."""
@@ -87,8 +90,11 @@ class Piece:
     def units(self, unit_q: int) -> int:
         """Units of an absolute grid that own part of a square of the survey [count]."""
         step = max(unit_q, self.edge)
-        share = self._sums(self._total_touched, step, (step, 0))
-        return int(np.count_nonzero(share > _TOUCHED)) * (step // unit_q) ** 2
+        there = self._sums(self._total_touched, step, (step, 0)) > _TOUCHED
+        if step == unit_q:
+            return int(np.count_nonzero(there))
+        points = self._sums(self._total, step, (step, 0))[there]
+        return int(_within(points, (step / unit_q) ** 2).sum())
 
     def peak(self, unit_q: int, halo_q: int) -> Peak:
         """The unit that reads most, of those that own part of the survey.
@@ -137,8 +143,9 @@ class Piece:
                 there &= above[0][np.ix_(rows, columns)]
             full = there & (read > most) & (shape != shapes[-1])
             there &= ~full
-            each = (steps[0] // shape[0]) * (steps[1] // shape[1])
-            found.append(Cut(int(np.count_nonzero(there)) * each, float(read[there].sum()) * each))
+            each = (steps[0] / shape[0]) * (steps[1] / shape[1])
+            units = _within(self._shaped_sums(self._total, steps, steps, 0)[there], each)
+            found.append(Cut(int(units.sum()), float(read[there] @ units)))
             above = full, steps
         return found
 
@@ -187,7 +194,8 @@ def from_boxes(boxes: Iterable[Box], edge: int) -> Iterator[Piece]:
     """
     for part in _apart([box for box in boxes if box.points]):
         hull = _hull(part)
-        size = _coarse(hull.xmax - hull.xmin, hull.ymax - hull.ymin, edge)
+        sides = hull.xmax - hull.xmin, hull.ymax - hull.ymin
+        size = _coarse(*sides, edge, math.fsum(box.points for box in part))
         first = CellId(hull.xmin // size, hull.ymin // size)
         shape = (-(-hull.ymax // size) - first.j, -(-hull.xmax // size) - first.i)
         points, touched = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
@@ -212,9 +220,9 @@ def from_counts(counts: Mapping[CellId, int], edge: int) -> Iterator[Piece]:
     cells = np.fromiter((v for cell in counts for v in cell), np.int64, 2 * len(counts))
     cells = cells.reshape(-1, 2)
     values = np.fromiter(counts.values(), np.float64, len(counts))
-    for rows in _clusters(cells, max(FAR_Q // edge, 1)):
+    for rows in far_apart(cells, max(FAR_Q // edge, 1)):
         extent = (np.ptp(cells[rows], axis=0) + 1) * edge
-        size = _coarse(int(extent[0]), int(extent[1]), edge)
+        size = _coarse(int(extent[0]), int(extent[1]), edge, math.fsum(values[rows]))
         square = cells[rows] * edge // size
         low, high = square.min(axis=0), square.max(axis=0)
         points = np.zeros((high - low + 1)[::-1])
@@ -252,10 +260,16 @@ def _shares(low: int, high: int, size: int, first: int) -> tuple[slice, NDArray[
     return slice(start - first, stop - first), np.diff(edges) / (high - low)
 
 
-def _coarse(width: int, height: int, edge: int) -> int:
+def _within(points: NDArray[np.float64], each: float) -> NDArray[np.float64]:
+    """Units that hold points in squares of so many units: no more than points [count]."""
+    units: NDArray[np.float64] = np.minimum(np.ceil(each), np.maximum(np.ceil(points), 1.0))
+    return units
+
+
+def _coarse(width: int, height: int, edge: int, points: float) -> int:
     """Edge of squares that are few enough: the tile's, or a power of two of it."""
-    size = edge
-    while width / size * (height / size) > MAX_SQUARES:
+    size, most = edge, min(MAX_SQUARES, max(points, FEW_SQUARES))
+    while width / size * (height / size) > most:
         size *= 2
     return size
 
@@ -293,18 +307,3 @@ def _split(boxes: Sequence[Box], axis: int) -> list[list[Box]]:
         parts[-1].append(box)
         end = max(end, box.bounds[axis + 2])
     return parts
-
-
-def _clusters(cells: NDArray[np.int64], gap: int) -> Iterator[NDArray[np.intp]]:
-    """Rows of cells in groups that so many empty columns or rows keep apart."""
-    waiting = [np.arange(len(cells))] if len(cells) else []
-    while waiting:
-        rows = waiting.pop()
-        for axis in (0, 1):
-            rows = rows[np.argsort(cells[rows, axis], kind="stable")]
-            cuts = np.flatnonzero(np.diff(cells[rows, axis]) > gap) + 1
-            if len(cuts):
-                waiting.extend(reversed(np.split(rows, cuts)))
-                break
-        else:
-            yield rows

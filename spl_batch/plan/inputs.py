@@ -12,9 +12,17 @@ from pyproj import CRS
 
 from spl_batch.errors import InputError, WorkflowError, named, shared
 from spl_batch.io.atomic import checksum
-from spl_batch.io.crs import crs_problems, horizontal, parse_crs, same_crs
+from spl_batch.io.crs import (
+    LIKE_DEGREES,
+    crs_problems,
+    horizontal,
+    look_like_degrees,
+    parse_crs,
+    same_crs,
+)
 from spl_batch.io.las import LasFacts, inspect
 from spl_batch.plan.ledger import AnySource
+from spl_batch.plan.positions import far_positions, without_degrees
 from spl_batch.workflow import Workflow
 
 MAX_POINTS = 2**32 - 1
@@ -112,6 +120,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings = [*workflow.remarks()]
     said = ((name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
+    warnings += far_positions([(name_below(facts.path, base), facts) for facts in good])
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none"
@@ -284,6 +293,8 @@ def _survey_crs(
             bad.append(InputError(str(facts.path), problems))
         else:
             good.append(facts)
+    good, in_degrees = without_degrees(good, stated)
+    bad += in_degrees
     if given is None:
         votes: Counter[str] = Counter()
         for facts in good:
@@ -337,7 +348,10 @@ def _checked_reference(
         except InputError as error:
             faults.append(f"reference.points: {error}")
             continue
-        found = usable[-1].crs or given
+        last = usable[-1]
+        found = last.crs or given
+        if found is None and last.n_points and look_like_degrees(last.mins_m, last.maxs_m):
+            faults.append(f"reference.points: {path}: {LIKE_DEGREES}, or set reference.crs")
         if crs is not None and found is not None and not same_crs(found, crs):
             remedy = "reproject it"
             if others:

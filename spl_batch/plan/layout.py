@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from spl_batch.plan.space import Unit, unit_within
+from spl_batch.plan.space import Unit, occupied, unit_within
 from spl_batch.tiling import Bounds, CellId
 
 POOR: Final = 0.25
@@ -164,7 +164,7 @@ class Layout:
         parts : int
             How many, if it has as many tiles [count].
         """
-        block = around(t for t in block.tiles() if t in self.counts)
+        block = around(self._tiles(block))
         if parts == 1 or block.columns * block.rows == 1:
             return [block]
         _, one, other, of_one = min(self._in_two(block, parts))
@@ -172,7 +172,7 @@ class Layout:
 
     def _in_two(self, block: Block, parts: int) -> Iterator[tuple[float, Block, Block, int]]:
         """Each way to cut across a longer side for so many parts: the dearer one's cost first."""
-        tiles = [t for t in block.tiles() if t in self.counts]
+        tiles = self._tiles(block)
         for axis in (0, 1):
             if (block.columns, block.rows)[axis] < max(block.columns, block.rows):
                 continue
@@ -217,18 +217,33 @@ class Layout:
         list of Block
             Sorted.
         """
-        holder = {t: block for block in blocks for t in block.tiles() if t in self.counts}
+        holder = {t: block for block in blocks for t in self._tiles(block)}
         waiting = [self._rank(block) for block in set(holder.values())]
         heapq.heapify(waiting)
         while waiting and waiting[0][0] < POOR:
             block = heapq.heappop(waiting)[-1]
-            if holder[next(t for t in block.tiles() if t in self.counts)] != block:
+            if holder[self._tiles(block)[0]] != block:
                 continue  # taken over
             both = self._best(block, holder, most)
             if both is not None:
-                holder.update((t, both) for t in both.tiles() if t in self.counts)
+                holder.update((t, both) for t in self._tiles(both))
                 heapq.heappush(waiting, self._rank(both))
         return sorted(set(holder.values()))
+
+    def _tiles(self, block: Block) -> list[CellId]:
+        """Tiles of a block that hold points, column by column."""
+        return sorted(occupied(self.counts, block.core(self.tile_q), self.tile_q))
+
+    def _beside(self, block: Block) -> Iterator[CellId]:
+        """Tiles with points that share a side with a block."""
+        i, j, columns, rows = block
+        for strip in (
+            Block(i - 1, j, 1, rows),
+            Block(i + columns, j, 1, rows),
+            Block(i, j - 1, columns, 1),
+            Block(i, j + rows, columns, 1),
+        ):
+            yield from self._tiles(strip)
 
     def _rank(self, block: Block) -> tuple[float, Block]:
         load = self.load(block)
@@ -237,9 +252,9 @@ class Layout:
     def _best(self, block: Block, holder: Mapping[CellId, Block], most: float) -> Block | None:
         """The block with that neighbour with which it reads least beyond what both did."""
         found = []
-        for other in {holder[t] for t in _beside(block) if t in holder}:
+        for other in {holder[t] for t in self._beside(block)}:
             both = around((*_corners(block), *_corners(other)))
-            if any(holder.get(t, block) not in (block, other) for t in both.tiles()):
+            if any(holder[t] not in (block, other) for t in self._tiles(both)):
                 continue
             held = self.load(both).held
             if held <= most:
@@ -249,11 +264,11 @@ class Layout:
     def _halves(self, block: Block) -> tuple[Block, Block]:
         """A block in two along its longer side, where its points are shared most evenly."""
         wide = block.columns >= block.rows
-        tiles = [t for t in block.tiles() if t in self.counts]
+        tiles = self._tiles(block)
         at = [t.i if wide else t.j for t in tiles]
         west, total = 0, sum(self.counts[t] for t in tiles)
         shares = []
-        for line in range(min(at), max(at)):
+        for line in sorted(set(at))[:-1]:
             west += sum(self.counts[t] for t, k in zip(tiles, at, strict=True) if k == line)
             shares.append((abs(total - 2 * west), line))
         line = min(shares)[1]
@@ -277,13 +292,3 @@ def around(tiles: Iterable[CellId]) -> Block:
 def _corners(block: Block) -> tuple[CellId, CellId]:
     east, north = block.i + block.columns, block.j + block.rows
     return CellId(block.i, block.j), CellId(east - 1, north - 1)
-
-
-def _beside(block: Block) -> Iterator[CellId]:
-    """Tiles that share a side with a block."""
-    for j in range(block.j, block.j + block.rows):
-        yield CellId(block.i - 1, j)
-        yield CellId(block.i + block.columns, j)
-    for i in range(block.i, block.i + block.columns):
-        yield CellId(i, block.j - 1)
-        yield CellId(i, block.j + block.rows)

@@ -1,26 +1,24 @@
 """Which ground cells share a raster file: all, unless they lie far apart."""
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 
 from spl_batch.plan.density import FAR_Q
-from spl_batch.tiling import Bounds, CellId, cell_bounds
-
-LARGEST_SPARSE = 1_000_000_000
-"""Raster cells of a mosaic that may be nearly empty [count]."""
+from spl_batch.tiling import Bounds, CellId, cell_bounds, shared
 
 LEAST_FILL = 0.02
-"""Share of a larger mosaic that must be covered by ground cells."""
+"""Share of a mosaic that ground cells must cover where some lie far apart."""
 
 
 def split_mosaic(
-    cells: Iterable[CellId], boxes: Sequence[Sequence[int]], cell_q: int, pixel_q: int
+    cells: Mapping[CellId, int], boxes: Sequence[Sequence[int]], cell_q: int, pixel_q: int
 ) -> list[tuple[list[CellId], Bounds]]:
     """Ground cells and region of each mosaic.
 
     Parameters
     ----------
-    cells : iterable of CellId
-        Finished ground cells.
+    cells : mapping of CellId to int
+        Points of each finished ground cell.
     boxes : sequence of sequence of int
         Bounding boxes of the input files: x, y, z, x, y, z [quanta].
     cell_q, pixel_q : int
@@ -29,18 +27,18 @@ def split_mosaic(
     Returns
     -------
     list of (list of CellId, Bounds)
-        Largest part first, equals by position; regions are whole raster cells, cut to
+        The part with most points first, equals by position; regions are whole raster cells, cut to
         the points.
     """
     everything = sorted(cells)
     if not everything:
         return []
     whole = _region(everything, boxes, cell_q, pixel_q)
-    pixels = (whole.xmax - whole.xmin) * (whole.ymax - whole.ymin) / pixel_q**2
-    filled = len(everything) * cell_q**2 / pixel_q**2
-    if pixels <= LARGEST_SPARSE or filled >= LEAST_FILL * pixels:
+    filled = math.fsum(shared(cell_bounds(cell, cell_q), whole).area_m2 for cell in everything)
+    if filled >= LEAST_FILL * whole.area_m2:
         return [(everything, whole)]
-    parts = sorted(_pieces(everything, cell_q), key=lambda part: (-len(part), part[0]))
+    parts = _pieces(everything, cell_q)
+    parts.sort(key=lambda part: (-sum(cells[cell] for cell in part), part[0]))
     return [(part, _region(part, boxes, cell_q, pixel_q)) for part in parts]
 
 

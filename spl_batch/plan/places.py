@@ -77,7 +77,14 @@ def _pieces(survey: Survey) -> _Pieces:
 def denoise(survey: Survey) -> Iterator[Task]:
     """Blocks of tiles, with the stretches whose noise reaches them."""
     voxel_q = quanta(survey.workflow.noise.voxel_m)
-    index = voxel_index(_boxes(survey, "voxels"), voxel_q)
+    stretch_of: dict[str, str] = {}
+    voxels: dict[str, Sequence[int]] = {}
+    for stretch, receipt in survey.of("scatter").items():
+        boxes = dict(receipt.facts.get("voxels_apart", {}))
+        boxes |= {stretch: receipt.facts["voxels"]} if "voxels" in receipt.facts else {}
+        voxels |= boxes
+        stretch_of |= dict.fromkeys(boxes, stretch)
+    index = voxel_index(voxels, voxel_q)
     # what a density depends on, whatever the halo of the points
     margin = survey.halo_q + MARGIN_VOXELS * voxel_q
     for block in survey.blocks():
@@ -90,7 +97,10 @@ def denoise(survey: Survey) -> Iterator[Task]:
             "voxels": parts,
             "beamlets": survey.beamlets,
         }
-        needs = (*_tile_needs(block), *(("scatter", p) for p in parts))
+        needs = (
+            *_tile_needs(block),
+            *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
+        )
         yield _task("denoise", block, args, needs, survey)
 
 

@@ -53,7 +53,10 @@ def accuracy(survey: Survey) -> Iterator[Task]:
         for square, count in receipt.facts["squares"].items():
             files.setdefault(square, []).append(name)
             points[square] = points.get(square, 0) + count
-    rasters = [name for name in COMPARED if name in survey.of("mosaic")]
+    made = survey.of("mosaic")
+    rasters = [
+        name for product in COMPARED for name in sorted(made) if name.partition("_")[0] == product
+    ]
     edge, _ = _lattice(survey)
     for square in sorted(files):
         args = {"square": square, "edge": edge, "files": files[square], "rasters": rasters}

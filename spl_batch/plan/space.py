@@ -52,6 +52,28 @@ def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
     return {tile: n for tile, n in sorted(counts.items()) if n}
 
 
+def occupied(counts: Mapping[CellId, int], region: Bounds, tile_q: int) -> list[CellId]:
+    """Tiles with points that share area with a region, row by row.
+
+    A region that spans far more tiles than hold points costs no more than those do.
+
+    Parameters
+    ----------
+    counts : mapping of CellId to int
+        Points by tile; only tiles that hold some.
+    region : Bounds
+        Where to look [quanta].
+    tile_q : int
+        Edge of a tile [quanta].
+    """
+    columns = -(-region.xmax // tile_q) - region.xmin // tile_q
+    rows = -(-region.ymax // tile_q) - region.ymin // tile_q
+    if columns * rows <= len(counts):
+        return [t for t in cells_touching(region, tile_q) if t in counts]
+    found = (t for t in counts if overlap(cell_bounds(t, tile_q), region))
+    return sorted(found, key=lambda t: (t.j, t.i))
+
+
 def unit_within(
     core: Bounds,
     counts: Mapping[CellId, int],
@@ -73,7 +95,7 @@ def unit_within(
         Its name, and column and row.
     """
     reach = grow(core, halo_q)
-    near = [t for t in cells_touching(reach, tile_q) if t in counts]
+    near = occupied(counts, reach, tile_q)
     owned = held = 0.0
     for tile in near:
         bounds = cell_bounds(tile, tile_q)

@@ -207,12 +207,15 @@ def timeless_sources(survey: Survey) -> list[Source]:
 
 
 def mosaic_parts(survey: Survey) -> list[tuple[list[CellId], Bounds]]:
-    """Ground cells and region of each mosaic, the largest part first.
+    """Ground cells and region of each mosaic, the part with most points first.
 
     One mosaic, unless the survey lies in pieces so far apart that it would be empty space.
     """
-    done = map(parse_cell, survey.of("surface"))
-    squares = [square for cell in done for square in survey.ground_cells.squares(cell)]
+    squares: dict[CellId, int] = {}
+    for name, receipt in survey.of("surface").items():
+        cell = parse_cell(name)
+        squares |= dict.fromkeys(survey.ground_cells.squares(cell), 0)
+        squares[cell] = receipt.points
     pixel_q = quanta(survey.workflow.products.cell_m)
     return split_mosaic(squares, _boxes(survey), survey.cell_q, pixel_q)
 

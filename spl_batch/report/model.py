@@ -99,7 +99,11 @@ class Survey(Part):
     crs: str | None = Field(None, description="CRS of everything delivered, e.g. EPSG:32615.")
     crs_name: str | None = Field(None, description="Its name in words.")
     sensor: str | None = Field(None, description="Name of the instrument.")
-    area_km2: Number = Field(None, description="Area that the returns cover [km2].")
+    area_km2: Number = Field(
+        None,
+        description="Area that the returns of all pieces cover, gaps of up to twice "
+        "products.void_max_m included; the raster cell does not change it [km2].",
+    )
     extent_m: tuple[Number, Number, Number, Number] | None = Field(
         None, description="West, east, south, north [m]."
     )
@@ -159,15 +163,23 @@ class Accuracy(Part):
 class Density(Part):
     """How densely the ground is covered by accepted returns."""
 
-    mean_per_m2: Number = Field(None, description="Mean over covered cells [1/m2].")
-    median_per_m2: Number = Field(None, description="Median over covered cells [1/m2].")
-    p05_per_m2: Number = Field(None, description="5th percentile over covered cells [1/m2].")
+    mean_per_m2: Number = Field(
+        None, description="Signal returns over the area that is covered [1/m2]."
+    )
+    median_per_m2: Number = Field(
+        None, description="Median of density.tif where it was flown [1/m2]."
+    )
+    p05_per_m2: Number = Field(
+        None, description="5th percentile of density.tif where it was flown [1/m2]."
+    )
     ground_per_m2: Number = Field(
         None,
-        description="Mean density of ground points over the same cells; null where no return "
-        "counts as signal [1/m2].",
+        description="Ground points over the area that is covered; null where no return counts as "
+        "signal [1/m2].",
     )
-    void_share: Number = Field(None, description="Share of DTM cells without a height, 0..1.")
+    void_share: Number = Field(
+        None, description="Share of the DTM cells that were flown that have no height, 0..1."
+    )
 
 
 class Noise(Part):

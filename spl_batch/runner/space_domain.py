@@ -17,6 +17,7 @@ from spl_batch.io.tables import read_arrays
 from spl_batch.kernels.raster import add_up_finite
 from spl_batch.model import PointFlag, PointTable
 from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.coverage import covered
 from spl_batch.runner.expected import expected_noise
 from spl_batch.stages import classes, reflectance
 from spl_batch.stages import denoise as denoising
@@ -144,13 +145,15 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     arrays |= reflected
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
+    counted = covered(shown, core, arrays, context)
+    del shown
     arrays["noise"] = noise_m3
     chunks = _write_rasters(args["cell"], core, arrays, context)
     path = context.store.labels("classes", args["cell"])
     found = classes.classify(mine, core, arrays["dtm"])
     write_labels(path, *place, {"classification": found})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
-    facts = {"core": list(core), "rasters": sums, "kept_noise": kept_noise}
+    facts = {"core": list(core), "rasters": sums, "kept_noise": kept_noise, **counted}
     return Produced([path, *chunks], facts, len(mine))
 
 

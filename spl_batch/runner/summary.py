@@ -14,7 +14,6 @@ from spl_batch.report.maps import Raster
 from spl_batch.report.model import (
     Accuracy,
     Counts,
-    Density,
     Flightline,
     InputFile,
     Noise,
@@ -28,6 +27,7 @@ from spl_batch.report.summary import mostly_unfiltered
 from spl_batch.report.write import write_report
 from spl_batch.runner.accuracy import Comparison, compared, not_compared
 from spl_batch.runner.context import Context
+from spl_batch.runner.coverage import area_km2, density
 from spl_batch.runner.profile import cut_profile
 from spl_batch.runner.remember import (
     Receipts,
@@ -58,7 +58,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         survey=_survey(done, context),
         counts=counts,
         accuracy=_accuracy(found),
-        density=_density(context, counts),
+        density=density(done, context, counts.ground),
         noise=_noise(done, context, counts.background),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
@@ -86,7 +86,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
         sensor=workflow.sensor.name,
-        area_km2=_covered_km2(context),
+        area_km2=area_km2(done),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
         flightlines=tuple(_flightlines(done, context)),
@@ -161,41 +161,38 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
     )
 
 
-def _density(context: Context, counts: Counts) -> Density:
-    part = _overview(context.output / "density.tif")
-    dtm = _overview(context.output / "dtm.tif")
-    if part is None or dtm is None:
-        return Density()
-    covered = part.values[part.values > 0]
-    if not len(covered):
-        return Density()
-    mean = float(covered.mean())
-    return Density(
-        mean_per_m2=mean,
-        median_per_m2=float(np.median(covered)),
-        p05_per_m2=float(np.percentile(covered, 5)),
-        # A part of the signal: a survey in pieces has several rasters, and this is of the largest.
-        ground_per_m2=mean * counts.ground / counts.signal if counts.signal else None,
-        void_share=float(np.mean(dtm.values[part.values > 0] == NODATA)),
-    )
-
-
 def _noise(done: Receipts, context: Context, removed: int) -> Noise:
     settings = context.workflow.filter
-    part = _overview(context.store.local / "noise.tif")
-    values = part.values[part.values > NODATA] if part is not None else np.empty(0)
-    some = len(values) > 0
+    mean, low, high = _noise_levels(done, context)
     return Noise(
         method=settings.method,
         test=settings.test if settings.method == "vsaes" else None,
         alpha=settings.alpha if settings.method == "vsaes" else None,
-        mean_per_m3=float(values.mean()) if some else None,
-        p05_per_m3=float(np.percentile(values, 5)) if some else None,
-        p95_per_m3=float(np.percentile(values, 95)) if some else None,
+        mean_per_m3=mean,
+        p05_per_m3=low,
+        p95_per_m3=high,
         kept_by_chance=_kept_by_chance(settings, removed),
         kept_within_signal=_kept_within_signal(done, settings),
         dsm_support=context.workflow.products.dsm_support,
     )
+
+
+def _noise_levels(
+    done: Receipts, context: Context
+) -> tuple[float, float, float] | tuple[None, None, None]:
+    """Mean, 5th and 95th percentile of the expected noise over all pieces [1/m3]."""
+    names = sorted(n for n in done.get("mosaic", {}) if n.partition("_")[0] == "noise")
+    found = (_overview(context.store.local / f"{name}.tif") for name in names)
+    parts = [(p.values[p.values > NODATA], p.cell_m**2) for p in found if p is not None]
+    values = np.concatenate([np.empty(0, np.float32), *(held for held, _ in parts)])
+    if not len(values):
+        return None, None, None
+    # a large piece is seen in coarser cells
+    weights = np.concatenate([np.full(len(held), area_m2) for held, area_m2 in parts])
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) / weights.sum()
+    low, high = (float(values[order[np.searchsorted(below, end)]]) for end in (0.05, 0.95))
+    return float(np.average(values, weights=weights)), low, high
 
 
 def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:
@@ -279,8 +276,3 @@ def _pictures(done: Receipts, context: Context, found: Comparison | None) -> Pic
 
 def _overview(path: Path) -> Part | None:
     return read_overview(path) if path.exists() else None
-
-
-def _covered_km2(context: Context) -> float | None:
-    part = _overview(context.output / "density.tif")
-    return None if part is None else float(np.count_nonzero(part.values > 0)) * part.cell_m**2 / 1e6

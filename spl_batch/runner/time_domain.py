@@ -178,17 +178,19 @@ def _assess(
         noise = shot_filter.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
         table = table.with_columns(flags=flags)
-    part = voxel_noise.deposit(subset, beams, model, workflow.noise)
-    path = context.store.path("voxels", f"{args['stretch']}.zarr")
-    write_voxels(path, part)
-    facts["voxels"] = [
-        *part.corner,
-        *(c + n for c, n in zip(part.corner, part.amount.shape, strict=True)),
-    ]
+    parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)
+    # A stretch is one box of voxels, unless some of its points lie far from the rest.
+    names = [args["stretch"], *(f"{args['stretch']}.{k}" for k in range(1, len(parts)))]
+    paths = [context.store.path("voxels", f"{name}.zarr") for name in names[: len(parts)]]
+    for path, part in zip(paths, parts, strict=True):
+        write_voxels(path, part)
+    boxes = [part.box() for part in parts]
+    facts |= {"voxels": boxes[0]} if boxes else {}
+    facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
     table = table.with_columns(
         line_density=density, afterpulse=chance, afterpulse_rate=rate, afterpulse_share=share
     )
-    return table, [path, *_write_fired(subset, beams, model, args, context, facts)]
+    return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
 
 
 def _write_fired(

@@ -45,19 +45,45 @@ def flown(
     size = quanta(settings.cell_m)
     wide = grow(cell, margin * size)
     shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
-    there = inside(table["x"], table["y"], wide)
+    there = about_ground(table, wide)
+    held = np.zeros(shape, np.bool_)
+    held[(table["y"][there] - wide.ymin) // size, (table["x"][there] - wide.xmin) // size] = True
+    closed = close(held, quanta(settings.void_max_m) // size)
+    return closed[margin : shape[0] - margin, margin : shape[1] - margin]
+
+
+def about_ground(table: PointTable, region: Bounds) -> NDArray[np.bool_]:
+    """Returns of a region that lie about as high as its ground: (n,) bool.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points in any order, with ``x, y, z, ground``.
+    region : Bounds
+        Where [quanta]; without ground in it all returns count.
+    """
+    there = inside(table["x"], table["y"], region)
     ground = there & (table["ground"] == 1)
     if ground.any():
         z, near = table["z"], quanta(NEAR_GROUND_M)
         there &= (z >= z[ground].min() - near) & (z <= z[ground].max() + near)
-    held = np.zeros(shape, np.bool_)
-    held[(table["y"][there] - wide.ymin) // size, (table["x"][there] - wide.xmin) // size] = True
-    closed = _close(held, quanta(settings.void_max_m) // size)
-    return closed[margin : shape[0] - margin, margin : shape[1] - margin]
+    return there
 
 
-def _close(held: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Held cells, and gaps between them that no disc of this radius fits into [cells]."""
+def close(held: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Held cells, and gaps between them that no disc of this radius fits into [cells].
+
+    Parameters
+    ----------
+    held : (rows, cols) bool
+        Cells; beyond the edge nothing is known, and cells there end no gap.
+    reach : int
+        Radius of the disc [cells].
+
+    Returns
+    -------
+    (rows, cols) bool
+    """
     if not held.any():
         return held
     near = distance_transform_edt(~held) <= reach

@@ -16,7 +16,7 @@ more. A beamlet counts once, however many returns it has; chords end at the gate
 channels are not told apart, each return is a beamlet of its shot.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,12 @@ from spl_batch.model import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart,
 from spl_batch.settings import NoiseSettings
 from spl_batch.stages.line_model import LineModel
 from spl_batch.stages.line_noise import gate_of, line_density
-from spl_batch.tiling import quanta
+from spl_batch.tiling import far_apart, quanta
 
 DOMAIN: Final = "time"
+
+FAR_Q: Final = 1_000_000
+"""Empty columns or rows of more than this divide a stretch's voxels into boxes [quanta]."""
 
 UNEVEN: Final = 1.15
 """Densities of a voxel and one above or below it that differ by less have no gate's end between."""
@@ -67,6 +70,38 @@ def deposit(
         With ``shots`` and ``beamlets`` where the correction is "published", else with
         ``squares``.
     """
+    parts = deposit_apart(table, beams, model, settings, far_q=None)
+    if parts:
+        return parts[0]
+    empty = np.zeros((0, 0, 0), dtype=np.int64)
+    if settings.correction == "published":
+        return VoxelPart((0, 0, 0), empty, empty, empty)
+    return VoxelPart((0, 0, 0), empty, squares=np.zeros((0, 0, 0, 16), dtype=np.uint16))
+
+
+def deposit_apart(
+    table: PointTable,
+    beams: BeamTable,
+    model: LineModel,
+    settings: NoiseSettings,
+    far_q: int | None = FAR_Q,
+) -> list[VoxelPart]:
+    """The same as a box of voxels for each place of the stretch.
+
+    A single stray point would stretch one box over all that lies between.
+
+    Parameters
+    ----------
+    table, beams, model, settings
+        As in :func:`deposit`.
+    far_q : int, optional
+        Empty columns or rows of more than this divide a stretch [quanta]; without it all is one.
+
+    Returns
+    -------
+    list of VoxelPart
+        From west to east and south to north; none where no beamlet is known.
+    """
     published = settings.correction == "published"
     known = rows_of(beams.known)
     table, beams = table.select(COLUMNS_NEEDED).take(known), beams.take(known)
@@ -79,11 +114,31 @@ def deposit(
         table, beams, near, far = table.take(usable), beams.take(usable), near[usable], far[usable]
     near, far = near - beams.range_m, far - beams.range_m
     if len(table) == 0:
-        empty = np.zeros((0, 0, 0), dtype=np.int64)
-        if published:
-            return VoxelPart((0, 0, 0), empty, empty, empty)
-        return VoxelPart((0, 0, 0), empty, squares=np.zeros((0, 0, 0, 16), dtype=np.uint16))
+        return []
     per_m = line_density(table, model) if published else seen_density(table, model)
+    places = np.column_stack((table["x"], table["y"]))
+    if far_q is None or (np.ptp(places, axis=0) <= far_q).all():
+        return [_in_one_box(table, beams, (near, far, per_m), settings)]
+    return [
+        _in_one_box(
+            table.take(rows), beams.take(rows), (near[rows], far[rows], per_m[rows]), settings
+        )
+        for rows in map(np.sort, far_apart(places, far_q))
+    ]
+
+
+def _in_one_box(
+    table: PointTable,
+    beams: BeamTable,
+    listened: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating[Any]]],
+    settings: NoiseSettings,
+) -> VoxelPart:
+    """What beamlets deposit in the voxels around all of them.
+
+    ``listened``: first and last place along each beamlet, from its point [m], and noise [1/m].
+    """
+    published = settings.correction == "published"
+    near, far, per_m = listened
     edge = quanta(settings.voxel_m)
     place = (table["x"], table["y"], table["z"])
     direction = beams.direction
