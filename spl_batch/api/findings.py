@@ -8,7 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.errors import WorkflowError, grouped, named, told_together
+from spl_batch.errors import Said, WorkflowError, grouped, named, shared, told_together
+from spl_batch.io.las_numbers import Numbers
+from spl_batch.plan.channels import unnamed_channels
 from spl_batch.plan.first_look import holds_few
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.memory import enough_mib, stretch_bytes
@@ -27,6 +29,12 @@ PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
 
 
+_TIMELESS: Final = (
+    "no usable gps_time (none, not finite, or the same for every point); such points are delivered "
+    "unfiltered and are used for nothing else"
+)
+
+
 def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     """Stop where no input is usable; say which ones have no time."""
     usable = survey.of("index_file")
@@ -34,17 +42,14 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
         reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
     _check_channels(survey)
+    yield from channels_not_named(survey)
     timeless = timeless_sources(survey)
-    for source in timeless:
-        yield (
-            f"{source.name}: no usable gps_time (none, not finite, or the same for every "
-            "point); its points are delivered unfiltered and take part in nothing"
-        )
+    yield from shared((Said(source.name, _TIMELESS) for source in timeless), "files")
     guessed = [line.name for line in survey.flightlines if line.prf_basis == "assumed"]
     if guessed:
         yield (
-            f"{named(guessed)}: gps_time does not tell the pulse rate; "
-            f"{FALLBACK_PRF_HZ:.0f} Hz assumed; state acquisition.prf_hz"
+            f"{named(guessed)}: gps_time does not tell the pulse rate, so "
+            f"{FALLBACK_PRF_HZ:.0f} Hz is assumed; state acquisition.prf_hz"
         )
     yield from _contradicted_rates(survey)
     if survey.filtering and not survey.flightlines:
@@ -92,6 +97,17 @@ def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> str:
         f"with {grouped(survey.memory_bytes / 2**20)} MiB a worker {what}; with "
         f"--memory {math.ceil(enough_bytes / 2**20)}MiB they are taken over"
     )
+
+
+def channels_not_named(survey: Survey) -> tuple[str, ...]:
+    """Propose the dimension that holds beamlet numbers, where none is named."""
+    if survey.workflow.survey.channel_dimension is not None or not survey.filtering:
+        return ()
+    held = {
+        str(receipt.facts["name"]): {k: Numbers(*v) for k, v in receipt.facts["numbers"].items()}
+        for receipt in survey.of("index_file").values()
+    }
+    return unnamed_channels(held, survey.workflow.sensor)
 
 
 def _check_channels(survey: Survey) -> None:
@@ -208,9 +224,15 @@ def beams_without_trajectory(survey: Survey) -> str:
     headings = survey.of("heading")
     left = [headings[name] for name in paths if name not in found and name in headings]
     angled = sum(r.facts["heading_rad"] is not None for r in left)
-    return (
-        "no trajectory: the sensor is found where lines of sight through several returns meet "
-        f"on {len(found)} flightlines; beams are taken from scan_angle and the flight direction "
-        f"on {angled} and are vertical on {len(paths) - len(found) - angled}, whose returns, "
-        "scan_angle or course do not tell them"
-    )
+    counts = {
+        "taken from where lines of sight meet": len(found),
+        "taken from scan_angle and the flight direction": angled,
+        "taken as vertical": len(paths) - len(found) - angled,
+    }
+    (how, most), *rest = [(how, count) for how, count in counts.items() if count]
+    if rest:
+        said = ", ".join(f"{how} on {count}" for how, count in rest)
+        return f"no trajectory: beams {how} on {most} of {len(paths)} flightlines, {said}"
+    if most > 1:
+        return f"no trajectory: beams {how} on all {most} flightlines"
+    return f"no trajectory: beams {how} on the only flightline"

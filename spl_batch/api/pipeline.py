@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -31,7 +31,14 @@ from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
-from spl_batch.errors import SplBatchError, StoppedError, WorkflowError, shared, told_together
+from spl_batch.errors import (
+    Said,
+    SplBatchError,
+    StoppedError,
+    WorkflowError,
+    shared,
+    told_together,
+)
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
@@ -293,7 +300,10 @@ def _run_phases(
                 progress.warn(text)
             for text in receiver.aside(phase, prepared):
                 progress.aside(text)
-            for text in _warnings(ledger.of(phase.kind), receiver.follows(phase, prepared)):
+            told = _told(ledger.of(phase.kind), receiver.follows(phase, prepared))
+            word = receiver.words.get(phase.kind, "")
+            # A file's name says that it is one.
+            for text in shared(told, f"{word}s" if word else "", word if word != "file" else ""):
                 progress.warn(text)
 
 
@@ -360,11 +370,9 @@ def _tile_map(edge_m: float, left: Sequence[str], ready: Sequence[str]) -> dict[
     return tiles.record() if tiles is not None else {}
 
 
-def _warnings(receipts: Mapping[str, Receipt], silent: Container[str]) -> Iterator[str]:
-    """What tasks warn of but for some; a warning that many share is given once."""
-    return shared(
-        (str(receipt.facts.get("name", receipt.name)), str(text))
-        for name, receipt in receipts.items()
-        if name not in silent
-        for text in receipt.facts.get("warnings", ())
-    )
+def _told(receipts: Mapping[str, Receipt], follows: Callable[[str, str], bool]) -> Iterator[Said]:
+    """What tasks warn of, but for what follows from something that is told already."""
+    for name, receipt in receipts.items():
+        for text, badness in receipt.facts.get("warnings", ()):
+            if not follows(name, text):
+                yield Said(str(receipt.facts.get("name", receipt.name)), text, badness)

@@ -6,7 +6,7 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -157,10 +157,10 @@ class Receiver(ABC, Generic[L, C]):
         del phase, prepared
         return ()
 
-    def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Container[str]:
-        """Names of tasks whose warnings are but consequences of what :meth:`after` has told."""
+    def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Callable[[str, str], bool]:
+        """Whether a task's warning, by its name and text, follows from what is told already."""
         del phase, prepared
-        return ()
+        return lambda _name, _text: False
 
     def edge_m(self, kind: str, ledger: L) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pyproj import CRS
 
-from spl_batch.errors import InputError, WorkflowError, named, shared
+from spl_batch.errors import InputError, Said, WorkflowError, named, shared
 from spl_batch.io.atomic import checksum
 from spl_batch.io.crs import crs_problems, horizontal, parse_crs, same_crs
 from spl_batch.io.las import LasFacts, inspect
@@ -110,7 +110,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = _survey_crs(workflow, good)
     warnings = [*workflow.remarks()]
-    said = ((name_below(facts.path, base), text) for facts in good for text in facts.warnings)
+    said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
     if crs is None and good:
         warnings.append(

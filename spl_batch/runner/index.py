@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, named
+from spl_batch.errors import InputError, Remark, named
 from spl_batch.io.atomic import checksum
 from spl_batch.io.gpstime import bit_warning
-from spl_batch.io.las import inspect, iter_points
+from spl_batch.io.las import SAMPLE_POINTS, inspect, iter_points, read_ends
 from spl_batch.io.las_frame import Extent
 from spl_batch.io.las_layers import GIVEN, given_of
+from spl_batch.io.las_numbers import Numbers
 from spl_batch.io.tables import GroupWriter, read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
@@ -93,11 +94,19 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         **tally.facts(),
         "parts": spans,
         "standard": tally.standard,
+        "numbers": _numbers(path, context),
         # What the header alone tells, the plan has said.
-        "warnings": [contradiction] if contradiction else [],
+        "warnings": [Remark(contradiction)] if contradiction else [],
     }
     inputs = {str(path): args["stamp"]}
     return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
+
+
+def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
+    """Dimensions that may hold beamlet numbers, where the workflow names none."""
+    if context.workflow.survey.channel_dimension is not None:
+        return {}
+    return read_ends(path, None, SAMPLE_POINTS).numbers
 
 
 class _Found:
@@ -217,7 +226,7 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
         "records": found.records,
         "span_s": list(found.span_s),
         "positions": hashes.found(),
-        "warnings": list(found.warnings),
+        "warnings": [Remark(text) for text in found.warnings],
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
     }
     return Produced([path], facts)
