@@ -18,6 +18,7 @@ from spl_batch.api.findings import (
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError, grouped
+from spl_batch.graph import Work
 from spl_batch.io.cells import create_raster_store
 from spl_batch.io.las import promised_points
 from spl_batch.io.store import Store, read_receipts
@@ -74,7 +75,7 @@ class Imaging(Receiver[Survey, Context]):
     essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
 
     @property
-    def compiles(self) -> Callable[[int, int], int]:
+    def compiles(self) -> Work:
         """Compiles a share of the kernels."""
         return compile_share
 

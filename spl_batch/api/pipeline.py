@@ -49,7 +49,9 @@ from spl_batch.runner import kinds, stages
 from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, stands
 from spl_batch.task import Receipt
 
-COMPILING: Final = "compiling for this machine; later runs find it done"
+COMPILING: Final = (
+    "compiling for this machine, which usually takes a minute or two; later runs find it done"
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from spl_batch.api.events import (
+    Compiling,
     Event,
     Listener,
     Note,
@@ -156,6 +157,10 @@ class Progress:
             self.tell(workers)
         else:
             self.listener(workers)
+
+    def compiled(self, done: int, of: int) -> None:
+        """Tell how many kernels are compiled; the log does without."""
+        self.listener(Compiling(done, of))
 
     def noted(self, text: str) -> None:
         """Tell of something that has happened to a worker."""

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
 
 from spl_batch.errors import WorkflowError
+from spl_batch.graph import Work
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.runner.context import RunContext
@@ -95,7 +96,7 @@ class Receiver(ABC, Generic[L, C]):
     essential: ClassVar[frozenset[str]] = frozenset()
 
     @property
-    def compiles(self) -> Callable[[int, int], int] | None:
+    def compiles(self) -> Work | None:
         """Compiles a share, from 0, of so many, of the kernels that the tasks call."""
         return None
 
