@@ -94,8 +94,8 @@ def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
 def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> str:
     """What less memory than earlier runs had does, and with how much it does not."""
     return (
-        f"with {grouped(survey.memory_bytes / 2**20)} MiB a worker {what}; with "
-        f"--memory {math.ceil(enough_bytes / 2**20)}MiB they are taken over"
+        f"a worker has {grouped(survey.memory_bytes / 2**20)} MiB, less than in earlier runs: "
+        f"{what}; with --memory {math.ceil(enough_bytes / 2**20)}MiB they are used as they are"
     )
 
 
@@ -142,8 +142,8 @@ def copies(survey: Survey) -> Iterator[str]:
     for (copy, kept), count in most[:PAIRS_NAMED]:
         yield (
             f"{names[copy]}: {grouped(count)} of its returns are in {names[kept]} too, at the "
-            "same time and place; they count once, and the copies are delivered as not assessed: "
-            "leave one of the files out, or its overlap"
+            "same time and place; each counts once, and its copy is delivered as not assessed; "
+            "leave out one of the files, or cut their overlap off"
         )
     if others := most[PAIRS_NAMED:]:
         yield (
@@ -184,18 +184,19 @@ def looks_ahead(survey: Survey) -> Iterator[str]:
         said = "early, as UTC is" if leap > 0 else "late, as GPS time is for UTC"
         yield (
             f"{named([line for line in leaps if leaps[line] == leap])}: the trajectory's times are "
-            f"{abs(leap)} s {said}: with them {'added' if leap > 0 else 'taken away'} the sensor "
-            "is above its returns. Now noise and reflectance are reckoned along wrong beams, or "
-            "returns stay unfiltered; correct gps_time in survey.trajectory and run again"
+            f"{abs(leap)} s {said}: with {abs(leap)} s {'added' if leap > 0 else 'subtracted'} the "
+            "sensor is above its returns. In this run noise and reflectance are computed along "
+            "wrong beams, or returns stay unfiltered; correct gps_time in survey.trajectory and "
+            "run again"
         )
     for side, late in (("behind", "early"), ("ahead of", "late")):
         those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
         if those:
             yield (
-                f"{named(those)}: the returns lie {side} the sensor on average, so that the "
+                f"{named(those)}: the returns lie {side} the sensor on average, so the "
                 f"trajectory's times seem about {abs(median(off[line] for line in those)):.1f} s "
-                f"{late}; noise and reflectance are reckoned along wrong beams then: mend its "
-                "times. Where only a part of each scan is delivered all is well"
+                f"{late}, and noise and reflectance are computed along wrong beams; correct its "
+                "times. If the files hold only a part of each scan, ignore this"
             )
 
 
@@ -211,9 +212,9 @@ def _contradicted_rates(survey: Survey) -> Iterator[str]:
     if wrong:
         yield (
             f"{named([*wrong])}: gps_time tells a pulse rate of about "
-            f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz "
-            "stated, by which noise is reckoned; leave acquisition.prf_hz and the sensor's out, "
-            "and what is told is taken"
+            f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz stated, "
+            "and noise is computed with the stated one; leave prf_hz out of acquisition and "
+            "sensor, and the rate from gps_time is used"
         )
 
 

@@ -44,13 +44,14 @@ from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
 from spl_batch.plan.worklist import Worklist
 from spl_batch.receivers import report_model
-from spl_batch.report.format import duration
+from spl_batch.report.format import as_ascii, duration
 from spl_batch.runner import kinds, stages
 from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, stands
 from spl_batch.task import Receipt
 
 COMPILING: Final = (
-    "compiling for this machine, which usually takes a minute or two; later runs find it done"
+    "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
+    "minute or two, and later runs load them in seconds"
 )
 
 
@@ -230,7 +231,7 @@ def _conclude(
         progress.tell(ReportStarted())
         written = receiver.report(ledger.done, context, facts)
     else:
-        seconds = duration(time.perf_counter() - took[0])
+        seconds = as_ascii(duration(time.perf_counter() - took[0]))
         now = [("now", f"nothing was left to do: looked at in {seconds}")]
     screen = (*receiver.screen(written), *now)
     return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))

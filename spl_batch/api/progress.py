@@ -112,7 +112,9 @@ class Progress:
         """Begin again where files of the store are to be made again."""
         damaged = self.repairs.begin(self.failed, ledger)
         if damaged:
-            self.tell(Note("info", f"damaged, made again: {', '.join(damaged)}"))
+            self.tell(
+                Note("info", f"damaged files of the store are made again: {', '.join(damaged)}")
+            )
             self.costs.clear()
             self.failures.clear()
         return bool(damaged)

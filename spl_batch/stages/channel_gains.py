@@ -53,7 +53,8 @@ def _dead(live: NDArray[np.int64], beamlets: int) -> str:
     """Name the channels without returns, as far as those beside them tell their numbers."""
     within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
     dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
-    text = f"{dead} of {beamlets} channels give no returns: "
+    verb = "gives" if dead == 1 else "give"
+    text = f"{dead} of {beamlets} channels {verb} no returns: "
     if not within:
         return f"{text}{dead} {ends}"
     if len(within) > dead:
