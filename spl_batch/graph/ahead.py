@@ -84,7 +84,7 @@ class Ahead:
                 wait(shares, timeout=PATIENCE_S)
             except TimeoutError:
                 observer.noted(
-                    f"still not ready after {PATIENCE_S:g} s, the tasks start all the same: {self.what}"
+                    f"not ready after {PATIENCE_S:g} s, the tasks start all the same: {self.what}"
                 )
         client.unsubscribe_topic(TOPIC)
         if any(share.result() for share in shares if share.status == "finished"):
