@@ -6,8 +6,10 @@ say all at once whom they concern.
 """
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Final, NamedTuple
 
 
 def named(names: Sequence[object], most: int = 5) -> str:
@@ -33,22 +35,70 @@ def storage(count: float) -> str:
     return f"{grouped(math.ceil(count / 2**10))} KiB"
 
 
-def shared(told: Iterable[tuple[str, str]], nouns: str = "") -> Iterator[str]:
-    """Give each sentence once, behind the names of all that it concerns.
+class Remark(NamedTuple):
+    """A warning, and how bad it is.
 
     Parameters
     ----------
-    told : iterable of (str, str)
-        Name, and what is said of it.
+    text : str
+        One sentence.
+    badness : float or None
+        Orders warnings that differ only in their numbers, the highest first; a user is given them
+        as one. None where only equal warnings are given as one.
+    """
+
+    text: str
+    badness: float | None = None
+
+
+class Said(NamedTuple):
+    """A warning about one of many; text and badness are those of a :class:`Remark`.
+
+    Parameters
+    ----------
+    name : str
+        Whom it concerns: a file, a flightline.
+    """
+
+    name: str
+    text: str
+    badness: float | None = None
+
+
+_NUMBER: Final = re.compile(r"\d+(?:(?:[ .]|, )\d+)*")
+
+
+def shared(told: Iterable[Said], nouns: str = "", noun: str = "") -> Iterator[str]:
+    """Give each warning once, behind the names of all that it concerns, worst first.
+
+    Parameters
+    ----------
+    told : iterable of Said
+        Names, and what is said of each.
     nouns : str
         What several of them are counted as, e.g. ``files``; not counted without.
+    noun : str
+        What a single one is called before its name, e.g. ``flightline``.
     """
-    names: dict[str, list[str]] = {}
-    for name, text in told:
-        names.setdefault(text, []).append(name)
-    for text, those in names.items():
-        count = f"{len(those)} {nouns}: " if nouns and len(those) > 1 else ""
-        yield f"{count}{named(those, 3)}: {text}"
+    alike: dict[tuple[bool, str], list[Said]] = {}
+    for one in told:
+        graded = one.badness is not None
+        wording = _NUMBER.sub("0", one.text) if graded else one.text
+        alike.setdefault((graded, wording), []).append(one)
+    for those in alike.values():
+        # Stable: equally bad ones stay in the order in which they were told.
+        ordered = sorted(those, key=lambda one: -(one.badness or 0.0))
+        worst = ordered[0]
+        if len(ordered) == 1:
+            yield f"{noun} {worst.name}: {worst.text}".lstrip()
+            continue
+        names = named([one.name for one in ordered], 3)
+        count = [f"{len(ordered)} {nouns}"] if nouns else []
+        if all(one.text == worst.text for one in ordered):
+            yield ": ".join([*count, names, worst.text])
+            continue
+        listed = ", ".join([*count, "worst first"])
+        yield f"{listed}: {names}: {worst.text} (the numbers of {worst.name})"
 
 
 class SplBatchError(Exception):
@@ -115,7 +165,7 @@ def as_input_fault(path: object) -> Iterator[None]:
 
 def told_together(errors: Iterable[InputError]) -> Iterator[str]:
     """What is wrong with files, once for those that share it."""
-    return shared(((error.path, "; ".join(error.faults)) for error in errors), "files")
+    return shared((Said(error.path, "; ".join(error.faults)) for error in errors), "files")
 
 
 class PlanError(SplBatchError):

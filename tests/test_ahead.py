@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from spl_batch.graph import Ahead
 from spl_batch.graph.cluster import SETTINGS
 from spl_batch.kernels import ahead
 
+Tell = Callable[[int, int], None]
 ROOT = Path(__file__).parents[1]
 
 
@@ -49,7 +51,13 @@ def test_shares_are_all_kernels_once_and_about_equal(shares: int) -> None:
 
 
 def test_a_share_that_is_compiled_is_loaded_by_another_process() -> None:
-    ahead.compile_share(15, 16)
+    told: list[tuple[int, int]] = []
+    ahead.compile_share(15, 16, lambda done, of: told.append((done, of)))
+    names = ahead.divided(ahead.signatures(), 16)[15]
+    whole = len({called for name in names for called in ahead._called(ahead.find(name))})
+    assert told == sorted(told), "what is done grows"
+    assert (told[0], told[-1]) == ((0, whole), (whole, whole))
+    assert len(told) == len(names) + 1
     assert all(ahead.find(n).signatures for n in ahead.divided(ahead.signatures(), 16)[15])
     ended = subprocess.run(
         [
@@ -70,30 +78,35 @@ class Told:
 
     def __init__(self) -> None:
         self.notes: list[str] = []
+        self.counts: list[tuple[int, int]] = []
 
     def noted(self, text: str) -> None:
         self.notes.append(text)
 
+    def compiled(self, done: int, of: int) -> None:
+        self.counts.append((done, of))
 
-def left_behind(share: int, shares: int) -> int:
+
+def left_behind(share: int, shares: int, _tell: Tell) -> int:
     """Share number one fails, the others leave a file."""
     if share == 1:
         raise ValueError(f"share {share} of {shares}")
     return share
 
 
-def all_of_it(share: int, shares: int) -> int:
+def all_of_it(share: int, shares: int, _tell: Tell) -> int:
     """Fails to tell that it was called."""
     raise ValueError(f"{shares} share" if share == 0 else "another")
 
 
-def some_left(share: int, shares: int) -> int:
-    """The last share has something to do."""
-    time.sleep(0.2 * (share + 1 == shares))
+def some_left(share: int, shares: int, tell: Tell) -> int:
+    """The last share has something to do; each has two steps."""
+    tell(2, 2)
+    time.sleep(0.2 + 0.2 * (share + 1 == shares))
     return int(share + 1 == shares)
 
 
-def none_left(share: int, shares: int) -> int:
+def none_left(share: int, shares: int, _tell: Tell) -> int:
     """Everything is found done."""
     return 0 * share * shares
 
@@ -122,4 +135,5 @@ def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
     assert told.notes == ["alone: 1 share", "compiling: share 1 of 2"]
     assert compiled.took_s is not None
     assert compiled.took_s >= 0.2
+    assert told.counts[-1] == (4, 4), "steps of both shares, added up"
     assert loaded.took_s is None

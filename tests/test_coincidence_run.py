@@ -183,7 +183,7 @@ def test_wrong_attitudes_and_empty_files_are_warned_of(survey: Path) -> None:
     warnings = "\n".join(result.report.warnings)
     assert "l1/none_detections.parquet: holds no rows" in warnings
     assert "pass_1_detections.parquet" in warnings
-    assert "fields of view off their lines of sight" in warnings
+    assert "fields of view off the lines of sight" in warnings
     sound = json.loads((survey / "out" / "report.json").read_text())
     assert sound["warnings"] == []
 

@@ -107,12 +107,14 @@ def test_a_resumed_run_tells_the_time_of_all_its_parts_or_that_it_is_one(tmp_pat
     assert result.report is not None
     work = result.report.performance
     assert 0 < work.earlier_wall_s < work.wall_s
-    assert "of it in this run" in dict(result.screen)["time"]
+    assert "of it in this run" in dict(result.screen)["run time"]
     assert "of it in earlier runs, stopped ones included" in (output / "report.html").read_text()
     for name in ("log.jsonl", "store/run.json"):
         (output / name).unlink()
     result = surveys.run(workflow)
     assert result.report is not None
     assert result.report.performance.points_per_s is None
-    assert dict(result.screen)["time"].endswith("for this part alone; the rest was finished before")
+    assert dict(result.screen)["run time"].endswith(
+        "for this part alone; the rest was finished before"
+    )
     assert "for this part alone" in (output / "report.html").read_text()

@@ -1,5 +1,6 @@
 """Line noise density, gate and gains of one flightline."""
 
+from collections.abc import Iterable
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spl_batch.errors import Remark
 from spl_batch.kernels.intervals import densest_window
 from spl_batch.kernels.shots import interval_rows, lag_behind, run_starts, share_out
 from spl_batch.model import PointTable
@@ -18,10 +20,15 @@ from spl_batch.stages.channel_gains import active_channels
 from spl_batch.stages.gate import fit_gate
 from spl_batch.stages.line_model import LineModel
 from spl_batch.stages.line_observe import BUFFER_LADDER, SUMMARY
+from spl_batch.workflow import parse_workflow
 from tests.flightlines import ALTITUDE_M, Flight, cut, fly, relief
 
 SETTINGS = NoiseSettings()
 SENSOR = load_preset("spl100")
+
+
+def texts(warnings: Iterable[Remark]) -> list[str]:
+    return [one.text for one in warnings]
 
 
 def model_of(flight: Flight, gate_m: float | None = None) -> LineModel:
@@ -90,16 +97,18 @@ def test_gate_cut_at_heights_is_told_from_one_in_range() -> None:
 def test_points_without_noise_keep_a_negligible_rate() -> None:
     model = model_of(fly(noise_per_m=0.0, canopy_m=25, detection=0.4))
     assert model.mean_rate < 1e-7
-    assert model.gate_m == pytest.approx(300.0)
-    assert "state acquisition.gate_m" in model.warnings[0]
+    assert (model.gate_m, model.gate_basis) == (pytest.approx(300.0), "assumed")
+    assert "state acquisition.gate_m" in model.warnings[0].text
 
 
 def test_stated_gate_is_used_and_contradiction_reported() -> None:
     flight = fly(shots=600)
-    assert model_of(flight, 300.0).gate_m == pytest.approx(300.0, abs=1e-6)
+    stated = model_of(flight, 300.0)
+    assert (stated.gate_m, stated.gate_basis) == (pytest.approx(300.0, abs=1e-6), "stated")
     wrong = model_of(flight, 150.0)
-    assert wrong.gate_m == pytest.approx(300, abs=2)
-    assert "150 m stated" in wrong.warnings[0]
+    assert (wrong.gate_m, wrong.gate_basis) == (pytest.approx(300, abs=2), "estimated")
+    assert model_of(flight).gate_basis == "estimated"
+    assert "150 m stated" in wrong.warnings[0].text
 
 
 def windows(extents_m: dict[float, int], *, noise: int) -> tuple[np.ndarray, ...]:
@@ -125,23 +134,38 @@ def test_a_gate_has_one_length_whatever_is_said_of_it(stated: float | None, nois
     gate = fit_gate(*counted, buffer_m=50.0, gate_m=stated)
     assert gate.length_m == pytest.approx(400.0, abs=0.1)
     if stated is not None:
-        assert "fill a gate of 400 m, not the 300 m stated" in gate.warnings[0]
+        assert "fill a gate of 400 m, not the 300 m stated" in gate.warnings[0].text
     elif not noise:
-        assert "400 m assumed" in gate.warnings[0]
+        assert "400 m is assumed" in gate.warnings[0].text
     else:
         assert gate.warnings == ()
 
 
-@pytest.mark.parametrize(("gate_m", "basis"), [(300.0, "given"), (300.1, "estimated")])
-def test_a_stated_gate_that_is_not_used_counts_as_estimated(gate_m: float, basis: str) -> None:
-    facts = dict.fromkeys(("points", "prf_hz", "prf_basis", "seen_fraction", "noise_per_m"), 1)
-    facts |= {"span_s": (0.0, 1.0), "basis": "vertical", "gate_m": gate_m}
-    workflow = SimpleNamespace(sensor=SENSOR.model_copy(update={"gate_m": 300.0}))
+@pytest.mark.parametrize(
+    ("found", "given", "sensor", "basis"),
+    [
+        ("stated", {"gate_m": 300.0, "prf_hz": 6e4}, "spl100", "given"),
+        ("stated", {}, {"gate_m": 300.0, "prf_hz": 6e4}, "given"),
+        ("stated", {}, "spl100", "sensor"),
+        ("estimated", {"gate_m": 150.0, "prf_hz": 3e4}, "spl100", "estimated"),
+        ("assumed", {}, "spl100", "assumed"),
+    ],
+)
+def test_the_report_says_where_gate_and_pulse_rate_come_from(
+    found: str, given: dict[str, float], sensor: str | dict[str, float], basis: str
+) -> None:
+    facts: dict[str, object] = dict.fromkeys(
+        ("points", "prf_hz", "seen_fraction", "noise_per_m"), 1
+    )
+    facts |= {"span_s": (0.0, 1.0), "basis": "vertical", "gate_m": 300.0}
+    facts |= {"gate_basis": found, "prf_basis": found.replace("stated", "given")}
+    content = {"survey": {"flightlines": "x.laz", "sensor": sensor}, "acquisition": given}
+    workflow = parse_workflow({**content, "output": "out"}, "w.yaml")
     (line,) = _flightlines(
         {"fit_line": {"1": SimpleNamespace(facts=facts)}},  # type: ignore[dict-item]
         SimpleNamespace(workflow=workflow),  # type: ignore[arg-type]
     )
-    assert (line.gate_m, line.gate_basis) == (gate_m, basis)
+    assert (line.gate_basis, line.prf_basis) == (basis, basis)
 
 
 def test_dead_and_weak_channels() -> None:
@@ -154,7 +178,7 @@ def test_dead_and_weak_channels() -> None:
     per_channel = model.gain[1:101] * model.mean_rate / 1.3e-3
     assert per_channel[[7, 8]] == pytest.approx([0.1, 0.1], abs=0.04)
     assert per_channel[20:50] == pytest.approx(np.ones(30), abs=0.15)
-    assert "2 of 100 channels give no returns: 4, 53" in model.warnings
+    assert "2 of 100 channels give no returns: 4, 53" in texts(model.warnings)
 
 
 @pytest.mark.parametrize(
@@ -169,16 +193,16 @@ def test_dead_and_weak_channels() -> None:
 def test_dead_channels_are_named(live: list[int], said: str) -> None:
     seen = np.zeros(256, dtype=np.int64)
     seen[live] = 100
-    assert active_channels(seen, 7)[2] == (said,)
+    assert texts(active_channels(seen, 7)[2]) == [said]
 
 
 def test_channels_that_are_too_many_are_named_by_the_rarest() -> None:
     seen = np.zeros(256, dtype=np.int64)
     seen[1:8] = 100
     seen[[3, 200]] = 1
-    _, _, (text,) = active_channels(seen, 6)
-    assert text.startswith("8 channels are seen where the sensor has 6")
-    assert text.endswith("least often 3, 200")
+    _, _, ((text, _),) = active_channels(seen, 6)
+    assert text.startswith("returns come from 8 channels, but the sensor has 6")
+    assert text.endswith("least often seen: 3, 200")
 
 
 def test_rate_follows_the_sky_and_density_the_model() -> None:
@@ -205,7 +229,7 @@ def test_hole_in_the_data_is_no_silence_and_silence_is_no_hole() -> None:
     quiet = model_of(fly(shots=9000, detection=0.0003, noise_per_m=1e-6))
     assert np.all(np.diff(quiet.interval) == 1)
     assert np.sum(quiet.seen_fraction == 0) > 3
-    assert "interval_shots" in quiet.warnings[-1]
+    assert "interval_shots" in quiet.warnings[-1].text
 
 
 def test_unfolds_to_nothing_without_points() -> None:
@@ -254,7 +278,8 @@ def test_model_survives_npz(tmp_path: object) -> None:
     np.savez(f"{tmp_path}/m.npz", **model.to_arrays())
     with np.load(f"{tmp_path}/m.npz") as stored:
         again = LineModel.from_arrays(dict(stored))
-    assert again.warnings == model.warnings
+    assert texts(again.warnings) == texts(model.warnings)
+    assert again.gate_basis == model.gate_basis
     assert again.kind == model.kind
     assert again.gate_m == model.gate_m
     assert np.array_equal(again.rate, model.rate)
@@ -366,7 +391,7 @@ def test_a_short_gate_keeps_what_the_sky_and_bright_ground_add(seed: int) -> Non
         return 1e-3 * np.where(np.sin(2 * np.pi * 25.0 * shot / 50_000) > 0, 2.0, 1.0)
 
     model = model_of(fly(noise_per_m=sky, shots=9000, gate_m=85, seed=seed), 85.0)
-    assert any("the buffer around the signal shrank" in text for text in model.warnings)
+    assert any("the range gate is short" in text for text in texts(model.warnings))
     assert model.mean_rate == pytest.approx(1.5e-3, rel=0.03)
     bright = sky(model.interval * 60 + 30) > 1.5e-3
     assert model.rate[bright].mean() == pytest.approx(2e-3, rel=0.1)

@@ -90,7 +90,7 @@ def test_a_look_with_less_memory_leaves_stretches_as_they_are(passes: Path) -> N
     assert left(passes, SMALL) == "shots"
     told = "4 of 4 flightlines are cut into shorter stretches than in earlier runs"
     assert told in warning(passes, SMALL)
-    assert "--memory 8192MiB they are taken over" in warning(passes, SMALL), "blocks too"
+    assert "--memory 8192MiB they are used as they are" in warning(passes, SMALL), "blocks too"
     done, said = go_on(passes, SMALL, until="index")
     assert done == 0
     assert [told in text for text in said] == [True]
@@ -159,7 +159,7 @@ def test_a_look_with_less_memory_leaves_blocks_as_they_are(passes: Path) -> None
     go_on(passes, LARGE)
     assert left(passes, SMALL) == "denoise"
     assert "1 of 1 finished blocks are cut smaller" in warning(passes, SMALL)
-    assert "--memory 8192MiB they are taken over" in warning(passes, SMALL)
+    assert "--memory 8192MiB they are used as they are" in warning(passes, SMALL)
     done, said = go_on(passes, SMALL, until="shuffle")
     assert done == 0
     assert ["blocks are cut smaller" in text for text in said] == [True]

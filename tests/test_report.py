@@ -249,7 +249,7 @@ class TestSummary:
         assert rows["points"] == "11 284 033 in, 11 284 033 out"
         assert rows["background noise"] == "3 894 201 (34.5 %)"
         assert rows["DTM accuracy"].startswith("RMSE 4.")
-        assert rows["time"] == "1 min 44 s (108 k points/s)"
+        assert rows["run time"] == "1 min 44 s (108 k points/s)"
         assert rows["failures"] == "none"
 
     def test_it_names_what_has_failed_and_what_helps(self) -> None:
@@ -274,7 +274,7 @@ class TestSummary:
         work = make_report().performance.model_copy(update={"compile_s": 31.0})
         report = make_report(performance=work)
         rows = dict(screen_summary(report))
-        assert rows["time"] == "1 min 44 s (108 k points/s), 31.0 s of it compiling, once"
+        assert rows["run time"] == "1 min 44 s (108 k points/s), 31.0 s of it compiling, once"
         page = render(report, {})
         assert f"{text.duration(31.0)} of that time went into compiling for this machine" in page
 

@@ -1,6 +1,6 @@
 """Photon profiles along a track: the receiver ``kind: altimetry``."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
@@ -18,7 +18,7 @@ from spl_batch.altimetry.report.page import screen_summary
 from spl_batch.altimetry.runner.context import Context
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError, grouped
+from spl_batch.errors import Said, WorkflowError, grouped, shared
 from spl_batch.plan.ledger import Phase
 from spl_batch.runner import code_version
 from spl_batch.runner.remember import Receipts, RunFacts
@@ -86,15 +86,7 @@ class Altimetry(Receiver[Tracks, Context]):
             raise WorkflowError(
                 "no input is usable: " + ("; ".join(reasons) or "they hold no photons")
             )
-        for source, beam, key in tracks.beams():
-            if key not in taken:
-                continue
-            lost = taken[key].points - taken[key].facts["placed"]
-            if lost:
-                yield (
-                    f"{source.name}: {beam.name}: {lost} photons have no height or place; they "
-                    "are delivered unlabelled"
-                )
+        yield from shared(_unplaced(tracks, taken), "beams")
 
     def reference(self, ledger: Tracks) -> list[str]:
         """Files that the results are compared with."""
@@ -122,6 +114,15 @@ class Altimetry(Receiver[Tracks, Context]):
             ("profiles", [output / "profiles"]),
             ("photons", [output / "photons", output / "hdf5"]),
         ]
+
+
+def _unplaced(tracks: Tracks, taken: Mapping[str, Receipt]) -> Iterator[Said]:
+    """Beams with photons that lie nowhere."""
+    for source, beam, key in tracks.beams():
+        lost = taken[key].points - taken[key].facts["placed"] if key in taken else 0
+        if lost:
+            text = f"{grouped(lost)} photons have no height or place and are delivered unlabelled"
+            yield Said(f"{source.name} {beam.name}", text, lost)
 
 
 RECEIVER: Final[Receiver[Any, Any]] = Altimetry()

@@ -12,7 +12,7 @@ from spl_batch.altimetry.io.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.runner.context import Context
 from spl_batch.altimetry.runner.delivery import PASS_PHOTONS
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import InputError, Said, WorkflowError, shared
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.inputs import (
     check_keys,
@@ -125,10 +125,16 @@ def gather_inputs(workflow: TrackWorkflow, base: Path, output: Path) -> Inputs:
     )
 
 
+_NO_RATE: Final = (
+    "rate.source is product, but the file states no noise rate; the rate is taken from the empty "
+    "part of the gate"
+)
+
+
 def _inspect(
     paths: Sequence[Path], workflow: TrackWorkflow
 ) -> tuple[list[tuple[Path, TrackFile, tuple[BeamFacts, ...]]], list[InputError], list[str]]:
-    good, bad, warnings = [], [], []
+    good, bad, without = [], [], []
     wanted = workflow.track.beams
     for path in paths:
         try:
@@ -142,14 +148,10 @@ def _inspect(
             bad.append(InputError(str(path), f"none of track.beams is in it; it has {names}"))
             continue
         if workflow.rate.source == "product":
-            warnings += [
-                f"{path}: {b.name}: rate.source: product, but it states no noise rate; the rate "
-                "is taken from the empty part of the gate"
-                for b in beams
-                if not b.background
-            ]
+            without += [f"{path.name} {b.name}" for b in beams if not b.background]
         good.append((path, file, beams))
-    return good, bad, warnings
+    said = (Said(name, _NO_RATE) for name in without)
+    return good, bad, list(shared(said, "beams"))
 
 
 def _index(tracks: Tracks) -> Iterator[Task]:

@@ -143,6 +143,20 @@ class TaskEnded:
 
 
 @dataclass(frozen=True, slots=True)
+class Compiling:
+    """Workers compile kernels before their first task; the log does not have it.
+
+    Parameters
+    ----------
+    done, of : int
+        Kernels that are compiled, and all of them [count].
+    """
+
+    done: int
+    of: int
+
+
+@dataclass(frozen=True, slots=True)
 class ReportStarted:
     """All tasks are over, and the report is being written."""
 
@@ -186,6 +200,7 @@ Event = (
     | TaskStarted
     | TaskEnded
     | WorkersSeen
+    | Compiling
     | ReportStarted
     | RunEnded
     | Note

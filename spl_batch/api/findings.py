@@ -8,7 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.errors import WorkflowError, grouped, named, told_together
+from spl_batch.errors import Said, WorkflowError, grouped, named, shared, told_together
+from spl_batch.io.las_numbers import Numbers
+from spl_batch.plan.channels import unnamed_channels
 from spl_batch.plan.first_look import holds_few
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.plan.memory import enough_mib, stretch_bytes
@@ -27,6 +29,12 @@ PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
 
 
+_TIMELESS: Final = (
+    "no usable gps_time (none, not finite, or the same for every point); such points are delivered "
+    "unfiltered and are used for nothing else"
+)
+
+
 def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
     """Stop where no input is usable; say which ones have no time."""
     usable = survey.of("index_file")
@@ -34,17 +42,14 @@ def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
         reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
         raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
     _check_channels(survey)
+    yield from channels_not_named(survey)
     timeless = timeless_sources(survey)
-    for source in timeless:
-        yield (
-            f"{source.name}: no usable gps_time (none, not finite, or the same for every "
-            "point); its points are delivered unfiltered and take part in nothing"
-        )
+    yield from shared((Said(source.name, _TIMELESS) for source in timeless), "files")
     guessed = [line.name for line in survey.flightlines if line.prf_basis == "assumed"]
     if guessed:
         yield (
-            f"{named(guessed)}: gps_time does not tell the pulse rate; "
-            f"{FALLBACK_PRF_HZ:.0f} Hz assumed; state acquisition.prf_hz"
+            f"{named(guessed)}: gps_time does not tell the pulse rate, so "
+            f"{FALLBACK_PRF_HZ:.0f} Hz is assumed; state acquisition.prf_hz"
         )
     yield from _contradicted_rates(survey)
     if survey.filtering and not survey.flightlines:
@@ -89,9 +94,20 @@ def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
 def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> str:
     """What less memory than earlier runs had does, and with how much it does not."""
     return (
-        f"with {grouped(survey.memory_bytes / 2**20)} MiB a worker {what}; with "
-        f"--memory {math.ceil(enough_bytes / 2**20)}MiB they are taken over"
+        f"a worker has {grouped(survey.memory_bytes / 2**20)} MiB, less than in earlier runs: "
+        f"{what}; with --memory {math.ceil(enough_bytes / 2**20)}MiB they are used as they are"
     )
+
+
+def channels_not_named(survey: Survey) -> tuple[str, ...]:
+    """Propose the dimension that holds beamlet numbers, where none is named."""
+    if survey.workflow.survey.channel_dimension is not None or not survey.filtering:
+        return ()
+    held = {
+        str(receipt.facts["name"]): {k: Numbers(*v) for k, v in receipt.facts["numbers"].items()}
+        for receipt in survey.of("index_file").values()
+    }
+    return unnamed_channels(held, survey.workflow.sensor)
 
 
 def _check_channels(survey: Survey) -> None:
@@ -126,8 +142,8 @@ def copies(survey: Survey) -> Iterator[str]:
     for (copy, kept), count in most[:PAIRS_NAMED]:
         yield (
             f"{names[copy]}: {grouped(count)} of its returns are in {names[kept]} too, at the "
-            "same time and place; they count once, and the copies are delivered as not assessed: "
-            "leave one of the files out, or its overlap"
+            "same time and place; each counts once, and its copy is delivered as not assessed; "
+            "leave out one of the files, or cut their overlap off"
         )
     if others := most[PAIRS_NAMED:]:
         yield (
@@ -168,18 +184,19 @@ def looks_ahead(survey: Survey) -> Iterator[str]:
         said = "early, as UTC is" if leap > 0 else "late, as GPS time is for UTC"
         yield (
             f"{named([line for line in leaps if leaps[line] == leap])}: the trajectory's times are "
-            f"{abs(leap)} s {said}: with them {'added' if leap > 0 else 'taken away'} the sensor "
-            "is above its returns. Now noise and reflectance are reckoned along wrong beams, or "
-            "returns stay unfiltered; correct gps_time in survey.trajectory and run again"
+            f"{abs(leap)} s {said}: with {abs(leap)} s {'added' if leap > 0 else 'subtracted'} the "
+            "sensor is above its returns. In this run noise and reflectance are computed along "
+            "wrong beams, or returns stay unfiltered; correct gps_time in survey.trajectory and "
+            "run again"
         )
     for side, late in (("behind", "early"), ("ahead of", "late")):
         those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
         if those:
             yield (
-                f"{named(those)}: the returns lie {side} the sensor on average, so that the "
+                f"{named(those)}: the returns lie {side} the sensor on average, so the "
                 f"trajectory's times seem about {abs(median(off[line] for line in those)):.1f} s "
-                f"{late}; noise and reflectance are reckoned along wrong beams then: mend its "
-                "times. Where only a part of each scan is delivered all is well"
+                f"{late}, and noise and reflectance are computed along wrong beams; correct its "
+                "times. If the files hold only a part of each scan, ignore this"
             )
 
 
@@ -195,9 +212,9 @@ def _contradicted_rates(survey: Survey) -> Iterator[str]:
     if wrong:
         yield (
             f"{named([*wrong])}: gps_time tells a pulse rate of about "
-            f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz "
-            "stated, by which noise is reckoned; leave acquisition.prf_hz and the sensor's out, "
-            "and what is told is taken"
+            f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz stated, "
+            "and noise is computed with the stated one; leave prf_hz out of acquisition and "
+            "sensor, and the rate from gps_time is used"
         )
 
 
@@ -208,9 +225,15 @@ def beams_without_trajectory(survey: Survey) -> str:
     headings = survey.of("heading")
     left = [headings[name] for name in paths if name not in found and name in headings]
     angled = sum(r.facts["heading_rad"] is not None for r in left)
-    return (
-        "no trajectory: the sensor is found where lines of sight through several returns meet "
-        f"on {len(found)} flightlines; beams are taken from scan_angle and the flight direction "
-        f"on {angled} and are vertical on {len(paths) - len(found) - angled}, whose returns, "
-        "scan_angle or course do not tell them"
-    )
+    counts = {
+        "taken from where lines of sight meet": len(found),
+        "taken from scan_angle and the flight direction": angled,
+        "taken as vertical": len(paths) - len(found) - angled,
+    }
+    (how, most), *rest = [(how, count) for how, count in counts.items() if count]
+    if rest:
+        said = ", ".join(f"{how} on {count}" for how, count in rest)
+        return f"no trajectory: beams {how} on {most} of {len(paths)} flightlines, {said}"
+    if most > 1:
+        return f"no trajectory: beams {how} on all {most} flightlines"
+    return f"no trajectory: beams {how} on the only flightline"

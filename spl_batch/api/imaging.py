@@ -1,6 +1,6 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Final
 from spl_batch.api.findings import (
     beams_without_trajectory,
     blocks_anew,
+    channels_not_named,
     copies,
     judge_index,
     looks_ahead,
@@ -17,6 +18,7 @@ from spl_batch.api.findings import (
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import WorkflowError, grouped
+from spl_batch.graph import Work
 from spl_batch.io.cells import create_raster_store
 from spl_batch.io.las import promised_points
 from spl_batch.io.store import Store, read_receipts
@@ -41,6 +43,7 @@ from spl_batch.runner import code_version
 from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
+from spl_batch.stages.line_noise import RAISE_INTERVAL
 from spl_batch.task import Receipt
 from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow
@@ -72,7 +75,7 @@ class Imaging(Receiver[Survey, Context]):
     essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
 
     @property
-    def compiles(self) -> Callable[[int, int], int]:
+    def compiles(self) -> Work:
         """Compiles a share of the kernels."""
         return compile_share
 
@@ -183,12 +186,19 @@ class Imaging(Receiver[Survey, Context]):
             return stretches_anew(survey)
         return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
 
-    def follows(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Container[str]:
-        """Along wrong beams no gate is what it seems."""
+    def follows(
+        self, phase: Phase, prepared: Prepared[Survey, Context]
+    ) -> Callable[[str, str], bool]:
+        """Along wrong beams no gate is what it seems; shots without beamlets hold few of them."""
         if phase.kind != "fit_line":
-            return ()
+            return super().follows(phase, prepared)
         leaps, off = times_off(prepared.ledger)
-        return {*leaps, *off}
+        one_beamlet = bool(channels_not_named(prepared.ledger))
+
+        def told(name: str, text: str) -> bool:
+            return name in leaps or name in off or (one_beamlet and text.endswith(RAISE_INTERVAL))
+
+        return told
 
     def edge_m(self, kind: str, ledger: Survey) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -31,18 +31,28 @@ from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
 from spl_batch.api.withdrawal import withdraw_stale
-from spl_batch.errors import SplBatchError, StoppedError, WorkflowError, shared, told_together
+from spl_batch.errors import (
+    Said,
+    SplBatchError,
+    StoppedError,
+    WorkflowError,
+    shared,
+    told_together,
+)
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
 from spl_batch.plan.worklist import Worklist
 from spl_batch.receivers import report_model
-from spl_batch.report.format import duration
+from spl_batch.report.format import as_ascii, duration
 from spl_batch.runner import kinds, stages
 from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, stands
 from spl_batch.task import Receipt
 
-COMPILING: Final = "compiling for this machine; later runs find it done"
+COMPILING: Final = (
+    "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
+    "minute or two, and later runs load them in seconds"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +231,7 @@ def _conclude(
         progress.tell(ReportStarted())
         written = receiver.report(ledger.done, context, facts)
     else:
-        seconds = duration(time.perf_counter() - took[0])
+        seconds = as_ascii(duration(time.perf_counter() - took[0]))
         now = [("now", f"nothing was left to do: looked at in {seconds}")]
     screen = (*receiver.screen(written), *now)
     return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))
@@ -293,7 +303,10 @@ def _run_phases(
                 progress.warn(text)
             for text in receiver.aside(phase, prepared):
                 progress.aside(text)
-            for text in _warnings(ledger.of(phase.kind), receiver.follows(phase, prepared)):
+            told = _told(ledger.of(phase.kind), receiver.follows(phase, prepared))
+            word = receiver.words.get(phase.kind, "")
+            # A file's name says that it is one.
+            for text in shared(told, f"{word}s" if word else "", word if word != "file" else ""):
                 progress.warn(text)
 
 
@@ -360,11 +373,9 @@ def _tile_map(edge_m: float, left: Sequence[str], ready: Sequence[str]) -> dict[
     return tiles.record() if tiles is not None else {}
 
 
-def _warnings(receipts: Mapping[str, Receipt], silent: Container[str]) -> Iterator[str]:
-    """What tasks warn of but for some; a warning that many share is given once."""
-    return shared(
-        (str(receipt.facts.get("name", receipt.name)), str(text))
-        for name, receipt in receipts.items()
-        if name not in silent
-        for text in receipt.facts.get("warnings", ())
-    )
+def _told(receipts: Mapping[str, Receipt], follows: Callable[[str, str], bool]) -> Iterator[Said]:
+    """What tasks warn of, but for what follows from something that is told already."""
+    for name, receipt in receipts.items():
+        for text, badness in receipt.facts.get("warnings", ()):
+            if not follows(name, text):
+                yield Said(str(receipt.facts.get("name", receipt.name)), text, badness)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from spl_batch.api.events import (
+    Compiling,
     Event,
     Listener,
     Note,
@@ -111,7 +112,9 @@ class Progress:
         """Begin again where files of the store are to be made again."""
         damaged = self.repairs.begin(self.failed, ledger)
         if damaged:
-            self.tell(Note("info", f"damaged, made again: {', '.join(damaged)}"))
+            self.tell(
+                Note("info", f"damaged files of the store are made again: {', '.join(damaged)}")
+            )
             self.costs.clear()
             self.failures.clear()
         return bool(damaged)
@@ -156,6 +159,10 @@ class Progress:
             self.tell(workers)
         else:
             self.listener(workers)
+
+    def compiled(self, done: int, of: int) -> None:
+        """Tell how many kernels are compiled; the log does without."""
+        self.listener(Compiling(done, of))
 
     def noted(self, text: str) -> None:
         """Tell of something that has happened to a worker."""

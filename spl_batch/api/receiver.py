@@ -6,13 +6,14 @@ same for all of them. A receiver is named by the ``kind`` of a workflow
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
 
 from spl_batch.errors import WorkflowError
+from spl_batch.graph import Work
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.runner.context import RunContext
@@ -95,7 +96,7 @@ class Receiver(ABC, Generic[L, C]):
     essential: ClassVar[frozenset[str]] = frozenset()
 
     @property
-    def compiles(self) -> Callable[[int, int], int] | None:
+    def compiles(self) -> Work | None:
         """Compiles a share, from 0, of so many, of the kernels that the tasks call."""
         return None
 
@@ -157,10 +158,10 @@ class Receiver(ABC, Generic[L, C]):
         del phase, prepared
         return ()
 
-    def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Container[str]:
-        """Names of tasks whose warnings are but consequences of what :meth:`after` has told."""
+    def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Callable[[str, str], bool]:
+        """Whether a task's warning, by its name and text, follows from what is told already."""
         del phase, prepared
-        return ()
+        return lambda _name, _text: False
 
     def edge_m(self, kind: str, ledger: L) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""

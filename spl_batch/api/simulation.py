@@ -43,6 +43,8 @@ def simulate(
     if isinstance(survey, dict) and "flightlines" in survey:
         raise WorkflowError(f"{scene}: this is a workflow, not a scene; `spl-batch run` is for it")
     kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
+    if progress is not None:
+        progress(0.0)
     return simulator(kind)(Path(scene), Path(output), progress=progress)
 
 

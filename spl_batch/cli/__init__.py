@@ -6,12 +6,14 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import click
 
 from spl_batch import __version__
+from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.errors import SplBatchError
 
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
@@ -30,6 +32,8 @@ def _limits(command: Any) -> Any:
         "--workers", default=2, show_default=True, help="Worker processes; 0 works in this one."
     )(command)
 
+
+_CLOCK: ContextVar[CommandClock] = ContextVar("command clock", default=CommandClock())  # noqa: B039 - never changed
 
 _WORKFLOW = click.argument("workflow", type=click.Path(path_type=Path))
 _OUTPUT = click.argument("output", type=click.Path(path_type=Path))
@@ -68,7 +72,7 @@ def quickstart(folder: Path, workers: int, memory: str | None) -> int:
             progress=view.simulated,
             listener=view.on_event,
         )
-    screen.print_result(result)
+    screen.print_result(result, _CLOCK.get().took_s)
     return result.exit_status
 
 
@@ -93,10 +97,11 @@ def simulate(scene: Path, output: Path) -> int:
 @_SETTINGS
 def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str, ...]) -> int:
     """Say what a run of WORKFLOW would do, and what is wrong with its inputs."""
-    from spl_batch import api  # noqa: PLC0415
-    from spl_batch.cli import screen  # noqa: PLC0415
+    with saying_if_slow("loading, and reading the headers of the inputs"):
+        from spl_batch import api  # noqa: PLC0415
+        from spl_batch.cli import screen  # noqa: PLC0415
 
-    summary = api.plan(workflow, workers=workers, memory=memory, overrides=overrides)
+        summary = api.plan(workflow, workers=workers, memory=memory, overrides=overrides)
     screen.print_plan(summary)
     return int(bool(summary.faults))
 
@@ -150,7 +155,7 @@ def run(
             overrides=overrides,
             listener=view.on_event,
         )
-    screen.print_result(result)
+    screen.print_result(result, _CLOCK.get().took_s)
     return result.exit_status
 
 
@@ -214,6 +219,8 @@ def report(output: Path) -> int:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
     told = threading.Event()
+    # As the command of its process it began with that: loading Python and packages counts.
+    _CLOCK.set(CommandClock(process_age_s() if arguments is None else 0.0))
     try:
         with _ended_in_order(told):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)

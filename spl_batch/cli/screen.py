@@ -12,6 +12,7 @@ from rich.text import Text
 
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, taken
 from spl_batch.errors import grouped, storage
+from spl_batch.report import format as texts
 from spl_batch.report.format import centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
@@ -28,14 +29,31 @@ if TYPE_CHECKING:  # each command loads what it needs only
 _OUT = Console()
 
 
-def print_result(result: "RunResult") -> None:
-    """Print how a run ended."""
+def print_result(result: "RunResult", took_s: float | None = None) -> None:
+    """Print how a run ended.
+
+    Parameters
+    ----------
+    result : RunResult
+        How it ended.
+    took_s : float, optional
+        Time of the whole command [s]; a report that is written again has none.
+    """
     if result.report is None:
         _OUT.print(f"stopped as asked; run again to continue in {result.output}")
         return
-    _pairs(result.screen)
+    _pairs([*result.screen, *_whole_time(took_s)])
     for label, paths in result.results:
         _path(label, *paths)
+
+
+def _whole_time(took_s: float | None) -> list[tuple[str, str]]:
+    """Time from Enter to prompt; the report tells that of the run."""
+    return (
+        []
+        if took_s is None
+        else [("time", f"{texts.as_ascii(texts.duration(took_s))} for the whole command")]
+    )
 
 
 def print_comparison(result: "ComparisonResult") -> None:

@@ -10,10 +10,12 @@ from rich.live import Live
 from rich.text import Text
 
 from spl_batch.api.events import (
+    Compiling,
     Event,
     Note,
     PhaseStarted,
     TaskEnded,
+    TaskStarted,
     WorkersReady,
     as_record,
 )
@@ -27,6 +29,12 @@ REFRESH_PER_S = 4.0
 
 LINE_S = 30.0
 """How often a log that is not a terminal is told how far a stage is [s]."""
+
+STEP_SHARE = 0.1
+"""How much more of a simulation is done when a log is told again."""
+
+STEP_S = 2.0
+"""How long a log that is told of a simulation is left alone at least [s]."""
 
 QUIET_S = 1.0
 """How long nothing is heard before a view says so [s]."""
@@ -47,6 +55,7 @@ class View:
         self._status = RunStatus()
         self._simulated = StageStatus("simulate")
         self._over = False
+        self._compiled: tuple[int, int] | None = None
         self._heard_s = time.time()
 
     def simulated(self, share: float) -> None:
@@ -63,6 +72,10 @@ class View:
         with self._lock:
             self._status.feed(as_record(event))
             self._heard_s = time.time()
+            if isinstance(event, Compiling):
+                self._compiled = event.done, event.of
+            elif isinstance(event, TaskStarted):
+                self._compiled = None
         if isinstance(event, Note):
             style = {"warning": "yellow", "error": "red"}.get(event.level, "dim")
             self._print(f"{event.level}: {event.text}", style)
@@ -88,6 +101,8 @@ class View:
 
     def _between(self) -> Text:
         """What is done where no task runs, and for how long: that it is alive."""
+        if self._compiled is not None:
+            return Text("  {} of {} kernels ready".format(*self._compiled), style="dim")
         quiet_s = time.time() - self._heard_s
         if quiet_s < QUIET_S:
             return Text("")
@@ -104,6 +119,22 @@ class PlainView(View):
     def __init__(self, console: Console) -> None:
         super().__init__(console)
         self._printed_s = time.monotonic()
+        self._told_share = 0.0
+
+    def simulated(self, share: float) -> None:
+        """Print a line when a simulation begins, and one for each tenth that took a while."""
+        began = not self._simulated.began_s
+        super().simulated(share)
+        if began:
+            self._say("simulate: begun")
+        elif share > self._told_share and (share >= 1.0 or self._is_time(share)):
+            self._told_share = share
+            self._say(f"simulate: {100 * share:.0f} %")
+
+    def _is_time(self, share: float) -> bool:
+        """Whether a simulation has come so far since the last line that it deserves another."""
+        waited_s = time.monotonic() - self._printed_s
+        return share - self._told_share > STEP_SHARE - 1e-9 and waited_s >= STEP_S
 
     def on_event(self, event: Event) -> None:
         """Take in an event, and print a line where it is time for one."""
@@ -112,6 +143,8 @@ class PlainView(View):
             skipped = f", {event.skipped} finished before" if event.skipped else ""
             tasks = f"{event.tasks} task{'s' * (event.tasks != 1)}"
             self._say(f"{event.stage}: {event.kind.replace('_', ' ')}: {tasks}{skipped}")
+        elif isinstance(event, Compiling) and time.monotonic() - self._printed_s > LINE_S:
+            self._say(f"compiling: {event.done} of {event.of} kernels")
         elif isinstance(event, TaskEnded) and time.monotonic() - self._printed_s > LINE_S:
             stage = self._status.stages[event.stage]
             rate = f", {short(stage.points_per_s)} pts/s" if stage.points_per_s else ""

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from spl_batch.errors import StoppedError
-from spl_batch.graph.ahead import Ahead
+from spl_batch.graph.ahead import Ahead, Work
 from spl_batch.graph.cluster import SETTINGS, check_workers, local_cluster, machine_memory, silent
 from spl_batch.graph.flow import OUT_OF_MEMORY, OnDask
 from spl_batch.graph.work import Executor, Footing, InProcess, Job, Observer, OnReceipt
@@ -26,6 +26,7 @@ __all__ = [
     "Job",
     "Observer",
     "OnDask",
+    "Work",
     "executor",
     "machine_memory",
 ]

@@ -164,7 +164,7 @@ class _Flow:
         if "rss" in sign:
             self.starved.add(sign["worker"])
             used = f"{sign['rss'] / 2**20:.0f} MiB"
-            self.to.observer.noted(f"worker {sign['worker']} was ended with {used} in use")
+            self.to.observer.noted(f"worker {sign['worker']} was killed while it used {used}")
             return None
         trial = self.by_name.get((sign["kind"], sign["name"]))
         if trial is not None:
@@ -253,13 +253,13 @@ class _Flow:
     def _count(self, found: Mapping[str, Mapping[str, Any]], now: float) -> None:
         gone = [address for address in self.threads if address not in found]
         for address in gone:
-            self.to.observer.noted(f"worker {address} is gone; its tasks go to others")
+            self.to.observer.noted(f"worker {address} is lost; other workers do its tasks")
         if found:
             self.populated_s = now
         elif self.to.local and now - self.populated_s > PATIENCE_S:
             raise StoppedError("all workers are gone and do not come back; run again to continue")
         elif not self.waiting:
-            self.to.observer.noted("no worker at present; waiting for some")
+            self.to.observer.noted("no worker is connected; waiting for one")
         self.waiting = not found
         self.threads = {address: int(facts["nthreads"]) for address, facts in found.items()}
         if gone:

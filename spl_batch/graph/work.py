@@ -35,6 +35,9 @@ class Observer(Protocol):
     def noted(self, text: str) -> None:
         """Tell of something that has happened to a worker."""
 
+    def compiled(self, done: int, of: int) -> None:
+        """Tell how many kernels of how many are compiled [count]."""
+
 
 class Executor(Protocol):
     """Something that does jobs."""

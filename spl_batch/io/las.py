@@ -21,6 +21,7 @@ from spl_batch.io.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
 from spl_batch.io.las_chunks import RecordReader
 from spl_batch.io.las_header import LasHeader, open_input, read_header
 from spl_batch.io.las_layers import can_be_copied
+from spl_batch.io.las_numbers import Numbers, small_numbers
 from spl_batch.io.las_records import RecordLayout, dimension, record_layout, scan_angle_deg
 from spl_batch.model import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable
 
@@ -222,6 +223,10 @@ def iter_points(
             )
 
 
+SAMPLE_POINTS: Final = 4096
+"""Points that are looked at of each end of a file [count]: of an SPL100 a tenth of a second."""
+
+
 class Ends(NamedTuple):
     """Times and channels of some points from both ends of a file, (n,) each.
 
@@ -231,10 +236,13 @@ class Ends(NamedTuple):
         Not finite where the file has none [s].
     channel : (n,) uint8
         Beamlet numbers.
+    numbers : dict of str to Numbers
+        Dimensions that hold small whole numbers, by name.
     """
 
     gps_time: NDArray[np.float64]
     channel: NDArray[Any]
+    numbers: dict[str, Numbers]
 
 
 def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
@@ -264,7 +272,8 @@ def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
         records, layout = reader.read_ends(count), reader.layout
     timed = "gps_time" in layout.names
     time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
-    return Ends(time, _channel(records, header, layout, channel_dimension, 0))
+    channel = _channel(records, header, layout, channel_dimension, 0)
+    return Ends(time, channel, small_numbers(records, layout))
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:

@@ -9,7 +9,7 @@ arguments; ``python -m benchmarks.signatures`` writes it.
 import importlib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Final
 
@@ -26,13 +26,20 @@ def signatures() -> dict[str, list[str]]:
     return found
 
 
-def compile_share(share: int, shares: int) -> int:
+def _tell_nobody(_done: int, _of: int) -> None:
+    """Listen to no progress."""
+
+
+def compile_share(share: int, shares: int, tell: Callable[[int, int], None] = _tell_nobody) -> int:
     """Compile some of the kernels, or load what is compiled.
 
     Parameters
     ----------
     share, shares : int
         Which part of all, from 0, and of how many.
+    tell : callable
+        Told how many kernels of this share are compiled, those that they call among them, and how
+        many it has [count].
 
     Returns
     -------
@@ -40,12 +47,20 @@ def compile_share(share: int, shares: int) -> int:
         Kernels that were compiled and not loaded [count].
     """
     compiled, listed = 0, signatures()
-    for name in divided(listed, shares)[share]:
+    # Those that call few others first: each step is short then, and what is told moves evenly.
+    names = divided(listed, shares)[share][::-1]
+    needed = [set(_called(find(name))) for name in names]
+    ready: set[str] = set()
+    whole = len(ready.union(*needed))
+    for name, kernels in zip(names, needed, strict=True):
+        tell(len(ready), whole)
+        ready |= kernels
         kernel = find(name)
         for text in listed[name]:
             before = sum(kernel.stats.cache_misses.values())
             kernel.compile(tuple(parse(text, kernel)))
             compiled += sum(kernel.stats.cache_misses.values()) - before
+    tell(whole, whole)
     return compiled
 
 

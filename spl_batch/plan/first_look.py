@@ -14,24 +14,20 @@ from numpy.typing import NDArray
 
 from spl_batch.errors import InputError, named
 from spl_batch.io.gpstime import clock, time_standard, usable_times
-from spl_batch.io.las import Ends, read_ends
+from spl_batch.io.las import SAMPLE_POINTS, Ends, read_ends
+from spl_batch.io.las_numbers import Numbers
 from spl_batch.io.trajectory_ends import ends
+from spl_batch.plan.channels import POINTS_A_BEAMLET, unnamed_channels
 from spl_batch.plan.flightlines import points_of_a_shot
 from spl_batch.plan.inputs import Inputs, Source, name_below
 from spl_batch.sensor import Sensor
 from spl_batch.workflow import Workflow
-
-SAMPLE_POINTS: Final = 4096
-"""Points that are looked at of each end of a file [count]: of an SPL100 a tenth of a second."""
 
 SAMPLE_FILES: Final = 200
 """Files that are looked into, evenly among more of them [count]: a hundred take half a second."""
 
 FEW_CHANNELS: Final = 10
 """A dimension that holds less than this part of the beamlets' numbers holds something else."""
-
-MANY_A_BEAMLET: Final = 20
-"""Points of a beamlet, on average, from which on all that are not broken have some [count]."""
 
 Span = tuple[float, float]
 
@@ -43,6 +39,7 @@ class _Seen:
     spans: dict[str, Span] = field(default_factory=dict)
     untimed: list[str] = field(default_factory=list)
     channels: dict[str, str] = field(default_factory=dict)
+    numbers: dict[str, dict[str, Numbers]] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
 
 
@@ -75,6 +72,7 @@ def first_look(
         _look_into(timed[k], workflow, seen)
     faults, warnings = _without_time(formats, seen.untimed, all_of_them=not timed)
     warnings += _few_channels(seen.channels, workflow)
+    warnings += unnamed_channels(seen.numbers, workflow.sensor)
     apart, missed = _apart(seen.spans, inputs.trajectory, base)
     return (*seen.faults, *faults, *apart), (*warnings, *missed)
 
@@ -91,7 +89,7 @@ def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
     sensor : Sensor
         The instrument.
     """
-    enough = points >= MANY_A_BEAMLET * sensor.beamlets and sensor.beamlets > FEW_CHANNELS
+    enough = points >= POINTS_A_BEAMLET * sensor.beamlets and sensor.beamlets > FEW_CHANNELS
     return enough and FEW_CHANNELS * channels <= sensor.beamlets
 
 
@@ -108,6 +106,8 @@ def _look_into(source: Source, workflow: Workflow, seen: _Seen) -> None:
         seen.untimed.append(source.name)
     if workflow.survey.channel_dimension is not None:
         _look_at_channels(source.name, found, workflow.sensor, seen)
+    else:
+        seen.numbers[source.name] = found.numbers
 
 
 def _look_at_channels(name: str, found: Ends, sensor: Sensor, seen: _Seen) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pyproj import CRS
 
-from spl_batch.errors import InputError, WorkflowError, named, shared
+from spl_batch.errors import InputError, Said, WorkflowError, named, shared
 from spl_batch.io.atomic import checksum
 from spl_batch.io.crs import (
     LIKE_DEGREES,
@@ -118,7 +118,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = _survey_crs(workflow, good)
     warnings = [*workflow.remarks()]
-    said = ((name_below(facts.path, base), text) for facts in good for text in facts.warnings)
+    said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
     warnings += far_positions([(name_below(facts.path, base), facts) for facts in good])
     if crs is None and good:

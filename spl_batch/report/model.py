@@ -59,6 +59,10 @@ class Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+Basis = Literal["given", "sensor", "estimated", "assumed", "none"]
+"""Where a number comes from."""
+
+
 class Flightline(Part):
     """One pass, and what was found out about it."""
 
@@ -68,16 +72,20 @@ class Flightline(Part):
     start_s: Number = Field(None, description="First GPS time, as the files have it [s].")
     end_s: Number = Field(None, description="Last GPS time, as the files have it [s].")
     prf_hz: Number = Field(None, description="Pulse repetition frequency [Hz].")
-    prf_basis: Literal["given", "estimated", "none"] = Field(
-        "none", description="Where the pulse repetition frequency comes from."
+    prf_basis: Basis = Field(
+        "none",
+        description="Where the pulse repetition frequency comes from: given in the workflow, the "
+        "sensor preset's, estimated from gps_time, or assumed as nothing tells it.",
     )
     gate_m: Number = Field(
         None,
         description="Median slant length of the range gate; what the returns fill where that is "
         "not the length stated [m].",
     )
-    gate_basis: Literal["given", "estimated", "none"] = Field(
-        "none", description="Where the length of the range gate comes from."
+    gate_basis: Basis = Field(
+        "none",
+        description="Where the length of the range gate comes from: given in the workflow, the "
+        "sensor preset's, estimated from the returns, or assumed as nothing tells it.",
     )
     beam_basis: Literal["trajectory", "intersection", "scan_angle", "vertical", "none"] = Field(
         "none",

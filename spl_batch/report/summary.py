@@ -135,7 +135,7 @@ def ending_rows(
     warnings : sequence of str
         What a reader has to know.
     """
-    rows = [("time", f"{duration(work.wall_s)}{_of_which(work)}")]
+    rows = [("run time", f"{duration(work.wall_s)}{_of_which(work)}")]
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MB per worker"))
     rows.append(("failures", number(len(failures)) if failures else "none"))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, Remark
 from spl_batch.io.atomic import remove
 from spl_batch.io.cells import frame, stored_blocks
 from spl_batch.io.labels import LabelFiles, read_labelled_tile
@@ -107,7 +107,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
         "points": written,
         "noise_class": _nonzero(labels.counts),
         "classes": _nonzero(labels.classes),
-        "warnings": [f"{text}; left out of the delivered copy" for text in broken],
+        "warnings": [Remark(f"{text}; left out of the delivered copy") for text in broken],
     }
     return Produced([target], facts, written)
 

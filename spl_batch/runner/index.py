@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, grouped, named
+from spl_batch.errors import InputError, Remark, grouped, named
 from spl_batch.io.atomic import checksum
 from spl_batch.io.gpstime import bit_warning
-from spl_batch.io.las import inspect, iter_points
+from spl_batch.io.las import SAMPLE_POINTS, inspect, iter_points, read_ends
 from spl_batch.io.las_frame import Extent
 from spl_batch.io.las_layers import GIVEN, given_of
+from spl_batch.io.las_numbers import Numbers
 from spl_batch.io.tables import GroupWriter, read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
@@ -94,25 +95,34 @@ def index_file(args: Mapping[str, Any], context: Context) -> Produced:
         **known,
         "parts": spans,
         "standard": tally.standard,
+        "numbers": _numbers(path, context),
         # What the header alone tells, the plan has said.
-        "warnings": [text for text in (contradiction, _without_time(known)) if text],
+        "warnings": [*([Remark(contradiction)] if contradiction else []), *_without_time(known)],
     }
     inputs = {str(path): args["stamp"]}
     return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
 
 
-def _without_time(known: Mapping[str, Any]) -> str:
+def _without_time(known: Mapping[str, Any]) -> list[Remark]:
     """That some points of a file have no usable time, if so and others have one."""
     if not known["timeless"] or not known["spans"]:
-        return ""
+        return []
     why = "not finite, or beyond 1e10 s"
     if known["astray_s"]:
         why = f"such as {known['astray_s'][0]:.6g} s, more than a year from most"
     many = known["timeless"] > 1
-    return (
+    text = (
         f"{grouped(known['timeless'])} point{'s have' if many else ' has'} no usable gps_time "
         f"({why}); delivered with noise_class 255, not assessed"
     )
+    return [Remark(text, known["timeless"])]
+
+
+def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
+    """Dimensions that may hold beamlet numbers, where the workflow names none."""
+    if context.workflow.survey.channel_dimension is not None:
+        return {}
+    return read_ends(path, None, SAMPLE_POINTS).numbers
 
 
 class _Found:
@@ -232,7 +242,7 @@ def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
         "records": found.records,
         "span_s": list(found.span_s),
         "positions": hashes.found(),
-        "warnings": list(found.warnings),
+        "warnings": [Remark(text) for text in found.warnings],
         "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
     }
     return Produced([path], facts)

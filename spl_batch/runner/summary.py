@@ -1,18 +1,19 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
-import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from spl_batch.constants import NODATA, QUANTUM_M
-from spl_batch.errors import grouped
+from spl_batch.errors import Said, grouped, shared
 from spl_batch.io.raster_parts import Part, read_overview
 from spl_batch.report.format import as_ascii
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import (
     Accuracy,
+    Basis,
     Counts,
     Flightline,
     InputFile,
@@ -39,6 +40,7 @@ from spl_batch.runner.remember import (
 )
 from spl_batch.settings import FilterSettings
 from spl_batch.stages.kept_noise import PARTS
+from spl_batch.workflow import Workflow
 
 
 def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
@@ -94,7 +96,7 @@ def _survey(done: Receipts, context: Context) -> Survey:
 
 
 def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
-    stated = context.workflow.sensor.gate_m
+    workflow = context.workflow
     for name, receipt in done.get("fit_line", {}).items():
         facts = receipt.facts
         yield Flightline(
@@ -104,18 +106,23 @@ def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
             start_s=facts["span_s"][0],
             end_s=facts["span_s"][1],
             prf_hz=facts["prf_hz"],
-            prf_basis="given" if facts["prf_basis"] == "given" else "estimated",
+            prf_basis=_basis(workflow, "prf_hz", facts["prf_basis"]),
             gate_m=facts["gate_m"],
-            gate_basis="given" if _is(facts["gate_m"], stated) else "estimated",
+            gate_basis=_basis(workflow, "gate_m", facts["gate_basis"]),
             beam_basis=facts["basis"],
             seen_fraction=facts["seen_fraction"],
             noise_per_m=facts["noise_per_m"],
         )
 
 
-def _is(gate_m: float, stated_m: float | None) -> bool:
-    """Whether a flightline's gate is the one stated; returns may contradict it."""
-    return stated_m is not None and math.isclose(gate_m, stated_m, rel_tol=1e-6)
+def _basis(workflow: Workflow, key: str, found: str) -> Basis:
+    """Where a number of a flightline comes from; a preset states it for every survey."""
+    if found in {"estimated", "assumed"}:
+        return cast("Basis", found)
+    from_preset = getattr(workflow.acquisition, key) is None and isinstance(
+        workflow.survey.sensor, str
+    )
+    return "sensor" if from_preset else "given"
 
 
 def _shots(span_s: Sequence[float], prf_hz: float | None) -> int | None:
@@ -227,11 +234,16 @@ def _uncovered(done: Receipts) -> Iterable[str]:
             line = name.split("/", maxsplit=1)[0]
             n, low, high = spans.get(line, (0, first, last))
             spans[line] = (n + receipt.facts["uncovered"], min(low, first), max(high, last))
-    for line, (n, low, high) in spans.items():
-        yield (
-            f"flightline {line}: the trajectory does not cover {grouped(n)} returns between "
-            f"gps_time {low:.3f} and {high:.3f}; they are delivered unfiltered"
+    said = (
+        Said(
+            line,
+            f"the trajectory does not cover {grouped(n)} returns between gps_time {low:.3f} and "
+            f"{high:.3f}; they are delivered unfiltered",
+            n,
         )
+        for line, (n, low, high) in spans.items()
+    )
+    return shared(said, "flightlines", "flightline")
 
 
 def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> Provenance:

@@ -78,9 +78,10 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     seen = model.seen_fraction
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis")},
-        "name": f"flightline {args['line']}",
+        "name": str(args["line"]),
         "basis": lines_of_sight.basis(args),
         "gate_m": model.gate_m,
+        "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
         "afterpulses": {"probability": law.probability, "scale_m": law.scale_m},

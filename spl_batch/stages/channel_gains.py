@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import named
+from spl_batch.errors import Remark, named
 
 DOMAIN: Final = "time"
 
 
 def active_channels(
     seen: NDArray[np.int64], beamlets: int
-) -> tuple[int, NDArray[np.float64], tuple[str, ...]]:
+) -> tuple[int, NDArray[np.float64], tuple[Remark, ...]]:
     """Beamlets per shot, and gains as far as live and dead channels decide them.
 
     Parameters
@@ -32,28 +32,29 @@ def active_channels(
         Beamlets per shot.
     gain : (256,) float64
         0 for dead channels, the same for all others, mean one over the beamlets.
-    warnings : tuple of str
+    warnings : tuple of Remark
     """
     live = seen > 0
     alive = int(live.sum())
     if alive > beamlets:
         least = np.argsort(np.where(live, seen, seen.max() + 1), kind="stable")[: alive - beamlets]
         text = (
-            f"{alive} channels are seen where the sensor has {beamlets}: {alive} are assumed; "
-            f"least often {named(least.tolist())}"
+            f"returns come from {alive} channels, but the sensor has {beamlets}; {alive} are "
+            f"assumed; least often seen: {named(least.tolist())}"
         )
-        return alive, live.astype(np.float64), (text,)
+        return alive, live.astype(np.float64), (Remark(text, alive),)
     if seen.sum() < 10 * beamlets or alive == beamlets:
         return beamlets, np.ones(256), ()
     gain = live.astype(np.float64) * (beamlets / alive)
-    return beamlets, gain, (_dead(np.flatnonzero(live), beamlets),)
+    return beamlets, gain, (Remark(_dead(np.flatnonzero(live), beamlets), beamlets - alive),)
 
 
 def _dead(live: NDArray[np.int64], beamlets: int) -> str:
     """Name the channels without returns, as far as those beside them tell their numbers."""
     within = np.setdiff1d(np.arange(live[0], live[-1]), live).tolist()
     dead, ends = beamlets - len(live), f"below {live[0]} or above {live[-1]}"
-    text = f"{dead} of {beamlets} channels give no returns: "
+    verb = "gives" if dead == 1 else "give"
+    text = f"{dead} of {beamlets} channels {verb} no returns: "
     if not within:
         return f"{text}{dead} {ends}"
     if len(within) > dead:

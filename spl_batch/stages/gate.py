@@ -10,12 +10,14 @@ ground), or the delivered points may be cut at a height. Each is tried; the one 
 explains the same returns with the shortest gate is taken.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.errors import Remark
 from spl_batch.stages.line_observe import BUFFER_LADDER, SUMMARY
 
 WINDOW_INTERVALS: Final = 64
@@ -28,6 +30,7 @@ GATE_ASSUMED_M: Final = 300.0
 """Gate where neither the workflow nor the points say one [m]."""
 
 Kind = Literal["range", "height"]
+Basis = Literal["stated", "estimated", "assumed"]
 
 
 class Gate(NamedTuple):
@@ -42,15 +45,18 @@ class Gate(NamedTuple):
         Edges [m].
     length_m : float
         Median slant length [m].
-    warnings : tuple of str
+    warnings : tuple of Remark
         What the report has to say.
+    basis : str
+        Where its length comes from: ``stated``, ``estimated`` from the returns, or ``assumed``.
     """
 
     kind: Kind
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     length_m: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Remark, ...]
+    basis: Basis
 
 
 class _Edges(NamedTuple):
@@ -112,13 +118,14 @@ def fit_gate(
         seen = best.supported and _differ(filled, gate_m)
     low, high = (best.low, best.high) if seen else _of_length(best, gate_m or GATE_ASSUMED_M)
     length = _length_m(best, low, high, size)
-    warnings = tuple(_remarks(length, gate_m, seen=seen))
+    basis = _basis(length, gate_m, seen=seen)
+    warnings = tuple(_remarks(length, gate_m, basis))
     low, high = np.repeat(low, size), np.repeat(high, size)
     if best.name == "height":
-        return Gate("height", -low, -high, length, warnings)
+        return Gate("height", -low, -high, length, warnings, basis)
     if best.name == "surface":
         low, high = low + column["signal_range"], high + column["signal_range"]
-    return Gate("range", low, high, length, warnings)
+    return Gate("range", low, high, length, warnings, basis)
 
 
 def _edges(
@@ -165,15 +172,24 @@ def _of_length(edges: _Edges, gate_m: float) -> tuple[NDArray[np.float64], NDArr
     return middle - half, middle + half
 
 
-def _remarks(length_m: float, stated_m: float | None, *, seen: bool) -> Iterator[str]:
+def _basis(length_m: float, stated_m: float | None, *, seen: bool) -> Basis:
+    """Where the length comes from that everything else uses."""
+    if stated_m is None:
+        return "estimated" if seen else "assumed"
+    return "stated" if math.isclose(length_m, stated_m, rel_tol=1e-6) else "estimated"
+
+
+def _remarks(length_m: float, stated_m: float | None, basis: Basis) -> Iterator[Remark]:
     """What to say of a gate, by the one length that everything else uses."""
-    if stated_m is None and not seen:
-        yield (
-            "too few returns away from the surface to see the range gate: "
-            f"{length_m:.0f} m assumed; state acquisition.gate_m"
+    if basis == "assumed":
+        text = (
+            "too few returns lie away from the surface to show the range gate, so "
+            f"{length_m:.0f} m is assumed; state acquisition.gate_m"
         )
+        yield Remark(text, length_m)
     elif stated_m is not None and _differ(length_m, stated_m):
-        yield (
+        text = (
             f"the returns fill a gate of {length_m:.0f} m, not the {stated_m:.0f} m stated; "
-            "what they fill is used"
+            f"{length_m:.0f} m is used"
         )
+        yield Remark(text, abs(length_m - stated_m))

@@ -6,8 +6,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.errors import Remark
 from spl_batch.kernels.shots import interval_rows
-from spl_batch.stages.gate import Kind
+from spl_batch.stages.gate import Basis, Kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,10 @@ class LineModel:
         Shots per interval.
     seen_shots : int
         Shots over which beamlets that are seen stand in for silent ones.
-    warnings : tuple of str
-        What the report has to say.
+    gate_basis : str
+        "stated", "estimated" or "assumed": where ``gate_m`` comes from.
+    warnings : tuple of Remark
+        What the report has to say; the way to disk keeps their texts only.
     """
 
     interval: NDArray[np.int64]
@@ -58,7 +61,8 @@ class LineModel:
     beamlets: int
     interval_shots: int
     seen_shots: int
-    warnings: tuple[str, ...]
+    gate_basis: Basis
+    warnings: tuple[Remark, ...]
 
     def row(self, shot: NDArray[np.int64]) -> NDArray[np.int64]:
         """Row of each shot's interval, or of the nearest one before it: (n,) int64; 0 for none."""
@@ -79,7 +83,7 @@ class LineModel:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays without Python objects, as npz files hold them."""
         return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)} | {
-            "warnings": np.array(self.warnings, dtype=np.str_)
+            "warnings": np.array([one.text for one in self.warnings], dtype=np.str_)
         }
 
     @classmethod
@@ -89,6 +93,7 @@ class LineModel:
             f.name: arrays[f.name] if arrays[f.name].ndim else arrays[f.name].item()
             for f in fields(cls)
         }
-        content["warnings"] = tuple(str(text) for text in np.atleast_1d(arrays["warnings"]))
+        content["warnings"] = tuple(Remark(str(text)) for text in np.atleast_1d(arrays["warnings"]))
         content["kind"] = cast("Kind", content["kind"])
+        content["gate_basis"] = cast("Basis", content["gate_basis"])
         return cls(**content)

@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.errors import Remark
 from spl_batch.model import BeamTable, PointTable
 from spl_batch.sensor import Sensor
 from spl_batch.settings import NoiseSettings
@@ -42,6 +43,9 @@ SEEN_TARGET: Final = 15.0
 
 RETURNS_MIN: Final = 20.0
 """Fewer beamlets seen per interval than this, and the median is one of the noise returns."""
+
+RAISE_INTERVAL: Final = "raise noise.interval_shots"
+"""Remedy where an interval holds few beamlets that are seen."""
 
 CLIP_SIGMA: Final = 4.0
 """Poisson deviations above its neighbourhood from which an interval's count holds signal."""
@@ -122,20 +126,21 @@ def fit(
         beamlets=beamlets,
         interval_shots=settings.interval_shots,
         seen_shots=_seen_window(looks, last - first + 1, settings.interval_shots),
+        gate_basis=gate.basis,
         warnings=(*warnings, *gate.warnings, *region.warnings, *_few(merged)),
     )
 
 
-def _few(merged: dict[str, NDArray[Any]]) -> tuple[str, ...]:
+def _few(merged: dict[str, NDArray[Any]]) -> tuple[Remark, ...]:
     """Warn of intervals with so few returns that noise is taken for their signal."""
     per_interval = float(merged["beamlets"].mean())
     if per_interval >= RETURNS_MIN:
         return ()
     text = (
-        f"an interval holds {per_interval:.1f} beamlets with a return: the noise rate is too "
-        f"low by about 1 / {per_interval:.1f}; raise noise.interval_shots"
+        f"an interval holds only {per_interval:.1f} beamlets with a return, so the noise rate is "
+        f"too low by about {100 / max(per_interval, 1.0):.0f} %; {RAISE_INTERVAL}"
     )
-    return (text,)
+    return (Remark(text, -per_interval),)
 
 
 def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:
@@ -143,7 +148,8 @@ def _nothing(settings: NoiseSettings, sensor: Sensor) -> LineModel:
     return LineModel(
         none, empty, none, none, empty, empty, np.ones(256), empty, "range",
         sensor.gate_m or 0.0, 0.0, sensor.beamlets, settings.interval_shots, 1,
-        ("no return has a known beam: there is no noise model",),
+        "stated" if sensor.gate_m else "assumed",
+        (Remark("no return has a known beam, so there is no noise model"),),
     )  # fmt: skip
 
 

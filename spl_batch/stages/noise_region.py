@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from spl_batch.errors import Remark
 from spl_batch.stages.gate import Gate
 from spl_batch.stages.line_observe import BUFFER_LADDER, PROFILE_BINS, SUMMARY
 
@@ -27,7 +28,7 @@ class Region(NamedTuple):
 
     buffer: int
     side: Side
-    warnings: tuple[str, ...]
+    warnings: tuple[Remark, ...]
 
 
 def offered_lengths(
@@ -76,9 +77,7 @@ def choose_region(
     if whole <= 0 or len(wide) == 0:
         return Region(0, "none", (_NO_REGION,))
     b = int(wide[0])
-    notes = () if b == 0 else (
-        f"the gate is short: the buffer around the signal shrank to {100 * BUFFER_LADDER[b]:.0f} %",
-    )  # fmt: skip
+    notes = () if b == 0 else (_short(BUFFER_LADDER[b]),)
     (n_up, n_down), (e_up, e_down) = counts[:, b], offered[:, b]
     if min(e_up, e_down) < 0.25 * REGION_MIN * whole:
         return Region(b, "both", notes)
@@ -87,12 +86,25 @@ def choose_region(
     if abs(up - down) <= max(0.15 * min(up, down), 5 * spread):
         return Region(b, "both", notes)
     side: Side = "below" if up > down else "above"
-    text = f"signal reaches into the noise region: only its part {side} the surface is counted"
-    return Region(b, side, (*notes, text))
+    text = (
+        "signal reaches into the part of the range gate where noise is counted; noise is counted "
+        f"{side} the surface only"
+    )
+    return Region(b, side, (*notes, Remark(text)))
 
 
-_NO_REGION: Final = (
-    "the gate leaves no noise region: the rate comes from a robust fit of its histogram"
+def _short(share: float) -> Remark:
+    """That the part of the gate taken for signal had to shrink to this share."""
+    text = (
+        "the range gate is short: noise is counted from "
+        f"{100 * share:.0f} % of noise.buffer_m away from the surface on"
+    )
+    return Remark(text, -share)
+
+
+_NO_REGION: Final = Remark(
+    "the range gate leaves no part without signal to count noise in; the noise rate is fitted to "
+    "the histogram of heights"
 )
 
 

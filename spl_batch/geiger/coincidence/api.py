@@ -75,8 +75,9 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
             yield from _twice(prepared.ledger)
         if phase.kind == "index_file" and prepared.ledger.answered is not None:
             yield (
-                "detections could not be read: frames outside the numbers of those that were are "
-                "left out with all their looks"
+                "some detections could not be read: a frame counts only if its number lies between "
+                "those of detections that were read; all other frames are left out with all their "
+                "looks"
             )
 
     def edge_m(self, kind: str, ledger: L1Ledger) -> float:

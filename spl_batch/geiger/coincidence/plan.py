@@ -10,7 +10,7 @@ from typing import Any, Final
 from pyproj import CRS
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.errors import InputError, Said, WorkflowError, shared
 from spl_batch.geiger.coincidence.io import files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
 from spl_batch.geiger.coincidence.stages import least_detections, reach_q
@@ -160,7 +160,7 @@ def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     warnings = [] if crs is not None else ["survey.crs is not set: the points will have no CRS"]
     usable = {file.path for file in (*frames, *detections)} | {Path(e.path) for e in bad}
     empty = [path for paths in named.values() for path in paths if path not in usable]
-    warnings += [f"{name_below(path, base)}: holds no rows" for path in empty]
+    warnings += shared((Said(name_below(p, base), "holds no rows") for p in empty), "files")
     return L1Inputs(
         frames=frames,
         detections=detections,

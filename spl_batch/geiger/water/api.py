@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
-from spl_batch.errors import WorkflowError, grouped
+from spl_batch.errors import Said, WorkflowError, grouped, shared
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.runner.tasks import WaterContext
@@ -29,13 +29,21 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def _silent(counted: Iterable[Receipt]) -> Iterable[str]:
-    """Files with frames in which no pixel at all has a hit: a chunk that is gone reads so."""
-    for facts in sorted((r.facts for r in counted), key=lambda f: str(f["name"])):
-        if facts["silent"]:
-            yield (
-                f"{facts['name']}: {facts['silent']} of {facts['frames']} frames have no hit "
-                "in any pixel; the laser paused, or a part of the file is missing"
+    """Files with more frames without a hit than chance explains: a chunk that is gone reads so."""
+    found = sorted((r.facts for r in counted), key=lambda f: str(f["name"]))
+    return shared(
+        (
+            Said(
+                str(facts["name"]),
+                f"{facts['silent']} of {facts['frames']} frames have no hit in any pixel, more "
+                "than chance explains; the laser paused, or a part of the file is missing",
+                facts["silent"] / facts["frames"],
             )
+            for facts in found
+            if facts["silent_beyond_chance"]
+        ),
+        "files",
+    )
 
 
 class Water(Receiver[WaterLedger, WaterContext]):

@@ -8,7 +8,7 @@ from typing import Final
 
 from pyproj import CRS
 
-from spl_batch.errors import InputError, WorkflowError, grouped
+from spl_batch.errors import InputError, Said, WorkflowError, grouped, shared
 from spl_batch.geiger.water.io import PIECE_VALUES, FrameFacts, inspect_frames
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.io.crs import projected_crs
@@ -150,7 +150,7 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
         raise WorkflowError("; ".join(faults))
     sources: list[FrameSource] = []
     bad: list[InputError] = []
-    warnings: list[str] = []
+    said: list[Said] = []
     per = workflow.surface.frames_per_acquisition
     for path in paths:
         try:
@@ -159,9 +159,10 @@ def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInp
             bad.append(error)
             continue
         sources.append(source)
-        warnings += _remarks(source, per)
+        said += _remarks(source, per)
+    warnings = [*shared(said, "files")]
     if crs is None and sources:
-        warnings.append("survey.crs is not set: rasters will have none")
+        warnings.append("survey.crs is not set: the rasters will carry no CRS")
     check_keys((*sources, *targets))
     return WaterInputs(
         tuple(sorted(sources, key=lambda s: s.name)),
@@ -185,17 +186,17 @@ def _source(path: Path, base: Path, workflow: WaterWorkflow, distance_m: float) 
     return FrameSource(path, name, source_key(name), facts, distance_m)
 
 
-def _remarks(source: FrameSource, per: int) -> Iterator[str]:
-    left = source.facts.frames % per
+def _remarks(source: FrameSource, per: int) -> Iterator[Said]:
+    left, truth = source.facts.frames % per, source.facts.truth_frames
     if left:
-        yield (
-            f"{source.name}: its last {left} frames make no whole acquisition of {per}; left out"
+        text = f"the last {left} frames do not fill an acquisition of {per} frames and are left out"
+        yield Said(source.name, text, left)
+    if truth not in {0, per}:
+        text = (
+            f"the truth is given for acquisitions of {truth} frames, but "
+            f"surface.frames_per_acquisition is {per}: accuracy is not measured against it"
         )
-    if source.facts.truth_frames not in {0, per}:
-        yield (
-            f"{source.name}: its truth is for {source.facts.truth_frames} frames an acquisition, "
-            f"surface.frames_per_acquisition is {per}; it is not compared with"
-        )
+        yield Said(source.name, text)
 
 
 def estimate(ledger: WaterLedger, context: RunContext[WaterWorkflow] | None = None) -> Cost:

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, Remark
 from spl_batch.geiger.coincidence import stages
 from spl_batch.geiger.coincidence.io import files, stored
 from spl_batch.geiger.coincidence.model import Attitudes, Detections, Frames
@@ -184,7 +184,7 @@ class _DetectionTally:
 
 def _sight_warnings(
     args: Mapping[str, Any], context: CoincidenceContext, target: Path, number: int
-) -> list[str]:
+) -> list[Remark]:
     """Warn where detections do not lie where their detectors look."""
     paths = (frames_path(context.store, key) for key in args["frames"])
     frames = Frames.joined([stored.frames_around(path, number) for path in paths])
@@ -195,8 +195,8 @@ def _sight_warnings(
     if off < FAR_OFF:
         return []
     said = (
-        f"detections lie {off:.1f} fields of view off their lines of sight; looks are counted "
-        "elsewhere: check heading, roll and pitch of the frames, and rows, columns and ifov_rad "
-        "of the array"
+        f"detections lie {off:.1f} fields of view off the lines of sight of their detectors, so "
+        "looks are counted in wrong places; check heading, roll and pitch of the frames, and rows, "
+        "columns and ifov_rad of the array"
     )
-    return [said]
+    return [Remark(said, off)]

@@ -34,6 +34,7 @@ from spl_batch.geiger.water.stages.hits import (
     find_gate,
     used_pixels,
 )
+from spl_batch.geiger.water.stages.silence import too_many_empty
 from spl_batch.geiger.water.stages.surface import Surface, make_surface
 from spl_batch.io.atomic import checksum
 from spl_batch.io.tables import read_arrays, write_arrays
@@ -55,10 +56,12 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
         inspect_frames(path, camera.rows, camera.cols)
-        silent = 0
+        silent = hits = 0
         for _, piece in iter_frames(path, 0, args["frames"], camera.bins):
             add_histogram(piece, used, counts)
-            silent += int((~piece.any(axis=(1, 2))).sum())
+            lit = np.count_nonzero(piece, axis=(1, 2))
+            silent += int(np.count_nonzero(lit == 0))
+            hits += int(lit.sum())
         gate = find_gate(counts, settings)
         if gate is None:
             raise InputError(str(path), "no pixel has a hit in any frame; leave the file out")
@@ -77,6 +80,7 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
         "hits": int(whole.hits.sum()),
         "outside": int(whole.outside[used].sum()),
         "silent": silent,
+        "silent_beyond_chance": too_many_empty(silent, args["frames"], hits),
     }
     return Produced([out], facts, args["frames"], {str(path): args["stamp"]})
 
