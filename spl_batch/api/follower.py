@@ -5,6 +5,7 @@ import mmap
 from pathlib import Path
 from typing import Final
 
+from spl_batch.api.deliveries import RECORD
 from spl_batch.api.earlier import FIRST_EVENT, WORK_EVENT
 from spl_batch.api.events import TaskEnded, as_record
 from spl_batch.api.lock import holder
@@ -125,5 +126,5 @@ def _without_store(output: Path) -> tuple[str, ...] | None:
     store = Store(output)
     if store.path("receipts").is_dir() or (store.local / IDENTITY).exists():
         return None
-    own = {store.local.name, LOG}
+    own = {store.local.name, LOG, RECORD}
     return tuple(sorted(path.name for path in output.iterdir() if path.name not in own))

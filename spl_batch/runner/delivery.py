@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError
-from spl_batch.io.atomic import remove
 from spl_batch.io.cells import frame, stored_blocks
 from spl_batch.io.labels import LabelFiles, read_labelled_tile
 from spl_batch.io.las_frame import Extent
@@ -85,20 +83,15 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed(args, context)
-    try:
-        with unchanged(source, stamp):
-            written = write_classified(
-                source,
-                target,
-                labels=labels,
-                diagnostics=diagnostics,
-                crs=context.crs,
-                decoded=_decoded(args, context),
-            )
-    except InputError:
-        # What an earlier run made of it would pass for this run's.
-        remove(target)
-        raise
+    with unchanged(source, stamp):
+        written = write_classified(
+            source,
+            target,
+            labels=labels,
+            diagnostics=diagnostics,
+            crs=context.crs,
+            decoded=_decoded(args, context),
+        )
     facts = {
         "points": written,
         "noise_class": _nonzero(labels.counts),
