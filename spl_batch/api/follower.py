@@ -12,6 +12,7 @@ from spl_batch.api.lock import holder
 from spl_batch.api.status import RunStatus
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import IDENTITY, Store, read_receipt
+from spl_batch.settings.mistaken import no_output
 
 LOG: Final = "log.jsonl"
 """Name of the log, below the output."""
@@ -41,6 +42,9 @@ class Follower:
         self.output = Path(output)
         self.status = RunStatus()
         self._rest = b""
+        fault = no_output(self.output, "status")
+        if fault:
+            raise WorkflowError(f"{output}: {fault}")
         try:
             self._read = _latest_run(self._log)
         except OSError:

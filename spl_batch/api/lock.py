@@ -108,8 +108,8 @@ def _is_there(path: Path) -> bool:
 
 def _unwritable(output: Path, there: Path, error: OSError) -> WorkflowError:
     return WorkflowError(
-        f"output: {output} cannot be written: {there}: {error.strerror}; name another output, or "
-        "change that folder's rights"
+        f"output: {output} cannot be written: nothing can be made in {there} ({error.strerror}); "
+        "name another output, or look at what is there and at its rights"
     )
 
 
