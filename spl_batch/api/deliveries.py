@@ -164,7 +164,7 @@ class Deliveries:
         there = path.stat()
         if there.st_size != size:
             return False
-        return there.st_mtime_ns == written_ns or checksum(path) == content
+        return bool(there.st_mtime_ns == written_ns or checksum(path) == content)
 
 
 def _free_name(path: Path) -> Path:

@@ -84,8 +84,9 @@ def gone_inputs(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Iterato
     """Say which inputs of the run before are not among this one's; their results go."""
     if deliveries.survey is None:
         return
-    here = set(_paths(prepared))
-    gone = [path for path, *_ in deliveries.survey["inputs"] if Path(path) not in here]
+    # By their names alone, as a survey may have been moved.
+    here = {path.name for path in _paths(prepared)}
+    gone = [path for path, *_ in deliveries.survey["inputs"] if Path(path).name not in here]
     if gone and len(gone) < len(deliveries.survey["inputs"]):
         yield (
             f"no longer an input of this survey: {named([Path(p).name for p in gone])}; what "
