@@ -31,6 +31,7 @@ from spl_batch.settings import (
     WireSettings,
 )
 from spl_batch.settings.faults import validated
+from spl_batch.settings.mistaken import called, is_scene
 
 
 class Workflow(BaseWorkflow):
@@ -184,6 +185,11 @@ def load_any(path: Path, overrides: Sequence[str] = ()) -> BaseWorkflow:
 
 def _content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
     content = read_mapping(path, "a workflow is a mapping with survey: and output:")
+    if is_scene(content):
+        raise WorkflowError(
+            f"{path}: this is a scene, not a workflow; `spl-batch simulate` takes it, and leaves a "
+            "workflow.yaml that `spl-batch run` takes"
+        )
     for override in overrides:
         _apply(content, override)
     return content
@@ -223,6 +229,9 @@ def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     WorkflowError
         If the file cannot be read, is not YAML, names a key twice, or holds no mapping.
     """
+    what = called(path)
+    if what:
+        raise WorkflowError(f"{path}: {what}")
     try:
         content = _Loader(path.read_text(encoding="utf-8")).get_single_data()
     except OSError as error:

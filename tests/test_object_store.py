@@ -85,7 +85,7 @@ def test_results_are_those_of_a_local_store(
     there = keys("one")
     assert {k.split("/")[1] for k in there} >= {"receipts", "tiles", "voxels", "fired", "noise"}
     local = {p.name for p in (result.output / "store").iterdir()}
-    assert local == {"lock", "identity.json", "run.json", "delivered.json", "noise.tif"}
+    assert local == {"lock", "identity.json", "run.json", "noise.tif"}
     assert api.report(result.output).report.counts == result.report.counts
     # Nothing is done twice; what is damaged there is made again.
     before = {r.name: r for r in read_receipts(Store(result.output, f"{bucket}/one"), "scatter")}

@@ -23,7 +23,7 @@ from spl_batch.plan.ledger import Phase
 from spl_batch.runner import code_version
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
-from spl_batch.task import Receipt
+from spl_batch.task import Receipt, Task
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -47,6 +47,7 @@ class Altimetry(Receiver[Tracks, Context]):
     phases: ClassVar[Sequence[Phase]] = PHASES
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = REMEDIES
+    delivered: ClassVar[tuple[str, ...]] = ("photons/**/*", "profiles/**/*", "hdf5/**/*")
 
     def prepare(
         self, workflow: TrackWorkflow, place: Place, limits: Limits
@@ -87,6 +88,14 @@ class Altimetry(Receiver[Tracks, Context]):
                 "no input is usable: " + ("; ".join(reasons) or "they hold no photons")
             )
         yield from shared(_unplaced(tracks, taken), "beams")
+
+    def targets(self, task: Task, workflow: TrackWorkflow) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        del workflow
+        if task.kind == "deliver_beam":
+            name = task.args["delivered"]
+            return [f"photons/{name}.parquet", f"profiles/{name}.csv"]
+        return [f"hdf5/{task.args['delivered']}"] if task.kind == "deliver_file" else []
 
     def reference(self, ledger: Tracks) -> list[str]:
         """Files that the results are compared with."""

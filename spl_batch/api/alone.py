@@ -7,6 +7,7 @@ from typing import Any
 
 from spl_batch.api.claim import claim
 from spl_batch.api.lock import locked
+from spl_batch.api.owner import this_survey, usable
 from spl_batch.api.preparing import prepare
 from spl_batch.api.receiver import Prepared
 from spl_batch.errors import WorkflowError
@@ -27,10 +28,13 @@ class AloneResult:
         Its receipt, with a reason where it failed.
     traceback : Path or None
         File that says where in the code it failed.
+    notes : tuple of str
+        Files that were moved aside instead of being replaced.
     """
 
     receipt: Receipt
     traceback: Path | None
+    notes: tuple[str, ...] = ()
 
     @property
     def exit_status(self) -> int:
@@ -67,18 +71,25 @@ def run_alone(
         If there is no such task, or what it needs is not finished.
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
+    usable(prepared)
     with locked(prepared.context.output):
+        deliveries = usable(prepared)
         claim(prepared.context.store)
+        deliveries.begin(this_survey(prepared))
         job, key = _find(task, prepared)
         phases = {phase.kind: phase for phase in prepared.receiver.phases}
         prepared.receiver.before(phases[job.kind], prepared)
+        moved = deliveries.make_room(prepared.receiver.targets(job, prepared.context.workflow))
+        notes = tuple(moved)
         receipt = run_task(job, key, prepared.context)
+        deliveries.wrote(receipt)
+        deliveries.save()
     if not receipt.failed:
-        return AloneResult(receipt, None)
+        return AloneResult(receipt, None, notes)
     name = f"{job.kind}_{job.name.replace('/', '~')}.txt"
     path = prepared.context.output / "store" / "tracebacks" / name
     write_bytes(path, str(receipt.facts.get("traceback", "")).encode())
-    return AloneResult(receipt, path)
+    return AloneResult(receipt, path, notes)
 
 
 def _find(wanted: str, prepared: Prepared[Any, Any]) -> Job:

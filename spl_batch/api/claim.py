@@ -4,10 +4,41 @@ import socket
 import uuid
 from typing import Final
 
-from spl_batch.errors import DamagedError, WorkflowError
+from spl_batch.errors import DamagedError, WorkflowError, named
+from spl_batch.io.remote import files_below
 from spl_batch.io.store import IDENTITY, Store, read_json, write_json
 
 _MARK: Final = "output.json"
+
+
+def refuse_claimed(store: Store) -> bool:
+    """Refuse a store elsewhere that is not this output's; whether it bears its mark.
+
+    Parameters
+    ----------
+    store : Store
+        Of an output.
+
+    Raises
+    ------
+    WorkflowError
+        If the mark of another output is there, or something that is no store.
+    StoppedError
+        If the store cannot be reached.
+    """
+    if store.url is None:
+        return True
+    try:
+        there = read_json(store.path(_MARK))
+    except DamagedError:  # none yet
+        _refuse_others_files(store)
+        return False
+    if there["id"] != _identity(store):
+        raise WorkflowError(
+            f"outputs.store: {store.url} is the store of another output, {there['output']} "
+            f"(host {there['host']}): name another one, or delete what is there"
+        )
+    return True
 
 
 def claim(store: Store) -> None:
@@ -20,34 +51,35 @@ def claim(store: Store) -> None:
 
     Raises
     ------
-    WorkflowError
-        If the mark of another output is there.
-    StoppedError
-        If the store cannot be reached.
+    WorkflowError, StoppedError
+        As :func:`refuse_claimed` does.
     """
-    if store.url is None:
+    if refuse_claimed(store):
         return
     mine = _identity(store)
-    mark = store.path(_MARK)
+    if not mine:
+        mine = uuid.uuid4().hex
+        write_json(store.local / IDENTITY, {"id": mine})
+    content = {"id": mine, "output": str(store.output), "host": socket.gethostname()}
+    write_json(store.path(_MARK), content)
+
+
+def _refuse_others_files(store: Store) -> None:
+    """Refuse a place that holds anything but what a run has left: ``--fresh`` empties a store."""
     try:
-        there = read_json(mark)
-    except DamagedError:  # none yet
-        content = {"id": mine, "output": str(store.output), "host": socket.gethostname()}
-        write_json(mark, content)
+        there = sorted({name.split("/")[0] for name in files_below(store.root)} - {""})
+    except FileNotFoundError:
         return
-    if there["id"] != mine:
+    if there and "receipts" not in there:
         raise WorkflowError(
-            f"outputs.store: {store.url} is the store of another output, {there['output']} "
-            f"(host {there['host']}): name another one, or delete what is there"
+            f"outputs.store: {store.url} holds {named(there, 3)}, which is no working store: name "
+            "a place where nothing is"
         )
 
 
 def _identity(store: Store) -> str:
-    """What tells this output from others, wherever it is moved to."""
-    path = store.local / IDENTITY
+    """What tells this output from others, wherever it is moved to; empty if nothing does yet."""
     try:
-        return str(read_json(path)["id"])
+        return str(read_json(store.local / IDENTITY)["id"])
     except DamagedError:
-        mine = uuid.uuid4().hex
-        write_json(path, {"id": mine})
-        return mine
+        return ""

@@ -17,7 +17,9 @@ from typing import Final, get_args
 from spl_batch.api.earlier import share_time
 from spl_batch.api.events import Listener, Note, ignore
 from spl_batch.api.lock import locked
+from spl_batch.api.owner import usable
 from spl_batch.api.pipeline import run
+from spl_batch.api.preparing import prepare
 from spl_batch.api.reporting import recalled
 from spl_batch.errors import WorkflowError
 from spl_batch.io.links import share_finished
@@ -161,6 +163,7 @@ def compare(
     url = settings.outputs.store
     for variant in variants:
         load_workflow(path, [*overrides, *variant.overrides(output, url)])
+    usable(prepare(path, overrides, memory=memory, workers=workers))  # before the lock's file
     process = partial(run, path, workers=workers, memory=memory, listener=listener)
     with locked(output / FOLDER):
         # What the methods share is finished first, under the workflow's own settings.

@@ -5,12 +5,14 @@ import mmap
 from pathlib import Path
 from typing import Final
 
+from spl_batch.api.deliveries import RECORD
 from spl_batch.api.earlier import FIRST_EVENT, WORK_EVENT
 from spl_batch.api.events import TaskEnded, as_record
 from spl_batch.api.lock import holder
 from spl_batch.api.status import RunStatus
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import IDENTITY, Store, read_receipt
+from spl_batch.settings.mistaken import no_output
 
 LOG: Final = "log.jsonl"
 """Name of the log, below the output."""
@@ -40,6 +42,9 @@ class Follower:
         self.output = Path(output)
         self.status = RunStatus()
         self._rest = b""
+        fault = no_output(self.output, "status")
+        if fault:
+            raise WorkflowError(f"{output}: {fault}")
         try:
             self._read = _latest_run(self._log)
         except OSError:
@@ -125,5 +130,5 @@ def _without_store(output: Path) -> tuple[str, ...] | None:
     store = Store(output)
     if store.path("receipts").is_dir() or (store.local / IDENTITY).exists():
         return None
-    own = {store.local.name, LOG}
+    own = {store.local.name, LOG, RECORD}
     return tuple(sorted(path.name for path in output.iterdir() if path.name not in own))

@@ -36,7 +36,7 @@ from spl_batch.plan.ledger import Phase
 from spl_batch.plan.memory import REMEDIES, surface_reach_m
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, mosaic_parts
-from spl_batch.products import NAMES
+from spl_batch.products import NAMES, PRODUCTS
 from spl_batch.report.model import Report
 from spl_batch.report.summary import screen_summary
 from spl_batch.runner import code_version
@@ -44,7 +44,7 @@ from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
 from spl_batch.stages.line_noise import RAISE_INTERVAL
-from spl_batch.task import Receipt
+from spl_batch.task import Receipt, Task
 from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow
 
@@ -73,6 +73,10 @@ class Imaging(Receiver[Survey, Context]):
     words: ClassVar[Mapping[str, str]] = _WORDS
     remedies: ClassVar[Mapping[str, str]] = REMEDIES
     essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
+    delivered: ClassVar[tuple[str, ...]] = (
+        *("laz/**/*", "tiles/*"),
+        *(f"{p.name}{piece}.tif" for p in PRODUCTS if p.delivered for piece in ("", "_[0-9]*")),
+    )
 
     @property
     def compiles(self) -> Work:
@@ -178,6 +182,17 @@ class Imaging(Receiver[Survey, Context]):
                 "the survey lies in pieces far apart: each has rasters of its own "
                 "(dtm.tif, dtm_2.tif, ...), the piece with most points comes first"
             )
+
+    def targets(self, task: Task, workflow: Workflow) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        if task.kind == "deliver_file":
+            return [f"laz/{task.args['delivered']}"]
+        if task.kind == "deliver_tile":
+            copc = ".copc" if workflow.outputs.tiles == "copc" else ""
+            return [f"tiles/{task.name}{copc}.laz"]
+        if task.kind == "mosaic" and task.args["delivered"]:
+            return [f"{task.name}.tif"]
+        return []
 
     def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[str]:
         """How much of earlier runs is done again for want of memory."""

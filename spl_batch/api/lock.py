@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.errors import WorkflowError
-from spl_batch.io.atomic import stop_if_full
+from spl_batch.io.atomic import scratch_name, stop_if_full
 
 PATIENCE_S: Final = 1.0
 """How long a run waits for the lock; a look at it by :func:`holder` is over in no time [s]."""
@@ -39,6 +39,7 @@ def locked(output: Path) -> Iterator[str]:
     WorkflowError
         If another run works there, or nothing can be written there.
     """
+    refuse_unwritable(output)
     path = lock_file(output)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -46,7 +47,7 @@ def locked(output: Path) -> Iterator[str]:
         stream = path.open("a+", encoding="utf-8")
     except OSError as error:
         stop_if_full(error, output)
-        raise WorkflowError(f"output: {output} cannot be written: {error.strerror}") from None
+        raise _unwritable(output, path.parent, error) from None
     with stream:
         if not _take(stream):
             raise WorkflowError(
@@ -69,6 +70,47 @@ def locked(output: Path) -> Iterator[str]:
         except OSError as error:
             stop_if_full(error, output)
             raise
+
+
+def refuse_unwritable(output: Path) -> None:
+    """Refuse an output folder in which nothing can be written; leaves nothing behind.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results, which need not be there.
+
+    Raises
+    ------
+    WorkflowError
+        If it cannot be made, or nothing can be made in it.
+    StoppedError
+        If the disk is full.
+    """
+    store = lock_file(output).parent
+    there = next(place for place in (store, *store.parents) if _is_there(place))
+    probe = scratch_name(there / "probe")
+    try:
+        probe.mkdir()
+        probe.rmdir()
+    except OSError as error:
+        stop_if_full(error, output)
+        raise _unwritable(output, there, error) from None
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is a file or folder; a link that leads nowhere is in the way as well."""
+    try:
+        return path.exists() or path.is_symlink()
+    except OSError:  # not even that can be asked, so that something above it is at fault
+        return False
+
+
+def _unwritable(output: Path, there: Path, error: OSError) -> WorkflowError:
+    return WorkflowError(
+        f"output: {output} cannot be written: nothing can be made in {there} ({error.strerror}); "
+        "name another output, or look at what is there and at its rights"
+    )
 
 
 def lock_file(output: Path) -> Path:

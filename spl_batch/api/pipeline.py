@@ -24,13 +24,13 @@ from spl_batch.api.events import (
 )
 from spl_batch.api.failures import Invocation, failures
 from spl_batch.api.lock import lock_file, locked
+from spl_batch.api.owner import gone_inputs, this_survey, usable
 from spl_batch.api.planning import fitting_cost
 from spl_batch.api.preparing import prepare
 from spl_batch.api.progress import Progress
 from spl_batch.api.receiver import Prepared, Receiver
 from spl_batch.api.repair import Repairs
 from spl_batch.api.tilemap import TileMap
-from spl_batch.api.withdrawal import withdraw_stale
 from spl_batch.errors import (
     Said,
     SplBatchError,
@@ -42,6 +42,7 @@ from spl_batch.errors import (
 from spl_batch.graph import Ahead, Executor, Footing, executor
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
+from spl_batch.plan.shelf import delivers
 from spl_batch.plan.worklist import Worklist
 from spl_batch.receivers import report_model
 from spl_batch.report.format import as_ascii, duration
@@ -138,8 +139,12 @@ def run(
     cost = fitting_cost(prepared)
     output = prepared.context.output
     invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
+    usable(prepared)  # before the lock, which would leave a file in somebody else's folder
     with locked(output) as mark:
+        deliveries = usable(prepared)
         claim(prepared.context.store)
+        gone = [*gone_inputs(prepared, deliveries)]
+        deliveries.begin(this_survey(prepared))
         if fresh:
             prepared.context.store.clear()
             claim(prepared.context.store)
@@ -149,6 +154,7 @@ def run(
             listener,
             invocation,
             repairs,
+            deliveries,
             kinds(_kind(prepared)),
             {str(source.key): source.name for source in prepared.ledger.inputs.sources},
             prepared.receiver.essential,
@@ -163,7 +169,7 @@ def run(
         compiles = prepared.receiver.compiles
         ahead = compiles and Ahead(compiles, COMPILING)
         with _telling_the_end(progress):
-            for text in prepared.ledger.remarks:
+            for text in (*prepared.ledger.remarks, *gone):
                 progress.aside(text)
             for text in prepared.ledger.inputs.warnings:
                 progress.warn(text)
@@ -199,15 +205,15 @@ def _conclude(
     until: str | None,
     took: tuple[float, float | None],
 ) -> RunResult:
-    """Take away what is stale, and write the report unless the run was to stop before it.
+    """Delete what is stale, and write the report unless the run was to stop before it.
 
     ``took`` is when the run began, and how long it has compiled [s].
     """
     ledger, context, receiver = prepared.ledger, prepared.context, prepared.receiver
     order = stages_of(prepared)
     if until is None or order.index(until) >= order.index("deliver"):
-        for path in withdraw_stale(ledger, context):
-            progress.tell(Note("info", f"taken away, as nothing in this run made it: {path}"))
+        for text in progress.deliveries.withdraw(ledger):
+            progress.tell(Note("info", text))
     if until is not None and until != "report":
         status = int(bool(progress.failures or ledger.inputs.bad))
         return RunResult(status, context.output, None)
@@ -320,12 +326,16 @@ def _run_wave(
 ) -> None:
     """Do what phases that do not wait for each other have left to do."""
     work: dict[str, Worklist] = {}
+    targets: list[str] = []
     for phase in phases:
         prepared.receiver.before(phase, prepared)
         work[phase.kind] = Worklist(phase, prepared.ledger, prepared.context, verify=verify)
-        _begin_phase(work[phase.kind], phase.kind, prepared, pool, progress)
+        targets += _begin_phase(work[phase.kind], phase.kind, prepared, pool, progress)
+    for text in progress.deliveries.make_room(targets):
+        progress.tell(Note("info", text))
 
     def on_receipt(receipt: Receipt) -> None:
+        progress.deliveries.wrote(receipt)
         progress.ended(work[receipt.kind].ended(receipt), receipt)
 
     for some in work.values():
@@ -336,29 +346,35 @@ def _run_wave(
         pool.run(jobs, prepared.context, on_receipt)
     for kind in work:
         prepared.ledger.of(kind).sort()
+    if any(map(delivers, work)):
+        progress.deliveries.save()
 
 
 def _begin_phase(
     work: Worklist, kind: str, prepared: Prepared[Any, Any], pool: Executor, progress: Progress
-) -> None:
-    """See what one phase has left to do, and tell of it."""
+) -> list[str]:
+    """See what one phase has left to do, and tell of it; the files that it will deliver."""
+    targets: list[str] = []
     ledger, stage = prepared.ledger, progress.stage(kind)
     left: list[str] = []
     ready: list[str] = []
     for task, receipt in work.look():
         if receipt is None:
             left.append(task.name)
+            targets += prepared.receiver.targets(task, prepared.context.workflow)
         else:
+            progress.deliveries.wrote(receipt)
             ready.append(receipt.name)
             progress.costs.setdefault(stage, StageCost()).skip(receipt)
     if not work.left and not work.ready:
-        return
+        return targets
     if work.left:
         pool.make_ready()
         if progress.invocation.workers:
             _load_meanwhile(prepared.receiver)
     tiles = _tile_map(prepared.receiver.edge_m(kind, ledger), left, ready)
     progress.tell(PhaseStarted(stage, kind, work.left, work.ready, work.points, tiles))
+    return targets
 
 
 @cache

@@ -1,6 +1,5 @@
 """What a run will do, from headers alone: points, tasks, disk, memory, time."""
 
-import os
 import shutil
 from collections import deque
 from collections.abc import Sequence
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from spl_batch.api.owner import gone_inputs, usable
 from spl_batch.api.preparing import prepare
 from spl_batch.api.receiver import Prepared
 from spl_batch.errors import storage, told_together
@@ -109,12 +109,13 @@ def plan(
     Raises
     ------
     WorkflowError
-        If the workflow is wrong or no input is usable.
+        If the workflow is wrong, no input is usable, or the output cannot be used.
     PlanError
         If a task cannot fit into the memory limit.
     """
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
+    deliveries = usable(prepared)
     output, left = prepared.context.output, _left(prepared, cost)
     faults, warnings = prepared.receiver.first_look(prepared)
     whole = left is None and prepared.context.store.url is None
@@ -124,10 +125,11 @@ def plan(
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
-        (*told_together(inputs.bad), *faults, *_unwritable(output)),
+        (*told_together(inputs.bad), *faults),
         (
             *prepared.ledger.remarks,
             *inputs.warnings,
+            *gone_inputs(prepared, deliveries),
             *warnings,
             *_too_full(output, cost.disk_bytes if whole else 0),
         ),
@@ -147,14 +149,6 @@ def fitting_cost(prepared: Prepared[Any, Any]) -> Cost:
     ledger = prepared.ledger
     refuse_too_large(cost, ledger.memory_bytes, shared=ledger.shared)
     return cost
-
-
-def _unwritable(output: Path) -> list[str]:
-    """What a run would be refused for before it begins."""
-    there = _existing(output)
-    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
-        return []
-    return [f"output: {output} cannot be written: look at {there} and its rights"]
 
 
 def _too_full(output: Path, needed: int) -> list[str]:

@@ -117,5 +117,9 @@ def parse_bytes(text: str | int) -> int:
     number, prefix, binary = match.groups()
     size = int(float(number) * (_BINARY if binary else _UNITS)[prefix or ""])
     if size < 2**28:
-        raise WorkflowError(f"--memory {text}: a worker needs 256 MiB at least")
+        meant = "" if prefix else f"; write {number}{'GiB' if float(number) < 256 else 'MiB'}"
+        raise WorkflowError(
+            f"--memory {text}: that is {grouped(size)} bytes, a worker needs 256 MiB at least"
+            f"{meant}"
+        )
     return size

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from spl_batch.api.deliveries import Deliveries
 from spl_batch.api.events import (
     Compiling,
     Event,
@@ -45,6 +46,8 @@ class Progress:
         How the run was started.
     repairs : Repairs
         Makes damaged files again.
+    deliveries : Deliveries
+        What this run and those before it have written into the output.
     kinds : mapping of str to Kind
         What each kind of task is.
     names : mapping of str to str
@@ -57,6 +60,7 @@ class Progress:
     listener: Listener
     invocation: Invocation
     repairs: Repairs
+    deliveries: Deliveries
     kinds: Mapping[str, Kind]
     names: Mapping[str, str] = field(default_factory=dict)
     essential: frozenset[str] = frozenset()

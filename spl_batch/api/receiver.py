@@ -19,7 +19,7 @@ from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
-from spl_batch.task import Receipt
+from spl_batch.task import Receipt, Task
 
 L = TypeVar("L", bound=Ledger[Any, Any])
 C = TypeVar("C", bound=RunContext[Any])
@@ -86,6 +86,8 @@ class Receiver(ABC, Generic[L, C]):
         What makes a kind of task lighter, where memory was too little.
     essential : frozenset of str
         Kinds of task whose failure stops a run: :meth:`after` raises what it says.
+    delivered : tuple of str
+        Patterns of the files that its runs deliver, below the output.
     """
 
     workflow: ClassVar[type[BaseWorkflow]]
@@ -94,6 +96,7 @@ class Receiver(ABC, Generic[L, C]):
     words: ClassVar[Mapping[str, str]] = MappingProxyType({})
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType({})
     essential: ClassVar[frozenset[str]] = frozenset()
+    delivered: ClassVar[tuple[str, ...]] = ()
 
     @property
     def compiles(self) -> Work | None:
@@ -151,6 +154,14 @@ class Receiver(ABC, Generic[L, C]):
             If nothing is left to go on with.
         """
         del phase, prepared, failed
+        return ()
+
+    def targets(self, task: Task, workflow: Any) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers.
+
+        One that ends in ``/`` stands for all files in a folder.
+        """
+        del task, workflow
         return ()
 
     def aside(self, phase: Phase, prepared: Prepared[L, C]) -> Iterable[str]:

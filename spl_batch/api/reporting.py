@@ -5,12 +5,14 @@ from typing import Any
 
 from spl_batch.api.pipeline import RunResult
 from spl_batch.api.receiver import Place, Receiver
+from spl_batch.errors import WorkflowError
 from spl_batch.io.store import Store, read_receipt
 from spl_batch.plan.shelf import Shelf
 from spl_batch.receivers import receiver
 from spl_batch.report.model import Failure
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import RunFacts, StageCost, recall
+from spl_batch.settings.mistaken import no_output
 from spl_batch.workflow import parse_any
 
 
@@ -24,9 +26,14 @@ def report(output: Path | str) -> RunResult:
 
     Raises
     ------
+    WorkflowError
+        If it is no output folder.
     StoreError
         If no run has finished there.
     """
+    fault = no_output(Path(output), "report")
+    if fault:
+        raise WorkflowError(f"{output}: {fault}")
     folder = Path(output).resolve()
     done, context, facts = recalled(folder)
     found: Receiver[Any, Any] = receiver(context.workflow.kind)

@@ -7,8 +7,10 @@ from typing import Any
 
 from spl_batch.api.events import Listener, ignore
 from spl_batch.api.pipeline import RunResult, run
+from spl_batch.api.synthetic import mark_quickstart, quickstarted, simulating
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import IMAGING, simulator
+from spl_batch.settings.mistaken import is_workflow
 from spl_batch.workflow import known_kind, read_mapping
 
 
@@ -36,16 +38,17 @@ def simulate(
     Raises
     ------
     WorkflowError
-        If the scene has a fault, or is a workflow.
+        If the scene has a fault, or is a workflow; if the folder holds anything that no
+        simulation made.
     """
     content = read_mapping(Path(scene), "a scene is a mapping with extent_m: and flights:")
-    survey = content.get("survey")
-    if isinstance(survey, dict) and "flightlines" in survey:
+    if is_workflow(content):
         raise WorkflowError(f"{scene}: this is a workflow, not a scene; `spl-batch run` is for it")
     kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
-    if progress is not None:
-        progress(0.0)
-    return simulator(kind)(Path(scene), Path(output), progress=progress)
+    with simulating(Path(output)):
+        if progress is not None:
+            progress(0.0)
+        return simulator(kind)(Path(scene), Path(output), progress=progress)
 
 
 def quickstart(
@@ -61,7 +64,7 @@ def quickstart(
     Parameters
     ----------
     output : Path or str
-        Folder; a survey that is there already is used again.
+        Folder; the survey that an earlier quickstart made there is used again.
     workers : int
         Worker processes [count].
     memory : str or int, optional
@@ -70,11 +73,17 @@ def quickstart(
         Told the share of the simulation that is done, 0..1.
     listener : callable
         Told what happens in the run.
+
+    Raises
+    ------
+    WorkflowError
+        If the folder holds anything that no quickstart made.
     """
     folder = Path(output)
     workflow = folder / "workflow.yaml"
-    if not workflow.exists():
+    if not quickstarted(folder):
         preset = resources.files("spl_batch.simulate").joinpath("scenes/quickstart.yaml")
         with resources.as_file(preset) as scene:
             simulate(scene, folder, progress=progress)
+        mark_quickstart(folder)
     return run(workflow, workers=workers, memory=memory, listener=listener)

@@ -29,7 +29,6 @@ Always on the file system, wherever the store lies::
     store/identity.json                whose store elsewhere is: as STORE/output.json says
     store/run.json                     what the report is written from
     store/shared.json                  how long what another store shares with it took
-    store/delivered.json               what was delivered, so that stale files can go
     store/noise.tif                    map of the noise, for the report
     store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
 """
@@ -116,7 +115,7 @@ class Store:
     def clear(self) -> None:
         """Forget everything that is finished; what was delivered stays known."""
         for path in self.local.iterdir():
-            if path.name not in {"lock", "delivered.json", IDENTITY}:
+            if path.name not in {"lock", IDENTITY}:
                 remove(path)
         if self.url:
             remove(self.root)

@@ -341,17 +341,18 @@ def _checked_reference(
     """
     stated = workflow.reference.crs if workflow.reference else None
     given = None if stated is None else parse_crs(stated, "reference.crs")
-    faults, usable = [], []
+    faults: list[Said] = []
+    usable: list[LasFacts] = []
     for path in paths:
         try:
             usable.append(inspect(path))
         except InputError as error:
-            faults.append(f"reference.points: {error}")
+            faults.append(Said(error.path, "; ".join(error.faults)))
             continue
         last = usable[-1]
         found = last.crs or given
         if found is None and last.n_points and look_like_degrees(last.mins_m, last.maxs_m):
-            faults.append(f"reference.points: {path}: {LIKE_DEGREES}, or set reference.crs")
+            faults.append(Said(str(path), f"{LIKE_DEGREES}, or set reference.crs"))
         if crs is not None and found is not None and not same_crs(found, crs):
             remedy = "reproject it"
             if others:
@@ -359,12 +360,11 @@ def _checked_reference(
                     f"nor is that of {named([error.path for error in others], 3)}: most points are "
                     "in the survey's, reproject what is wrong"
                 )
-            faults.append(
-                f"reference.points: {path}: CRS {found.name!r} is not the survey's {crs.name!r}; "
-                f"{remedy}"
-            )
+            text = f"CRS {found.name!r} is not the survey's {crs.name!r}; {remedy}"
+            faults.append(Said(str(path), text))
     if faults:
-        raise WorkflowError("; ".join(faults))
+        told = (f"reference.points: {text}" for text in shared(faults, "files"))
+        raise WorkflowError("; ".join(told))
     return tuple(usable)
 
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, Remark
-from spl_batch.io.atomic import remove
+from spl_batch.errors import Remark
 from spl_batch.io.cells import frame, stored_blocks
 from spl_batch.io.labels import LabelFiles, read_labelled_tile
 from spl_batch.io.las_frame import Extent
@@ -87,20 +86,15 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed(args, context)
-    try:
-        with unchanged(source, stamp):
-            written = write_classified(
-                source,
-                target,
-                labels=labels,
-                diagnostics=diagnostics,
-                crs=context.crs,
-                decoded=_decoded(args, context),
-            )
-    except InputError:
-        # What an earlier run made of it would pass for this run's.
-        remove(target)
-        raise
+    with unchanged(source, stamp):
+        written = write_classified(
+            source,
+            target,
+            labels=labels,
+            diagnostics=diagnostics,
+            crs=context.crs,
+            decoded=_decoded(args, context),
+        )
     broken = broken_records(read_header(source))
     facts = {
         "name": args["delivered"],

@@ -15,8 +15,7 @@ from spl_batch.altimetry.runner.context import GROUP_PHOTONS, Context, place, ro
 from spl_batch.altimetry.runner.heights import COLUMNS
 from spl_batch.altimetry.runner.photons import Selection
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import InputError
-from spl_batch.io.atomic import remove, write_bytes
+from spl_batch.io.atomic import write_bytes
 from spl_batch.io.tables import read_columns, writing
 from spl_batch.runner.context import Produced
 from spl_batch.runner.unchanged import as_indexed, unchanged
@@ -88,23 +87,16 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     source = Path(args["path"])
     target = context.output / "hdf5" / args["delivered"]
     points = 0
-    try:
-        with unchanged(source, as_indexed(args, context)), labelled_copy(source, target) as file:
-            for beam in args["beams"]:
-                group = file[beam["group"]]
-                made = {
-                    name: add_dataset(
-                        group, name, beam["points"], fill, {"description": text}, dtype
-                    )
-                    for name, (dtype, fill, text) in _DATASETS.items()
-                }
-                for first, part in _passes(beam, context):
-                    rows = slice(first, first + len(part["signal"]))
-                    made["spl_signal"][rows] = part["signal"]
-                    made["spl_confidence"][rows] = part["confidence"]
-                points += beam["points"]
-    except InputError:
-        # What an earlier run made of it would pass for this run's.
-        remove(target)
-        raise
+    with unchanged(source, as_indexed(args, context)), labelled_copy(source, target) as file:
+        for beam in args["beams"]:
+            group = file[beam["group"]]
+            made = {
+                name: add_dataset(group, name, beam["points"], fill, {"description": text}, dtype)
+                for name, (dtype, fill, text) in _DATASETS.items()
+            }
+            for first, part in _passes(beam, context):
+                rows = slice(first, first + len(part["signal"]))
+                made["spl_signal"][rows] = part["signal"]
+                made["spl_confidence"][rows] = part["confidence"]
+            points += beam["points"]
     return Produced([target], {"points": points}, points)

@@ -19,7 +19,7 @@ from spl_batch.runner import code_version
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
-from spl_batch.task import Receipt
+from spl_batch.task import Receipt, Task
 
 
 class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
@@ -34,6 +34,7 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
         {"coincide": "take a smaller tiling.tile_m or coincidence.volume_voxels"}
     )
+    delivered: ClassVar[tuple[str, ...]] = ("points/*",)
 
     def prepare(
         self, workflow: CoincidenceWorkflow, place: Place, limits: Limits
@@ -79,6 +80,11 @@ class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
                 "those of detections that were read; all other frames are left out with all their "
                 "looks"
             )
+
+    def targets(self, task: Task, workflow: CoincidenceWorkflow) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        del workflow
+        return [f"points/{task.args['tile']}.laz"] if task.kind == "deliver_tile" else []
 
     def edge_m(self, kind: str, ledger: L1Ledger) -> float:
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""

@@ -16,7 +16,7 @@ from spl_batch.plan.ledger import Phase
 from spl_batch.runner import code_version
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.settings import BaseWorkflow
-from spl_batch.task import Receipt
+from spl_batch.task import Receipt, Task
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -56,6 +56,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
     remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
         {"make_surfaces": "store frames in smaller chunks"}
     )
+    delivered: ClassVar[tuple[str, ...]] = ("points/*", "surfaces/**/*")
 
     def prepare(
         self, workflow: WaterWorkflow, place: Place, limits: Limits
@@ -102,6 +103,16 @@ class Water(Receiver[WaterLedger, WaterContext]):
         if phase.kind == "calibrate" and "all" not in ledger.of("calibrate"):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
             raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
+
+    def targets(self, task: Task, workflow: WaterWorkflow) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        del workflow
+        if task.kind == "deliver_points":
+            return [f"points/{task.args['delivered']}.parquet"]
+        if task.kind == "deliver_rasters":
+            name = task.args["delivered"]
+            return [f"surfaces/{name}.tif", f"surfaces/{name}/"]
+        return []
 
     def report(self, done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
         """Write ``report.json`` and ``report.html``."""

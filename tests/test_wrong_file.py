@@ -1,0 +1,107 @@
+"""A command that was given the wrong file says what it is and which command takes it."""
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from tests import surveys
+
+SCENE = "name: s\nextent_m: [50, 50]\nflights:\n  - {heading_deg: 0}\n"
+WORKFLOW = "survey:\n  flightlines: lines/*.laz\noutput: results\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    (tmp_path / "workflow.yaml").write_text(WORKFLOW)
+    (tmp_path / "lines").mkdir()
+    (tmp_path / "lines" / "x.laz").write_bytes(b"LASF" + struct.pack("<40I", *range(40)))
+    (tmp_path / "blob").write_bytes(bytes(range(256)))
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "report.json").write_text('{"survey": {"flightlines": 3}}')
+    (tmp_path / "results" / "dtm.tif").write_bytes(b"II*\0....")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "what", "remedy"),
+    [
+        ("run", "scene.yaml", "a scene, not a workflow", "`spl-batch simulate` takes it"),
+        ("plan", "scene.yaml", "a scene, not a workflow", "`spl-batch simulate` takes it"),
+        ("compare", "scene.yaml", "a scene, not a workflow", "`spl-batch simulate` takes it"),
+        ("run", "lines/x.laz", "a point file", "name it in a workflow file"),
+        ("plan", "lines/x.laz", "a point file", "name it in a workflow file"),
+        ("simulate", "lines/x.laz", "a point file", "name it in a workflow file"),
+        ("run", "blob", "a binary file", "name it in a workflow file"),
+        ("run", "results/dtm.tif", "a TIFF raster", "name it in a workflow file"),
+        ("run", "results/report.json", "of a run's results", "take the folder that it lies in"),
+        ("run", ".", "a folder", "such as scene.yaml"),
+        ("run", "lines", "a folder of point files", "survey.flightlines"),
+        ("plan", "results", "output folder of a run", "`spl-batch status`"),
+        ("simulate", "workflow.yaml", "a workflow, not a scene", "`spl-batch run`"),
+        ("status", "workflow.yaml", "a workflow", "here {}/results"),
+        ("report", "workflow.yaml", "a workflow", "here {}/results"),
+        ("status", "scene.yaml", "a scene", "takes the output folder"),
+        ("status", "lines/x.laz", "a point file", "takes the output folder"),
+        ("status", "results/report.json", "of a run's results", "here {}/results"),
+        ("status", "lines", "no run has worked here", "takes the output folder"),
+        ("report", "lines", "no run has worked here", "takes the output folder"),
+        ("status", ".", "no run has worked here", "try {}/results"),
+        ("report", "nowhere", "no such folder", "takes the output folder"),
+    ],
+)
+def test_one_line_says_what_it_is(
+    folder: Path, command: str, name: str, what: str, remedy: str
+) -> None:
+    options: list[object] = ["--methods", "aes,voxel"] if command == "compare" else []
+    if command == "simulate":
+        options = [folder / "made"]
+    ended = surveys.command(command, folder / name, *options)
+    assert ended.status == 2
+    (line,) = ended.err.splitlines()
+    assert len(line.replace(str(folder), "")) < 300
+    assert what in line
+    assert remedy.format(folder) in line
+    assert not (folder / "made").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("4", "that is 4 bytes, a worker needs 256 MiB at least; write 4GiB"),
+        ("512", "that is 512 bytes, a worker needs 256 MiB at least; write 512MiB"),
+        ("4k", "that is 4 000 bytes, a worker needs 256 MiB at least"),
+    ],
+)
+def test_memory_without_a_unit_is_bytes(folder: Path, given: str, words: str) -> None:
+    for verb in ("plan", "run"):
+        ended = surveys.command(verb, folder / "workflow.yaml", "--memory", given)
+        assert ended.status == 2
+        assert ended.err == f"spl-batch: --memory {given}: {words}\n"
+
+
+@pytest.mark.parametrize("output", ["/proc/x/out", "workflow.yaml", "workflow.yaml/deep"])
+def test_a_plan_refuses_an_output_that_a_run_refuses(tmp_path: Path, output: str) -> None:
+    surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=20))
+    workflow = surveys.write_workflow(tmp_path)
+    said = [
+        surveys.command(verb, workflow, "--workers", 0, "--set", f"output={output}")
+        for verb in ("plan", "run")
+    ]
+    assert [ended.status for ended in said] == [2, 2]
+    assert said[0].err == said[1].err
+    assert "cannot be written" in said[0].err
+
+
+def test_a_fault_of_several_references_is_listed_once(tmp_path: Path) -> None:
+    surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=20))
+    for k in range(3):
+        surveys.write_cloud(
+            tmp_path / f"reference/{k}.laz", surveys.flightline(shots=20), crs="EPSG:25833"
+        )
+    workflow = surveys.write_workflow(tmp_path, reference={"points": "reference/*.laz"})
+    ended = surveys.command("plan", workflow)
+    assert ended.status == 2
+    assert ended.err.count("is not the survey's") == 1
+    assert "3 files: " in ended.err
