@@ -23,7 +23,9 @@ class MethodResult(Part):
     signal: Count = Field(description="Signal [count].")
     background: Count = Field(description="Removed as solar and dark noise [count].")
     afterpulse: Count = Field(description="Removed as afterpulses [count].")
-    removed_share: Number = Field(None, description="Background and afterpulses over all points, 0..1.")
+    removed_share: Number = Field(
+        None, description="Background and afterpulses over all points, 0..1."
+    )
     kept_only: Count = Field(description="Signal here, noise by the first method [count].")
     removed_only: Count = Field(description="Noise here, signal by the first method [count].")
     far_per_m3: Number = Field(None, description="Signal far from where most returns lie [1/m3].")

@@ -239,9 +239,7 @@ def _layout(extent_m: tuple[float, float, float, float]) -> _Layout:
     return _Layout(WIDTH_IN, margin + high + title, (margin, margin, wide, high), bar_box)
 
 
-def framed(
-    extent_m: tuple[float, float, float, float], title: str
-) -> tuple[Figure, Axes]:
+def framed(extent_m: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
     """Empty map with its heading; use it inside :func:`~spl_batch.report.style.type_context`.
 
     Parameters

@@ -113,7 +113,7 @@ def render_page(
             stages=_stages(report.performance.stages),
             written=_written(report.provenance.created),
             changed=list(changed(used)),
-            parameters=json.dumps(used, indent=1, ensure_ascii=False),
+            parameters=_compact(used),
             left_out=bool(front.unused),
             longest=LONGEST_TABLE,
             **more,
@@ -158,6 +158,15 @@ def environment(package: str = HOME) -> Environment:
         }
     )
     return environment
+
+
+def _compact(parameters: Mapping[str, Any]) -> str:
+    """JSON with a line for each section: an appendix of a few hundred numbers stays short."""
+    lines = (
+        f" {json.dumps(key, ensure_ascii=False)}: {json.dumps(value, ensure_ascii=False)}"
+        for key, value in parameters.items()
+    )
+    return "{\n" + ",\n".join(lines) + "\n}"
 
 
 def _stages(stages: Mapping[str, StagePerformance]) -> list[dict[str, Any]]:

@@ -1,13 +1,16 @@
 """Parameters of a run as a reader wants them: first those that are not the default."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
 from spl_batch.report.model import finite_or_none
+
+LONGEST_VALUE: Final = 160
+"""Longest value that the table of changed parameters shows whole [characters]."""
 
 
 def changed(parameters: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -39,9 +42,9 @@ def _differing(
         if inner is not None and isinstance(value, Mapping):
             yield from _differing(inner, value, f"{before}{name}.")
         elif field.is_required():
-            yield f"{before}{name}", _said(value), "required"
+            yield f"{before}{name}", _short(value), "required"
         elif value != (default := _default(field)):
-            yield f"{before}{name}", _said(value), _said(default)
+            yield f"{before}{name}", _short(value), _short(default)
 
 
 def _inner(field: FieldInfo) -> type[BaseModel] | None:
@@ -57,6 +60,12 @@ def _default(field: FieldInfo) -> Any:
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")
     return finite_or_none(value)
+
+
+def _short(value: Any) -> str:
+    """A value in words, cut where a table has no room: the whole is in the appendix."""
+    said = _said(value)
+    return said if len(said) <= LONGEST_VALUE else f"{said[:LONGEST_VALUE]} ..."
 
 
 def _said(value: Any) -> str:

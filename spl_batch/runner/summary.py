@@ -298,9 +298,7 @@ def _photons(context: Context) -> bool:
     return workflow.filter.method != "none" or workflow.afterpulse.enabled
 
 
-def _overview(
-    path: Path, bounds_m: tuple[float, float, float, float] | None = None
-) -> Part | None:
+def _overview(path: Path, bounds_m: tuple[float, float, float, float] | None = None) -> Part | None:
     return read_overview(path, bounds_m=bounds_m) if path.exists() else None
 
 

@@ -52,7 +52,9 @@ def _height(raster: Raster | None) -> Picture:
         return Picture(title, "There are no points to show.")
     limits = spread(reduce_raster(raster).values, 0.5, 99.5)
     drawn = draw_relief(raster, title, "height [m]", limits)
-    return _made(drawn, title, "Lone spikes would be noise taken for a surface, grey is without points.")
+    return _made(
+        drawn, title, "Lone spikes would be noise taken for a surface, grey is without points."
+    )
 
 
 def _intensity(raster: Raster | None) -> Picture:

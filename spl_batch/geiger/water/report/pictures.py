@@ -130,6 +130,8 @@ def _each(rows: Floats) -> Picture:
         bias.plot(along, 1e3 * np.sqrt(rows[:, 1]), ".", color=style.NOISE, label="RMSE")
         bias.set(title="Heights", ylabel="error of depth [mm]", xlabel="acquisition [number]")
         bias.legend()
+        for axes in (bias, normal):
+            axes.xaxis.get_major_locator().set_params(integer=True)
         normal.plot(along, rows[:, 2], ".", color=style.SIGNAL)
         normal.set(
             title="Normals", ylabel="mean error of a pixel's normal [deg]",
