@@ -337,7 +337,7 @@ def _corners(axes: Axes, extent_m: tuple[float, float, float, float]) -> None:
     layout = _layout(extent_m)
     upper, lower = corner_texts(extent_m)
     look: dict[str, Any] = {"fontsize": 6.5, "path_effects": [_halo(2.2)], "zorder": 6}
-    left, bottom, wide, high = layout.map_box
+    _, bottom, wide, high = layout.map_box
     if wide >= 2.6 and high >= 0.7:
         axes.text(0.012, 0.985, upper, transform=axes.transAxes, va="top", **look)
         axes.text(0.988, 0.015, lower, transform=axes.transAxes, ha="right", va="bottom", **look)

@@ -276,8 +276,8 @@ def _profile(profile: Profile | None, *, photons: bool) -> Picture:
         title,
         "The same strip twice. Above, every recorded return; below, what each was taken for. "
         + (
-            "Look for wires, roof edges and crowns that are signal, and for an empty sky. Noise far "
-            "above and below the scene is cut off here."
+            "Look for wires, roof edges and crowns that are signal, and for an empty sky. Noise "
+            "far above and below the scene is cut off here."
             if photons
             else "Look for roofs, crowns and wires that were taken for ground."
         ),

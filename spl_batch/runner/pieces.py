@@ -77,8 +77,8 @@ def find_pieces(done: Receipts, context: Context) -> list[Piece]:
         rasters = tuple(f"{name}{suffix}.tif" for name in PRODUCTS if f"{name}{suffix}" in made)
         frame = _frame(context.output / f"dtm{suffix}.tif")
         inside = [box for cell in cells if (box := _common(cell, frame)) is not None]
-        for group in split([b for b in (_shrunk(box, found) for box in inside) if b is not None]):
-            pieces.append(Piece(_around(group), suffix, rasters))
+        held = [part for box in inside if (part := _shrunk(box, found)) is not None]
+        pieces.extend(Piece(_around(group), suffix, rasters) for group in split(held))
     return pieces
 
 

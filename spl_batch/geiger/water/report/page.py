@@ -46,7 +46,8 @@ def _surfaces(report: WaterReport) -> int:
 def _facts(report: WaterReport) -> Iterator[str]:
     water = [file for file in report.files if file.role == "water"]
     yield f"{len(water)} file{'s' * (len(water) != 1)} of frames"
-    yield f"{text.number(_surfaces(report))} acquisitions of {text.number(report.frames_per_acquisition)} frames"
+    frames = text.number(report.frames_per_acquisition)
+    yield f"{text.number(_surfaces(report))} acquisitions of {frames} frames"
     yield report.crs or "no CRS"
 
 
