@@ -358,6 +358,8 @@ class TestPictures:
     def test_the_profile_has_its_line_on_the_maps(self) -> None:
         line = (500_010.0, 3_300_050.0, 500_110.0, 3_300_050.0)
         raster = Raster(np.arange(12.0).reshape(3, 4), EXTENT, line)
+        large = Raster(np.ones((1000, 1000)), EXTENT, line)
+        assert maps.reduce_raster(large).line_m == line
         for drawn in (
             maps.draw_relief(raster, "t", "u"),
             maps.draw_ramp(raster, "t", "u", ramp=style.SKY, limits=(0.0, 1.0)),
@@ -365,7 +367,8 @@ class TestPictures:
             ends = [np.ravel(part.get_xydata()).tolist() for part in drawn.axes[0].lines]
             assert list(line) in ends
             assert "profile" in words(drawn)
-        profile = Profile(*[np.ones(1)] * 2, *[np.ones(1, np.uint8)] * 2, 3.0, line)
+        one, kind = np.ones(1), np.ones(1, np.uint8)
+        profile = Profile(one, one, kind, kind, 3.0, line)
         made = make_pictures(PictureInputs(dtm=make_inputs().dtm, profile=profile), make_report())
         assert "The line is the profile's." in made["dtm"].caption
         made = make_pictures(PictureInputs(dtm=make_inputs().dtm), make_report())

@@ -87,7 +87,7 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
     west, east, south, north = raster.extent_m
     wide = (east - west) / columns * across * step
     high = (north - south) / rows * down * step
-    return Raster(means, (west, west + wide, north - high, north))
+    return Raster(means, (west, west + wide, north - high, north), raster.line_m)
 
 
 def hillshade(
@@ -336,7 +336,8 @@ def _corners(axes: Axes, extent_m: tuple[float, float, float, float]) -> None:
     """Coordinates of two corners [m]; beside the map where it is too small to hold them."""
     layout = _layout(extent_m)
     upper, lower = corner_texts(extent_m)
-    look: dict[str, Any] = {"fontsize": 6.5, "path_effects": [_halo(2.2)], "zorder": 6}
+    paper = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.2}
+    look: dict[str, Any] = {"fontsize": 6.5, "bbox": paper, "zorder": 6}
     _, bottom, wide, high = layout.map_box
     if wide >= 2.6 and high >= 0.7:
         axes.text(0.012, 0.985, upper, transform=axes.transAxes, va="top", **look)

@@ -1,6 +1,6 @@
 """Parts of a survey that lie far apart, as a report shows them: each where it is."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -44,11 +44,6 @@ class Piece:
     bounds_m: Box
     suffix: str
     rasters: tuple[str, ...]
-
-    def relief(self) -> Iterator[tuple[str, str]]:
-        """Name and file of each raster that there is a picture of."""
-        for name in ("dtm", "dsm"):
-            yield name, f"{name}{self.suffix}.tif"
 
 
 def find_pieces(done: Receipts, context: Context) -> list[Piece]:

@@ -281,7 +281,10 @@ def _pictures(done: Receipts, context: Context, found: Comparison | None) -> Pic
         differences_m=None if found is None else found.differences_m,
         profile=cut_profile(parts["chm"], done, context),
         others=[
-            PictureInputs(**{n: _raster(folder / f, piece.bounds_m) for n, f in piece.relief()})
+            PictureInputs(
+                dtm=_raster(folder / f"dtm{piece.suffix}.tif", piece.bounds_m),
+                dsm=_raster(folder / f"dsm{piece.suffix}.tif", piece.bounds_m),
+            )
             for piece in pieces[1:PICTURED]
         ],
     )
