@@ -65,7 +65,7 @@ def find_pieces(done: Receipts, context: Context) -> list[Piece]:
     cells = [_metres(r.facts["core"]) for r in done.get("surface", {}).values()]
     files = [r.facts["bounds"] for r in done.get("index_file", {}).values()]
     found = [_metres((*box[0:2], *box[3:5])) for box in files if box]
-    pieces = []
+    pieces: list[Piece] = []
     for suffix in ["", *(f"_{number}" for number in range(2, len(made) + 2))]:
         if f"dtm{suffix}" not in made:
             break
