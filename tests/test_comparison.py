@@ -84,7 +84,7 @@ def test_the_table_says_what_the_clouds_hold(compared: Path) -> None:
 def test_the_page_needs_no_other_file(compared: Path) -> None:
     page = (compared / "compare.html").read_text(encoding="utf-8")
     for name in METHODS.split(","):
-        assert f"<th>{name}</th>" in page
+        assert f'<th scope="row">{name}</th>' in page
     links = re.findall(r'(?:src|href)="([^"]*)"', page)
     assert len(links) == 2
     assert all(link.startswith("data:image/png;base64,") for link in links)

@@ -247,7 +247,9 @@ class TestSummary:
     def test_it_holds_the_few_numbers(self) -> None:
         rows = dict(screen_summary(make_report()))
         assert rows["points"] == "11 284 033 in, 11 284 033 out"
-        assert rows["background noise"] == "3 894 201 (34.5 %)"
+        assert rows["signal"] == "7 012 655 (62.1 % of all points)"
+        assert rows["background noise"] == "3 894 201 (34.5 % of all points)"
+        assert rows["ground"] == "2 977 310 (26.4 % of all points)"
         assert rows["DTM accuracy"].startswith("RMSE 4.")
         assert rows["run time"] == "1 min 44 s (108 k points/s)"
         assert rows["failures"] == "none"
@@ -285,11 +287,11 @@ class TestSummary:
         for label, value in screen_summary(report):
             assert (label + value).isascii()
 
-    def test_noise_is_a_share_of_what_was_assessed(self) -> None:
+    def test_noise_is_a_share_of_all_points_as_every_share_is(self) -> None:
         counts = Counts(
             points_in=20, points_out=20, signal=6, background=1, afterpulse=1, not_assessed=12
         )
-        assert noise_removed(make_report(counts=counts)) == 0.25
+        assert noise_removed(make_report(counts=counts)) == 0.1
         assert noise_removed(smallest()) is None
 
 
@@ -305,7 +307,7 @@ class TestFormat:
             (text.significant(1234.5), "1 230"),
             (text.significant(9.999), "10.0"),
             (text.significant(0), "0"),
-            (text.significant(3.2e-7, 2), "3.2\N{MULTIPLICATION SIGN}10^\N{MINUS SIGN}7"),
+            (text.significant(3.2e-7, 2), "3.2\N{MULTIPLICATION SIGN}10\u207b\u2077"),
             (text.percent(0.345), "34.5 %"),
             (text.percent(0.00001), "< 0.1 %"),
             (text.percent(0.0), "0.0 %"),
@@ -321,7 +323,14 @@ class TestFormat:
             (text.size(999), "999 B"),
             (text.size(38_000_001), "38.0 MB"),
             (text.centimetres(0.0412), "4.1 cm"),
-            (text.centimetres(-1.5), "\N{MINUS SIGN}1.50 m"),
+            (text.centimetres(-1.5), "\N{MINUS SIGN}150.0 cm"),
+            (text.metres(1234.567), "1 234.57 m"),
+            (text.millimetres(-0.00801), "\N{MINUS SIGN}8.0 mm"),
+            (text.scaled(0.0346, 100, 1), "3.5"),
+            (text.of_all(411, 1000), "41.1 % of all points"),
+            (text.of_all(1, 0, "photons"), "\N{EN DASH} of all photons"),
+            (text.as_ascii(text.significant(-6.43e-6)), "-6.43x10^-6"),
+            (text.as_ascii(f"5 m\u00b2 {text.significant(2e12)}"), "5 m\u00b2 2.00x10^12"),
             (text.plain(1.0), "1"),
             (text.plain(0.25), "0.25"),
             (text.surface_name("open_ground"), "open ground"),
@@ -343,6 +352,8 @@ class TestFormat:
             text.duration,
             text.size,
             text.centimetres,
+            text.metres,
+            text.millimetres,
         ],
     )
     def test_nothing_is_a_dash(self, function: Any) -> None:
@@ -351,7 +362,7 @@ class TestFormat:
     @given(st.floats(min_value=1e-12, max_value=1e15))
     def test_significant_keeps_three_figures(self, value: float) -> None:
         shown = text.significant(value).replace(NARROW, "").replace(text.MINUS, "-")
-        back = float(shown.replace("\N{MULTIPLICATION SIGN}10^", "e"))
+        back = float(text.as_ascii(shown).replace("x10^", "e"))
         assert back == pytest.approx(value, rel=5.001e-3)
 
 

@@ -249,7 +249,10 @@ class Imaging(Receiver[Survey, Context]):
         """What a user looks at first."""
         return [
             ("report", [output / "report.html"]),
-            ("rasters", [output / "dtm.tif", output / "dsm.tif"]),
+            (
+                "rasters",
+                [output / "dtm.tif", output / "dsm.tif", *sorted(output.glob("d?m_*.tif"))],
+            ),
             ("clouds", [output / "laz"]),
         ]
 

@@ -13,7 +13,7 @@ from rich.text import Text
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, taken
 from spl_batch.errors import grouped, storage
 from spl_batch.report import format as texts
-from spl_batch.report.format import centimetres, number, percent, significant
+from spl_batch.report.format import as_ascii, centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
     from spl_batch.api import (
@@ -52,25 +52,30 @@ def _whole_time(took_s: float | None) -> list[tuple[str, str]]:
     return (
         []
         if took_s is None
-        else [("time", f"{texts.as_ascii(texts.duration(took_s))} for the whole command")]
+        else [("time", f"{as_ascii(texts.duration(took_s))} for the whole command")]
     )
 
 
 def print_comparison(result: "ComparisonResult") -> None:
     """Print how several filters did, and where the rest is."""
-    titles = ("filter", "kept", "removed", "far noise", "DTM RMSE", "DSM RMSE", "s per million")
+    titles = ("filter", "signal", "noise", "far noise", "DTM RMSE", "DSM RMSE", "s per million")
     table = Table(*titles, box=None)
     table.columns[0].no_wrap = True
     table.columns[0].min_width = max(len(method.name) for method in result.report.methods)
     for method in result.report.methods:
         table.add_row(
             method.name,
-            number(method.signal),
-            percent(method.removed_share),
-            percent(method.far_share, 3),
-            centimetres(method.dtm_rmse_m),
-            centimetres(method.dsm_rmse_m),
-            significant(method.denoise_s_per_million),
+            *map(
+                as_ascii,
+                (
+                    number(method.signal),
+                    percent(method.removed_share),
+                    percent(method.far_share, 3),
+                    centimetres(method.dtm_rmse_m),
+                    centimetres(method.dsm_rmse_m),
+                    significant(method.denoise_s_per_million),
+                ),
+            ),
         )
     _OUT.print(table)
     _path("comparison", result.output / "compare.html")

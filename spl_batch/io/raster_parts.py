@@ -44,8 +44,20 @@ class Part:
         return (self.left_m, right, bottom, self.top_m)
 
 
-def read_overview(path: Path, largest: int = 1200) -> Part:
-    """Whole raster, averaged so that no side has more cells than ``largest``.
+def read_overview(
+    path: Path, largest: int = 1200, bounds_m: tuple[float, float, float, float] | None = None
+) -> Part:
+    """Raster, averaged so that no side has more cells than ``largest``.
+
+    Parameters
+    ----------
+    path : Path
+        GeoTIFF.
+    largest : int
+        Cells that a side may have [count].
+    bounds_m : (float, float, float, float), optional
+        West, south, east, north of the part that is read, which the raster must touch; by default
+        the whole [m].
 
     Raises
     ------
@@ -53,9 +65,10 @@ def read_overview(path: Path, largest: int = 1200) -> Part:
         If the raster cannot be read.
     """
     with _opened(path) as source:
-        step, shape = _reduced(source, largest)
+        row0, col0, size = _within(source, bounds_m)
+        step, shape = _reduced(size, largest)
         # A window beyond the edge keeps cells square where the step does not divide it.
-        window = Window(0, 0, shape[1] * step, shape[0] * step)
+        window = Window(col0, row0, shape[1] * step, shape[0] * step)
         values = source.read(
             1,
             window=window,
@@ -64,8 +77,23 @@ def read_overview(path: Path, largest: int = 1200) -> Part:
             fill_value=source.nodata,
             resampling=Resampling.average if step > 1 else Resampling.nearest,
         )
-        left, top = source.transform.c, source.transform.f
-        return Part(values.astype(np.float32), left, top, source.transform.a * step)
+        cell = source.transform.a
+        left, top = source.transform.c + col0 * cell, source.transform.f - row0 * cell
+        return Part(values.astype(np.float32), left, top, cell * step)
+
+
+def _within(
+    source: Any, bounds_m: tuple[float, float, float, float] | None
+) -> tuple[int, int, tuple[int, int]]:
+    """First row, first column and shape of the cells that a region touches."""
+    if bounds_m is None:
+        return 0, 0, source.shape
+    left, top, cell = source.transform.c, source.transform.f, source.transform.a
+    west, south, east, north = bounds_m
+    col0, row0 = max(math.floor((west - left) / cell), 0), max(math.floor((top - north) / cell), 0)
+    col1 = min(math.ceil((east - left) / cell), source.width)
+    row1 = min(math.ceil((top - south) / cell), source.height)
+    return row0, col0, (max(row1 - row0, 1), max(col1 - col0, 1))
 
 
 def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, float, float]:
@@ -77,7 +105,7 @@ def overview_frame(path: Path, largest: int = 1200) -> tuple[int, int, float, fl
         If the raster cannot be read.
     """
     with _opened(path) as source:
-        step, shape = _reduced(source, largest)
+        step, shape = _reduced(source.shape, largest)
         return (*shape, source.transform.c, source.transform.f, source.transform.a * step)
 
 
@@ -91,10 +119,10 @@ def _opened(path: Path) -> Iterator[Any]:
         raise StoreError(f"{path}: cannot be read ({error}); run again to rebuild") from error
 
 
-def _reduced(source: Any, largest: int) -> tuple[int, tuple[int, int]]:
+def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]:
     """Cells that make one along a side, and shape, of an overview."""
-    step = max(1, math.ceil(max(source.shape) / largest))
-    rows, columns = (math.ceil(side / step) for side in source.shape)
+    step = max(1, math.ceil(max(size) / largest))
+    rows, columns = (math.ceil(side / step) for side in size)
     return step, (rows, columns)
 
 

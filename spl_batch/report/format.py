@@ -1,17 +1,29 @@
-"""Numbers as people read them; every function shows ``None`` as a dash."""
+"""Numbers as people read them; every function shows ``None`` as a dash.
 
+Every receiver's report and console takes its numbers from here. A report has typographic spaces
+and signs, a console plain ones: :func:`as_ascii` makes the one of the other.
+"""
+
+import re
 from typing import Final
+
+from spl_batch.errors import grouped
 
 DASH: Final = "\N{EN DASH}"
 THIN: Final = "\N{NARROW NO-BREAK SPACE}"
 MINUS: Final = "\N{MINUS SIGN}"
+
+_RAISED: Final = "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"
+_SUPERSCRIPT: Final = str.maketrans("0123456789-", _RAISED)
+_LOWERED: Final = str.maketrans(_RAISED, "0123456789-")
+_POWER: Final = re.compile(f"(?<=10)[{_RAISED}]+")
 
 
 def number(value: float | None, digits: int = 0) -> str:
     """Fixed point with groups of three digits, a true minus and no negative zero."""
     if value is None:
         return DASH
-    text = f"{value:,.{digits}f}".replace(",", THIN)
+    text = grouped(value, digits).replace(" ", THIN)
     if text.startswith("-"):
         text = text[1:] if not text.strip(f"-0.{THIN}") else MINUS + text[1:]
     return text
@@ -25,10 +37,15 @@ def significant(value: float | None, figures: int = 3) -> str:
         return "0"
     if not 1e-4 <= abs(value) < 1e6:
         mantissa, exponent = f"{value:.{figures - 1}e}".split("e")
-        return f"{mantissa}\N{MULTIPLICATION SIGN}10^{int(exponent)}".replace("-", MINUS)
+        return f"{mantissa}\N{MULTIPLICATION SIGN}10{_raised(int(exponent))}".replace("-", MINUS)
     rounded = float(f"{value:.{figures - 1}e}")
     digits = max(0, figures - 1 - int(f"{rounded:e}".split("e")[1]))
     return number(rounded, digits)
+
+
+def _raised(exponent: int) -> str:
+    """A whole number in superscript digits."""
+    return str(exponent).translate(_SUPERSCRIPT)
 
 
 def plain(value: float | None) -> str:
@@ -84,12 +101,28 @@ def size(byte_count: float | None) -> str:
 
 
 def centimetres(metres: float | None) -> str:
-    """Metres as centimetres with one decimal; from one metre on, as metres."""
-    if metres is None:
-        return DASH
-    if abs(metres) < 0.9995:
-        return f"{number(metres * 100, 1)}{THIN}cm"
-    return f"{number(metres, 2)}{THIN}m"
+    """Metres as centimetres with one decimal, whatever their size: a quantity has one unit."""
+    return DASH if metres is None else f"{number(metres * 100, 1)}{THIN}cm"
+
+
+def metres(value: float | None, digits: int = 2) -> str:
+    """Metres with a fixed number of decimals."""
+    return DASH if value is None else f"{number(value, digits)}{THIN}m"
+
+
+def millimetres(metres: float | None, digits: int = 1) -> str:
+    """Metres as millimetres with a fixed number of decimals."""
+    return DASH if metres is None else f"{number(metres * 1000, digits)}{THIN}mm"
+
+
+def scaled(value: float | None, factor: float, digits: int = 0) -> str:
+    """A number in another unit, for a column whose heading names it."""
+    return DASH if value is None else number(value * factor, digits)
+
+
+def of_all(part: int, whole: int, noun: str = "points") -> str:
+    """Share that a count is of all there are, and of what: "41.1 % of all points"."""
+    return f"{percent(part / whole if whole else None)} of all {noun}"
 
 
 def surface_name(key: str) -> str:
@@ -110,4 +143,5 @@ def as_ascii(text: str) -> str:
         DASH: "-",
         "\N{MULTIPLICATION SIGN}": "x",
     }
+    text = _POWER.sub(lambda found: "^" + found[0].translate(_LOWERED), text)
     return text.translate(str.maketrans(plain))

@@ -8,7 +8,13 @@ from spl_batch.report import format as text
 from spl_batch.report.model import Counts, Report, Survey
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
-from spl_batch.report.summary import noise_removed, speed_remark, terrain_statistics, verdicts
+from spl_batch.report.summary import (
+    noise_removed,
+    photon_counting,
+    speed_remark,
+    terrain_statistics,
+    verdicts,
+)
 
 SECTIONS: Final = (
     ("accuracy", "Accuracy"),
@@ -18,11 +24,17 @@ SECTIONS: Final = (
 )
 """Anchor and name of each section of its own."""
 
+OF_PHOTONS: Final = ("noise", "survey")
+"""Sections that linear-mode lidar has nothing to say in."""
+
+PHOTON_KEYS: Final = ("afterpulse", "acquisition", "noise", "filter", "survey.sensor")
+"""Parameters of single-photon lidar alone: without a filter nothing reads them."""
+
 HOW: Final[Mapping[str, str]] = MappingProxyType(
     {
         "vsaes": (
             "Around each return an ellipsoid is fitted to its neighbours, so that it follows a "
-            "wire, a roof or the ground; the return is kept when background alone would hardly "
+            "wire, a roof or the ground; the return is signal when background alone would hardly "
             "give as many neighbours."
         ),
         "aes": (
@@ -33,21 +45,21 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
         "dcc": (
             "Each shot is then judged by itself: its fullest long range bin and the two beside it "
             "are taken for signal, what lies in the others tells its background, and of the short "
-            "bins those are kept that hold more returns than that background explains."
+            "bins those are signal that hold more returns than that background explains."
         ),
         "voxel": (
             "This filter makes no use of that: space is cut into flat voxels, and all returns of a "
-            "voxel are kept when it holds at least the mean number of those around it that are "
+            "voxel are signal when it holds at least the mean number of those around it that are "
             "not empty."
         ),
         "multilevel": (
-            "This filter makes no use of that: returns are kept near the fullest height of a "
-            "place, where their voxel and the 26 around it hold a fixed number of them, first of "
+            "This filter makes no use of that: returns are signal near the fullest height of "
+            "a place, where their voxel and the 26 around it hold a fixed number of them, first of "
             "large voxels and then of small ones."
         ),
         "cylinder": (
-            "This filter makes no use of that: a return is kept when a fixed number of others lie "
-            "in an upright cylinder around it, however dense the background is there."
+            "This filter makes no use of that: a return is signal when a fixed number of others "
+            "lie in an upright cylinder around it, however dense the background is there."
         ),
     }
 )
@@ -69,18 +81,22 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
     str
         HTML without any reference to another file; the same input gives the same text.
     """
+    photons = photon_counting(report)
     return render_page(
         "template.html.j2",
         report,
         Front(
             title=report.survey.name,
-            kicker="Single-photon lidar",
-            facts=tuple(_facts(report.survey)),
-            sections=SECTIONS,
+            kicker="Single-photon lidar" if photons else "Linear-mode lidar",
+            facts=tuple(_facts(report.survey, photons=photons)),
+            sections=tuple(s for s in SECTIONS if photons or s[0] not in OF_PHOTONS),
             verdicts=tuple(verdicts(report)),
             cards=tuple(_cards(report)),
+            unused=() if photons else PHOTON_KEYS,
         ),
         pictures=pictures,
+        photons=photons,
+        pieces=_shown_pieces(pictures),
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
         kept_noise_share=_kept_noise_share(report),
@@ -88,14 +104,16 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
     )
 
 
-def _facts(survey: Survey) -> Iterator[str]:
+def _facts(survey: Survey, *, photons: bool) -> Iterator[str]:
     """What stands below the title."""
     if survey.area_km2 is not None:
         yield f"{text.significant(survey.area_km2)} km\N{SUPERSCRIPT TWO}"
+    if survey.pieces:
+        yield f"{len(survey.pieces)} pieces"
     if survey.flightlines:
         n = len(survey.flightlines)
         yield f"{n} flightline{'s' * (n != 1)}"
-    if survey.sensor:
+    if survey.sensor and photons:
         yield survey.sensor
     if survey.crs:
         words = survey.crs_name and survey.crs_name != survey.crs
@@ -107,32 +125,33 @@ def _facts(survey: Survey) -> Iterator[str]:
 def _cards(report: Report) -> list[tuple[str, str, str]]:
     """Label, value and remark of each key number."""
     counts, work, density = report.counts, report.performance, report.density
-    whole, kept = counts.points_in, counts.signal + counts.not_assessed
+    whole, photons = counts.points_in, photon_counting(report)
     terrain = terrain_statistics(report)
     cards = []
     if terrain is not None:
         name, statistics = terrain
-        remark = f"mean {text.centimetres(statistics.mean)}, {text.surface_name(name)}"
+        remark = f"on {text.surface_name(name)}, mean {text.centimetres(statistics.mean)}"
         cards.append(("DTM RMSE", text.centimetres(statistics.rmse), remark))
+    cards.append(
+        ("Points in", text.large(counts.points_in), f"{text.number(counts.points_out)} out")
+    )
+    if photons:
+        background, afterpulse = (
+            text.percent(n / whole if whole else None)
+            for n in (counts.background, counts.afterpulse)
+        )
+        cards += [
+            ("Signal", text.large(counts.signal), text.of_all(counts.signal, whole)),
+            (
+                "Noise",
+                text.percent(noise_removed(report)),
+                f"of all points: background {background}, afterpulses {afterpulse}",
+            ),
+        ]
     cards += [
-        ("Points in", text.large(counts.points_in), f"{text.number(counts.points_out)} out"),
+        ("Ground", text.large(counts.ground), text.of_all(counts.ground, whole)),
         (
-            "Noise removed",
-            text.percent(noise_removed(report)),
-            f"{text.large(counts.background)} background",
-        ),
-        (
-            "Afterpulses",
-            text.large(counts.afterpulse),
-            f"{text.percent(counts.afterpulse / whole if whole else None)} of all points",
-        ),
-        (
-            "Ground points",
-            text.large(counts.ground),
-            f"{text.percent(counts.ground / kept if kept else None)} of all kept",
-        ),
-        (
-            "Density kept",
+            "Signal density" if photons else "Density",
             f"{text.significant(density.mean_per_m2)} /m\N{SUPERSCRIPT TWO}",
             (
                 f"median {text.significant(density.median_per_m2)}, "
@@ -169,8 +188,13 @@ def _set_aside(counts: Counts) -> list[tuple[str, int]]:
 
 
 def _kept_noise_share(report: Report) -> float | None:
-    """Share of the kept returns that is expected to be background, 0..1."""
+    """Share of the signal that is expected to be background, 0..1."""
     noise, signal = report.noise, report.counts.signal
     if noise.kept_by_chance is None or noise.kept_within_signal is None or not signal:
         return None
     return (noise.kept_by_chance + noise.kept_within_signal) / signal
+
+
+def _shown_pieces(pictures: Mapping[str, Picture]) -> list[int]:
+    """Numbers of the pieces beside the first that there are pictures of."""
+    return sorted(int(key.removeprefix("dtm_")) for key in pictures if key.startswith("dtm_"))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import NODATA
 from spl_batch.report import style
+from spl_batch.report.format import number
 
 WIDTH_IN: Final = 5.1
 TALLEST_IN: Final = 5.6
@@ -35,10 +36,13 @@ class Raster:
         North at row 0; NaN or -9999 where there is nothing.
     extent_m : tuple of float
         West, east, south, north edges [m].
+    line_m : tuple of float, optional
+        Easting and northing of both ends of a line that a map shows, the profile's [m].
     """
 
     values: NDArray[Any]
     extent_m: tuple[float, float, float, float]
+    line_m: tuple[float, float, float, float] | None = None
 
     @property
     def any_value(self) -> bool:
@@ -68,7 +72,7 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
     rows, columns = raster.values.shape
     step = math.ceil(max(rows, columns) / largest)
     if step <= 1:
-        return Raster(raster.masked(), raster.extent_m)
+        return Raster(raster.masked(), raster.extent_m, raster.line_m)
     down, across = -(-rows // step), -(-columns // step)
     means = np.full((down, across), np.nan)
     for row in range(down):  # strip by strip: a survey's raster need not be copied whole
@@ -83,7 +87,7 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
     west, east, south, north = raster.extent_m
     wide = (east - west) / columns * across * step
     high = (north - south) / rows * down * step
-    return Raster(means, (west, west + wide, north - high, north))
+    return Raster(means, (west, west + wide, north - high, north), raster.line_m)
 
 
 def hillshade(
@@ -154,10 +158,10 @@ def draw_relief(
     lit = colour * np.minimum(shade / 0.78, 1.0) + (1 - colour) * np.maximum(shade - 0.78, 0) * 1.6
     lit = np.where(np.isfinite(shown.values)[..., None], np.clip(lit, 0, 1), colour)
     with style.type_context():
-        drawn, axes = _frame(shown, title)
+        drawn, axes = framed(shown.extent_m, title)
         axes.imshow(lit, extent=shown.extent_m, interpolation="nearest")
         _colour_bar(drawn, shown, unit, ramp=style.TERRAIN, limits=(low, high), extend="both")
-        _furniture(axes, shown.extent_m)
+        furnish(axes, shown.extent_m, shown.line_m)
     return drawn
 
 
@@ -173,7 +177,7 @@ def draw_ramp(
     """Values in colour, without shading."""
     shown = reduce_raster(raster)
     with style.type_context():
-        drawn, axes = _frame(shown, title)
+        drawn, axes = framed(shown.extent_m, title)
         axes.imshow(
             np.ma.masked_invalid(shown.values),
             extent=shown.extent_m,
@@ -183,7 +187,7 @@ def draw_ramp(
             interpolation="nearest",
         )
         _colour_bar(drawn, shown, unit, ramp=ramp, limits=limits, extend=extend)
-        _furniture(axes, shown.extent_m)
+        furnish(axes, shown.extent_m, shown.line_m)
     return drawn
 
 
@@ -235,8 +239,17 @@ def _layout(extent_m: tuple[float, float, float, float]) -> _Layout:
     return _Layout(WIDTH_IN, margin + high + title, (margin, margin, wide, high), bar_box)
 
 
-def _frame(raster: Raster, title: str) -> tuple[Figure, Axes]:
-    layout = _layout(raster.extent_m)
+def framed(extent_m: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
+    """Empty map with its heading; use it inside :func:`~spl_batch.report.style.type_context`.
+
+    Parameters
+    ----------
+    extent_m : tuple of float
+        West, east, south, north edges [m].
+    title : str
+        Heading.
+    """
+    layout = _layout(extent_m)
     drawn = style.figure(layout.width, layout.height, layout=None)
     axes = drawn.add_axes(layout.share(layout.map_box))
     line = 1 - 0.14 / layout.height
@@ -274,14 +287,21 @@ def _colour_bar(
     bar.set_label(unit)
 
 
-def _furniture(axes: Axes, extent_m: tuple[float, float, float, float]) -> None:
-    """Scale bar at the lower left, and the map's limits."""
+def furnish(
+    axes: Axes,
+    extent_m: tuple[float, float, float, float],
+    line_m: tuple[float, float, float, float] | None = None,
+) -> None:
+    """Add scale bar, coordinates of two corners and a line to a map, and set its limits."""
+    if line_m is not None:
+        _line(axes, line_m)
+    _corners(axes, extent_m)
     west, east, south, north = extent_m
     wide, high = east - west, north - south
     narrow = high > 2.5 * wide
     length = nice(wide * (0.8 if narrow else 0.28))
     label = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
-    halo = [withStroke(linewidth=2.6, foreground="white", alpha=0.9)]
+    halo = [_halo(2.6)]
     left, base = west + 0.035 * wide, south + 0.04 * max(high, wide * 0.3)
     axes.plot(
         [left, left + length],
@@ -289,7 +309,7 @@ def _furniture(axes: Axes, extent_m: tuple[float, float, float, float]) -> None:
         color=style.INK,
         linewidth=2.2,
         solid_capstyle="butt",
-        path_effects=[withStroke(linewidth=4.6, foreground="white", alpha=0.9)],
+        path_effects=[_halo(4.6)],
     )
     axes.annotate(
         label,
@@ -302,3 +322,51 @@ def _furniture(axes: Axes, extent_m: tuple[float, float, float, float]) -> None:
     )
     axes.set_xlim(west, east)
     axes.set_ylim(south, north)
+
+
+def corner_texts(extent_m: tuple[float, float, float, float]) -> tuple[str, str]:
+    """Easting and northing of the upper left and the lower right corner, as a map shows them."""
+    west, east, south, north = extent_m
+    digits = 0 if min(east - west, north - south) >= 10 else 2
+    upper = f"{number(west, digits)} E, {number(north, digits)} N"
+    return upper, f"{number(east, digits)} E, {number(south, digits)} N"
+
+
+def _corners(axes: Axes, extent_m: tuple[float, float, float, float]) -> None:
+    """Coordinates of two corners [m]; beside the map where it is too small to hold them."""
+    layout = _layout(extent_m)
+    upper, lower = corner_texts(extent_m)
+    paper = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.2}
+    look: dict[str, Any] = {"fontsize": 6.5, "bbox": paper, "zorder": 6}
+    _, bottom, wide, high = layout.map_box
+    if wide >= 2.6 and high >= 0.7:
+        axes.text(0.012, 0.985, upper, transform=axes.transAxes, va="top", **look)
+        axes.text(0.988, 0.015, lower, transform=axes.transAxes, ha="right", va="bottom", **look)
+        return
+    below = layout.bar_box[1] < bottom and layout.bar_box[2] > layout.bar_box[3]
+    place = axes.figure.text
+    if below:
+        right = 1 - 0.06 / layout.width
+        place(right, 0.46 / layout.height, f"upper left {upper}", ha="right", **look)
+        place(right, 0.28 / layout.height, f"lower right {lower}", ha="right", **look)
+    else:
+        start = (layout.bar_box[0] + layout.bar_box[2] + 0.75) / layout.width
+        top = (bottom + high) / layout.height
+        place(start, top, f"upper left\n{upper}", va="top", **look)
+        place(start, bottom / layout.height, f"lower right\n{lower}", va="bottom", **look)
+
+
+def _line(axes: Axes, line_m: tuple[float, float, float, float]) -> None:
+    """Where the profile runs."""
+    x0, y0, x1, y1 = line_m
+    axes.plot([x0, x1], [y0, y1], color=style.AFTERPULSE, linewidth=1.4, zorder=5,
+              path_effects=[_halo(3.0)])  # fmt: skip
+    axes.annotate(
+        "profile", (x0, y0), xytext=(1, 3), textcoords="offset points", fontsize=6.5,
+        color=style.AFTERPULSE, path_effects=[_halo(2.2)], zorder=6,
+    )  # fmt: skip
+
+
+def _halo(width: float) -> withStroke:
+    """White around what stands on a map."""
+    return withStroke(linewidth=width, foreground="white", alpha=0.9)

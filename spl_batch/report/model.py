@@ -100,6 +100,15 @@ class Flightline(Part):
     )
 
 
+class Piece(Part):
+    """One of several parts of a survey that lie far apart."""
+
+    extent_m: tuple[Number, Number, Number, Number] = Field(
+        description="West, east, south, north of what was found there [m]."
+    )
+    rasters: tuple[str, ...] = Field(description="Rasters that hold it, beside the report.")
+
+
 class Survey(Part):
     """What was processed."""
 
@@ -116,6 +125,9 @@ class Survey(Part):
         None, description="West, east, south, north [m]."
     )
     cell_m: Number = Field(None, description="Edge of a raster cell [m].")
+    pieces: tuple[Piece, ...] = Field(
+        (), description="Parts that lie far apart, the largest first; none where it is one."
+    )
     flightlines: tuple[Flightline, ...] = ()
 
 
@@ -169,7 +181,7 @@ class Accuracy(Part):
 
 
 class Density(Part):
-    """How densely the ground is covered by accepted returns."""
+    """How densely the ground is covered by signal."""
 
     mean_per_m2: Number = Field(
         None, description="Signal returns over the area that is covered [1/m2]."

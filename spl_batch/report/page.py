@@ -15,6 +15,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from spl_batch.report import format as text
 from spl_batch.report.model import Failure, Performance, Provenance, StagePerformance
+from spl_batch.report.parameters import changed, without
 from spl_batch.report.summary import Verdict
 
 LONGEST_TABLE: Final = 200
@@ -60,6 +61,8 @@ class Front:
         Sentences that say whether the result can be used.
     cards : tuple of (str, str, str)
         Label, value and remark of each key number.
+    unused : tuple of str
+        Keys of the workflow that this receiver's data made no use of: the page leaves them out.
     """
 
     title: str
@@ -68,6 +71,7 @@ class Front:
     sections: tuple[tuple[str, str], ...]
     verdicts: tuple[Verdict, ...]
     cards: tuple[tuple[str, str, str], ...]
+    unused: tuple[str, ...] = ()
 
 
 def render_page(
@@ -94,6 +98,7 @@ def render_page(
     str
         HTML without any reference to another file; the same input gives the same text.
     """
+    used = without(report.provenance.parameters, front.unused)
     return (
         environment(package)
         .get_template(template)
@@ -107,7 +112,9 @@ def render_page(
             cards=front.cards,
             stages=_stages(report.performance.stages),
             written=_written(report.provenance.created),
-            parameters=json.dumps(report.provenance.parameters, indent=2, ensure_ascii=False),
+            changed=list(changed(used)),
+            parameters=_compact(used),
+            left_out=bool(front.unused),
             longest=LONGEST_TABLE,
             **more,
         )
@@ -142,11 +149,24 @@ def environment(package: str = HOME) -> Environment:
                 "duration",
                 "size",
                 "centimetres",
+                "metres",
+                "millimetres",
+                "scaled",
+                "of_all",
                 "surface_name",
             )
         }
     )
     return environment
+
+
+def _compact(parameters: Mapping[str, Any]) -> str:
+    """JSON with a line for each section: an appendix of a few hundred numbers stays short."""
+    lines = (
+        f" {json.dumps(key, ensure_ascii=False)}: {json.dumps(value, ensure_ascii=False)}"
+        for key, value in parameters.items()
+    )
+    return "{\n" + ",\n".join(lines) + "\n}"
 
 
 def _stages(stages: Mapping[str, StagePerformance]) -> list[dict[str, Any]]:

@@ -6,8 +6,8 @@ was forgotten.
 """
 
 import base64
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from spl_batch.report import style
 from spl_batch.report.format import centimetres
+from spl_batch.report.locator import Extent, draw_locator
 from spl_batch.report.maps import Raster, draw_ramp, draw_relief, nice, reduce_raster, spread
 from spl_batch.report.model import Report, Statistics
 from spl_batch.report.plots import Profile, draw_histogram, draw_profile
-from spl_batch.report.summary import terrain_statistics
+from spl_batch.report.summary import photon_counting, terrain_statistics
 
 __all__ = ["Picture", "PictureInputs", "Profile", "Raster", "make_pictures"]
 
@@ -64,7 +65,7 @@ class PictureInputs:
     dtm, dsm, chm : Raster, optional
         Heights of terrain and surface, and canopy height [m].
     density : Raster, optional
-        Accepted returns [1/m2].
+        Signal returns [1/m2].
     difference : Raster, optional
         DTM minus reference [m].
     noise_density : Raster, optional
@@ -72,7 +73,9 @@ class PictureInputs:
     differences_m : (n,) float, optional
         Single differences, DTM minus reference; all or an even sample [m].
     profile : Profile, optional
-        A vertical strip, about 100 m long and 2-3 m wide.
+        A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
+    others : sequence of PictureInputs
+        DTM and DSM of the survey's other pieces, the largest first.
     """
 
     dtm: Raster | None = None
@@ -83,6 +86,7 @@ class PictureInputs:
     noise_density: Raster | None = None
     differences_m: NDArray[Any] | None = None
     profile: Profile | None = None
+    others: Sequence["PictureInputs"] = ()
 
 
 NO_REFERENCE: Final = "Without reference points there is nothing to compare with."
@@ -103,22 +107,52 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
     -------
     dict of str to Picture
         Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density,
-        density``, in the order in which a reader wants them.
+        density``, in the order in which a reader wants them; of a survey in pieces ``locator``
+        as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
     """
+    inputs, photons = _with_line(inputs), photon_counting(report)
     terrain = terrain_statistics(report)
     overall = None if report.accuracy is None else report.accuracy.dtm.get("all")
     if overall is None and terrain is not None:
         overall = terrain[1]
-    return {
-        "dtm": _relief(inputs, "dtm"),
-        "dsm": _relief(inputs, "dsm"),
+    made = {
+        "dtm": _relief(inputs, "dtm", photons=photons),
+        "dsm": _relief(inputs, "dsm", photons=photons),
         "chm": _canopy(inputs.chm),
         "difference": _difference(inputs.difference, overall),
         "histogram": _histogram(inputs.differences_m, overall),
-        "profile": _profile(inputs.profile),
+        "profile": _profile(inputs.profile, photons=photons),
         "noise_density": _noise(inputs.noise_density),
-        "density": _density(inputs.density),
+        "density": _density(inputs.density, photons=photons),
     }
+    if report.survey.pieces:
+        made["locator"] = _locator([piece.extent_m for piece in report.survey.pieces])
+    for number, other in enumerate(inputs.others, start=2):
+        for key in RELIEF_TEXT:
+            made[f"{key}_{number}"] = _relief(other, key, photons=photons, piece=number)
+    return made
+
+
+def _with_line(inputs: PictureInputs) -> PictureInputs:
+    """The same, with the profile's line on the maps of heights."""
+    if inputs.profile is None or inputs.profile.line_m is None:
+        return inputs
+    lined = {
+        name: replace(raster, line_m=inputs.profile.line_m)
+        for name in ("dtm", "dsm", "chm")
+        if (raster := getattr(inputs, name)) is not None
+    }
+    return replace(inputs, **lined)
+
+
+def _locator(extents: Sequence[Extent]) -> Picture:
+    title = "Where the pieces lie"
+    return _finished(
+        draw_locator(extents),
+        title,
+        "Each box is a piece, with its number in the table below; a piece too small to be seen is "
+        "a dot. Coordinates are those of the upper left and the lower right corner [m].",
+    )
 
 
 def _finished(drawn: Figure, title: str, caption: str) -> Picture:
@@ -141,21 +175,29 @@ RELIEF_TEXT: Final[Mapping[str, tuple[str, str]]] = {
         "Terrain (DTM)",
         (
             "Bare ground. Buildings and trees should have gone without a trace: look for bumps "
-            "under them and for pits, which would be afterpulses taken for ground. Grey is nodata."
+            "under them and for pits{pits}. Grey is nodata."
         ),
     ),
     "dsm": (
         "Surface (DSM)",
         (
-            "Highest surface. Look for lone spikes, which would be noise that was kept, and for "
-            "crisp roof edges. Same colours as the terrain."
+            "Highest surface. Look for lone spikes{spikes}, and for crisp roof edges. Same colours "
+            "as the terrain."
         ),
     ),
 }
 
 
-def _relief(inputs: PictureInputs, key: str) -> Picture:
+def _relief(inputs: PictureInputs, key: str, *, photons: bool, piece: int = 1) -> Picture:
     title, caption = RELIEF_TEXT[key]
+    if piece > 1:
+        title += f", piece {piece}"
+    caption = caption.format(
+        pits=", which would be afterpulses taken for ground" if photons else "",
+        spikes=", which would be noise taken for signal" if photons else "",
+    )
+    if getattr(inputs, key) is not None and getattr(inputs, key).line_m is not None:
+        caption += " The line is the profile's."
     # One ramp for both, so that terrain and surface can be compared by colour.
     both = [r for r in (inputs.dtm, inputs.dsm) if r is not None and r.any_value]
     ends = [spread(reduce_raster(r).values, 0.5, 99.5) for r in both]
@@ -193,7 +235,7 @@ def _difference(raster: Raster | None, statistics: Statistics | None) -> Picture
         reach = max(nice(size * 1.6), 2.0)
         heading = title
         if statistics is not None and statistics.rmse is not None:
-            heading = f"{title}: RMSE {centimetres(statistics.rmse)}"
+            heading = f"{title}, all surfaces: RMSE {centimetres(statistics.rmse)}"
         scaled = Raster(100 * given.masked(), given.extent_m)
         limits = (-reach, reach)
         unit = "DTM minus reference [cm]"
@@ -225,16 +267,20 @@ def _histogram(values: NDArray[Any] | None, statistics: Statistics | None) -> Pi
     )
 
 
-def _profile(profile: Profile | None) -> Picture:
-    title = "Vertical profile, before and after"
+def _profile(profile: Profile | None, *, photons: bool) -> Picture:
+    title = "Vertical profile, before and after" if photons else "Vertical profile"
     if profile is None or len(profile.along_m) == 0:
         return Picture(title, "No strip of the survey holds points to show.")
     return _finished(
         draw_profile(profile),
         title,
         "The same strip twice. Above, every recorded return; below, what each was taken for. "
-        "Look for wires, roof edges and crowns that are kept, and for an empty sky. Noise far "
-        "above and below the scene is cut off here.",
+        + (
+            "Look for wires, roof edges and crowns that are signal, and for an empty sky. Noise "
+            "far above and below the scene is cut off here."
+            if photons
+            else "Look for roofs, crowns and wires that were taken for ground."
+        ),
     )
 
 
@@ -256,18 +302,20 @@ def _noise(raster: Raster | None) -> Picture:
     return _or_missing(raster, title, "No noise model was made for this run.", draw)
 
 
-def _density(raster: Raster | None) -> Picture:
+def _density(raster: Raster | None, *, photons: bool) -> Picture:
     title = "Point density"
 
     def draw(given: Raster) -> Picture:
         top = spread(reduce_raster(given).values, 1, 98)[1]
-        unit = "accepted returns per square metre"
+        unit = f"{'signal returns' if photons else 'points'} per square metre"
         drawn = draw_ramp(given, title, unit, ramp=style.DENSITY, limits=(0.0, top))
         return _finished(
             drawn,
             title,
-            "Returns that were kept. Look for gaps between flightlines; the arcs are the track "
-            "of the circular scan.",
+            "Signal. Look for gaps between flightlines; the arcs are the track of the circular "
+            "scan."
+            if photons
+            else "All points that take part. Look for gaps between flightlines.",
         )
 
     return _or_missing(raster, title, "This raster was not made.", draw)

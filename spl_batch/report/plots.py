@@ -36,6 +36,8 @@ class Profile:
         ASPRS class as delivered.
     width_m : float
         Width of the strip [m].
+    line_m : tuple of float, optional
+        Easting and northing of its two ends, for maps [m].
     """
 
     along_m: NDArray[Any]
@@ -43,6 +45,7 @@ class Profile:
     noise_class: NDArray[Any]
     classification: NDArray[Any]
     width_m: float
+    line_m: tuple[float, float, float, float] | None = None
 
 
 def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -> Figure:
@@ -75,7 +78,7 @@ def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -
         axes.set_ylim(0.0, float(share.max(initial=1.0)) * 1.12)
         axes.set_xlabel("DTM minus reference [cm]")
         axes.set_ylabel("share of comparisons [%]")
-        axes.set_title(_difference_title("Differences to the reference", statistics))
+        axes.set_title(_difference_title("All surfaces", statistics))
         axes.spines[["top", "right"]].set_visible(False)
         if outside > 0:
             note = f"{100 * outside:.2g} % lie outside the axis"
@@ -124,13 +127,16 @@ def draw_profile(profile: Profile) -> Figure:
     afterpulse = shown.noise_class == NOISE_AFTERPULSE
     kept = ~(background | afterpulse)
     ground = kept & (shown.classification == CLASS_GROUND)
+    # Where no noise was looked for nothing is called signal.
+    noise = bool((background | afterpulse).any())
+    of_ground, all_else = ("signal: ground", "signal: all else") if noise else ("ground", "others")
     limits = _height_limits(z, kept)
     size = float(np.clip(9e4 / max(along.size, 1), 0.7, 5.0))
     layers = (
-        ("removed: background", background, style.NOISE, 0.45),
-        ("kept: all else", kept & ~ground, style.SIGNAL, 0.9),
-        ("kept: ground", ground, style.GROUND, 0.95),
-        ("removed: afterpulses", afterpulse, style.AFTERPULSE, 0.9),
+        ("noise: background", background, style.NOISE, 0.45),
+        (all_else, kept & ~ground, style.SIGNAL, 0.9),
+        (of_ground, ground, style.GROUND, 0.95),
+        ("noise: afterpulses", afterpulse, style.AFTERPULSE, 0.9),
     )
     with style.type_context():
         drawn = style.figure(WIDTH_IN, 6.2)

@@ -30,7 +30,8 @@ NOISE: Final = "#e0684b"
 AFTERPULSE: Final = "#c2189b"
 RAW: Final = "#4a5562"
 
-DPI: Final = 180
+DPI: Final = 200
+"""Two pixels of a picture for one of the page's layout, which is as wide as it gets [1/in]."""
 LARGEST_PNG: Final = 420_000
 """A picture above this is reduced to fewer colours, then to fewer pixels [bytes]."""
 

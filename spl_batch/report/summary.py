@@ -1,6 +1,6 @@
 """The few numbers and sentences that a reader wants first, for the console and the page."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from spl_batch.report.format import (
@@ -9,6 +9,7 @@ from spl_batch.report.format import (
     duration,
     large,
     number,
+    of_all,
     percent,
     significant,
     surface_name,
@@ -63,11 +64,37 @@ def terrain_statistics(report: Report) -> tuple[str, Statistics] | None:
 
 
 def noise_removed(report: Report) -> float | None:
-    """Background and afterpulses as a share of the points that were assessed, 0..1."""
+    """Background and afterpulses as a share of all points, 0..1.
+
+    Every share of a report is of all points, so that those of the classes add up.
+    """
     counts = report.counts
     removed = counts.background + counts.afterpulse
-    assessed = counts.signal + removed
-    return removed / assessed if assessed else None
+    return removed / counts.points_in if counts.points_in else None
+
+
+def photon_counting(report: Report) -> bool:
+    """Whether noise or afterpulses were looked for, as single-photon lidar needs it.
+
+    Without either, points went straight to ground and surfaces: linear-mode lidar, of which a
+    report has nothing to say about shots, beamlets and detectors.
+    """
+    afterpulse = report.provenance.parameters.get("afterpulse")
+    off = isinstance(afterpulse, Mapping) and afterpulse.get("enabled") is False
+    return report.noise.method != "none" or not off
+
+
+def terrain_accuracy(report: Report) -> str | None:
+    """RMSE of the terrain and the surfaces it is over: those judged, and all of them."""
+    terrain = terrain_statistics(report)
+    if terrain is None or report.accuracy is None:
+        return None
+    name, statistics = terrain
+    said = f"RMSE {centimetres(statistics.rmse)} on {surface_name(name)}"
+    overall = report.accuracy.dtm.get("all")
+    if name == "all" or overall is None or overall.rmse is None:
+        return said
+    return f"{said} ({centimetres(overall.rmse)} on all surfaces)"
 
 
 def mostly_unfiltered(counts: Counts, method: str) -> str:
@@ -93,11 +120,13 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     """Label and value of each number that the console shows after a run."""
     counts, work = report.counts, report.performance
     not_read = f", about {number(counts.not_read)} not read" if counts.not_read else ""
+    classes = [("ground", counts.ground)]
+    if photon_counting(report):
+        noise = [("background noise", counts.background), ("afterpulses", counts.afterpulse)]
+        classes = [("signal", counts.signal), *noise, *classes]
     rows = [
         ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out{not_read}"),
-        ("background noise", _with_share(counts.background, counts.points_in)),
-        ("afterpulses", _with_share(counts.afterpulse, counts.points_in)),
-        ("ground", _with_share(counts.ground, counts.points_in)),
+        *((label, _with_share(count, counts.points_in)) for label, count in classes),
     ]
     if counts.not_assessed:
         rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
@@ -106,16 +135,15 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
     if report.density.mean_per_m2 is not None:
         ground = report.density.ground_per_m2
         of_it = "" if ground is None else f", {significant(ground)} of it ground"
-        rows.append(("density", f"{significant(report.density.mean_per_m2)} per m2{of_it}"))
-    terrain = terrain_statistics(report)
-    if terrain is None:
+        what = "signal density" if photon_counting(report) else "density"
+        rows.append((what, f"{significant(report.density.mean_per_m2)} per m2{of_it}"))
+    accuracy = terrain_accuracy(report)
+    if accuracy is None:
         told = any(warning.endswith("`spl-batch run` computes it") for warning in report.warnings)
         remedy = "; `spl-batch run` does it" if told else ""
         rows.append(("accuracy", _without_accuracy(report) + remedy))
     else:
-        name, statistics = terrain
-        error, mean = centimetres(statistics.rmse), centimetres(statistics.mean)
-        rows.append(("DTM accuracy", f"RMSE {error}, mean {mean} on {surface_name(name)}"))
+        rows.append(("DTM accuracy", accuracy))
     return [(label, as_ascii(value)) for label, value in rows] + ending_rows(
         work, report.failures, report.warnings
     )
@@ -137,7 +165,7 @@ def ending_rows(
     """
     rows = [("run time", f"{duration(work.wall_s)}{_of_which(work)}")]
     if work.peak_rss_mb is not None:
-        rows.append(("peak memory", f"{number(work.peak_rss_mb)} MB per worker"))
+        rows.append(("peak memory", f"{number(work.peak_rss_mb)} MiB per worker"))
     rows.append(("failures", number(len(failures)) if failures else "none"))
     rows += [("failed", _failed(failure)) for failure in failures[:FAILURES_NAMED]]
     if more := failures[FAILURES_NAMED:]:
@@ -182,18 +210,17 @@ def _accuracy_verdict(report: Report) -> Verdict:
         why = _without_accuracy(report)
         tone: Tone = "neutral" if why == _NO_REFERENCE else "attention"
         return Verdict(tone, f"{why[0].upper()}{why[1:]}: accuracy is not known.")
-    name, statistics = terrain
-    rmse = statistics.rmse or 0.0
-    opening = f"DTM RMSE {centimetres(rmse)} on {surface_name(name)}: "
+    rmse = terrain[1].rmse or 0.0
+    opening = f"DTM {terrain_accuracy(report)}, against linear-mode lidar and not check points: "
     for limit, level in USGS_LIMITS:
         if rmse <= limit:
             return Verdict(
                 "good",
-                f"{opening}meets the vertical accuracy of USGS {level} "
-                f"(\N{LESS-THAN OR EQUAL TO} {centimetres(limit)}).",
+                f"{opening}within the {centimetres(limit)} that USGS {level} allows at check "
+                "points.",
             )
     least = centimetres(USGS_LIMITS[-1][0])
-    return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows.")
+    return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows at check points.")
 
 
 def _without_accuracy(report: Report) -> str:
@@ -257,4 +284,4 @@ def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Ver
 
 
 def _with_share(part: int, whole: int) -> str:
-    return f"{number(part)} ({percent(part / whole if whole else None)})"
+    return f"{number(part)} ({of_all(part, whole)})"

@@ -66,12 +66,14 @@ def read_strip(
     table, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels)
     if not len(table):
         return None
+    middle_m = (strip.ymin + strip.ymax) / 2 * QUANTUM_M
     return Profile(
         (table["x"] - strip.xmin) * QUANTUM_M,
         table["z"] * QUANTUM_M,
         table["noise_class"],
         table["classification"],
         (strip.ymax - strip.ymin) * QUANTUM_M,
+        (strip.xmin * QUANTUM_M, middle_m, strip.xmax * QUANTUM_M, middle_m),
     )
 
 

@@ -29,6 +29,7 @@ from spl_batch.report.write import write_report
 from spl_batch.runner.accuracy import Comparison, compared, not_compared
 from spl_batch.runner.context import Context
 from spl_batch.runner.coverage import area_km2, density
+from spl_batch.runner.pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.runner.profile import cut_profile
 from spl_batch.runner.remember import (
     Receipts,
@@ -87,10 +88,11 @@ def _survey(done: Receipts, context: Context) -> Survey:
         name=workflow.survey.name,
         crs=":".join(authority) if authority else (crs.name if crs is not None else None),
         crs_name=crs.name if crs is not None else None,
-        sensor=workflow.sensor.name,
+        sensor=workflow.sensor.name if _photons(context) else None,
         area_km2=area_km2(done),
         extent_m=(low[0], high[0], low[1], high[1]),
         cell_m=workflow.products.cell_m,
+        pieces=in_words(find_pieces(done, context)),
         flightlines=tuple(_flightlines(done, context)),
     )
 
@@ -270,21 +272,43 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
 
 
 def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
-    parts = {n: _overview(context.output / f"{n}.tif") for n in ("dtm", "dsm", "chm", "density")}
+    pieces = find_pieces(done, context)
+    bounds = pieces[0].bounds_m if len(pieces) > 1 else None
+    folder = context.output
+    parts = {n: _overview(folder / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm", "density")}
     rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
-    noise = _overview(context.store.local / "noise.tif")
+    noise = _overview(context.store.local / "noise.tif", bounds)
     difference = None
     if found is not None:
         d = found.difference
         difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
+        difference = difference if bounds is None else cropped(difference, bounds)
     return PictureInputs(
         **rasters,
         noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
         difference=difference,
         differences_m=None if found is None else found.differences_m,
         profile=cut_profile(parts["chm"], done, context),
+        others=[
+            PictureInputs(
+                dtm=_raster(folder / f"dtm{piece.suffix}.tif", piece.bounds_m),
+                dsm=_raster(folder / f"dsm{piece.suffix}.tif", piece.bounds_m),
+            )
+            for piece in pieces[1:PICTURED]
+        ],
     )
 
 
-def _overview(path: Path) -> Part | None:
-    return read_overview(path) if path.exists() else None
+def _raster(path: Path, bounds_m: tuple[float, float, float, float]) -> Raster | None:
+    part = _overview(path, bounds_m)
+    return None if part is None else Raster(part.values, part.extent_m)
+
+
+def _photons(context: Context) -> bool:
+    """Whether noise or afterpulses are looked for."""
+    workflow = context.workflow
+    return workflow.filter.method != "none" or workflow.afterpulse.enabled
+
+
+def _overview(path: Path, bounds_m: tuple[float, float, float, float] | None = None) -> Part | None:
+    return read_overview(path, bounds_m=bounds_m) if path.exists() else None

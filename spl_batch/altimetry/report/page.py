@@ -54,11 +54,11 @@ def _verdicts(report: TrackReport) -> Iterator[Verdict]:
     if report.ground is None:
         yield Verdict("neutral", "No reference was given, or none is near: accuracy is not known.")
     else:
-        spread, middle = (text.centimetres(v) for v in (report.ground.nmad, report.ground.median))
+        spread, middle = (text.metres(v) for v in (report.ground.nmad, report.ground.median))
         yield Verdict(
             "good",
             f"Ground minus reference: median {middle}, NMAD {spread}, "
-            f"RMSE {text.centimetres(report.ground.rmse)}.",
+            f"RMSE {text.metres(report.ground.rmse)}.",
         )
     yield failure_verdict(report.failures, report.warnings)
 
@@ -75,22 +75,22 @@ def _compared(report: TrackReport) -> list[tuple[str, Statistics | None, Statist
 
 def _cards(report: TrackReport) -> list[tuple[str, str, str]]:
     counts, work = report.counts, report.performance
-    assessed = counts.signal + counts.background
     cards = []
     if report.ground is not None:
-        rest = f"median {text.centimetres(report.ground.median)}, "
-        rest += f"RMSE {text.centimetres(report.ground.rmse)}"
-        cards.append(("Ground NMAD", text.centimetres(report.ground.nmad), rest))
+        rest = f"median {text.metres(report.ground.median)}, "
+        rest += f"RMSE {text.metres(report.ground.rmse)}"
+        cards.append(("Ground NMAD", text.metres(report.ground.nmad), rest))
     cells = sum(b.ground_cells for b in report.beams)
+    wooded = sum(b.canopy_cells for b in report.beams)
     return [
         *cards,
         ("Photons", text.large(counts.points_in), f"{text.number(counts.points_out)} out"),
         (
             "Signal",
-            text.percent(counts.signal / assessed if assessed else None),
-            f"{text.large(counts.signal)} photons",
+            text.large(counts.signal),
+            text.of_all(counts.signal, counts.points_in, "photons"),
         ),
-        ("Ground cells", text.large(cells), f"{sum(b.canopy_cells for b in report.beams)} wooded"),
+        ("Ground cells", text.large(cells), f"{text.number(wooded)} wooded"),
         ("Time", text.duration(work.wall_s), speed_remark(work, "photons")),
     ]
 
@@ -99,12 +99,12 @@ def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
     """Label and value of each number that the console shows after a run."""
     counts, work = report.counts, report.performance
     rows = [
-        ("photons", f"{counts.points_in:,} in, {counts.points_out:,} out"),
-        ("signal", f"{counts.signal:,}"),
-        ("noise", f"{counts.background:,}"),
+        ("photons", f"{text.number(counts.points_in)} in, {text.number(counts.points_out)} out"),
+        ("signal", _with_share(counts.signal, counts.points_in)),
+        ("noise", _with_share(counts.background, counts.points_in)),
     ]
     if counts.not_assessed:
-        rows.append(("not assessed", f"{counts.not_assessed:,}"))
+        rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
     rows.append(("ground accuracy", _accuracy(report.ground)))
     if report.baseline_ground is not None:
         rows.append(("by mDBSCAN", _accuracy(report.baseline_ground)))
@@ -112,12 +112,16 @@ def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
         for method, agreement in beam.labels.items():
             if agreement.f1 is not None:
                 rows.append((f"{beam.name} labels, {method}", f"F1 {agreement.f1:.3f}"))
-    return rows + ending_rows(work, report.failures, report.warnings)
+    plain = [(label, text.as_ascii(value)) for label, value in rows]
+    return plain + ending_rows(work, report.failures, report.warnings)
+
+
+def _with_share(part: int, whole: int) -> str:
+    return f"{text.number(part)} ({text.of_all(part, whole, 'photons')})"
 
 
 def _accuracy(found: Statistics | None) -> str:
     if found is None:
         return "no reference"
     named = (("median", found.median), ("NMAD", found.nmad), ("RMSE", found.rmse))
-    # A zero is added so that none is negative.
-    return ", ".join(f"{name} {round(value or 0.0, 2) + 0.0:.2f} m" for name, value in named)
+    return ", ".join(f"{name} {text.metres(value)}" for name, value in named)

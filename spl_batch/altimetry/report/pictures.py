@@ -88,7 +88,7 @@ def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:
 
 
 def _profile(beam: BeamPictures) -> Figure:
-    figure, axes = _axes("along track [km]", "height [m]", 4.2)
+    figure, axes = _axes("distance along track [km]", "height [m]", 4.2)
     x, z, label = beam.photons.T
     for value, colour, size, name in (
         (0, "#aab4be", 0.5, "noise"),
@@ -106,14 +106,14 @@ def _profile(beam: BeamPictures) -> Figure:
 
 
 def _rate(beam: BeamPictures) -> Figure:
-    figure, axes = _axes("along track [km]", "noise [1/m\N{SUPERSCRIPT TWO}]", 2.0)
+    figure, axes = _axes("distance along track [km]", "noise [photons/m\N{SUPERSCRIPT TWO}]", 2.0)
     axes.plot(beam.rate[:, 0] / 1000, beam.rate[:, 1], color=style.NOISE, linewidth=0.8)
     axes.set_ylim(bottom=0)
     return figure
 
 
 def _differences(beam: BeamPictures) -> Figure:
-    figure, axes = _axes("along track [km]", "difference [m]", 2.4)
+    figure, axes = _axes("distance along track [km]", "ground minus reference [m]", 2.4)
     if beam.differences is None:
         return figure
     at, ours, theirs = beam.differences.T

@@ -13,11 +13,12 @@ from spl_batch.report import style
 from spl_batch.report.maps import Raster, draw_ramp, draw_relief, reduce_raster, spread
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
+from spl_batch.report.plots import WIDTH_IN
 from spl_batch.report.summary import Verdict, failure_verdict
 
 SECTIONS: Final = (("points", "Points"),)
 _PACKAGE: Final = "spl_batch.geiger.coincidence.report"
-_STRIP_IN: Final = (7.2, 3.4)
+_STRIP_IN: Final = (WIDTH_IN, 4.8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,9 @@ def _height(raster: Raster | None) -> Picture:
         return Picture(title, "There are no points to show.")
     limits = spread(reduce_raster(raster).values, 0.5, 99.5)
     drawn = draw_relief(raster, title, "height [m]", limits)
-    return _made(drawn, title, "Lone spikes would be noise that was kept, grey is without points.")
+    return _made(
+        drawn, title, "Lone spikes would be noise taken for a surface, grey is without points."
+    )
 
 
 def _intensity(raster: Raster | None) -> Picture:
@@ -73,15 +76,17 @@ def _strip(strip: Strip | None) -> Picture:
     if strip is None or not len(strip.points_m):
         return Picture(title, "No slice holds points to show.")
     with style.type_context():
-        figure = Figure(figsize=_STRIP_IN, layout="constrained")
+        figure = style.figure(*_STRIP_IN)
         upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
         for axes, places, name in (
-            (upper, strip.detections_m, "detections"),
-            (lower, strip.points_m, "points"),
+            (upper, strip.detections_m, "Detections"),
+            (lower, strip.points_m, "Points"),
         ):
-            axes.plot(places[:, 0], places[:, 1], ".", ms=2.5, mew=0, color="#1f4e79")
-            axes.set_ylabel(f"{name}\nheight [m]")
-        lower.set_xlabel("along the slice [m]")
+            axes.plot(places[:, 0], places[:, 1], ".", ms=2.5, mew=0, color=style.SIGNAL)
+            axes.set_title(name)
+            axes.set_ylabel("height [m]")
+            axes.spines[["top", "right"]].set_visible(False)
+        lower.set_xlabel("distance along the slice [m]")
         low, high = strip.points_m[:, 1].min(), strip.points_m[:, 1].max()
         lower.set_ylim(low - 2.0, high + 2.0)
     return _made(figure, title, "A slice of the fullest tile: detections above, points below.")
@@ -102,9 +107,9 @@ def render(report: CoincidenceReport, shown: Mapping[str, Picture]) -> str:
         SECTIONS,
         tuple(verdicts(report)),
         (
-            ("looks", text.large(counts.looks), f"{text.number(counts.frames)} frames"),
-            ("detections", text.large(counts.detections), _share(counts.detections, counts.looks)),
-            ("points", text.large(counts.points), f"{text.number(counts.tiles)} tiles"),
+            ("Looks", text.large(counts.looks), f"{text.number(counts.frames)} frames"),
+            ("Detections", text.large(counts.detections), _share(counts.detections, counts.looks)),
+            ("Points", text.large(counts.points), f"{text.number(counts.tiles)} tiles"),
         ),
     )
     return render_page("page_coincidence.html.j2", report, front, package=_PACKAGE, pictures=shown)

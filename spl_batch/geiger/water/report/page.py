@@ -46,7 +46,8 @@ def _surfaces(report: WaterReport) -> int:
 def _facts(report: WaterReport) -> Iterator[str]:
     water = [file for file in report.files if file.role == "water"]
     yield f"{len(water)} file{'s' * (len(water) != 1)} of frames"
-    yield f"{text.number(_surfaces(report))} acquisitions of {report.frames_per_acquisition} frames"
+    frames = text.number(report.frames_per_acquisition)
+    yield f"{text.number(_surfaces(report))} acquisitions of {frames} frames"
     yield report.crs or "no CRS"
 
 
@@ -62,14 +63,14 @@ def _cards(report: WaterReport) -> Iterator[tuple[str, str, str]]:
         )
         yield (
             "Height",
-            text.centimetres(spread),
-            f"spread; bias {text.centimetres(made.signed_bias_m)} down",
+            text.millimetres(spread),
+            f"spread; bias {text.millimetres(made.signed_bias_m)} down",
         )
     if report.floor is not None:
         yield (
             "Sea floor",
-            text.centimetres(report.floor.refracted_beam_m),
-            f"{text.centimetres(report.floor.level_beam_m)} under a level surface",
+            text.millimetres(report.floor.refracted_beam_m),
+            f"{text.millimetres(report.floor.level_beam_m)} under a level surface",
         )
     if report.calibration is not None:
         dead = report.calibration.dead
@@ -83,29 +84,26 @@ def _accuracy_verdict(report: WaterReport) -> Verdict:
     return Verdict(
         "good",
         f"Normals lie {text.significant(made.pixel_normal_deg)}° from the true ones, heights "
-        f"{text.centimetres((made.mse_m2 or 0.0) ** 0.5)} (root mean square).",
+        f"{text.millimetres((made.mse_m2 or 0.0) ** 0.5)} (root mean square).",
     )
 
 
 def screen_summary(report: WaterReport) -> list[tuple[str, str]]:
     """Label and value of each number that the console shows after a run."""
     rows = [
-        ("surfaces", f"{_surfaces(report)}, {report.points} points"),
+        ("surfaces", f"{text.number(_surfaces(report))}, {text.number(report.points)} points"),
     ]
     if report.calibration is not None:
         made = report.calibration
         rows.append(("calibration", "fitted" if made.fitted else "as given"))
-        rows.append(("dead pixels", f"{made.dead} of {made.used} in use"))
+        rows.append(("dead pixels", f"{text.number(made.dead)} of {text.number(made.used)} in use"))
     if report.surfaces is None:
         rows.append(("accuracy", "no truth"))
     else:
         found = report.surfaces
-        rows.append(("normals", f"{_plain(found.pixel_normal_deg)} deg"))
-        rows.append(("bias", f"{_plain(found.signed_bias_m, 1e3)} mm"))
+        rows.append(("normals", f"{text.significant(found.pixel_normal_deg)} deg"))
+        rows.append(("bias", text.millimetres(found.signed_bias_m)))
     if report.floor is not None:
-        rows.append(("sea floor", f"{_plain(report.floor.refracted_beam_m, 1e3)} mm"))
-    return rows + ending_rows(report.performance, report.failures, report.warnings)
-
-
-def _plain(value: float | None, factor: float = 1.0) -> str:
-    return "-" if value is None else f"{factor * value:.3g}"
+        rows.append(("sea floor", text.millimetres(report.floor.refracted_beam_m)))
+    plain = [(label, text.as_ascii(value)) for label, value in rows]
+    return plain + ending_rows(report.performance, report.failures, report.warnings)

@@ -7,8 +7,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from spl_batch.report import style
+from spl_batch.report.format import metres
+from spl_batch.report.maps import WIDTH_IN as MAP_WIDTH_IN
 from spl_batch.report.maps import Raster, draw_ramp, spread
 from spl_batch.report.pictures import Picture
+from spl_batch.report.plots import WIDTH_IN
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +81,7 @@ def _height(raster: Raster | None) -> Picture:
     drawn = draw_ramp(
         shown,
         title,
-        f"height less {middle:.3f} m [mm]",
+        "height above the median [mm]",
         ramp=style.DIFFERENCE,
         limits=(-reach, reach),
         extend="both",
@@ -86,8 +89,8 @@ def _height(raster: Raster | None) -> Picture:
     return _finished(
         drawn,
         title,
-        "Mean of the surfaces of the first file. Calm water is even; a tilt or a bowl points to "
-        "the boresight or to range walk.",
+        f"Mean of the surfaces of the first file, above its median height of {metres(middle, 3)}. "
+        "Calm water is even; a tilt or a bowl points to the boresight or to range walk.",
     )
 
 
@@ -96,11 +99,11 @@ def _histogram(counts: NDArray[np.int64], gate: tuple[int, int]) -> Picture:
     low, high = gate
     first, last = max(low - 40, 1), min(high + 40, len(counts))
     with style.type_context():
-        drawn = style.figure(5.1, 2.6)
+        drawn = style.figure(WIDTH_IN, 3.0)
         axes = drawn.add_subplot()
         axes.bar(np.arange(first, last), counts[first:last], width=1.0, color=style.SIGNAL)
         axes.axvspan(low - 0.5, high - 0.5, color=style.RULE, zorder=0)
-        axes.set(title=title, xlabel="time bin", ylabel="hits", xlim=(first, last))
+        axes.set(title=title, xlabel="time bin [number]", ylabel="hits [count]", xlim=(first, last))
     return _finished(
         drawn, title, f"Grey is the gate, bins {low} to {high - 1}: hits outside are not used."
     )
@@ -109,26 +112,31 @@ def _histogram(counts: NDArray[np.int64], gate: tuple[int, int]) -> Picture:
 def _intensity(share: Floats) -> Picture:
     title = "Intensity"
     with style.type_context():
-        drawn = style.figure(3.6, 3.0)
+        drawn = style.figure(MAP_WIDTH_IN, 4.2)
         axes = drawn.add_subplot()
         shown = axes.imshow(share, cmap=style.DENSITY, vmin=0.0, interpolation="nearest")
-        drawn.colorbar(shown, ax=axes, label="share of frames with a hit")
-        axes.set(title=title, xlabel="column", ylabel="row")
+        drawn.colorbar(shown, ax=axes, label="share of frames with a hit [1/1]")
+        axes.set(title=title, xlabel="column [pixel]", ylabel="row [pixel]")
     return _finished(drawn, title, "Where the beam lies on the array, and which pixels are dead.")
 
 
 def _each(rows: Floats) -> Picture:
     title = "Errors of each surface"
     with style.type_context():
-        drawn = style.figure(7.2, 2.4)
+        drawn = style.figure(WIDTH_IN, 3.4)
         bias, normal = drawn.subplots(1, 2)
         along = np.arange(len(rows))
         bias.plot(along, 1e3 * rows[:, 0], ".", color=style.SIGNAL, label="bias")
         bias.plot(along, 1e3 * np.sqrt(rows[:, 1]), ".", color=style.NOISE, label="RMSE")
-        bias.set(title="down less true down [mm]", xlabel="surface")
+        bias.set(title="Heights", ylabel="error of depth [mm]", xlabel="acquisition [number]")
         bias.legend()
+        for axes in (bias, normal):
+            axes.xaxis.get_major_locator().set_params(integer=True)
         normal.plot(along, rows[:, 2], ".", color=style.SIGNAL)
-        normal.set(title="mean angle of pixels' normals [deg]", xlabel="surface", ylim=(0, None))
+        normal.set(
+            title="Normals", ylabel="mean error of a pixel's normal [deg]",
+            xlabel="acquisition [number]", ylim=(0, None),
+        )  # fmt: skip
     return _finished(
         drawn,
         title,
@@ -139,7 +147,7 @@ def _each(rows: Floats) -> Picture:
 def _pixels(maps: dict[str, Floats]) -> Picture:
     title = "Errors of each pixel"
     with style.type_context():
-        drawn = style.figure(7.2, 5.6)
+        drawn = style.figure(WIDTH_IN, 8.0)
         for k, (key, label, factor) in enumerate(PANELS):
             axes = drawn.add_subplot(2, 2, k + 1)
             values = maps[key] if key in {"bias_m", "normal_deg"} else np.sqrt(maps[key])
@@ -153,8 +161,8 @@ def _pixels(maps: dict[str, Floats]) -> Picture:
                 vmax=top,
                 interpolation="nearest",
             )
-            drawn.colorbar(shown, ax=axes)
-            axes.set(title=label)
+            drawn.colorbar(shown, ax=axes, label=label)
+            axes.set(xlabel="column [pixel]", ylabel="row [pixel]")
     return _finished(
         drawn,
         title,
