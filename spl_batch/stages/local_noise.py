@@ -51,9 +51,9 @@ BLUR: Final = 4.0
 SURE: Final = 4.0
 """Squares whose number of beamlets is as sure as a blurred one."""
 
-SPARE: Final = 1.02
-"""Density that is expected over the one found. The one found is off by about a tenth, and more
-noise is kept where it is too small than is lost where it is as much too large."""
+RIDGE: Final = 2.0
+"""Times that what a blur takes off a ridge is given back: blurring and linear interpolation both
+flatten the ridges that turning scans make along the edges of swaths."""
 
 LEAST: Final = 0.15
 """Part of the density that is left at the edge of a flightline, within a square of it."""
@@ -98,7 +98,7 @@ def listened(
     covered = joined(np.logical_and, joined(np.logical_or, beamlets > 0))
     gate = without_ends(amount, beamlets, voxel_m)
     density = _believed(beamlets, covered)
-    density *= over_squares(SPARE * gate.each)
+    density *= over_squares(gate.each)
     return Listened(density, gate.side, gate.end)
 
 
@@ -130,12 +130,13 @@ def around(
 
 def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Beamlets over squares as far as chance lets their own counts tell; 0 beside covered ones."""
-    prior = np.float32(PRIOR)
-    around = blurred(beamlets, BLUR)
-    around /= np.float32((BLUR + 2.0) ** 2)
-    number = around + beamlets / (beamlets + prior) * (beamlets - around)
+    prior, inside = np.float32(PRIOR), covered.astype(np.float32)
+    area = np.maximum(blurred(inside, BLUR), np.float32(1.0))
+    around = inside * blurred(beamlets, BLUR) / area
+    ridge = around - blurred(around, BLUR) / area
+    own = beamlets / (beamlets + prior)
+    number = around + own * (beamlets - around + np.float32(RIDGE) * ridge)
+    np.maximum(number, np.float32(0.5) * around, out=number)
     known = np.float32(SURE) * number
     mean = over_squares(ratio(of_spheres(beamlets), of_spheres(covered)))
-    found: NDArray[np.float32] = (known * number + prior * mean) / (known + prior)
-    found[~covered] = 0.0
-    return found
+    return inside * (known * number + prior * mean) / (known + prior)
