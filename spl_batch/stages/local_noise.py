@@ -131,12 +131,13 @@ def around(
 def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Beamlets over squares as far as chance lets their own counts tell; 0 beside covered ones."""
     prior, inside = np.float32(PRIOR), covered.astype(np.float32)
-    area = np.maximum(blurred(inside, BLUR), np.float32(1.0))
-    around = inside * blurred(beamlets, BLUR) / area
+    area: NDArray[np.float32] = np.maximum(blurred(inside, BLUR), np.float32(1.0))
+    around: NDArray[np.float32] = inside * blurred(beamlets, BLUR) / area
     ridge = around - blurred(around, BLUR) / area
     own = beamlets / (beamlets + prior)
     number = around + own * (beamlets - around + np.float32(RIDGE) * ridge)
     np.maximum(number, np.float32(0.5) * around, out=number)
     known = np.float32(SURE) * number
     mean = over_squares(ratio(of_spheres(beamlets), of_spheres(covered)))
-    return inside * (known * number + prior * mean) / (known + prior)
+    found: NDArray[np.float32] = inside * (known * number + prior * mean) / (known + prior)
+    return found
