@@ -139,5 +139,8 @@ def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDAr
     np.maximum(number, np.float32(0.5) * around, out=number)
     known = np.float32(SURE) * number
     mean = over_squares(ratio(of_spheres(beamlets), of_spheres(covered)))
-    found: NDArray[np.float32] = inside * (known * number + prior * mean) / (known + prior)
-    return found
+    mean *= prior
+    mean += known * number
+    mean *= inside
+    mean /= known + prior
+    return mean
