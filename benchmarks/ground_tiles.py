@@ -233,7 +233,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("tiles", nargs="*")
-    parser.add_argument("--methods", nargs="+", default=["ptd", "smrf", "csf"])
+    parser.add_argument("--methods", nargs="+", default=["multiscale", "ptd", "smrf", "csf"])
     parser.add_argument("--cells", action="store_true")
     given = parser.parse_args()
     main(given.folder, given.tiles, given.methods, given.cells)

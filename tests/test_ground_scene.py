@@ -99,7 +99,7 @@ def whole(found: Scene, settings: GroundSettings) -> NDArray[np.bool_]:
 
 @pytest.mark.parametrize(
     ("method", "missed", "taken", "rmse_m"),
-    [("ptd", 0.005, 0.01, 0.05), ("smrf", 0.06, 0.02, 0.15)],
+    [("multiscale", 0.01, 0.01, 0.05), ("ptd", 0.005, 0.01, 0.05), ("smrf", 0.06, 0.02, 0.15)],
 )
 def test_known_scene(method: str, missed: float, taken: float, rmse_m: float) -> None:
     found = scene()
@@ -139,9 +139,9 @@ def test_cells_agree_where_their_buffers_overlap() -> None:
     assert np.mean(mask[0, middle] != mask[1, middle]) < 0.001
 
 
-@pytest.mark.parametrize(("method", "seed"), [("ptd", 0), ("ptd", 1), ("smrf", 0)])
+@pytest.mark.parametrize(("method", "seed"), [("multiscale", 0), ("multiscale", 1), ("ptd", 0), ("ptd", 1), ("smrf", 0)])
 def test_single_returns_under_wide_crowns_are_ground(
-    method: Literal["ptd", "smrf"], seed: int
+    method: Literal["multiscale", "ptd", "smrf"], seed: int
 ) -> None:
     """1.2 ground returns per m2 beneath 25 of leaves, on a slope: crown bottoms are no ground."""
     rng = np.random.default_rng(seed)

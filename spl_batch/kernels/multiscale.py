@@ -12,6 +12,8 @@ Deviations from the sources:
   of 1, 2, 4 or 8 m: the smallest in which most lowest nodes agree with the lowest of the next
   size (:func:`agreeing_nodes`). The opening always runs on cells of 1 m.
 - **Empty cells take the nearest node**, so that a wall stays as steep as it is.
+- **On steep ground an object stands out twice**: of the heights as they are, and of those above the
+  trend of what is left then. The edge of a slope does so only once.
 - **A fall of more than** :data:`STEP_M` from one window to the next is an object's at any radius.
 - **Low outliers** are told among the lowest nodes of :data:`PIT_CELL_M`: a node far below the third
   lowest around is none of the ground's, also where several lie beside each other.
@@ -19,13 +21,15 @@ Deviations from the sources:
   nodes scatter *below* the surface (:func:`scatter_below`): vegetation scatters them upwards only.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.kernels.smrf import fill_gaps, object_cells
+from spl_batch.kernels.trend import STEP_M as TREND_M
+from spl_batch.kernels.trend import Trend, fit_trend, trend_at
 
 CELL_M: Final = 1.0
 """Edge of the cells that the opening runs on [m]."""
@@ -46,6 +50,10 @@ _HIGH_SHARE = 0.35
 
 _SLOPE = 0.15
 """Slope tolerance of the opening, as published [rise/run]."""
+
+_STEEP = 0.5
+"""Rise of the trend from which on heights above it count as well: streets of towns are flatter
+[rise/run]."""
 
 STEP_M: Final = 2.0
 """A larger fall from one window to the next is an object's: a low storey [m]."""
@@ -167,10 +175,12 @@ def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
         limit = np.clip(_AGREE_SIGMA * scatter_below(xyz, coarse, grid, cell_m), *_AGREE_M)
         above = xyz[current, 2] - plane_heights(xyz, grid, cell_m)[current]
         at = row[current], column[current]
-        high, count = np.zeros(shape), np.zeros(shape)
-        np.add.at(high, at, above > limit[at])
-        np.add.at(count, at, 1.0)
-        share = _around(high) / np.maximum(_around(count), 1.0)
+        key = at[0] * shape[1] + at[1]
+        high, count = (
+            _around(np.bincount(key[of], minlength=shape[0] * shape[1]).reshape(shape))
+            for of in (above > limit[at], slice(None))
+        )
+        share = high / np.maximum(count, 1.0)
         stays = going & (share <= _HIGH_SHARE)
         chosen[current[stays[at]]] = True
         going &= ~stays
@@ -179,9 +189,9 @@ def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
     return chosen
 
 
-def _around(grid: Float) -> Float:
+def _around(grid: NDArray[Any]) -> Float:
     """Sum over a cell and the eight around it; whole numbers add up exactly."""
-    summed: Float = ndimage.correlate(grid, np.ones((3, 3)), mode="constant")
+    summed: Float = ndimage.correlate(grid.astype(np.float64), np.ones((3, 3)), mode="constant")
     return summed
 
 
@@ -228,6 +238,35 @@ def plane_heights(xyz: Float, grid: Index, cell_m: float, *, own: bool = True) -
     return found
 
 
+def spread_below(off: Float, x: Float, y: Float, most_m: float) -> Float:
+    """Spread of points below the surface, by blocks.
+
+    Parameters
+    ----------
+    off : (n,) float64
+        Heights above the surface [m].
+    x, y : (n,) float64
+        Places [m].
+    most_m : float
+        Points farther below are noise and do not count [m].
+
+    Returns
+    -------
+    (block rows, block columns) float64
+        Standard deviation in each block of :data:`BLOCK_M`, of it and those around [m]; 0 where
+        there is no point below.
+    """
+    column, row, shape = _places(np.column_stack([x, y]), BLOCK_M)
+    low = (off < 0.0) & (off > -most_m)
+    key = row[low] * shape[1] + column[low]
+    total, count = (
+        _around(np.bincount(key, weights=w, minlength=shape[0] * shape[1]).reshape(shape))
+        for w in (-off[low], None)
+    )
+    spread: Float = _HALF_NORMAL * total / np.maximum(count, 1.0)
+    return spread
+
+
 def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float:
     """Spread of nodes below the planes through those around, by blocks.
 
@@ -250,15 +289,9 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     (block rows, block columns) float64
         Standard deviation in each block of :data:`BLOCK_M`, of it and those around [m].
     """
-    column, row, shape = _places(xyz, BLOCK_M)
-    off = xyz[nodes, 2] - plane_heights(xyz, grid, cell_m, own=False)[nodes]
-    low = off < 0.0
-    total, count = np.zeros(shape), np.zeros(shape)
-    at = row[nodes[low]], column[nodes[low]]
-    np.add.at(total, at, -off[low])
-    np.add.at(count, at, 1.0)
-    spread: Float = _HALF_NORMAL * _around(total) / np.maximum(_around(count), 1.0)
-    return spread
+    off = np.zeros(len(xyz))
+    off[nodes] = xyz[nodes, 2] - plane_heights(xyz, grid, cell_m, own=False)[nodes]
+    return spread_below(off, xyz[:, 0], xyz[:, 1], np.inf)
 
 
 def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
@@ -273,12 +306,36 @@ def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
     cell_m : float
         Edge of the cells that the opening runs on [m].
     """
-    grid = lowest_nodes(xyz, chosen, cell_m)
-    surface = nearest_filled(_heights(grid, xyz[:, 2]))
-    objects = object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M)
+    raised = _raised(xyz, xyz[:, 2], chosen, cell_m)
+    level = chosen & ~raised
+    if not level.any():
+        return chosen
+    x, y = xyz[:, 0], xyz[:, 1]
+    trend = fit_trend(xyz[level], x, y)
+    above = xyz[:, 2] - trend_at(trend, x, y)
+    raised &= _raised(xyz, above, chosen, cell_m) | ~_steep(trend, x, y)
+    grid = lowest_nodes(xyz, chosen & ~raised, cell_m)
     ground = np.zeros(len(xyz), dtype=np.bool_)
-    ground[grid[(grid >= 0) & ~objects]] = True
+    ground[grid[grid >= 0]] = True
     return ground
+
+
+def _raised(xyz: Float, height: Float, chosen: Mask, cell_m: float) -> Mask:
+    """Nodes in cells that the opening of some heights cuts off."""
+    grid = lowest_nodes(xyz, chosen, cell_m)
+    surface = nearest_filled(_heights(grid, height))
+    objects = object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M)
+    column, row, _ = _places(xyz, cell_m)
+    raised: Mask = objects[row, column]
+    return raised
+
+
+def _steep(trend: Trend, x: Float, y: Float) -> Mask:
+    """Places where a trend rises by more than :data:`_STEEP`."""
+    squared = sum(np.gradient(trend.height, TREND_M, axis=axis) ** 2 for axis in (0, 1))
+    steepness = Trend(np.sqrt(np.asarray(squared)), trend.left, trend.bottom)
+    steep: Mask = trend_at(steepness, x, y) > _STEEP
+    return steep
 
 
 def nearest_filled(surface: Float) -> Float:

@@ -5,7 +5,7 @@ tolerance around the surface and its growth on slopes follow from the spacing of
 from how much the ground scatters.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from spl_batch.kernels.multiscale import (
     agreeing_nodes,
     ground_nodes,
     low_outliers,
-    lowest_nodes,
-    scatter_below,
+    spread_below,
     terrain,
 )
+from spl_batch.kernels.tin import Tin, interpolate, triangulate
 from spl_batch.stages.seeds import sunk
 
 _LAYER_M = 0.15
@@ -32,7 +32,8 @@ _BAND_M: Final = (0.1, 0.5)
 """Least and largest distance from the surface of a ground point, where that is level [m]."""
 
 _BAND_SIGMA = 3.0
-"""So many scatters of the ground."""
+"""So many spreads of the points below the surface, where only ranging noise and roughness put
+them."""
 
 _BAND_SPACINGS = 0.25
 """So many spacings of the points: between them the ground is not known better."""
@@ -45,7 +46,16 @@ Float = NDArray[np.float64]
 Place = tuple[Float, Float, Float]
 
 
-def multiscale_mask(own: Place, asked: Place) -> NDArray[np.bool_]:
+class Surface(NamedTuple):
+    """Ground: a TIN through its nodes, and where that does not reach a grid with its slope."""
+
+    tin: Tin | None
+    grid: Float
+    steepness: Float
+    corner: Float
+
+
+def multiscale_mask(own: Place, asked: Place, spacing_m: Float) -> NDArray[np.bool_]:
     """Ground points by a surface whose scale follows the data.
 
     Parameters
@@ -54,6 +64,8 @@ def multiscale_mask(own: Place, asked: Place) -> NDArray[np.bool_]:
         Evidence: x, y, z [m]; at least one point.
     asked : three (m,) float64
         Points to be told; at least one.
+    spacing_m : (m,) float64
+        Mean spacing of the evidence around each of these [m].
 
     Returns
     -------
@@ -63,15 +75,40 @@ def multiscale_mask(own: Place, asked: Place) -> NDArray[np.bool_]:
     xyz = _nodes(*own)
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
     ground = ground_nodes(xyz, chosen)
-    surface = terrain(xyz, ground)
-    grid = lowest_nodes(xyz, ground, CELL_M)
-    scatter = scatter_below(xyz, np.sort(grid[grid >= 0]), grid, CELL_M)
-    x, y, z = asked
+    grid = terrain(xyz, ground)
     corner = np.floor(xyz[:, :2].min(axis=0) / CELL_M)
-    at = [y / CELL_M - corner[1] - 0.5, x / CELL_M - corner[0] - 0.5]
-    height = ndimage.map_coordinates(surface, at, order=1, mode="nearest")
-    slope = ndimage.map_coordinates(_steepness(surface), at, order=1, mode="nearest")
-    found: NDArray[np.bool_] = np.abs(z - height) <= _band(own, asked, xyz, scatter, slope)
+    surface = Surface(triangulate(xyz[ground]), grid, _steepness(grid), corner)
+    height, slope = _surface_at(surface, own)
+    spread = spread_below(own[2] - height, own[0], own[1], _BAND_M[1])
+    if asked[0] is not own[0]:
+        height, slope = _surface_at(surface, asked)
+    level = np.maximum(_BAND_SIGMA * _of_block(spread, own, asked), _BAND_SPACINGS * spacing_m)
+    band = np.clip(level, *_BAND_M) + np.minimum(spacing_m, _SLOPE_M) * slope
+    found: NDArray[np.bool_] = np.abs(asked[2] - height) <= band
+    return found
+
+
+def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
+    """Height of the surface at places [m], and its slope there [rise/run]."""
+    x, y, _ = places
+    at = [y / CELL_M - surface.corner[1] - 0.5, x / CELL_M - surface.corner[0] - 0.5]
+    height: Float = ndimage.map_coordinates(surface.grid, at, order=1, mode="nearest")
+    slope: Float = ndimage.map_coordinates(surface.steepness, at, order=1, mode="nearest")
+    if surface.tin is not None:
+        order = group_by_cell(x, y, CELL_M).order
+        exact = np.empty_like(height)
+        exact[order] = interpolate(surface.tin, x[order], y[order])
+        height = np.where(np.isnan(exact), height, exact)
+    return height, slope
+
+
+def _of_block(spread: Float, own: Place, places: Place) -> Float:
+    """Value of the block that each place is in, or of the nearest."""
+    at = []
+    for axis, last in ((1, len(spread) - 1), (0, len(spread[0]) - 1)):
+        first = np.floor(own[axis].min() / BLOCK_M)
+        at.append(np.clip(np.floor(places[axis] / BLOCK_M) - first, 0, last).astype(np.int64))
+    found: Float = spread[at[0], at[1]]
     return found
 
 
@@ -81,20 +118,6 @@ def _nodes(x: Float, y: Float, z: Float) -> Float:
     nodes = lowest_layers(x, y, z, cells, _LAYER_M)
     above = ~sunk(nodes, cells, CELL_M)
     return nodes.xyz[above] if above.any() else nodes.xyz
-
-
-def _band(own: Place, asked: Place, xyz: Float, scatter: Float, slope: Float) -> Float:
-    """Distance from the surface up to which each point is ground [m]."""
-    from spl_batch.stages.ground import spacing_around_m
-
-    spacing = spacing_around_m(own[0], own[1], asked[0], asked[1])
-    corner = np.floor(xyz[:, :2].min(axis=0) / BLOCK_M)
-    rows, columns = scatter.shape
-    row = np.clip(np.floor(asked[1] / BLOCK_M) - corner[1], 0, rows - 1).astype(np.int64)
-    column = np.clip(np.floor(asked[0] / BLOCK_M) - corner[0], 0, columns - 1).astype(np.int64)
-    level = np.maximum(_BAND_SIGMA * scatter[row, column], _BAND_SPACINGS * spacing)
-    band: Float = np.clip(level, *_BAND_M) + np.minimum(spacing, _SLOPE_M) * slope
-    return band
 
 
 def _steepness(surface: Float) -> Float:
