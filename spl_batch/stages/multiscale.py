@@ -22,6 +22,7 @@ from spl_batch.kernels.multiscale import (
     spread_below,
     terrain,
 )
+from spl_batch.kernels.ptd import Limits, densify
 from spl_batch.kernels.tin import Tin, interpolate, triangulate
 from spl_batch.stages.seeds import sunk
 
@@ -42,8 +43,27 @@ _SLOPE_M = 1.25
 """The band grows with the slope by the spacing of the points, and this at most [m], which is what
 the source adds at any spacing."""
 
+_LIMITS: Final = Limits(
+    terrain_slope=float(np.tan(np.radians(88.0))),
+    sin_angle=float(np.sin(np.radians(6.0))),
+    distance_m=1.0,
+    spread_m=0.15,
+    insert_m=0.05,
+)
+"""Iteration parameters of [Axelsson 2000] for what the opening cuts off; narrower than his, as
+what is asked are the chosen nodes alone."""
+
 Float = NDArray[np.float64]
 Place = tuple[Float, Float, Float]
+
+
+def _joined(xyz: Float, chosen: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Ground nodes and those that the opening cut off next to them, as at the top of a bank."""
+    others = np.flatnonzero(chosen & ~ground)
+    _, taken = densify(xyz[ground], xyz[others], np.zeros(len(others)), _LIMITS, BLOCK_M / 2)
+    joined = ground.copy()
+    joined[others[taken]] = True
+    return joined
 
 
 class Surface(NamedTuple):
@@ -74,7 +94,7 @@ def multiscale_mask(own: Place, asked: Place, spacing_m: Float) -> NDArray[np.bo
     """
     xyz = _nodes(*own)
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
-    ground = ground_nodes(xyz, chosen)
+    ground = _joined(xyz, chosen, ground_nodes(xyz, chosen))
     grid = terrain(xyz, ground)
     corner = np.floor(xyz[:, :2].min(axis=0) / CELL_M)
     surface = Surface(triangulate(xyz[ground]), grid, _steepness(grid), corner)
