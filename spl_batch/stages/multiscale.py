@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.kernels.grouping import group_by_cell
+from spl_batch.kernels.grouping import Cells, group_by_cell
 from spl_batch.kernels.layers import lowest_layers
 from spl_batch.kernels.multiscale import (
     BLOCK_M,
@@ -45,21 +45,30 @@ the source adds at any spacing."""
 
 _LIMITS: Final = Limits(
     terrain_slope=float(np.tan(np.radians(88.0))),
-    sin_angle=float(np.sin(np.radians(6.0))),
-    distance_m=1.0,
+    sin_angle=float(np.sin(np.radians(10.0))),
+    distance_m=1.4,
     spread_m=0.15,
     insert_m=0.05,
 )
-"""Iteration parameters of [Axelsson 2000] for what the opening cuts off; narrower than his, as
-what is asked are the chosen nodes alone."""
+"""Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
+
+_HARD_POINTS = 6
+_HARD_M = 0.12
+"""Cells of so many points that lie on a plane by less than this are hard: 2.5 standard deviations
+of a range [m]."""
 
 Float = NDArray[np.float64]
 Place = tuple[Float, Float, Float]
 
 
-def _joined(xyz: Float, chosen: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Ground nodes and those that the opening cut off next to them, as at the top of a bank."""
-    others = np.flatnonzero(chosen & ~ground)
+def _joined(xyz: Float, hard: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Ground nodes and hard ones that the opening cut off next to them: tops of embankments.
+
+    A bank joins its foot without a wall, and unlike shrubs it is smooth.
+    """
+    others = np.flatnonzero(hard & ~ground)
+    if not len(others):
+        return ground
     _, taken = densify(xyz[ground], xyz[others], np.zeros(len(others)), _LIMITS, BLOCK_M / 2)
     joined = ground.copy()
     joined[others[taken]] = True
@@ -92,9 +101,9 @@ def multiscale_mask(own: Place, asked: Place, spacing_m: Float) -> NDArray[np.bo
     (m,) bool
         Which of those asked are ground.
     """
-    xyz = _nodes(*own)
+    xyz, hard = _nodes(*own)
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
-    ground = _joined(xyz, chosen, ground_nodes(xyz, chosen))
+    ground = _joined(xyz, chosen & hard, ground_nodes(xyz, chosen))
     grid = terrain(xyz, ground)
     corner = np.floor(xyz[:, :2].min(axis=0) / CELL_M)
     surface = Surface(triangulate(xyz[ground]), grid, _steepness(grid), corner)
@@ -132,12 +141,39 @@ def _of_block(spread: Float, own: Place, places: Place) -> Float:
     return found
 
 
-def _nodes(x: Float, y: Float, z: Float) -> Float:
-    """Lowest layers of cells that are not below a hard surface: (n, 3) [m]."""
+def _nodes(x: Float, y: Float, z: Float) -> tuple[Float, NDArray[np.bool_]]:
+    """Lowest layers of cells that are not below a hard surface: (n, 3) [m]; in hard cells."""
     cells = group_by_cell(x, y, CELL_M)
     nodes = lowest_layers(x, y, z, cells, _LAYER_M)
     above = ~sunk(nodes, cells, CELL_M)
-    return nodes.xyz[above] if above.any() else nodes.xyz
+    if not above.any():
+        above[:] = True
+    return nodes.xyz[above], _hard(x, y, z, cells)[nodes.cell[above]]
+
+
+def _hard(x: Float, y: Float, z: Float, cells: Cells) -> NDArray[np.bool_]:
+    """Cells all of whose points lie on a plane, as those of bare ground and roofs do."""
+    count = np.diff(cells.start)
+    hard = np.zeros(len(count), dtype=np.bool_)
+    held = count >= _HARD_POINTS
+    if not held.any():
+        return hard
+    at = [v[cells.order] for v in (x, y, z)]
+    first = cells.start[:-1][count > 0]
+    each = count[count > 0]
+    east, north, up = (v - np.repeat(v[first], each) for v in at)
+
+    def mean(values: Float) -> Float:
+        summed: Float = np.add.reduceat(values, first) / each
+        return summed
+
+    e, n, u = mean(east), mean(north), mean(up)
+    ee, nn, en = mean(east**2) - e * e, mean(north**2) - n * n, mean(east * north) - e * n
+    eu, nu, uu = mean(east * up) - e * u, mean(north * up) - n * u, mean(up**2) - u * u
+    scale = np.maximum(ee * nn - en * en, 1e-6)
+    rest = uu - (nn * eu * eu - 2.0 * en * eu * nu + ee * nu * nu) / scale
+    hard[count > 0] = (each >= _HARD_POINTS) & (rest <= _HARD_M**2)
+    return hard
 
 
 def _steepness(surface: Float) -> Float:
