@@ -24,7 +24,7 @@ from spl_batch.kernels.multiscale import (
 )
 from spl_batch.kernels.ptd import Limits, densify
 from spl_batch.kernels.tin import Tin, interpolate, triangulate
-from spl_batch.stages.seeds import sunk
+from spl_batch.stages.seeds import sunk, supported
 
 _LAYER_M = 0.15
 """Thickness of the layer whose mean is a node: three standard deviations of a range [m]."""
@@ -53,8 +53,8 @@ _LIMITS: Final = Limits(
 """Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
 
 _HARD_POINTS = 6
-_HARD_M = 0.12
-"""Cells of so many points that lie on a plane by less than this are hard: 2.5 standard deviations
+_HARD_M = 0.08
+"""Cells of so many points that lie on a plane by less than this are hard: 1.6 standard deviations
 of a range [m]."""
 
 Float = NDArray[np.float64]
@@ -142,10 +142,12 @@ def _of_block(spread: Float, own: Place, places: Place) -> Float:
 
 
 def _nodes(x: Float, y: Float, z: Float) -> tuple[Float, NDArray[np.bool_]]:
-    """Lowest layers of cells that are not below a hard surface: (n, 3) [m]; in hard cells."""
+    """Lowest layers of cells that are no low noise: (n, 3) [m]; and which are of hard cells."""
     cells = group_by_cell(x, y, CELL_M)
     nodes = lowest_layers(x, y, z, cells, _LAYER_M)
     above = ~sunk(nodes, cells, CELL_M)
+    # A single return below many others is ground where its neighbours continue it, else noise.
+    above &= ~nodes.doubtful | supported(nodes, cells, CELL_M)
     if not above.any():
         above[:] = True
     return nodes.xyz[above], _hard(x, y, z, cells)[nodes.cell[above]]
