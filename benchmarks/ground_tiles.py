@@ -131,7 +131,9 @@ def terrain(ground: Float, places: Float) -> Float:
 
 def figures(tile: Tile, found: Mask, seconds: float) -> dict[str, float]:
     """What a method is worth on a tile."""
-    off = terrain(tile.xyz[found], tile.grid) - tile.truth if found.sum() > 3 else np.array([np.nan])
+    off = (
+        terrain(tile.xyz[found], tile.grid) - tile.truth if found.sum() > 3 else np.array([np.nan])
+    )
     off = off[np.isfinite(off)]
 
     def share(of: Mask) -> float:
@@ -151,7 +153,7 @@ def figures(tile: Tile, found: Mask, seconds: float) -> dict[str, float]:
     }
 
 
-def cloth(xyz: Float, rigidness: int, smooth: bool) -> Mask:
+def cloth(xyz: Float, rigidness: int, *, smooth: bool) -> Mask:
     """Ground by the cloth filter of PyPI."""
     package = importlib.import_module("CSF")
     filtered = package.CSF()
@@ -159,13 +161,14 @@ def cloth(xyz: Float, rigidness: int, smooth: bool) -> Mask:
     filtered.params.bSloopSmooth = smooth
     filtered.setPointCloud(xyz)
     ground, rest = package.VecInt(), package.VecInt()
-    filtered.do_filtering(ground, rest, False)
+    exported = False
+    filtered.do_filtering(ground, rest, exported)
     found = np.zeros(len(xyz), dtype=np.bool_)
     found[np.array(ground, dtype=np.int64)] = True
     return found
 
 
-def project(method: str, cells: bool) -> Callable[[Tile], Mask]:
+def project(method: str, *, cells: bool) -> Callable[[Tile], Mask]:
     """One of the project's methods, whole or by cells."""
     settings = GroundSettings.model_validate({"method": method})
 
@@ -177,15 +180,15 @@ def project(method: str, cells: bool) -> Callable[[Tile], Mask]:
     return found
 
 
-def methods(names: Sequence[str], cells: bool) -> dict[str, Callable[[Tile], Mask]]:
+def methods(names: Sequence[str], *, cells: bool) -> dict[str, Callable[[Tile], Mask]]:
     """Methods by name; ``csf`` stands for its stock settings."""
     found: dict[str, Callable[[Tile], Mask]] = {}
     for name in names:
         if name == "csf":
             for stock, (rigid, smooth) in CLOTHS.items():
-                found[stock] = lambda tile, r=rigid, s=smooth: cloth(tile.xyz, r, s)  # type: ignore[misc]
+                found[stock] = lambda tile, r=rigid, s=smooth: cloth(tile.xyz, r, smooth=s)  # type: ignore[misc]
         else:
-            found[name] = project(name, cells)
+            found[name] = project(name, cells=cells)
     return found
 
 
@@ -222,9 +225,9 @@ def show(tile: Tile, results: Mapping[str, Mapping[str, Any]]) -> None:
         print(f"  {name:39}" + "".join(f"{value:9.2f}" for value in row.values()), flush=True)
 
 
-def main(folder: Path, wanted: Sequence[str], names: Sequence[str], cells: bool) -> None:
+def main(folder: Path, wanted: Sequence[str], names: Sequence[str], *, cells: bool) -> None:
     """Run all methods on all tiles, and print."""
-    chosen = methods(names, cells)
+    chosen = methods(names, cells=cells)
     for tile in tiles(folder, wanted):
         show(tile, run(tile, chosen))
 
@@ -236,4 +239,4 @@ if __name__ == "__main__":
     parser.add_argument("--methods", nargs="+", default=["multiscale", "ptd", "smrf", "csf"])
     parser.add_argument("--cells", action="store_true")
     given = parser.parse_args()
-    main(given.folder, given.tiles, given.methods, given.cells)
+    main(given.folder, given.tiles, given.methods, cells=given.cells)

@@ -84,7 +84,8 @@ def score(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> Score:
 
 
 def compare(
-    samples: dict[str, tuple[PointTable, NDArray[np.bool_]]], method: Literal["multiscale", "ptd", "smrf"]
+    samples: dict[str, tuple[PointTable, NDArray[np.bool_]]],
+    method: Literal["multiscale", "ptd", "smrf"],
 ) -> None:
     """Print one method's table."""
     settings = GroundSettings(method=method)

@@ -224,7 +224,9 @@ def plane_heights(xyz: Float, grid: Index, cell_m: float, *, own: bool = True) -
         node = wide[i : i + rows, j : j + columns]
         x, y = np.moveaxis(xyz[node, :2] - middle * cell_m, 2, 0)
         z = xyz[node, 2] - base
-        sums += np.where(node >= 0, [np.ones_like(z), x, y, z, x * x, x * y, y * y, x * z, y * z], 0)
+        sums += np.where(
+            node >= 0, [np.ones_like(z), x, y, z, x * x, x * y, y * y, x * z, y * z], 0
+        )
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y, z, xx, xy, yy, xz, yz = sums[1:] / sums[0]
     xx, yy, xy = xx - x * x + _DAMPING_M2, yy - y * y + _DAMPING_M2, xy - x * y
