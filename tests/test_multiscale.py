@@ -47,7 +47,7 @@ def test_lowest_nodes_are_the_lowest_of_their_cells() -> None:
     low = cell.min(axis=0)
     for row in range(grid.shape[0]):
         for column in range(grid.shape[1]):
-            inside = np.flatnonzero(chosen & (cell == low + [column, row]).all(axis=1))
+            inside = np.flatnonzero(chosen & (cell - low == [column, row]).all(axis=1))
             expected = inside[xyz[inside, 2].argmin()] if len(inside) else -1
             assert grid[row, column] == expected
 
