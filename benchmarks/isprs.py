@@ -1,4 +1,4 @@
-"""Total error and kappa of both ground methods on the ISPRS filter samples.
+"""Total error and kappa of all ground methods on the ISPRS filter samples.
 
 Usage: ``python benchmarks/isprs.py FOLDER`` with the samples as ``samp*.laz`` (class 2
 ground, every other class object) [Sithole & Vosselman 2003]. One setting, the project's
@@ -84,7 +84,8 @@ def score(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> Score:
 
 
 def compare(
-    samples: dict[str, tuple[PointTable, NDArray[np.bool_]]], method: Literal["ptd", "smrf"]
+    samples: dict[str, tuple[PointTable, NDArray[np.bool_]]],
+    method: Literal["multiscale", "ptd", "smrf"],
 ) -> None:
     """Print one method's table."""
     settings = GroundSettings(method=method)
@@ -94,7 +95,7 @@ def compare(
     for name, (table, truth) in samples.items():
         cut = score(by_cells(table, settings), truth)
         whole = score(ground_mask(table, np.ones(len(table), dtype=np.bool_), settings), truth)
-        published = Score(*PUBLISHED[method].get(name, (np.nan, np.nan)))
+        published = Score(*PUBLISHED.get(method, {}).get(name, (np.nan, np.nan)))
         rows.append((cut, whole, published))
         print_row(name, rows[-1])
     means = np.array(rows).mean(axis=0) if rows else np.full((3, 2), np.nan)
@@ -113,6 +114,7 @@ def main(folder: Path) -> int:
     if not samples:
         print(f"{folder}: no samples (samp*.laz) here", file=sys.stderr)
         return 2
+    compare(samples, "multiscale")
     compare(samples, "ptd")
     compare(samples, "smrf")
     return 0

@@ -10,7 +10,7 @@ from spl_batch.model import PointTable
 from spl_batch.settings import GroundSettings
 from spl_batch.stages.ground import ground_mask, node_cell
 
-METHODS = ("ptd", "smrf")
+METHODS = ("multiscale", "ptd", "smrf")
 
 
 def table(x: object, y: object, z: object) -> PointTable:
@@ -22,7 +22,7 @@ def table(x: object, y: object, z: object) -> PointTable:
     )
 
 
-def ground(points: PointTable, method: str = "ptd") -> NDArray[np.bool_]:
+def ground(points: PointTable, method: str = "multiscale") -> NDArray[np.bool_]:
     return ground_mask(points, np.ones(len(points), dtype=bool), GroundSettings(method=method))
 
 
@@ -143,7 +143,7 @@ def test_sparse_data_get_wider_cells() -> None:
     assert node_cell(x[::3], y[::3], 1.0) == 2.0
 
 
-@pytest.mark.parametrize("method", ["ptd", "smrf"])
+@pytest.mark.parametrize("method", METHODS)
 def test_points_that_are_asked_for_are_told_what_they_are(method: str) -> None:
     rng = np.random.default_rng(8)
     xy = rng.uniform(0, 40, (6000, 2))

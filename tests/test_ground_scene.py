@@ -99,7 +99,7 @@ def whole(found: Scene, settings: GroundSettings) -> NDArray[np.bool_]:
 
 @pytest.mark.parametrize(
     ("method", "missed", "taken", "rmse_m"),
-    [("ptd", 0.005, 0.01, 0.05), ("smrf", 0.06, 0.02, 0.15)],
+    [("multiscale", 0.02, 0.01, 0.05), ("ptd", 0.005, 0.01, 0.05), ("smrf", 0.06, 0.02, 0.15)],
 )
 def test_known_scene(method: str, missed: float, taken: float, rmse_m: float) -> None:
     found = scene()
@@ -139,9 +139,11 @@ def test_cells_agree_where_their_buffers_overlap() -> None:
     assert np.mean(mask[0, middle] != mask[1, middle]) < 0.001
 
 
-@pytest.mark.parametrize(("method", "seed"), [("ptd", 0), ("ptd", 1), ("smrf", 0)])
+@pytest.mark.parametrize(
+    ("method", "seed"), [("multiscale", 0), ("multiscale", 1), ("ptd", 0), ("ptd", 1), ("smrf", 0)]
+)
 def test_single_returns_under_wide_crowns_are_ground(
-    method: Literal["ptd", "smrf"], seed: int
+    method: Literal["multiscale", "ptd", "smrf"], seed: int
 ) -> None:
     """1.2 ground returns per m2 beneath 25 of leaves, on a slope: crown bottoms are no ground."""
     rng = np.random.default_rng(seed)
@@ -183,17 +185,23 @@ def crowns_on_a_slope(seed: int) -> tuple[PointTable, Float]:
     return PointTable(dict(zip("xyz", xyz, strict=True))), height
 
 
+@pytest.mark.parametrize(("method", "least"), [("multiscale", 0.97), ("ptd", 0.998)])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_crowns_on_steep_slopes_are_no_ground(seed: int) -> None:
+def test_crowns_on_steep_slopes_are_no_ground(
+    seed: int, method: Literal["multiscale", "ptd"], least: float
+) -> None:
     """Ground rises by more than a shrub from a metre to the next: nothing lies "below" a crown."""
     table, height = crowns_on_a_slope(seed)
-    found = ground_mask(table, np.ones(len(height), np.bool_), GroundSettings())
+    found = ground_mask(table, np.ones(len(height), np.bool_), GroundSettings(method=method))
     assert height[found].max() < 1.5
-    assert found[np.abs(height) < 0.15].mean() > 0.998
+    assert found[np.abs(height) < 0.15].mean() > least
 
 
+@pytest.mark.parametrize(("method", "least"), [("multiscale", 0.94), ("ptd", 0.97)])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_single_returns_in_deep_shade_are_ground(seed: int) -> None:
+def test_single_returns_in_deep_shade_are_ground(
+    seed: int, method: Literal["multiscale", "ptd"], least: float
+) -> None:
     """A road cut into a slope under closed canopy; of 25 returns per m2 0.8 are of the ground."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(0, 60, (2, 25 * 60 * 60))
@@ -202,6 +210,6 @@ def test_single_returns_in_deep_shade_are_ground(seed: int) -> None:
     road = 0.7 * y - np.clip(0.7 * (y - 28), 0, 2.8)
     xyz = (np.rint(v * 1000).astype(np.int64) for v in (x, y, road + height))
     table = PointTable(dict(zip("xyz", xyz, strict=True)))
-    found = ground_mask(table, np.ones(len(x), np.bool_), GroundSettings())
-    assert found[~leaf].mean() > 0.97
+    found = ground_mask(table, np.ones(len(x), np.bool_), GroundSettings(method=method))
+    assert found[~leaf].mean() > least
     assert found[leaf].sum() < 20

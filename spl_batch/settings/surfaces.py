@@ -47,7 +47,11 @@ class SmrfSettings(Section):
 class GroundSettings(Section):
     """Ground points; run on fixed absolute cells, so that tiles cannot matter."""
 
-    method: Literal["ptd", "smrf"] = Field("ptd", description="Ground filter.")
+    method: Literal["multiscale", "ptd", "smrf"] = Field(
+        "multiscale",
+        description="Ground filter: by scales that follow the data, with nothing to set; or as "
+        "published, progressive TIN densification or the simple morphological filter.",
+    )
     cell_m: Positive = Field(200.0, description="Edge of a ground cell [m].")
     buffer_m: Positive = Field(60.0, description="Points around a cell that take part [m].")
     ptd: PtdSettings = PtdSettings()

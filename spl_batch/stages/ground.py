@@ -1,4 +1,4 @@
-"""Ground points of one fixed absolute cell with its buffer: PTD or SMRF.
+"""Ground points of one fixed absolute cell with its buffer, by one of several methods.
 
 Domain: space. A TIN has no bounded reach, so the stage never sees a tile or block:
 it runs on squares of ``ground.cell_m`` on the absolute grid with ``ground.buffer_m`` of
@@ -6,6 +6,7 @@ points around them, always the same ones, and its caller keeps what the square o
 """
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from spl_batch.kernels.smrf import provisional_terrain
 from spl_batch.model import PointTable
 from spl_batch.settings import GroundSettings, PtdSettings, SmrfSettings
 from spl_batch.stages.followers import dependents
+from spl_batch.stages.multiscale import multiscale_mask
 from spl_batch.stages.seeds import (
     first_true,
     lowest_grid,
@@ -95,10 +97,7 @@ def ground_mask(
     told = usable if asked is None else usable & asked
     if told.any():
         evidence, places = _metres(table, own), _metres(table, told)
-        if settings.method == "smrf":
-            mask[told] = smrf_mask(evidence, places, settings.smrf)
-        else:
-            mask[told] = ptd_mask(evidence, places, settings.ptd)
+        mask[told] = METHODS[settings.method](evidence, places, settings)
     return mask
 
 
@@ -271,3 +270,16 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
         if terrain.shape[axis] > 1:
             squared += np.gradient(terrain, cell_m, axis=axis) ** 2
     return np.sqrt(squared)
+
+
+def _multiscale(own: Points, asked: Points, _: GroundSettings) -> NDArray[np.bool_]:
+    """By a surface whose scale follows the data."""
+    return multiscale_mask(own, asked, spacing_around_m(own.x, own.y, asked.x, asked.y))
+
+
+METHODS: Final[Mapping[str, Callable[[Points, Points, GroundSettings], NDArray[np.bool_]]]] = {
+    "multiscale": _multiscale,
+    "ptd": lambda own, asked, settings: ptd_mask(own, asked, settings.ptd),
+    "smrf": lambda own, asked, settings: smrf_mask(own, asked, settings.smrf),
+}
+"""Methods by their names in the settings: what is evidence, what is asked, settings -> ground."""
