@@ -93,6 +93,10 @@ class Beam:
             least = np.minimum(least, more)
         of = rates.window_of(self.along // round(RATE.cell_m * 1000), RATE, window_m)
         kept: Mask = signals.score_bins(score) >= least[np.searchsorted(window, of)]
+        if settings.selection == "f1" and not ground:
+            taken = rates.window_of(along // round(RATE.cell_m * 1000), RATE, window_m)
+            passed = signals.score_bins(found) >= least[np.searchsorted(window, taken)]
+            self.told = float(noise[passed].sum() / chance.SHARE_QUANTA)
         return kept
 
     def score(self, table: Ratios | None = None) -> NDArray[np.float32]:

@@ -55,11 +55,15 @@ class Cells:
     count : (n,) int64
         Photons [count].
     low, high : (n,) int32
-        Lowest and highest photon [quanta].
+        Ends of the gate [quanta].
     peak : (n,) int32
         Height of the densest bins: the surface, where there is one [quanta].
     empty_count, empty_length : (n,) int64
         Photons, and length of gate, away from it [count, quanta].
+    level : (n,) int32
+        Water surface [quanta]; the least int32 where there is none.
+    column : (n, d) float32
+        Noise by metre of depth below it [1/m2].
     """
 
     index: NDArray[np.int64]
@@ -69,6 +73,8 @@ class Cells:
     peak: NDArray[np.int32]
     empty_count: NDArray[np.int64]
     empty_length: NDArray[np.int64]
+    level: NDArray[np.int32]
+    column: NDArray[np.float32]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, for a file."""
@@ -76,11 +82,9 @@ class Cells:
 
     @property
     def gate_m(self) -> NDArray[np.float64]:
-        """Length of the gate, (n,) float64 [m]: the spread of n photons by (n + 1) / (n - 1)."""
-        spread = (self.high.astype(np.int64) - self.low) / QUANTA_PER_M
-        return np.where(
-            self.count > 1, spread * (self.count + 1) / np.maximum(self.count - 1, 1), 0.0
-        )
+        """Length of the gate, (n,) float64 [m]."""
+        length: NDArray[np.float64] = (self.high.astype(np.int64) - self.low) / QUANTA_PER_M
+        return length
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +107,9 @@ class Scale:
     noise : (n,) float64
         Noise photons expected in the cell [count].
     density : (n,) float64
-        Noise photons [1/m2].
+        Noise photons above a water surface, or anywhere [1/m2].
+    level, column : (n,) int32, (n, d) float32
+        Water surface and noise below it, as of :class:`Cells`.
     unit_m, reference : float
         Height of a unit [m]; noise density that gives a unit its aspect [1/m2].
     """
@@ -114,6 +120,8 @@ class Scale:
     alpha: NDArray[np.float64]
     noise: NDArray[np.float64]
     density: NDArray[np.float64]
+    level: NDArray[np.int32]
+    column: NDArray[np.float32]
     unit_m: float
     reference: float
 

@@ -70,6 +70,9 @@ class SignalSettings(Section):
         description="Along-track over vertical extent of a neighbourhood at the mean noise rate; "
         "1 in [W17].",
     )
+    water_aspect: Positive = Field(
+        12.0, description="The same where the track shows a level water surface."
+    )
     contrast_max: float = Field(
         1000.0,
         gt=1,

@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 from spl_batch.altimetry.model import Cells, Scale
 from spl_batch.altimetry.settings import RateSettings
 from spl_batch.altimetry.stages.likelihood import Ratios
-from spl_batch.altimetry.stages.rate import CAP_UNITS
-from spl_batch.altimetry.stages.signal import UNIT_QUANTA, scaled
+from spl_batch.altimetry.stages.rate import CAP_UNITS, noise_at
+from spl_batch.altimetry.stages.signal import UNIT_QUANTA, local_alpha, scaled
 from spl_batch.tiling import quanta
 
 SHARE_QUANTA: Final = 1 << 20
@@ -60,7 +60,6 @@ def places(
     """
     mine = np.flatnonzero(owned)
     count = np.clip(cells.count[mine] // _PHOTONS_PER_PLACE, _LEAST, _MOST)
-    each = np.rint(scale.noise[mine] / count * SHARE_QUANTA).astype(np.int64)
     cell = np.repeat(mine, count)
     inside = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count)
     # Unsigned sums and products wrap around: the sequence modulo 1, to 2^-32.
@@ -70,7 +69,10 @@ def places(
     span = (cells.high - cells.low)[cell].astype(np.uint64) + np.uint64(1)
     along = cells.index[cell] * size + ((share[0] * np.uint64(size)) >> _HALF).astype(np.int64)
     height = cells.low[cell] + ((share[1] * span) >> _HALF).astype(np.int32)
-    return along, height.astype(np.int32), np.repeat(each, count)
+    height = height.astype(np.int32)
+    area = cells.gate_m[mine] * rate.cell_m / count
+    each = np.rint(noise_at(cell, height, scale) * np.repeat(area, count) * SHARE_QUANTA)
+    return along, height, each.astype(np.int64)
 
 
 def score_places(
@@ -102,7 +104,7 @@ def score_places(
         return out
     anchor = others.min(axis=0)
     tree = cKDTree((others - anchor).astype(np.float64))
-    area = np.pi * scale.alpha[cell] / UNIT_QUANTA**2
+    area = np.pi * local_alpha(cell, at[1], scale) / UNIT_QUANTA**2
     cap = float(round(CAP_UNITS * UNIT_QUANTA))
     columns = np.arange(table.within.shape[1])
     neighbours = len(table.within)

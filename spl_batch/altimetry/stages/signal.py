@@ -25,7 +25,8 @@ from spl_batch.altimetry.kernels.posterior import noise_posterior
 from spl_batch.altimetry.model import Cells, Scale
 from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
 from spl_batch.altimetry.stages.likelihood import ratios
-from spl_batch.altimetry.stages.rate import CAP_UNITS, of_window
+from spl_batch.altimetry.stages.rate import ALPHA_MIN, CAP_UNITS, noise_at, of_window
+from spl_batch.altimetry.stages.water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.tiling import quanta
 
@@ -65,6 +66,19 @@ def scaled(
     u = np.rint((scale.start[cell] + inside_m * scale.per_m[cell]) * UNIT_QUANTA)
     v = np.rint(height * (UNIT_QUANTA / (QUANTA_PER_M * scale.unit_m)))
     return u.astype(np.int64), v.astype(np.int64), cell
+
+
+def local_alpha(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.float64]:
+    """Noise photons per square unit of the scaled plane where photons are, (n,) float64."""
+    if not (scale.level != NO_WATER).any():
+        return scale.alpha[cell]
+    own = noise_at(cell, height, scale) * scale.unit_m / scale.per_m[cell]
+    found: NDArray[np.float64] = np.where(
+        scale.level[cell] != NO_WATER, np.maximum(own, ALPHA_MIN), scale.alpha[cell]
+    )
+    return found
 
 
 def most_cells(scale: Scale, rate: RateSettings) -> int:
@@ -121,7 +135,7 @@ def score(
         uv,
         query,
         round(CAP_UNITS * UNIT_QUANTA),
-        np.pi * scale.alpha[cell] / UNIT_QUANTA**2,
+        np.pi * local_alpha(cell, height, scale) / UNIT_QUANTA**2,
         prior[cell],
         table.within,
         table.beyond,
