@@ -83,7 +83,9 @@ class Beam:
             prior = signals.log_prior(self.cells, self.scale, RATE, window_m)
             likelihoods = table or ratios(settings.neighbours, settings.contrast_max)
             at, photons = (along, height), (self.along, self.height)
-            found = chance.score_places(at, photons, self.scale, prior, RATE, likelihoods)
+            found = chance.score_places(
+                at, photons, self.scale, prior, RATE, likelihoods, settings
+            )
             expected = counted(along, found, noise / chance.SHARE_QUANTA)
             limits = (wanted, share, settings.false_share)
             least = chance.best_thresholds(counts, expected, away, *limits)

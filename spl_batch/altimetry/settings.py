@@ -71,7 +71,10 @@ class SignalSettings(Section):
         "1 in [W17].",
     )
     water_aspect: Positive = Field(
-        12.0, description="The same where the track shows a level water surface."
+        20.0, description="The same where the track shows a level water surface."
+    )
+    water_neighbours: int = Field(
+        10, ge=1, le=64, description="Largest k there; floors are thin and sparse [count]."
     )
     contrast_max: float = Field(
         1000.0,

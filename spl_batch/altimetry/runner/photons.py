@@ -189,7 +189,9 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
             along, height, each = chance.places(cells, scale, owned, workflow.rate)
             likelihoods = ratios(workflow.signal.neighbours, workflow.signal.contrast_max)
             at = along, height
-            found = chance.score_places(at, photons, scale, prior, workflow.rate, likelihoods)
+            found = chance.score_places(
+                at, photons, scale, prior, workflow.rate, likelihoods, workflow.signal
+            )
             noise = (along, found, each)
     outputs = [
         place(context, "scores", args["segment"], ".parquet"),

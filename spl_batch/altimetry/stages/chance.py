@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.model import Cells, Scale
-from spl_batch.altimetry.settings import RateSettings
+from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.stages.likelihood import Ratios
 from spl_batch.altimetry.stages.rate import CAP_UNITS, noise_at
-from spl_batch.altimetry.stages.signal import UNIT_QUANTA, local_alpha, scaled
+from spl_batch.altimetry.stages.signal import UNIT_QUANTA, counted, local_alpha, scaled, surely
 from spl_batch.tiling import quanta
 
 SHARE_QUANTA: Final = 1 << 20
@@ -82,6 +82,7 @@ def score_places(
     prior: NDArray[np.float64],
     rate: RateSettings,
     table: Ratios,
+    settings: SignalSettings,
 ) -> NDArray[np.float32]:
     """Mean ln P(noise) that a photon would have at each place, (p,) float32.
 
@@ -95,6 +96,8 @@ def score_places(
         As of :func:`spl_batch.altimetry.stages.signal.score`.
     table : Ratios
         Likelihoods, those that the photons are scored by.
+    settings : SignalSettings
+        Neighbours that count.
     """
     u, v, cell = scaled(*at, scale, rate)
     others = np.stack(scaled(*photons, scale, rate)[:2], axis=1)
@@ -109,6 +112,7 @@ def score_places(
     columns = np.arange(table.within.shape[1])
     neighbours = len(table.within)
     wanted = np.arange(1, neighbours + 1)
+    most = counted(cell, scale, settings)
     for first in range(0, len(u), _BATCH):
         rows = slice(first, first + _BATCH)
         here = np.stack([u[rows], v[rows]], axis=1) - anchor
@@ -124,8 +128,9 @@ def score_places(
                 np.interp(column, columns, table.within[k]),
                 np.interp(column, columns, table.beyond[k]),
             )
-            total -= np.logaddexp(0.0, ratio + prior[cell[rows]])
-        out[rows] = total / neighbours
+            log_noise = np.logaddexp(0.0, ratio + prior[cell[rows]])
+            total -= np.where(k < most[rows], log_noise, 0.0)
+        out[rows] = total / most[rows]
     return out
 
 
@@ -154,9 +159,8 @@ def best_thresholds(
     (w,) int64
         From 1 to the number of bins, which takes none.
     """
-    above, below, false = (
-        np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far * gate_over_far[:, None])
-    )
+    above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far))
+    false = surely(away) * gate_over_far[:, None]
     signal = np.clip(above - below, 0.0, wanted[:, None])
     gain = np.where(false <= false_share * above, 2.0 * signal, 0.0)
     gain /= np.maximum(above + wanted[:, None], 1.0)

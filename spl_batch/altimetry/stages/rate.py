@@ -382,6 +382,17 @@ def _expected(
     return noise
 
 
+def below_surface(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.bool_]:
+    """Photons below a water surface and its waves, (n,) bool."""
+    level = scale.level[cell].astype(np.int64)
+    below: NDArray[np.bool_] = (level != NO_WATER) & (
+        level - height > round(SURFACE_M * QUANTA_PER_M)
+    )
+    return below
+
+
 def noise_at(
     cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
 ) -> NDArray[np.float64]:

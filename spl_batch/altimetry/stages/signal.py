@@ -15,17 +15,18 @@ Deviations from the source, with reasons:
   read off the same scores, in the part of the gate that is far from the surface.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.kernels.posterior import noise_posterior
 from spl_batch.altimetry.model import Cells, Scale
 from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
 from spl_batch.altimetry.stages.likelihood import ratios
-from spl_batch.altimetry.stages.rate import ALPHA_MIN, CAP_UNITS, noise_at, of_window
+from spl_batch.altimetry.stages.rate import ALPHA_MIN, CAP_UNITS, below_surface, noise_at, of_window
 from spl_batch.altimetry.stages.water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.tiling import quanta
@@ -34,6 +35,9 @@ UNIT_QUANTA: Final = 4096
 """Lattice of the scaled plane [quanta per unit]."""
 
 SCORE_BINS: Final = 1600
+CONFIDENCE: Final = 0.95
+"""Of the bound below which far photons count as chance."""
+
 _BINS_PER_LN: Final = 100.0
 _LN_FIRST: Final = -10.0
 _NOISE_SHARE: Final = (0.01, 0.999)
@@ -65,6 +69,8 @@ def scaled(
     inside_m = (along - scale.index[cell] * size) / QUANTA_PER_M
     u = np.rint((scale.start[cell] + inside_m * scale.per_m[cell]) * UNIT_QUANTA)
     v = np.rint(height * (UNIT_QUANTA / (QUANTA_PER_M * scale.unit_m)))
+    # A surface lends no photons to what lies below it: that is set off by the farthest neighbour.
+    v -= below_surface(cell, height, scale) * np.ceil((CAP_UNITS + 1.0) * UNIT_QUANTA)
     return u.astype(np.int64), v.astype(np.int64), cell
 
 
@@ -79,6 +85,17 @@ def local_alpha(
         scale.level[cell] != NO_WATER, np.maximum(own, ALPHA_MIN), scale.alpha[cell]
     )
     return found
+
+
+def counted(
+    cell: NDArray[np.intp], scale: Scale, settings: SignalSettings
+) -> NDArray[np.int64]:
+    """Neighbours that count, of photons by the row of their cell: (n,) int64."""
+    fewer = min(settings.water_neighbours, settings.neighbours)
+    number: NDArray[np.int64] = np.where(
+        scale.level[cell] != NO_WATER, fewer, settings.neighbours
+    ).astype(np.int64)
+    return number
 
 
 def most_cells(scale: Scale, rate: RateSettings) -> int:
@@ -140,6 +157,7 @@ def score(
         table.within,
         table.beyond,
         (table.first, table.step),
+        counted(cell, scale, settings),
     )
     return result.astype(np.float32)
 
@@ -177,12 +195,23 @@ def thresholds(
         From 1 to the number of bins, which takes none.
     """
     above = np.cumsum(counts[:, ::-1], axis=1)
-    false = np.cumsum(far[:, ::-1], axis=1) * gate_over_far[:, None]
+    false = surely(np.cumsum(far[:, ::-1], axis=1)) * gate_over_far[:, None]
     fine = (above <= np.maximum(wanted, 0.0)[:, None]) & (false <= false_share * above)
     # The widest choice that is fine; a count below it may not be, by chance, and need not.
     taken = np.where(fine.any(1), fine.shape[1] - np.argmax(fine[:, ::-1], axis=1), 0)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
     return least
+
+
+def surely(count: NDArray[Any]) -> NDArray[np.float64]:
+    """Lower 95 % bound of the mean of a Poisson count, of the shape of ``count``.
+
+    A single stray photon far up tells next to nothing of how much noise passes.
+    """
+    bound: NDArray[np.float64] = np.where(
+        count > 0, special.gammaincinv(np.maximum(count, 1), 1.0 - CONFIDENCE), 0.0
+    )
+    return bound
 
 
 def mean_density(

@@ -164,7 +164,7 @@ def _columns(
     length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
     area = np.where(wet[:, None], length * cell_m, 0.0)
     near = _sums(index, count, _FLOOR_CELLS)
-    around = ndimage.median_filter(near, size=(1, _FLOOR_DEPTHS), mode="nearest")
+    around = ndimage.median_filter(near, size=(1, _FLOOR_DEPTHS), mode="mirror")
     floor = near > around + _FLOOR_SD * np.sqrt(np.maximum(around, 1.0))
     # What lies in a metre lies in the ends of those beside it as well.
     floor[:, :-1] = ndimage.binary_dilation(floor[:, :-1], np.ones((1, 3), np.bool_))
