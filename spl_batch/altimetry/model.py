@@ -18,9 +18,10 @@ LABELS: Final[Mapping[str, type]] = {
     "height": np.int32,
     "score": np.float32,
     "far": np.uint8,
+    "below": np.uint8,
     "baseline": np.uint8,
 }
-"""Score: mean ln P(noise); far: away from any surface; baseline: signal by mDBSCAN."""
+"""Score: mean ln P(noise); far: away from any surface; below: below a water surface; baseline: signal by mDBSCAN."""
 
 SIGNAL: Final = 1
 NOISE: Final = 0
@@ -104,8 +105,8 @@ class Scale:
         Units per metre of track within the cell [1/m].
     alpha : (n,) float64
         Noise photons per square unit; 1 unless the reach is what limits a unit's length.
-    noise : (n,) float64
-        Noise photons expected in the cell [count].
+    noise, below : (n,) float64
+        Noise photons expected in the cell, and those of them below a water surface [count].
     density : (n,) float64
         Noise photons above a water surface, or anywhere [1/m2].
     level, column : (n,) int32, (n, d) float32
@@ -119,6 +120,7 @@ class Scale:
     per_m: NDArray[np.float64]
     alpha: NDArray[np.float64]
     noise: NDArray[np.float64]
+    below: NDArray[np.float64]
     density: NDArray[np.float64]
     level: NDArray[np.int32]
     column: NDArray[np.float32]

@@ -139,7 +139,6 @@ def best_thresholds(
     noise: NDArray[np.float64],
     far: NDArray[np.float64],
     wanted: NDArray[np.float64],
-    gate_over_far: NDArray[np.float64],
     false_share: float,
 ) -> NDArray[np.int64]:
     """Least score bin that is signal, of each window: that of the largest F1 to be expected.
@@ -151,7 +150,7 @@ def best_thresholds(
     ----------
     counts, noise, far : (w, bins) float64
         Photons by score bin; noise photons expected; photons far from the surface.
-    wanted, gate_over_far, false_share
+    wanted, false_share
         As of :func:`spl_batch.altimetry.stages.signal.thresholds`.
 
     Returns
@@ -160,7 +159,7 @@ def best_thresholds(
         From 1 to the number of bins, which takes none.
     """
     above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far))
-    false = surely(away) * gate_over_far[:, None]
+    false = surely(away)
     signal = np.clip(above - below, 0.0, wanted[:, None])
     gain = np.where(false <= false_share * above, 2.0 * signal, 0.0)
     gain /= np.maximum(above + wanted[:, None], 1.0)

@@ -75,7 +75,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     table = table.reshape(len(index), width)
     peak = _surface(index, table)
     low, high = _gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
-    water = find_water(index, cell, height, low, settings.cell_m)
+    water = find_water(index, cell, height, (low, high), settings.cell_m)
     first = -(-(low.astype(np.int64)) // bin_q) - base
     last = high.astype(np.int64) // bin_q - base
     column = np.arange(width)
@@ -340,7 +340,7 @@ def scale(
     rate, signal : RateSettings, SignalSettings
         Cells; aspect, reach, and whether to scale at all.
     """
-    noise = _expected(cells, density, rate)
+    noise, below = _expected(cells, density, rate)
     known = density[density > 0]
     reference = float(np.median(known)) if len(known) else 1e-6
     wet = cells.level != NO_WATER
@@ -361,15 +361,15 @@ def scale(
     before = np.minimum(np.maximum(gap, 0) * rate.cell_m * floor * unit_m, 2 * CAP_UNITS)
     start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
     return Scale(
-        cells.index, start, per_m, alpha, noise, density, cells.level, cells.column,
+        cells.index, start, per_m, alpha, noise, below, density, cells.level, cells.column,
         unit_m, reference,
     )  # fmt: skip
 
 
 def _expected(
     cells: Cells, density: NDArray[np.float64], rate: RateSettings
-) -> NDArray[np.float64]:
-    """Noise photons expected in each cell, by depth below a water surface: (n,) float64."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise photons expected in each cell, and those below a water surface: (n,) float64."""
     wet = cells.level != NO_WATER
     surface = np.where(wet, cells.level, cells.low).astype(np.int64)
     surface = surface - np.where(wet, round(SURFACE_M * QUANTA_PER_M), 0)
@@ -378,8 +378,8 @@ def _expected(
     length = np.clip(gate_m[:, None] - np.arange(DEPTHS), 0.0, 1.0)
     length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
     below = (cells.column * length).sum(axis=1)
-    noise: NDArray[np.float64] = (density * above + np.where(wet, below, 0.0)) * rate.cell_m
-    return noise
+    below = np.where(wet, below, 0.0) * rate.cell_m
+    return density * above * rate.cell_m + below, below
 
 
 def below_surface(
@@ -402,8 +402,6 @@ def noise_at(
     wet = (level != NO_WATER) & (depth >= -2 * round(SURFACE_M * QUANTA_PER_M))
     row = np.clip(depth // QUANTA_PER_M, 0, DEPTHS - 1)
     found: NDArray[np.float64] = np.where(
-        wet,
-        np.maximum(scale.column[cell, np.where(wet, row, 0)], scale.density[cell]*0),
-        scale.density[cell],
+        wet, scale.column[cell, np.where(wet, row, 0)], scale.density[cell]
     )
     return found

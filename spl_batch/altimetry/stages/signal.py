@@ -35,8 +35,8 @@ UNIT_QUANTA: Final = 4096
 """Lattice of the scaled plane [quanta per unit]."""
 
 SCORE_BINS: Final = 1600
-CONFIDENCE: Final = 0.95
-"""Of the bound below which far photons count as chance."""
+CONFIDENCE: Final = 0.5
+"""Chance that as many far photons, or more, are seen by what is called their mean."""
 
 _BINS_PER_LN: Final = 100.0
 _LN_FIRST: Final = -10.0
@@ -173,7 +173,6 @@ def thresholds(
     counts: NDArray[np.int64],
     far: NDArray[np.int64],
     wanted: NDArray[np.float64],
-    gate_over_far: NDArray[np.float64],
     false_share: float,
 ) -> NDArray[np.int64]:
     """Least score bin that is signal, of each window.
@@ -184,10 +183,8 @@ def thresholds(
         Photons by score bin, and those of them far from the surface.
     wanted : (w,) float64
         n_s, signal photons estimated [count].
-    gate_over_far : (w,) float64
-        Area of the gate over that of its part far from the surface.
     false_share : float
-        Most that noise may contribute, wherever it lies.
+        Most that noise far from the surface may contribute.
 
     Returns
     -------
@@ -195,7 +192,7 @@ def thresholds(
         From 1 to the number of bins, which takes none.
     """
     above = np.cumsum(counts[:, ::-1], axis=1)
-    false = surely(np.cumsum(far[:, ::-1], axis=1)) * gate_over_far[:, None]
+    false = surely(np.cumsum(far[:, ::-1], axis=1))
     fine = (above <= np.maximum(wanted, 0.0)[:, None]) & (false <= false_share * above)
     # The widest choice that is fine; a count below it may not be, by chance, and need not.
     taken = np.where(fine.any(1), fine.shape[1] - np.argmax(fine[:, ::-1], axis=1), 0)
@@ -204,7 +201,7 @@ def thresholds(
 
 
 def surely(count: NDArray[Any]) -> NDArray[np.float64]:
-    """Lower 95 % bound of the mean of a Poisson count, of the shape of ``count``.
+    """Mean at which a Poisson count or more is as likely as not, of the shape of ``count``.
 
     A single stray photon far up tells next to nothing of how much noise passes.
     """

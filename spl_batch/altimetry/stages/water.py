@@ -34,6 +34,12 @@ SURFACE_M: Final = 1.0
 REACH_CELLS: Final = 25
 """Cells to each side that a level and its noise are seen over [count]."""
 
+CANOPY_M: Final = 30
+"""Height above a level that trees stand in; noise is seen above that [m]."""
+
+_GROWN: Final = 1.5
+"""Times the noise above them that trees hold at least."""
+
 _LEAST_CELLS: Final = 10
 """Cells that a level has to be the fullest metre of [count]."""
 
@@ -65,7 +71,7 @@ def find_water(
     index: NDArray[np.int64],
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
-    low: NDArray[np.int32],
+    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
     cell_m: float,
 ) -> Water:
     """Level of the water surface and noise below it of each cell.
@@ -78,8 +84,8 @@ def find_water(
         Row of each photon's cell.
     height : (p,) int32
         Photons [quanta].
-    low : (n,) int32
-        Lower end of each cell's gate [quanta].
+    gate : ((n,) int32, (n,) int32)
+        Lower and upper end of each cell's gate [quanta].
     cell_m : float
         Length of a cell [m].
     """
@@ -89,11 +95,12 @@ def find_water(
         return water
     mode = _fullest(cell, height, n)
     level = _level(index, mode)
-    level = _refined(index, cell, height, level)
+    level = _refined(cell, height, level)
+    level[_grown_over(index, cell, height, gate[1], level)] = NO_WATER
     water.level[:] = level
     wet = level != NO_WATER
     if wet.any():
-        water.column[wet] = _columns(index, cell, height, low, level, cell_m)[wet]
+        water.column[wet] = _columns(index, cell, height, gate[0], level, cell_m)[wet]
     return water
 
 
@@ -128,14 +135,35 @@ def _level(index: NDArray[np.int64], mode: NDArray[np.int64]) -> NDArray[np.int3
     return level
 
 
-def _refined(
+def _grown_over(
     index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    high: NDArray[np.int32],
+    level: NDArray[np.int32],
+) -> NDArray[np.bool_]:
+    """Cells where more stands above the level than noise can be: plains with trees, (n,) bool."""
+    n = len(level)
+    foot = level.astype(np.int64) + round(SURFACE_M * QUANTA_PER_M)
+    top = foot + CANOPY_M * QUANTA_PER_M
+    inside = (height > foot[cell]) & (height <= top[cell])
+    over = height > top[cell]
+    counted = np.stack([np.bincount(cell[m], minlength=n) for m in (inside, over)], axis=1)
+    length = np.stack([np.minimum(high, top) - foot, high - top], axis=1).clip(0) / QUANTA_PER_M
+    near, noise = _sums(index, counted, _FLOOR_CELLS).T
+    near_m, noise_m = _sums(index, length, _FLOOR_CELLS).T
+    ratio = near_m / np.maximum(noise_m, 1.0)
+    chance = _FLOOR_SD * np.sqrt(np.maximum(near + noise * ratio**2, 1.0))
+    grown: NDArray[np.bool_] = (level != NO_WATER) & (noise_m > 0)
+    return grown & (near > _GROWN * noise * ratio + chance)
+
+
+def _refined(
     cell: NDArray[np.intp],
     height: NDArray[np.int32],
     level: NDArray[np.int32],
 ) -> NDArray[np.int32]:
     """The levels, each put to the mean of the photons of its layer."""
-    del index
     near = np.abs(height.astype(np.int64) - level[cell]) <= round(SURFACE_M * QUANTA_PER_M)
     near &= level[cell] != NO_WATER
     total = np.bincount(cell[near], height[near].astype(np.int64) , len(level))
