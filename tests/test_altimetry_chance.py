@@ -125,11 +125,7 @@ def test_what_is_taken_under_trees_agrees_better_with_the_truth(colour: str) -> 
             np.bincount(b, np.broadcast_to(w, b.shape), signals.SCORE_BINS)[None] for b, w in chosen
         )
         wanted = np.array([len(along) - scale.noise.sum()])
-        limits = (
-            wanted,
-            np.array([cells.gate_m.sum() / rates.far_length_m(cells, RATE).sum()]),
-            SIGNAL.false_share,
-        )
+        limits = (wanted, SIGNAL.false_share)
         mean = signals.mean_density(cells, scale, RATE, SIGNAL)
         kept = {
             "f1": bins >= chance.best_thresholds(counts, expected, away, *limits)[0],
