@@ -28,7 +28,7 @@ from spl_batch.altimetry.model import Background
 from spl_batch.altimetry.settings import BaselineSettings, SignalSettings
 from spl_batch.altimetry.stages.peers import PEERS
 from spl_batch.altimetry.stages.peers import keep as keep_peer
-from spl_batch.altimetry.stages.profile import profile
+from spl_batch.altimetry.stages.profile import for_layout, profile
 from spl_batch.constants import QUANTA_PER_M
 
 NOISE, FLOOR = 1, 3
@@ -67,7 +67,9 @@ def read_atl03(atl03: Path, atl08: Path) -> list[Labelled]:
             continue
         parts = list(iter_photons(atl03, "atl03", facts.name, 1 << 20))
         row = np.concatenate([p.row for p in parts])
-        along, height = (np.concatenate([getattr(p, k) for p in parts]) for k in ("along", "height"))
+        along, height = (
+            np.concatenate([getattr(p, k) for p in parts]) for k in ("along", "height")
+        )
         inside = (row >= theirs.rows[0]) & (row < theirs.rows[1])
         label = inside.astype(np.int64)
         label[inside] += theirs.signal(*theirs.rows)[row[inside] - theirs.rows[0]]
@@ -85,7 +87,7 @@ def ours(track: Labelled, signal: SignalSettings = SIGNAL) -> Found:
 
 
 def mdbscan(track: Labelled) -> Found:
-    """This project's mDBSCAN with its defaults."""
+    """Photons by mDBSCAN as it stands here."""
     start = time.perf_counter()
     kept = Beam(track.photons, track.background).mdbscan(BaselineSettings())
     return Found(kept, np.nan, time.perf_counter() - start)
@@ -132,7 +134,8 @@ def ground(track: Labelled, atl03: Path, atl08: Path) -> None:
     along, height = track.photons
     rows = rows[np.lexsort((height[rows], along[rows]))]
     whole = (-(10**9), 10**9)
-    columns = profile(along[rows], height[rows], kept[rows], whole, PROFILE).columns
+    settings = for_layout(PROFILE, "atl03")
+    columns = profile(along[rows], height[rows], kept[rows], whole, settings).columns
     at, theirs = reference(track.name, atl03, atl08)
     known = np.isfinite(columns["ground"])
     mine = np.interp(at, columns["along_track"][known], columns["ground"][known], np.nan, np.nan)
@@ -170,7 +173,10 @@ def halves(track: Labelled) -> list[Labelled]:
     """The track cut in the middle."""
     middle = np.median(track.photons[0])
     parts = []
-    for name, some in (("first", track.photons[0] < middle), ("second", track.photons[0] >= middle)):
+    for name, some in (
+        ("first", track.photons[0] < middle),
+        ("second", track.photons[0] >= middle),
+    ):
         photons = track.photons[0][some], track.photons[1][some]
         parts.append(Labelled(f"{track.name}, {name} half", photons, track.label[some]))
     return parts

@@ -85,9 +85,7 @@ class Beam:
                 )
             if ground:
                 limits = PROFILE.photons_factor * wanted, PROFILE.false_share
-                least[z] = np.minimum(
-                    least[z], signals.thresholds(counts[z], away[z], *limits)
-                )
+                least[z] = np.minimum(least[z], signals.thresholds(counts[z], away[z], *limits))
         passed = signals.score_bins(found) >= least[self._zone(along, height, window)]
         self.told = float(each[passed].sum() / chance.SHARE_QUANTA)
         kept: Mask = signals.score_bins(score) >= least[self._zone(*photons, window)]

@@ -60,7 +60,9 @@ def test_places_lie_evenly_in_their_cells_wherever_the_track_is_cut(cut: int) ->
     np.testing.assert_array_equal(cells.index[cell] * 20_000 + along % 20_000, along)
     assert ((height >= cells.low[cell]) & (height <= cells.high[cell])).all()
     share = np.bincount(cell, noise) / chance.SHARE_QUANTA
-    np.testing.assert_allclose(share, scale.noise, rtol=1e-3)
+    # By depth below a level surface noise is not the same everywhere.
+    np.testing.assert_allclose(share, scale.noise, rtol=0.1)
+    assert share.sum() == pytest.approx(scale.noise.sum(), rel=0.03)
     level = (height - cells.low[cell]) / (cells.high - cells.low)[cell]
     for values in (level, along % 20_000 / 20_000):
         assert np.abs(np.sort(values) - np.linspace(0, 1, len(values))).max() < 0.02
@@ -76,7 +78,9 @@ def test_places_tell_how_much_noise_passes(colour: str, canopy: float) -> None:
         every = np.ones(len(along), np.bool_)
         bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
         *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
-        score = chance.score_places((at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL)
+        score = chance.score_places(
+            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
+        )
         for least in (850, 950, 1050, 1150):
             passed = signals.score_bins(score) >= least
             expected.append(noise[passed].sum() / chance.SHARE_QUANTA)
@@ -118,7 +122,9 @@ def test_what_is_taken_under_trees_agrees_better_with_the_truth(colour: str) -> 
         every = np.ones(len(along), np.bool_)
         bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
         *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
-        score = chance.score_places((at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL)
+        score = chance.score_places(
+            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
+        )
         far = rates.far(along, height, cells, RATE) > 0
         chosen = (bins, 1.0), (bins[far], 1.0), (signals.score_bins(score), noise / 2**20)
         counts, away, expected = (

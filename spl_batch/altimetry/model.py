@@ -21,7 +21,8 @@ LABELS: Final[Mapping[str, type]] = {
     "below": np.uint8,
     "baseline": np.uint8,
 }
-"""Score: mean ln P(noise); far: away from any surface; below: below a water surface; baseline: signal by mDBSCAN."""
+"""Score: mean ln P(noise); far: away from any surface; below: below a water surface;
+baseline: signal by mDBSCAN."""
 
 SIGNAL: Final = 1
 NOISE: Final = 0

@@ -23,6 +23,7 @@ from spl_batch.altimetry.stages import chance
 from spl_batch.altimetry.stages import rate as rates
 from spl_batch.altimetry.stages import signal as signals
 from spl_batch.altimetry.stages.likelihood import ratios
+from spl_batch.altimetry.stages.water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.io.tables import read_arrays, write_arrays, writing
 from spl_batch.runner.context import Produced
@@ -86,6 +87,8 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
         if len(density)
         else None,
         "gate_m": float(np.median(cells.gate_m)) if len(cells.index) else None,
+        "unseen": rates.unseen(cells, workflow.rate),
+        "water": float(np.mean(cells.level != NO_WATER)) if len(cells.index) else 0.0,
         "length_m": len(cells.index) * workflow.rate.cell_m,
     }
     return Produced([path], facts, int(cells.count.sum()))
@@ -264,9 +267,7 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
         part = np.moveaxis(around, 2, 3)[:, :, mine]
         for zone in range(ZONES):
             estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
-            least[:, zone, first:stop] = _least(
-                part[:, zone], np.maximum(estimated, 0.0), context
-            )
+            least[:, zone, first:stop] = _least(part[:, zone], np.maximum(estimated, 0.0), context)
             for i, b in enumerate(least[0, zone, first:stop].tolist()):
                 taken += counts[:, zone, first - low + i, b:].sum(axis=1)
     path = place(context, "selection", beam, ".npz")

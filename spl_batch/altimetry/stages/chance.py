@@ -110,16 +110,15 @@ def score_places(
     area = np.pi * local_alpha(cell, at[1], scale) / UNIT_QUANTA**2
     cap = float(round(CAP_UNITS * UNIT_QUANTA))
     columns = np.arange(table.within.shape[1])
-    neighbours = len(table.within)
-    wanted = np.arange(1, neighbours + 1)
     most = counted(cell, scale, settings)
+    wanted = np.arange(1, int(most.max(initial=1)) + 1)
     for first in range(0, len(u), _BATCH):
         rows = slice(first, first + _BATCH)
         here = np.stack([u[rows], v[rows]], axis=1) - anchor
         # A list of neighbours gives two dimensions, of a single one too.
         distance = np.asarray(tree.query(here, k=wanted, distance_upper_bound=cap + 0.5)[0])
         total = np.zeros(len(here))
-        for k in range(neighbours):
+        for k in range(int(most[rows].max())):
             found = np.isfinite(distance[:, k])
             squared = np.where(found, np.maximum(distance[:, k], 1.0), cap) ** 2
             column = (np.log(squared * area[rows]) - table.first) * table.step

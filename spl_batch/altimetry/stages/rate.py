@@ -290,6 +290,13 @@ def density_from_window(cells: Cells, settings: RateSettings) -> NDArray[np.floa
     return density
 
 
+def unseen(cells: Cells, settings: RateSettings) -> float:
+    """Share of cells whose stretch shows no photon of noise at all."""
+    reach, seen = stretches(cells.index, cells.empty_count, settings.smooth_cells)
+    del reach
+    return float(np.mean(seen == 0)) if len(seen) else 0.0
+
+
 def density_from_product(
     cells: Cells, background: Background, settings: RateSettings
 ) -> NDArray[np.float64]:

@@ -87,9 +87,7 @@ def local_alpha(
     return found
 
 
-def counted(
-    cell: NDArray[np.intp], scale: Scale, settings: SignalSettings
-) -> NDArray[np.int64]:
+def counted(cell: NDArray[np.intp], scale: Scale, settings: SignalSettings) -> NDArray[np.int64]:
     """Neighbours that count, of photons by the row of their cell: (n,) int64."""
     fewer = min(settings.water_neighbours, settings.neighbours)
     number: NDArray[np.int64] = np.where(

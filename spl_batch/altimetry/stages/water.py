@@ -166,7 +166,7 @@ def _refined(
     """The levels, each put to the mean of the photons of its layer."""
     near = np.abs(height.astype(np.int64) - level[cell]) <= round(SURFACE_M * QUANTA_PER_M)
     near &= level[cell] != NO_WATER
-    total = np.bincount(cell[near], height[near].astype(np.int64) , len(level))
+    total = np.bincount(cell[near], height[near].astype(np.int64), len(level))
     count = np.bincount(cell[near], minlength=len(level))
     mean = np.rint(total / np.maximum(count, 1))
     return np.where(count > 0, mean, level).astype(np.int32)
