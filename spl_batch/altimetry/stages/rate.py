@@ -23,18 +23,13 @@ from scipy import ndimage
 
 from spl_batch.altimetry.model import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.altimetry.stages.gate import STRETCH_CELLS, gates, stretches
 from spl_batch.altimetry.stages.water import DEPTHS, NO_WATER, REACH_CELLS, SURFACE_M, find_water
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.tiling import quanta
 
-STRETCH_CELLS: Final = 50
-"""Most cells to each side that gate and rate of a cell are read from [count]."""
-
 HALO_CELLS: Final = STRETCH_CELLS + 2 * REACH_CELLS + 5
 """Cells to each side that :func:`observe` looks at [count]."""
-
-STRETCH_PHOTONS: Final = 30
-"""Noise photons that gate and rate are read from, where a stretch has as many [count]."""
 
 NOTHING_SEEN: Final = 3.0
 """Upper 95 % bound of what is expected where nothing is counted [count]."""
@@ -74,7 +69,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     table = np.bincount(cell * width + (bins - base), minlength=len(index) * width)
     table = table.reshape(len(index), width)
     peak = _surface(index, table)
-    low, high = _gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
+    low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
     water = find_water(index, cell, height, (low, high), settings.cell_m)
     first = -(-(low.astype(np.int64)) // bin_q) - base
     last = high.astype(np.int64) // bin_q - base
@@ -102,65 +97,6 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         level=water.level,
         column=water.column,
     )
-
-
-def _gates(
-    index: NDArray[np.int64],
-    cell: NDArray[np.intp],
-    height: NDArray[np.int32],
-    peak: NDArray[np.int64],
-    settings: RateSettings,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Ends of the gate of each cell, from as many cells around it as show them [quanta].
-
-    A cell of 20 m by night holds no noise at all: what it spans is its surface. The shortest
-    stretch with enough photons away from the surface is taken, 2 km at most; the gate is the
-    spread of its photons, longer by what the ends of so many are expected to lie inside.
-    """
-    n = len(index)
-    away = np.abs(height - peak[cell]) > quanta(settings.slice_m)
-    count = np.bincount(cell[away], minlength=n)
-    low = np.full(n, np.iinfo(np.int32).max, np.int64)
-    high = np.full(n, np.iinfo(np.int32).min, np.int64)
-    np.minimum.at(low, cell, height)
-    np.maximum.at(high, cell, height)
-    reach, seen = stretches(index, count, 0)
-    first = np.searchsorted(index, index - reach)
-    stop = np.searchsorted(index, index + reach, side="right")
-    bounds = np.stack([first, stop], axis=1).ravel()
-    # A row more, so that the last stretch may end where the cells do.
-    least = np.minimum.reduceat(np.append(low, low[-1:]), bounds)[::2] if n else low
-    most = np.maximum.reduceat(np.append(high, high[-1:]), bounds)[::2] if n else high
-    more = (most - least) // np.maximum(seen - 1, 4)
-    more[seen < 2] = 0
-    return (least - more).astype(np.int32), (most + more).astype(np.int32)
-
-
-def stretches(
-    index: NDArray[np.int64], count: NDArray[np.int64], least: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cells to each side that hold enough noise photons, and those photons: (n,) int64 each.
-
-    Parameters
-    ----------
-    index, count : (n,) int64
-        Cells, and noise photons seen in each [count].
-    least : int
-        Cells to each side at least [count].
-    """
-    total = np.concatenate([[0], np.cumsum(count)])
-    reach = np.full(len(index), STRETCH_CELLS, np.int64)
-    seen = np.zeros(len(index), np.int64)
-    wider = STRETCH_CELLS
-    while True:
-        first = np.searchsorted(index, index - wider)
-        stop = np.searchsorted(index, index + wider, side="right")
-        within = total[stop] - total[first]
-        enough = (within >= STRETCH_PHOTONS) | (wider == STRETCH_CELLS)
-        reach[enough], seen[enough] = wider, within[enough]
-        if wider <= least:
-            return reach, seen
-        wider = max(wider // 2, least)
 
 
 def _surface(index: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -13,7 +13,7 @@ depths around them, with what is beside them along the track, are left out. Of t
 by depth is taken that never grows (:mod:`spl_batch.altimetry.kernels.column`).
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +155,8 @@ def _grown_over(
     ratio = near_m / np.maximum(noise_m, 1.0)
     chance = _FLOOR_SD * np.sqrt(np.maximum(near + noise * ratio**2, 1.0))
     grown: NDArray[np.bool_] = (level != NO_WATER) & (noise_m > 0)
-    return grown & (near > _GROWN * noise * ratio + chance)
+    grown &= near > _GROWN * noise * ratio + chance
+    return grown
 
 
 def _refined(
@@ -199,19 +200,19 @@ def _columns(
     floor[:, -1] = False
     out = np.zeros((n, DEPTHS))
     falling_density(
-        _sums(index, np.where(floor, 0, count), REACH_CELLS).astype(np.float64),
+        _sums(index, np.where(floor, 0, count), REACH_CELLS),
         _sums(index, np.where(floor, 0.0, area), REACH_CELLS),
         out,
     )
     return out
 
 
-def _sums(index: NDArray[np.int64], values: NDArray, reach: int) -> NDArray:  # type: ignore[type-arg]
+def _sums(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:
     """Sums over the cells of an absolute grid within ``reach`` of each."""
     # Whole parts of a square metre: sums of whole numbers have no order.
     whole = np.rint(values * 1024).astype(np.int64)
     total = np.concatenate([np.zeros((1, values.shape[1]), np.int64), np.cumsum(whole, axis=0)])
     first = np.searchsorted(index, index - reach)
     stop = np.searchsorted(index, index + reach, side="right")
-    found = (total[stop] - total[first]) / 1024
-    return found.astype(values.dtype)
+    found: NDArray[np.float64] = (total[stop] - total[first]) / 1024
+    return found
