@@ -42,7 +42,7 @@ from spl_batch.altimetry.simulate import (
 )
 from spl_batch.altimetry.stages.likelihood import Ratios
 
-SEEDS = range(11, 13)
+SEEDS = range(11, 15)
 ELLIPSES = ((10, 5), (12, 4), (15, 3), (20, 6), (30, 4), (10, 10))
 SCENES = tuple(
     (kind, colour, canopy)
