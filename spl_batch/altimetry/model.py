@@ -112,6 +112,8 @@ class Scale:
         Noise photons above a water surface, or anywhere [1/m2].
     level, column : (n,) int32, (n, d) float32
         Water surface and noise below it, as of :class:`Cells`.
+    stretch, stretched_m : (n,) float64
+        Noise over the reference, water or not, and the start of the cell on that axis [m].
     unit_m, reference : float
         Height of a unit [m]; noise density that gives a unit its aspect [1/m2].
     """
@@ -125,6 +127,8 @@ class Scale:
     density: NDArray[np.float64]
     level: NDArray[np.int32]
     column: NDArray[np.float32]
+    stretch: NDArray[np.float64]
+    stretched_m: NDArray[np.float64]
     unit_m: float
     reference: float
 

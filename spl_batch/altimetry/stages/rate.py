@@ -303,9 +303,18 @@ def scale(
     # Beyond twice the farthest neighbour it does not matter how far.
     before = np.minimum(np.maximum(gap, 0) * rate.cell_m * floor * unit_m, 2 * CAP_UNITS)
     start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
+    # The axis of mDBSCAN knows no water.
+    dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
+    least = CAP_UNITS / (dry_m * signal.reach_m)
+    stretch = np.maximum(wanted, least) / reference
+    apart = np.minimum(
+        np.maximum(gap, 0) * rate.cell_m * least / reference, 2 * CAP_UNITS / (reference * dry_m)
+    )
+    lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
+    stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
     return Scale(
         cells.index, start, per_m, alpha, noise, below, density, cells.level, cells.column,
-        unit_m, reference,
+        stretch, stretched_m, unit_m, reference,
     )  # fmt: skip
 
 

@@ -216,11 +216,7 @@ def mean_density(
 
     On the scaled axis a cell is longer by its noise rate over the reference.
     """
-    stretch = (
-        scale.per_m / (scale.reference * scale.unit_m)
-        if settings.mdbscan.scaled
-        else np.ones(len(scale.index))
-    )
+    stretch = scale.stretch if settings.mdbscan.scaled else np.ones(len(scale.index))
     area = cells.gate_m * rate.cell_m * stretch
     counted = np.stack([cells.count.astype(np.float64), area])
     at, sums = of_window(scale.index, counted, rate, settings.window_m)
@@ -249,9 +245,11 @@ def mdbscan(
     rate, settings : RateSettings, BaselineSettings
         Cells; the ellipse and the factor.
     """
-    u, _, cell = scaled(along, height, scale, rate)
-    to_m = 1.0 / (UNIT_QUANTA * scale.reference * scale.unit_m)
-    s_m = u * to_m if settings.scaled else along / QUANTA_PER_M
+    size = quanta(rate.cell_m)
+    cell = np.searchsorted(scale.index, along // size)
+    inside_m = (along - scale.index[cell] * size) / QUANTA_PER_M
+    stretched_m = scale.stretched_m[cell] + inside_m * scale.stretch[cell]
+    s_m = stretched_m if settings.scaled else along / QUANTA_PER_M
     plane = np.stack([s_m / settings.along_m, height / QUANTA_PER_M / settings.height_m], axis=1)
     if not len(plane):
         return np.zeros(0, np.bool_)
@@ -267,7 +265,6 @@ def mdbscan(
 
 def baseline_reach_m(scale: Scale, settings: BaselineSettings) -> float:
     """Along-track distance beyond which no photon matters to mDBSCAN [m]."""
-    if not settings.scaled or not len(scale.per_m):
+    if not settings.scaled or not len(scale.stretch):
         return 2.0 * settings.along_m
-    slowest = float(scale.per_m.min()) / (scale.reference * scale.unit_m)
-    return 2.0 * settings.along_m / slowest
+    return 2.0 * settings.along_m / float(scale.stretch.min())
