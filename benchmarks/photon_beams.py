@@ -55,45 +55,49 @@ class Beam:
     ) -> Mask:
         """Photons that are signal, or those that the ground is sought among, as in a run."""
         window_m, settings = self.signal.window_m, self.signal
-        index = rates.window_of(self.scale.index, RATE, window_m)
-        values = np.stack(
-            [
-                self.cells.count.astype(float),
-                self.scale.noise,
-                self.cells.gate_m,
-                rates.far_length_m(self.cells, RATE),
-            ]
-        )
-        _, sums = rates.of_window(self.scale.index, values, RATE, window_m)
-        window = np.unique(index)
+        window = np.unique(rates.window_of(self.scale.index, RATE, window_m))
 
-        def counted(along: Any, score: Any, value: Any) -> NDArray[np.float64]:
-            one = np.zeros((len(window), signals.SCORE_BINS))
-            of = rates.window_of(along // round(RATE.cell_m * 1000), RATE, window_m)
-            np.add.at(one, (np.searchsorted(window, of), signals.score_bins(score)), value)
-            return rates.running(window, one.T).T
+        def counted(along: Any, height: Any, score: Any, value: Any) -> NDArray[np.float64]:
+            one = np.zeros((2, len(window), signals.SCORE_BINS))
+            np.add.at(one, (*self._zone(along, height, window), signals.score_bins(score)), value)
+            return np.moveaxis(rates.running(window, np.moveaxis(one, 1, 2)), 2, 1)
 
         far = rates.far(self.along, self.height, self.cells, RATE)
-        counts, away = (counted(self.along, score, value) for value in (1, far))
-        wanted, share = np.maximum(sums[0] - sums[1], 0.0), sums[2] / np.maximum(sums[3], 1)
-        least = signals.thresholds(counts, away, wanted, share, settings.false_share)
-        if settings.selection == "f1":
-            every = np.ones(len(self.cells.index), np.bool_)
-            along, height, noise = chance.places(self.cells, self.scale, every, RATE)
-            prior = signals.log_prior(self.cells, self.scale, RATE, window_m)
-            likelihoods = table or ratios(settings.neighbours, settings.contrast_max)
-            at, photons = (along, height), (self.along, self.height)
-            found = chance.score_places(at, photons, self.scale, prior, RATE, likelihoods)
-            expected = counted(along, found, noise / chance.SHARE_QUANTA)
-            limits = (wanted, share, settings.false_share)
-            least = chance.best_thresholds(counts, expected, away, *limits)
-        if ground:
-            wanted = PROFILE.photons_factor * wanted
-            more = signals.thresholds(counts, away, wanted, share, PROFILE.false_share)
-            least = np.minimum(least, more)
-        of = rates.window_of(self.along // round(RATE.cell_m * 1000), RATE, window_m)
-        kept: Mask = signals.score_bins(score) >= least[np.searchsorted(window, of)]
+        photons = self.along, self.height
+        counts, away = (counted(*photons, score, value) for value in (1, far))
+        noise = np.stack([self.scale.noise - self.scale.below, self.scale.below])
+        _, sums = rates.of_window(self.scale.index, noise, RATE, window_m)
+        every = np.ones(len(self.cells.index), np.bool_)
+        along, height, each = chance.places(self.cells, self.scale, every, RATE)
+        prior = signals.log_prior(self.cells, self.scale, RATE, window_m)
+        likelihoods = table or ratios(settings.neighbours, settings.contrast_max)
+        found = chance.score_places(
+            (along, height), photons, self.scale, prior, RATE, likelihoods, settings
+        )
+        expected = counted(along, height, found, each / chance.SHARE_QUANTA)
+        least = np.empty((2, len(window)), np.int64)
+        for z in range(2):
+            wanted = np.maximum(counts[z].sum(axis=1) - sums[z], 0.0)
+            least[z] = signals.thresholds(counts[z], away[z], wanted, settings.false_share)
+            if settings.selection == "f1":
+                least[z] = chance.best_thresholds(
+                    counts[z], expected[z], away[z], wanted, settings.false_share
+                )
+            if ground:
+                limits = PROFILE.photons_factor * wanted, PROFILE.false_share
+                least[z] = np.minimum(least[z], signals.thresholds(counts[z], away[z], *limits))
+        passed = signals.score_bins(found) >= least[self._zone(along, height, window)]
+        self.told = float(each[passed].sum() / chance.SHARE_QUANTA)
+        kept: Mask = signals.score_bins(score) >= least[self._zone(*photons, window)]
         return kept
+
+    def _zone(self, along: Any, height: Any, window: Any) -> tuple[Any, Any]:
+        """Zone and window of places."""
+        index = along // round(RATE.cell_m * QUANTA_PER_M)
+        cell = np.searchsorted(self.scale.index, index)
+        below = rates.below_surface(cell, height, self.scale).astype(np.int64)
+        at = np.searchsorted(window, rates.window_of(index, RATE, self.signal.window_m))
+        return below, at
 
     def score(self, table: Ratios | None = None) -> NDArray[np.float32]:
         """Scores of all photons; by another table of likelihoods where one is given."""

@@ -35,7 +35,7 @@ def test_a_place_has_the_score_of_a_photon_there() -> None:
         (expected,) = signals.score(along, height, query, scale, prior, RATE, SIGNAL)
         others = along[~query], height[~query]
         at = along[query], height[query]
-        (found,) = chance.score_places(at, others, scale, prior, RATE, TABLE)
+        (found,) = chance.score_places(at, others, scale, prior, RATE, TABLE, SIGNAL)
         assert found == pytest.approx(expected, rel=1e-5)
 
 
@@ -43,8 +43,8 @@ def test_nothing_is_scored_without_photons_or_places() -> None:
     _, scale, prior = prepared(small_track(5))
     none, some = lattice(small_track(5)), lattice(small_track(5))
     none = none[0][:0], none[1][:0]
-    assert len(chance.score_places(none, some, scale, prior, RATE, TABLE)) == 0
-    assert (chance.score_places(some, none, scale, prior, RATE, TABLE) == 0).all()
+    assert len(chance.score_places(none, some, scale, prior, RATE, TABLE, SIGNAL)) == 0
+    assert (chance.score_places(some, none, scale, prior, RATE, TABLE, SIGNAL) == 0).all()
 
 
 @given(cut=st.integers(0, 30))
@@ -60,7 +60,9 @@ def test_places_lie_evenly_in_their_cells_wherever_the_track_is_cut(cut: int) ->
     np.testing.assert_array_equal(cells.index[cell] * 20_000 + along % 20_000, along)
     assert ((height >= cells.low[cell]) & (height <= cells.high[cell])).all()
     share = np.bincount(cell, noise) / chance.SHARE_QUANTA
-    np.testing.assert_allclose(share, scale.noise, rtol=1e-3)
+    # By depth below a level surface noise is not the same everywhere.
+    np.testing.assert_allclose(share, scale.noise, rtol=0.1)
+    assert share.sum() == pytest.approx(scale.noise.sum(), rel=0.03)
     level = (height - cells.low[cell]) / (cells.high - cells.low)[cell]
     for values in (level, along % 20_000 / 20_000):
         assert np.abs(np.sort(values) - np.linspace(0, 1, len(values))).max() < 0.02
@@ -76,7 +78,9 @@ def test_places_tell_how_much_noise_passes(colour: str, canopy: float) -> None:
         every = np.ones(len(along), np.bool_)
         bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
         *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
-        score = chance.score_places((at[0], at[1]), (along, height), scale, prior, RATE, TABLE)
+        score = chance.score_places(
+            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
+        )
         for least in (850, 950, 1050, 1150):
             passed = signals.score_bins(score) >= least
             expected.append(noise[passed].sum() / chance.SHARE_QUANTA)
@@ -94,7 +98,7 @@ def test_the_threshold_is_that_of_the_largest_f1(
     counts: np.ndarray, noise: np.ndarray, far: np.ndarray, wanted: float, share: float
 ) -> None:
     noise, far = np.minimum(noise, counts), np.minimum(far, counts)
-    limits = (np.full(2, wanted), np.full(2, 1.5), share)
+    limits = (np.full(2, wanted), share)
     least = chance.best_thresholds(*(t.astype(float) for t in (counts, noise, far)), *limits)
     for i in range(2):
         best, gained = counts.shape[1], 0.0
@@ -102,7 +106,7 @@ def test_the_threshold_is_that_of_the_largest_f1(
             above, below = counts[i, b:].sum(), noise[i, b:].sum()
             signal = min(above - below, wanted)
             f1 = 2.0 * signal / max(above + wanted, 1.0)
-            if 1.5 * far[i, b:].sum() <= share * above and f1 > gained:
+            if signals.surely(far[i, b:].sum()) <= share * above and f1 > gained:
                 best, gained = b, f1
         assert least[i] == max(best, 1)
 
@@ -118,18 +122,16 @@ def test_what_is_taken_under_trees_agrees_better_with_the_truth(colour: str) -> 
         every = np.ones(len(along), np.bool_)
         bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
         *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
-        score = chance.score_places((at[0], at[1]), (along, height), scale, prior, RATE, TABLE)
+        score = chance.score_places(
+            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
+        )
         far = rates.far(along, height, cells, RATE) > 0
         chosen = (bins, 1.0), (bins[far], 1.0), (signals.score_bins(score), noise / 2**20)
         counts, away, expected = (
             np.bincount(b, np.broadcast_to(w, b.shape), signals.SCORE_BINS)[None] for b, w in chosen
         )
         wanted = np.array([len(along) - scale.noise.sum()])
-        limits = (
-            wanted,
-            np.array([cells.gate_m.sum() / rates.far_length_m(cells, RATE).sum()]),
-            SIGNAL.false_share,
-        )
+        limits = (wanted, SIGNAL.false_share)
         mean = signals.mean_density(cells, scale, RATE, SIGNAL)
         kept = {
             "f1": bins >= chance.best_thresholds(counts, expected, away, *limits)[0],

@@ -12,7 +12,7 @@ from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.stages.profile import agree, profile, reach_cells
 from tests.tracks import lattice, quanta
 
-SETTINGS = ProfileSettings()
+SETTINGS = ProfileSettings(layer_m=1.5)
 EVERYTHING = (-(10**9), 10**9)
 
 

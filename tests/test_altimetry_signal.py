@@ -12,6 +12,7 @@ from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalS
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.stages import rate as rates
 from spl_batch.altimetry.stages import signal as signals
+from spl_batch.altimetry.stages.water import NO_WATER
 from tests.tracks import lattice, small_track
 
 RATE = RateSettings()
@@ -145,14 +146,16 @@ def test_no_more_is_taken_than_is_estimated_or_allowed(
     rng = np.random.default_rng(seed)
     counts = rng.poisson(rng.uniform(0.0, 1.0, (3, 200)) ** 4 * 5)
     far = rng.binomial(counts, 0.02)
-    least = signals.thresholds(counts, far, np.full(3, wanted), np.full(3, 1.5), share)
+    least = signals.thresholds(counts, far, np.full(3, wanted), share)
     for i in range(3):
-        taken, false = counts[i, least[i] :].sum(), 1.5 * far[i, least[i] :].sum()
+        taken = counts[i, least[i] :].sum()
+        false = signals.surely(far[i, least[i] :].sum())
         assert taken <= wanted
         assert false <= share * taken + 1e-9
         more = least[i] - 1
         if more >= 1:
-            grown, worse = counts[i, more:].sum(), 1.5 * far[i, more:].sum()
+            grown = counts[i, more:].sum()
+            worse = signals.surely(far[i, more:].sum())
             assert grown > wanted or worse > share * grown or grown == taken
 
 
@@ -171,11 +174,8 @@ def test_kept_photons_lie_nearer_to_the_ground_than_mdbscan_s(kind: str, colour:
     bins = signals.score_bins(score)
     far = rates.far(along, height, cells, RATE) > 0
     counts, away = (np.bincount(b, minlength=signals.SCORE_BINS)[None] for b in (bins, bins[far]))
-    ratio = cells.gate_m.sum() / rates.far_length_m(cells, RATE).sum()
     wanted = len(along) - scale.noise.sum()
-    least = signals.thresholds(
-        counts, away, np.array([wanted]), np.array([ratio]), SIGNAL.false_share
-    )
+    least = signals.thresholds(counts, away, np.array([wanted]), SIGNAL.false_share)
     off = track.height_m - track.ground_m
 
     def rmse(kept: np.ndarray) -> float:
@@ -195,7 +195,9 @@ def test_a_segment_of_few_photons_fits_the_lattice() -> None:
     index = np.arange(40_000, dtype=np.int64) * 13
     one = np.ones(len(index), np.int64)
     ends = (one.astype(np.int32) * 0, one.astype(np.int32) * 100_000)
-    sparse = Cells(index, one, *ends, ends[0], one, one)
+    none = np.full(len(index), NO_WATER, np.int32)
+    column = np.zeros((len(index), 60), np.float32)
+    sparse = Cells(index, one, *ends, ends[0], one, one, none, column)
     scaled = rates.scale(sparse, np.full(len(index), 1e-6), RATE, SIGNAL)
     cells = signals.most_cells(scaled, RATE)
     assert (scaled.start[-1] - scaled.start[0]) * signals.UNIT_QUANTA > 2**30

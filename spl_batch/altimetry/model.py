@@ -18,9 +18,11 @@ LABELS: Final[Mapping[str, type]] = {
     "height": np.int32,
     "score": np.float32,
     "far": np.uint8,
+    "below": np.uint8,
     "baseline": np.uint8,
 }
-"""Score: mean ln P(noise); far: away from any surface; baseline: signal by mDBSCAN."""
+"""Score: mean ln P(noise); far: away from any surface; below: below a water surface;
+baseline: signal by mDBSCAN."""
 
 SIGNAL: Final = 1
 NOISE: Final = 0
@@ -55,11 +57,15 @@ class Cells:
     count : (n,) int64
         Photons [count].
     low, high : (n,) int32
-        Lowest and highest photon [quanta].
+        Ends of the gate [quanta].
     peak : (n,) int32
         Height of the densest bins: the surface, where there is one [quanta].
     empty_count, empty_length : (n,) int64
         Photons, and length of gate, away from it [count, quanta].
+    level : (n,) int32
+        Water surface [quanta]; the least int32 where there is none.
+    column : (n, d) float32
+        Noise by metre of depth below it [1/m2].
     """
 
     index: NDArray[np.int64]
@@ -69,6 +75,8 @@ class Cells:
     peak: NDArray[np.int32]
     empty_count: NDArray[np.int64]
     empty_length: NDArray[np.int64]
+    level: NDArray[np.int32]
+    column: NDArray[np.float32]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, for a file."""
@@ -76,11 +84,9 @@ class Cells:
 
     @property
     def gate_m(self) -> NDArray[np.float64]:
-        """Length of the gate, (n,) float64 [m]: the spread of n photons by (n + 1) / (n - 1)."""
-        spread = (self.high.astype(np.int64) - self.low) / QUANTA_PER_M
-        return np.where(
-            self.count > 1, spread * (self.count + 1) / np.maximum(self.count - 1, 1), 0.0
-        )
+        """Length of the gate, (n,) float64 [m]."""
+        length: NDArray[np.float64] = (self.high.astype(np.int64) - self.low) / QUANTA_PER_M
+        return length
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +106,14 @@ class Scale:
         Units per metre of track within the cell [1/m].
     alpha : (n,) float64
         Noise photons per square unit; 1 unless the reach is what limits a unit's length.
-    noise : (n,) float64
-        Noise photons expected in the cell [count].
+    noise, below : (n,) float64
+        Noise photons expected in the cell, and those of them below a water surface [count].
     density : (n,) float64
-        Noise photons [1/m2].
+        Noise photons above a water surface, or anywhere [1/m2].
+    level, column : (n,) int32, (n, d) float32
+        Water surface and noise below it, as of :class:`Cells`.
+    stretch, stretched_m : (n,) float64
+        Noise over the reference, water or not, and the start of the cell on that axis [m].
     unit_m, reference : float
         Height of a unit [m]; noise density that gives a unit its aspect [1/m2].
     """
@@ -113,7 +123,12 @@ class Scale:
     per_m: NDArray[np.float64]
     alpha: NDArray[np.float64]
     noise: NDArray[np.float64]
+    below: NDArray[np.float64]
     density: NDArray[np.float64]
+    level: NDArray[np.int32]
+    column: NDArray[np.float32]
+    stretch: NDArray[np.float64]
+    stretched_m: NDArray[np.float64]
     unit_m: float
     reference: float
 

@@ -205,6 +205,7 @@ def _select(tracks: Tracks) -> Iterator[Task]:
 
 
 def _profile(tracks: Tracks) -> Iterator[Task]:
+    layouts = {key: source.file.layout for source, _, key in tracks.beams()}
     for name, receipt in tracks.of("select").items():
         segments = tracks.segments(name)
         needs = (
@@ -212,7 +213,12 @@ def _profile(tracks: Tracks) -> Iterator[Task]:
             ("take_in", name),
             *(("score", s) for s, _, _ in segments),
         )
-        args = {"key": name, "segments": segments, "points": receipt.points}
+        args = {
+            "key": name,
+            "layout": layouts[name],
+            "segments": segments,
+            "points": receipt.points,
+        }
         yield Task("profile", name, args, needs, receipt.points)
 
 

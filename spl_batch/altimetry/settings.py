@@ -24,6 +24,9 @@ class TrackSettings(Section):
     prf_hz: Positive | None = Field(
         None, description="Pulse repetition frequency of MABEL-like files [Hz]; theirs by default."
     )
+    off_nadir_deg: float = Field(
+        0.0, ge=0, lt=60, description="Angle of the beam from the vertical, for refraction [deg]."
+    )
 
 
 class RateSettings(Section):
@@ -70,6 +73,12 @@ class SignalSettings(Section):
         description="Along-track over vertical extent of a neighbourhood at the mean noise rate; "
         "1 in [W17].",
     )
+    water_aspect: Positive = Field(
+        20.0, description="The same where the track shows a level water surface."
+    )
+    water_neighbours: int = Field(
+        10, ge=1, le=64, description="Largest k there; floors are thin and sparse [count]."
+    )
     contrast_max: float = Field(
         1000.0,
         gt=1,
@@ -114,7 +123,11 @@ class ProfileSettings(Section):
         3, ge=1, le=20, description="Cells to each side that the ground is fitted over [count]."
     )
     slope_max: Positive = Field(1.0, description="Steepest ground that is followed [m/m].")
-    layer_m: Positive = Field(1.5, description="Thickness of the layer that is ground [m].")
+    layer_m: Positive | None = Field(
+        None,
+        description="Thickness of the layer that is ground [m]; by default 0.75 for ATL03, whose "
+        "pulses of 1.5 ns are spread so far by a slope of 0.1 under 11 m of light, and 1.5 else.",
+    )
     canopy_min_m: Positive = Field(2.0, description="Least height of canopy above ground [m].")
     canopy_share: float = Field(
         0.98, gt=0, le=1, description="Quantile of canopy photons that is the canopy's top."
@@ -143,6 +156,9 @@ class TrackReferenceSettings(Section):
 class TrackOutputSettings(StoreSettings):
     """What is written beside profiles and photon tables."""
 
+    refraction: bool = Field(
+        False, description="Heights below water corrected for refraction, as a column of tables."
+    )
     hdf5: bool = Field(True, description="HDF5 inputs again, with the labels in them.")
 
 

@@ -22,6 +22,7 @@ def noise_posterior(
     within: NDArray[np.float64],
     beyond: NDArray[np.float64],
     grid: tuple[float, float],
+    most: NDArray[np.int64] | None = None,
 ) -> NDArray[np.float64]:
     """Mean over k of ln P(noise | distance to the k-th neighbour).
 
@@ -43,6 +44,9 @@ def noise_posterior(
     grid : (float, float)
         ln x of the first column, and columns per unit of ln x; linear between columns.
 
+    most : (n,) int64, optional
+        Neighbours of each photon that count, K at most; all of them by default [count].
+
     Returns
     -------
     (q,) float64
@@ -56,9 +60,11 @@ def noise_posterior(
         xyz[:, 0], xyz[:, 2] = uv[:, 0], uv[:, 1]
         tree = build(xyz)
         first, step = grid
+        if most is None:
+            most = np.full(n, len(within), np.int64)
         _posterior(
             tree.points, tree.boxes, tree.depth, query, cap,
-            area_scale, log_prior, within, beyond, first, step, out,
+            area_scale, log_prior, within, beyond, first, step, most, out,
         )  # fmt: skip
     return out[query]
 
@@ -86,7 +92,7 @@ def _log_noise(ratio):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def _posterior(  # type: ignore[no-untyped-def]
-    points, boxes, depth, query, cap, area_scale, log_prior, within, beyond, first, step, out
+    points, boxes, depth, query, cap, area_scale, log_prior, within, beyond, first, step, most, out
 ):
     """Every query photon, in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)
@@ -106,12 +112,13 @@ def _posterior(  # type: ignore[no-untyped-def]
             )
             offset = math.log(area_scale[row]) - first
             total = 0.0
-            for k in range(found):
+            counted = min(neighbours, most[row])
+            for k in range(min(found, counted)):
                 # Photons at one place are a quantum apart at least.
                 d2 = max(float(keys[k] >> 32), 1.0)
                 ratio = _at(within, k, (math.log(d2) + offset) * step)
                 total += _log_noise(ratio + log_prior[row])
-            for k in range(found, neighbours):
+            for k in range(found, counted):
                 ratio = _at(beyond, k, (farthest + offset) * step)
                 total += _log_noise(ratio + log_prior[row])
-            out[row] = total / neighbours
+            out[row] = total / counted

@@ -27,7 +27,11 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             ("profile", "reference.baseline"),
         ),
         "compare": Kind("profile", "spl_batch.altimetry.runner.heights:compare", ("reference",)),
-        "deliver_beam": Kind("deliver", "spl_batch.altimetry.runner.delivery:deliver_beam", ()),
+        "deliver_beam": Kind(
+            "deliver",
+            "spl_batch.altimetry.runner.delivery:deliver_beam",
+            ("outputs.refraction", "track.off_nadir_deg"),
+        ),
         "deliver_file": Kind(
             "deliver", "spl_batch.altimetry.runner.delivery:deliver_file", ("outputs.hdf5",)
         ),

@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from spl_batch.altimetry.io.hdf5 import add_dataset, labelled_copy
 from spl_batch.altimetry.io.track_csv import to_text
-from spl_batch.altimetry.model import LABELS, NOT_ASSESSED
+from spl_batch.altimetry.model import LABELS, NOT_ASSESSED, Scale
 from spl_batch.altimetry.runner.context import GROUP_PHOTONS, Context, place, rows_between
 from spl_batch.altimetry.runner.heights import COLUMNS
-from spl_batch.altimetry.runner.photons import Selection
+from spl_batch.altimetry.runner.photons import Selection, read_rate
+from spl_batch.altimetry.stages.refraction import refracted
+from spl_batch.altimetry.stages.water import NO_WATER, SURFACE_M
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.io.atomic import write_bytes
 from spl_batch.io.tables import read_columns, writing
 from spl_batch.runner.context import Produced
 from spl_batch.runner.unchanged import as_indexed, unchanged
+from spl_batch.tiling import quanta
 
 PASS_PHOTONS: Final = 2_000_000
 """Photons whose labels are held at once [count]."""
@@ -28,8 +31,15 @@ DELIVERED: Final = {
     "height": np.float64,
     "signal": np.uint8,
     "confidence": np.float32,
+    "water": np.uint8,
 }
-"""Columns of a photon table: [m], [m], 0 noise, 1 signal, 255 not assessed, 0..1."""
+"""Columns of a photon table: [m], [m], 0 noise, 1 signal, 255 not assessed, 0..1, see below."""
+
+REFRACTED: Final = "height_refracted"
+"""Column of heights corrected for refraction, where that is asked for [m]."""
+
+SURFACE, FLOOR, COLUMN = 41, 40, 45
+"""Where water is seen: signal at its surface, signal below it, and what else lies below it."""
 
 _PROFILE: Final = tuple(name for name in COLUMNS if name != "baseline_ground")
 _DATASETS: Final[Mapping[str, tuple[type, float, str]]] = {
@@ -42,12 +52,15 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a beam's photons in the order of the file, and its profile."""
     photons = context.output / "photons" / f"{args['delivered']}.parquet"
     counts = np.zeros(256, np.int64)
-    with writing(photons, DELIVERED, durable=True) as writer:
+    columns_of = dict(DELIVERED)
+    if context.workflow.outputs.refraction:
+        columns_of[REFRACTED] = np.float64
+    with writing(photons, columns_of, durable=True) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             for start in range(0, len(part["signal"]), GROUP_PHOTONS):
                 rows = slice(start, start + GROUP_PHOTONS)
-                writer.write({name: part[name][rows] for name in DELIVERED})
+                writer.write({name: part[name][rows] for name in columns_of})
     columns = read_columns(place(context, "profiles", args["key"], ".parquet"), _PROFILE)
     profile = context.output / "profiles" / f"{args['delivered']}.csv"
     write_bytes(profile, to_text(columns))
@@ -63,6 +76,7 @@ def _passes(
 ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Labels of a beam in the order of its file, a pass at a time: first photon, columns."""
     chosen = Selection(args["key"], context)
+    _, scale, _ = read_rate(args["key"], context)
     for first in range(0, args["points"], PASS_PHOTONS):
         n = min(PASS_PHOTONS, args["points"] - first)
         part: dict[str, NDArray[Any]] = {
@@ -70,6 +84,8 @@ def _passes(
             "height": np.full(n, np.nan),
             "signal": np.full(n, NOT_ASSESSED, np.uint8),
             "confidence": np.full(n, np.nan, np.float32),
+            "water": np.zeros(n, np.uint8),
+            REFRACTED: np.full(n, np.nan),
         }
         for segment in args["segments"]:
             path = place(context, "scores", segment, ".parquet")
@@ -77,9 +93,27 @@ def _passes(
                 at = rows["row"] - first
                 part["along_track"][at] = rows["along"] / QUANTA_PER_M
                 part["height"][at] = rows["height"] / QUANTA_PER_M
-                part["signal"][at] = chosen(rows, "label")
+                signal = chosen(rows, "label")
+                part["signal"][at] = signal
+                part["water"][at], up_m = _in_water(rows, signal, scale, context)
+                part[REFRACTED][at] = part["height"][at] + up_m
                 part["confidence"][at] = -np.expm1(rows["score"])
         yield first, part
+
+
+def _in_water(
+    rows: Mapping[str, NDArray[Any]], signal: NDArray[np.bool_], scale: Scale, context: Context
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Part of the water that photons lie in, 0 where there is none; what refraction lifts [m]."""
+    cell = np.searchsorted(scale.index, rows["along"] // quanta(context.workflow.rate.cell_m))
+    level = scale.level[cell].astype(np.int64)
+    wet = level != NO_WATER
+    depth_m = np.where(wet, (level - rows["height"]) / QUANTA_PER_M, 0.0)
+    below = rows["below"] > 0
+    kind = np.where(below, np.where(signal, FLOOR, COLUMN), 0)
+    kind[wet & signal & (np.abs(depth_m) <= SURFACE_M)] = SURFACE
+    _, up_m = refracted(np.where(below, depth_m, 0.0), context.workflow.track.off_nadir_deg)
+    return kind.astype(np.uint8), up_m
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:

@@ -15,6 +15,7 @@ from spl_batch.altimetry.io.track_csv import read_profile
 from spl_batch.altimetry.model import LABELS
 from spl_batch.altimetry.runner.context import Context, gather, place, rows_between
 from spl_batch.altimetry.runner.photons import Selection
+from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.altimetry.stages import profile as profiles
 from spl_batch.io.tables import read_arrays, read_columns, write_arrays, writing
 from spl_batch.runner.context import Produced
@@ -37,7 +38,8 @@ REFERENCE_GAP_M: Final = 200.0
 
 def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Heights along a beam, segment by segment."""
-    beam, settings = args["key"], context.workflow.profile
+    beam = args["key"]
+    settings = profiles.for_layout(context.workflow.profile, args["layout"])
     size = quanta(settings.cell_m)
     chosen = Selection(beam, context)
     pieces = []
@@ -47,7 +49,7 @@ def profile_beam(args: Mapping[str, Any], context: Context) -> Produced:
         table = _labelled(args, owned[0] * size - reach, owned[1] * size + reach, context)
         if not len(table["row"]):
             continue
-        pieces.append(_heights(table, chosen, owned, context))
+        pieces.append(_heights(table, chosen, owned, settings, context))
     columns = {
         name: np.concatenate([np.empty(0, dtype), *(p[name] for p in pieces)])
         for name, dtype in COLUMNS.items()
@@ -84,9 +86,10 @@ def _heights(
     table: Mapping[str, NDArray[Any]],
     chosen: Selection,
     owned: tuple[int, int],
+    settings: ProfileSettings,
     context: Context,
 ) -> dict[str, NDArray[Any]]:
-    settings, reference = context.workflow.profile, context.workflow.reference
+    reference = context.workflow.reference
     sure = chosen(table, "label")
     some = chosen(table, "ground")
     columns = profiles.profile(

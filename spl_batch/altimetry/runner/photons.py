@@ -23,6 +23,7 @@ from spl_batch.altimetry.stages import chance
 from spl_batch.altimetry.stages import rate as rates
 from spl_batch.altimetry.stages import signal as signals
 from spl_batch.altimetry.stages.likelihood import ratios
+from spl_batch.altimetry.stages.water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.io.tables import read_arrays, write_arrays, writing
 from spl_batch.runner.context import Produced
@@ -35,19 +36,23 @@ OBSERVE_CELLS: Final = 1024
 """Cells that are looked at together, at most: a table of them by height is held [count]."""
 
 SELECT_WINDOWS: Final = 256
-"""Windows whose photons are held by score at once: 10 MB [count]."""
+"""Windows whose photons are held by score at once: 20 MB [count]."""
 
 COUNTED: Final = ("counts", "far", "noise")
 """What segments count by window and score: all photons, far ones, noise expected."""
 
-_Scored = tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]]
-"""Places along the track, scores there, and what each counts."""
+_Scored = tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8]]
+"""Places along the track, scores there, what each counts, and whether below a water surface."""
 
 _NO_PLACES: Final[_Scored] = (
     np.empty(0, np.int64),
     np.empty(0, np.float32),
     np.empty(0, np.int64),
+    np.empty(0, np.uint8),
 )
+
+ZONES: Final = 2
+"""Below a water surface, and elsewhere: each has its own threshold [count]."""
 
 _SURE: Final = np.float32(-30.0)
 """Score of what mDBSCAN calls signal."""
@@ -82,6 +87,8 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
         if len(density)
         else None,
         "gate_m": float(np.median(cells.gate_m)) if len(cells.index) else None,
+        "unseen": rates.unseen(cells, workflow.rate),
+        "water": float(np.mean(cells.level != NO_WATER)) if len(cells.index) else 0.0,
         "length_m": len(cells.index) * workflow.rate.cell_m,
     }
     return Produced([path], facts, int(cells.count.sum()))
@@ -170,6 +177,8 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
     mine = (table["along"] >= low) & (table["along"] < high)
     labels = {name: table[name][mine] for name in PHOTONS}
     labels["far"] = rates.far(labels["along"], labels["height"], cells, workflow.rate)
+    cell = np.searchsorted(cells.index, labels["along"] // size)
+    labels["below"] = rates.below_surface(cell, labels["height"], scale).astype(np.uint8)
     labels["baseline"] = np.zeros(len(labels["row"]), np.uint8)
     if baseline:
         mean = signals.mean_density(cells, scale, workflow.rate, workflow.signal)
@@ -189,8 +198,11 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
             along, height, each = chance.places(cells, scale, owned, workflow.rate)
             likelihoods = ratios(workflow.signal.neighbours, workflow.signal.contrast_max)
             at = along, height
-            found = chance.score_places(at, photons, scale, prior, workflow.rate, likelihoods)
-            noise = (along, found, each)
+            found = chance.score_places(
+                at, photons, scale, prior, workflow.rate, likelihoods, workflow.signal
+            )
+            cell = np.searchsorted(cells.index, along // size)
+            noise = (along, found, each, rates.below_surface(cell, height, scale).astype(np.uint8))
     outputs = [
         place(context, "scores", args["segment"], ".parquet"),
         place(context, "counts", args["segment"], ".npz"),
@@ -205,22 +217,25 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
 def _counted(
     labels: Mapping[str, NDArray[Any]], noise: _Scored, context: Context
 ) -> dict[str, NDArray[Any]]:
-    """Photons of a segment by window and score: all, far from the surface, noise expected."""
+    """Photons of a segment by zone, window and score: all, far ones, noise expected."""
     window = np.unique(_windows(labels["along"], context))
 
     def table(
-        along: NDArray[np.int64], score: NDArray[np.float32], value: NDArray[np.int64]
+        along: NDArray[np.int64],
+        score: NDArray[np.float32],
+        value: NDArray[np.int64],
+        below: NDArray[np.uint8],
     ) -> NDArray[np.int64]:
-        counts = np.zeros((len(window), signals.SCORE_BINS), np.int64)
+        counts = np.zeros((ZONES, len(window), signals.SCORE_BINS), np.int64)
         at = np.searchsorted(window, _windows(along, context))
-        np.add.at(counts, (at, signals.score_bins(score)), value)
+        np.add.at(counts, (below, at, signals.score_bins(score)), value)
         return counts
 
     along, score, far = labels["along"], labels["score"], labels["far"].astype(np.int64)
     return {
         "window": window,
-        "counts": table(along, score, np.ones_like(far)),
-        "far": table(along, score, far),
+        "counts": table(along, score, np.ones_like(far), labels["below"]),
+        "far": table(along, score, far, labels["below"]),
         "noise": table(*noise),
     }
 
@@ -235,26 +250,26 @@ def _windows(along: NDArray[np.int64], context: Context) -> NDArray[np.int64]:
 def select(args: Mapping[str, Any], context: Context) -> Produced:
     """Least score that is signal in each window of a beam."""
     workflow, beam = context.workflow, args["key"]
-    cells, scale, far_m = read_rate(beam, context)
-    values = np.stack([cells.count.astype(np.float64), scale.noise, cells.gate_m, far_m])
+    cells, scale, _ = read_rate(beam, context)
+    values = np.stack([scale.noise - scale.below, scale.below])
     index = rates.window_of(scale.index, workflow.rate, workflow.signal.window_m)
     window = np.unique(index)
     _, sums = rates.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
-    estimated = np.maximum(sums[0] - sums[1], 0.0)
-    share = np.where(sums[3] > 0, sums[2] / np.where(sums[3] > 0, sums[3], 1.0), 0.0)
-    least = np.empty((2, len(window)), np.int64)
+    least = np.empty((2, ZONES, len(window)), np.int64)
     taken = np.zeros(len(COUNTED), np.int64)
     for first in range(0, len(window), SELECT_WINDOWS):
         stop = min(first + SELECT_WINDOWS, len(window))
         # Each window is decided with the two beside it.
         low, high = max(first - 1, 0), min(stop + 1, len(window))
         counts = _of_segments(window[low:high], args["segments"], context)
-        around = rates.running(window[low:high], np.moveaxis(counts, 1, 2).astype(np.float64))
+        around = rates.running(window[low:high], np.moveaxis(counts, 2, 3).astype(np.float64))
         mine = slice(first - low, stop - low)
-        part = np.moveaxis(around, 1, 2)[:, mine]
-        least[:, first:stop] = _least(part, estimated[first:stop], share[first:stop], context)
-        for i, b in enumerate(least[0, first:stop].tolist()):
-            taken += counts[:, first - low + i, b:].sum(axis=1)
+        part = np.moveaxis(around, 2, 3)[:, :, mine]
+        for zone in range(ZONES):
+            estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
+            least[:, zone, first:stop] = _least(part[:, zone], np.maximum(estimated, 0.0), context)
+            for i, b in enumerate(least[0, zone, first:stop].tolist()):
+                taken += counts[:, zone, first - low + i, b:].sum(axis=1)
     path = place(context, "selection", beam, ".npz")
     arrays = {"window": window, "label": least[0], "ground": least[1]}
     write_arrays(path, arrays)
@@ -270,9 +285,9 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
 def _of_segments(
     window: NDArray[np.int64], segments: list[tuple[str, int, int]], context: Context
 ) -> NDArray[np.int64]:
-    """What segments have counted of windows by score: (3, w, bins) int64."""
+    """What segments have counted of zones and windows by score: (3, ZONES, w, bins) int64."""
     workflow = context.workflow
-    counts = np.zeros((len(COUNTED), len(window), signals.SCORE_BINS), np.int64)
+    counts = np.zeros((len(COUNTED), ZONES, len(window), signals.SCORE_BINS), np.int64)
     size = quanta(workflow.rate.cell_m)
     for name, low, high in segments:
         ends = np.array([low // size, high // size - 1])
@@ -283,29 +298,28 @@ def _of_segments(
         mine = np.isin(part["window"], window)
         at = np.searchsorted(window, part["window"][mine])
         for i, kind in enumerate(COUNTED):
-            counts[i, at] += part[kind][mine]
+            counts[i][:, at] += part[kind][:, mine]
     return counts
 
 
 def _least(
     around: NDArray[np.float64],
     estimated: NDArray[np.float64],
-    share: NDArray[np.float64],
     context: Context,
 ) -> NDArray[np.int64]:
-    """Least bins of windows, for labels and for the ground: (2, w) int64."""
+    """Least bins of windows of a zone, for labels and for the ground: (2, w) int64."""
     workflow = context.workflow
     if workflow.signal.method == "mdbscan":
         return np.ones((2, len(estimated)), np.int64)
     counts, far, noise = around
     settings, profile = workflow.signal, workflow.profile
     wanted = profile.photons_factor * estimated
-    ground = signals.thresholds(counts, far, wanted, share, profile.false_share)
+    ground = signals.thresholds(counts, far, wanted, profile.false_share)
     if settings.selection == "f1":
         noise = noise / chance.SHARE_QUANTA
-        label = chance.best_thresholds(counts, noise, far, estimated, share, settings.false_share)
+        label = chance.best_thresholds(counts, noise, far, estimated, settings.false_share)
     else:
-        label = signals.thresholds(counts, far, estimated, share, settings.false_share)
+        label = signals.thresholds(counts, far, estimated, settings.false_share)
     return np.stack([label, np.minimum(ground, label)])
 
 
@@ -322,5 +336,6 @@ class Selection:
         cell = labels["along"] // quanta(settings.rate.cell_m)
         window = rates.window_of(cell, settings.rate, settings.signal.window_m)
         at = np.searchsorted(self.arrays["window"], window)
-        passed: NDArray[np.bool_] = signals.score_bins(labels["score"]) >= self.arrays[which][at]
+        least = self.arrays[which][labels["below"], at]
+        passed: NDArray[np.bool_] = signals.score_bins(labels["score"]) >= least
         return passed

@@ -49,6 +49,8 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     counts = _counts(done)
     inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
     inputs += [input_file(Path(p), "reference") for p in facts.reference]
+    parts = common_parts(context, facts, counts.points_in, inputs)
+    parts["warnings"] = (*parts["warnings"], *_warnings(done))
     report = TrackReport(
         name=context.workflow.track.name,
         method=context.workflow.signal.method,
@@ -56,12 +58,39 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
         ground=_overall(done, "ground", context),
         baseline_ground=_overall(done, "baseline_ground", context),
         beams=tuple(_beam(done, key, receipt, context) for key, receipt in delivered),
-        **common_parts(context, facts, counts.points_in, inputs),
+        **parts,
     )
     pictures = [_pictures(done, key, context) for key, _ in delivered[:MOST_BEAMS]]
     write_both(context.output, report, render(report, pictures))
     remember(done, context, facts)
     return report
+
+
+UNSEEN_SHARE: Final = 0.1
+"""Share of a track without any noise seen that a reader has to know of."""
+
+
+def _warnings(done: Receipts) -> list[str]:
+    """What a reader has to know of each beam's labels, in sentences."""
+    found = []
+    for key, delivered in done["deliver_beam"].items():
+        source, _, name = key.partition("/")
+        beam = f"{done['index_file'][source].facts['name']}: {name}"
+        rate, chosen = done["rate"][key].facts, done["select"][key].facts
+        kept, noise = (delivered.facts["labels"].get(k, 0) for k in ("1", "0"))
+        if rate["basis"] != "product" and rate["unseen"] > UNSEEN_SHARE:
+            found.append(
+                f"{beam}: no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
+                "is an upper bound"
+            )
+        if kept and not noise:
+            found.append(f"{beam}: all {kept} photons are kept as signal; nothing is told apart")
+        if noise and not kept and chosen["estimated"] >= 1.0:
+            found.append(
+                f"{beam}: no photon is kept, though the noise rate leaves {chosen['estimated']:.0f}"
+                " of signal; a larger rate.buffer_m or signal.false_share may help"
+            )
+    return found
 
 
 def _counts(done: Receipts) -> TrackCounts:

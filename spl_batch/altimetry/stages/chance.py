@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.model import Cells, Scale
-from spl_batch.altimetry.settings import RateSettings
+from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.stages.likelihood import Ratios
-from spl_batch.altimetry.stages.rate import CAP_UNITS
-from spl_batch.altimetry.stages.signal import UNIT_QUANTA, scaled
+from spl_batch.altimetry.stages.rate import CAP_UNITS, noise_at
+from spl_batch.altimetry.stages.signal import UNIT_QUANTA, counted, local_alpha, scaled, surely
 from spl_batch.tiling import quanta
 
 SHARE_QUANTA: Final = 1 << 20
@@ -60,7 +60,6 @@ def places(
     """
     mine = np.flatnonzero(owned)
     count = np.clip(cells.count[mine] // _PHOTONS_PER_PLACE, _LEAST, _MOST)
-    each = np.rint(scale.noise[mine] / count * SHARE_QUANTA).astype(np.int64)
     cell = np.repeat(mine, count)
     inside = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count)
     # Unsigned sums and products wrap around: the sequence modulo 1, to 2^-32.
@@ -70,7 +69,10 @@ def places(
     span = (cells.high - cells.low)[cell].astype(np.uint64) + np.uint64(1)
     along = cells.index[cell] * size + ((share[0] * np.uint64(size)) >> _HALF).astype(np.int64)
     height = cells.low[cell] + ((share[1] * span) >> _HALF).astype(np.int32)
-    return along, height.astype(np.int32), np.repeat(each, count)
+    height = height.astype(np.int32)
+    area = cells.gate_m[mine] * rate.cell_m / count
+    each = np.rint(noise_at(cell, height, scale) * np.repeat(area, count) * SHARE_QUANTA)
+    return along, height, each.astype(np.int64)
 
 
 def score_places(
@@ -80,6 +82,7 @@ def score_places(
     prior: NDArray[np.float64],
     rate: RateSettings,
     table: Ratios,
+    settings: SignalSettings,
 ) -> NDArray[np.float32]:
     """Mean ln P(noise) that a photon would have at each place, (p,) float32.
 
@@ -93,6 +96,8 @@ def score_places(
         As of :func:`spl_batch.altimetry.stages.signal.score`.
     table : Ratios
         Likelihoods, those that the photons are scored by.
+    settings : SignalSettings
+        Neighbours that count.
     """
     u, v, cell = scaled(*at, scale, rate)
     others = np.stack(scaled(*photons, scale, rate)[:2], axis=1)
@@ -102,18 +107,18 @@ def score_places(
         return out
     anchor = others.min(axis=0)
     tree = cKDTree((others - anchor).astype(np.float64))
-    area = np.pi * scale.alpha[cell] / UNIT_QUANTA**2
+    area = np.pi * local_alpha(cell, at[1], scale) / UNIT_QUANTA**2
     cap = float(round(CAP_UNITS * UNIT_QUANTA))
     columns = np.arange(table.within.shape[1])
-    neighbours = len(table.within)
-    wanted = np.arange(1, neighbours + 1)
+    most = counted(cell, scale, settings)
+    wanted = np.arange(1, int(most.max(initial=1)) + 1)
     for first in range(0, len(u), _BATCH):
         rows = slice(first, first + _BATCH)
         here = np.stack([u[rows], v[rows]], axis=1) - anchor
         # A list of neighbours gives two dimensions, of a single one too.
         distance = np.asarray(tree.query(here, k=wanted, distance_upper_bound=cap + 0.5)[0])
         total = np.zeros(len(here))
-        for k in range(neighbours):
+        for k in range(int(most[rows].max())):
             found = np.isfinite(distance[:, k])
             squared = np.where(found, np.maximum(distance[:, k], 1.0), cap) ** 2
             column = (np.log(squared * area[rows]) - table.first) * table.step
@@ -122,8 +127,9 @@ def score_places(
                 np.interp(column, columns, table.within[k]),
                 np.interp(column, columns, table.beyond[k]),
             )
-            total -= np.logaddexp(0.0, ratio + prior[cell[rows]])
-        out[rows] = total / neighbours
+            log_noise = np.logaddexp(0.0, ratio + prior[cell[rows]])
+            total -= np.where(k < most[rows], log_noise, 0.0)
+        out[rows] = total / most[rows]
     return out
 
 
@@ -132,7 +138,6 @@ def best_thresholds(
     noise: NDArray[np.float64],
     far: NDArray[np.float64],
     wanted: NDArray[np.float64],
-    gate_over_far: NDArray[np.float64],
     false_share: float,
 ) -> NDArray[np.int64]:
     """Least score bin that is signal, of each window: that of the largest F1 to be expected.
@@ -144,7 +149,7 @@ def best_thresholds(
     ----------
     counts, noise, far : (w, bins) float64
         Photons by score bin; noise photons expected; photons far from the surface.
-    wanted, gate_over_far, false_share
+    wanted, false_share
         As of :func:`spl_batch.altimetry.stages.signal.thresholds`.
 
     Returns
@@ -152,9 +157,8 @@ def best_thresholds(
     (w,) int64
         From 1 to the number of bins, which takes none.
     """
-    above, below, false = (
-        np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far * gate_over_far[:, None])
-    )
+    above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far))
+    false = surely(away)
     signal = np.clip(above - below, 0.0, wanted[:, None])
     gain = np.where(false <= false_share * above, 2.0 * signal, 0.0)
     gain /= np.maximum(above + wanted[:, None], 1.0)

@@ -23,17 +23,24 @@ from scipy import ndimage
 
 from spl_batch.altimetry.model import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.altimetry.stages.gate import STRETCH_CELLS, gates, stretches
+from spl_batch.altimetry.stages.water import DEPTHS, NO_WATER, REACH_CELLS, SURFACE_M, find_water
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.tiling import quanta
 
-HALO_CELLS: Final = 3
-"""Cells to each side that :func:`observe` looks at [count]: bins one, the median two."""
+HALO_CELLS: Final = STRETCH_CELLS + 2 * REACH_CELLS + 5
+"""Cells to each side that :func:`observe` looks at [count]."""
+
+NOTHING_SEEN: Final = 3.0
+"""Upper 95 % bound of what is expected where nothing is counted [count]."""
 
 CAP_UNITS: Final = 5.0
 """Farthest neighbour in the scaled plane [units]; 78 noise photons are expected nearer."""
 
 _UNIT_M: Final = (0.5, 15.0)
-_ALPHA_MIN: Final = 1e-3
+ALPHA_MIN: Final = 1e-4
+"""Least noise in a unit [1/unit2]."""
+
 _CLIP_SD: Final = 4.0
 
 
@@ -61,15 +68,16 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
     width = int(bins.max(initial=0)) - base + 1
     table = np.bincount(cell * width + (bins - base), minlength=len(index) * width)
     table = table.reshape(len(index), width)
-    low = np.full(len(index), np.iinfo(np.int32).max, np.int32)
-    high = np.full(len(index), np.iinfo(np.int32).min, np.int32)
-    np.minimum.at(low, cell, height)
-    np.maximum.at(high, cell, height)
     peak = _surface(index, table)
+    low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
+    water = find_water(index, cell, height, (low, high), settings.cell_m)
     first = -(-(low.astype(np.int64)) // bin_q) - base
     last = high.astype(np.int64) // bin_q - base
     column = np.arange(width)
     whole = (column >= first[:, None]) & (column < last[:, None])
+    # Below a water surface noise is counted by depth.
+    dry = (column > peak[:, None]) | (water.level == NO_WATER)[:, None]
+    whole = np.where((whole & dry).any(axis=1)[:, None], whole & dry, whole)
     reach = -(-quanta(settings.buffer_m) // bin_q)
     empty = np.zeros_like(whole)
     for part in (0.25, 0.5, 1.0):
@@ -86,6 +94,8 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         peak=((peak + base) * bin_q + bin_q // 2).astype(np.int32),
         empty_count=np.where(empty, table, 0).sum(1),
         empty_length=empty.sum(1) * bin_q,
+        level=water.level,
+        column=water.column,
     )
 
 
@@ -202,17 +212,25 @@ def density_from_window(cells: Cells, settings: RateSettings) -> NDArray[np.floa
     cell_m = settings.cell_m
     counts = np.concatenate([[0], np.cumsum(cells.empty_count)])
     areas = np.concatenate([[0.0], np.cumsum(cells.empty_length / QUANTA_PER_M * cell_m)])
-    reach = settings.smooth_cells
+    reach, _ = stretches(cells.index, cells.empty_count, settings.smooth_cells)
     first = np.searchsorted(cells.index, cells.index - reach)
     stop = np.searchsorted(cells.index, cells.index + reach, side="right")
     area = areas[stop] - areas[first]
     count = counts[stop] - counts[first]
     whole = areas[-1]
     overall = counts[-1] / whole if whole > 0 else 0.0
+    expected = np.where(count > 0, count, NOTHING_SEEN)
     density: NDArray[np.float64] = np.where(
-        area > 0, count / np.where(area > 0, area, 1.0), overall
+        area > 0, expected / np.where(area > 0, area, 1.0), overall
     )
     return density
+
+
+def unseen(cells: Cells, settings: RateSettings) -> float:
+    """Share of cells whose stretch shows no photon of noise at all."""
+    reach, seen = stretches(cells.index, cells.empty_count, settings.smooth_cells)
+    del reach
+    return float(np.mean(seen == 0)) if len(seen) else 0.0
 
 
 def density_from_product(
@@ -265,18 +283,77 @@ def scale(
     rate, signal : RateSettings, SignalSettings
         Cells; aspect, reach, and whether to scale at all.
     """
-    noise = density * cells.gate_m * rate.cell_m
+    noise, below = _expected(cells, density, rate)
     known = density[density > 0]
     reference = float(np.median(known)) if len(known) else 1e-6
-    unit_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
+    wet = cells.level != NO_WATER
+    aspect = np.where(wet, max(signal.aspect, signal.water_aspect), signal.aspect)
+    longest = float(aspect.max(initial=signal.aspect))
+    # No longer along the track than the reach, and as long over high as is wanted.
+    tallest = signal.reach_m / (CAP_UNITS * longest)
+    unit_m = 1.0 / np.sqrt(reference * signal.aspect)
+    unit_m = float(np.clip(unit_m, _UNIT_M[0], max(min(_UNIT_M[1], tallest), _UNIT_M[0])))
     floor = CAP_UNITS / (unit_m * signal.reach_m)
     wanted = density if signal.scaling else np.full(len(density), reference)
-    used = np.maximum(wanted, floor)
+    used = np.maximum(np.where(wet, 1.0 / (aspect * unit_m**2), wanted), floor)
     per_m = used * unit_m
-    alpha = np.maximum(wanted / used, _ALPHA_MIN)
+    alpha = np.maximum(wanted / used, ALPHA_MIN)
     gap = np.diff(cells.index, prepend=cells.index[:1]) - 1
     step = per_m * rate.cell_m
     # Beyond twice the farthest neighbour it does not matter how far.
     before = np.minimum(np.maximum(gap, 0) * rate.cell_m * floor * unit_m, 2 * CAP_UNITS)
     start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
-    return Scale(cells.index, start, per_m, alpha, noise, density, unit_m, reference)
+    # The axis of mDBSCAN knows no water.
+    dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
+    least = CAP_UNITS / (dry_m * signal.reach_m)
+    stretch = np.maximum(wanted, least) / reference
+    apart = np.minimum(
+        np.maximum(gap, 0) * rate.cell_m * least / reference, 2 * CAP_UNITS / (reference * dry_m)
+    )
+    lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
+    stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
+    return Scale(
+        cells.index, start, per_m, alpha, noise, below, density, cells.level, cells.column,
+        stretch, stretched_m, unit_m, reference,
+    )  # fmt: skip
+
+
+def _expected(
+    cells: Cells, density: NDArray[np.float64], rate: RateSettings
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise photons expected in each cell, and those below a water surface: (n,) float64."""
+    wet = cells.level != NO_WATER
+    surface = np.where(wet, cells.level, cells.low).astype(np.int64)
+    surface = surface - np.where(wet, round(SURFACE_M * QUANTA_PER_M), 0)
+    above = np.clip(cells.high - surface, 0, None) / QUANTA_PER_M
+    gate_m = np.maximum(surface - cells.low, 0) / QUANTA_PER_M
+    length = np.clip(gate_m[:, None] - np.arange(DEPTHS), 0.0, 1.0)
+    length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
+    below = (cells.column * length).sum(axis=1)
+    below = np.where(wet, below, 0.0) * rate.cell_m
+    return density * above * rate.cell_m + below, below
+
+
+def below_surface(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.bool_]:
+    """Photons below a water surface and its waves, (n,) bool."""
+    level = scale.level[cell].astype(np.int64)
+    below: NDArray[np.bool_] = (level != NO_WATER) & (
+        level - height > round(SURFACE_M * QUANTA_PER_M)
+    )
+    return below
+
+
+def noise_at(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.float64]:
+    """Noise density where photons are, (n,) float64 [1/m2]: by depth below a water surface."""
+    level = scale.level[cell].astype(np.int64)
+    depth = level - height - round(SURFACE_M * QUANTA_PER_M)
+    wet = (level != NO_WATER) & (depth >= -2 * round(SURFACE_M * QUANTA_PER_M))
+    row = np.clip(depth // QUANTA_PER_M, 0, DEPTHS - 1)
+    found: NDArray[np.float64] = np.where(
+        wet, scale.column[cell, np.where(wet, row, 0)], scale.density[cell]
+    )
+    return found

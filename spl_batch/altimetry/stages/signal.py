@@ -15,17 +15,19 @@ Deviations from the source, with reasons:
   read off the same scores, in the part of the gate that is far from the surface.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.kernels.posterior import noise_posterior
 from spl_batch.altimetry.model import Cells, Scale
 from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
 from spl_batch.altimetry.stages.likelihood import ratios
-from spl_batch.altimetry.stages.rate import CAP_UNITS, of_window
+from spl_batch.altimetry.stages.rate import ALPHA_MIN, CAP_UNITS, below_surface, noise_at, of_window
+from spl_batch.altimetry.stages.water import NO_WATER
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.tiling import quanta
 
@@ -33,6 +35,9 @@ UNIT_QUANTA: Final = 4096
 """Lattice of the scaled plane [quanta per unit]."""
 
 SCORE_BINS: Final = 1600
+CONFIDENCE: Final = 0.5
+"""Chance that as many far photons, or more, are seen by what is called their mean."""
+
 _BINS_PER_LN: Final = 100.0
 _LN_FIRST: Final = -10.0
 _NOISE_SHARE: Final = (0.01, 0.999)
@@ -64,7 +69,31 @@ def scaled(
     inside_m = (along - scale.index[cell] * size) / QUANTA_PER_M
     u = np.rint((scale.start[cell] + inside_m * scale.per_m[cell]) * UNIT_QUANTA)
     v = np.rint(height * (UNIT_QUANTA / (QUANTA_PER_M * scale.unit_m)))
+    # A surface lends no photons to what lies below it: that is set off by the farthest neighbour.
+    v -= below_surface(cell, height, scale) * np.ceil((CAP_UNITS + 1.0) * UNIT_QUANTA)
     return u.astype(np.int64), v.astype(np.int64), cell
+
+
+def local_alpha(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.float64]:
+    """Noise photons per square unit of the scaled plane where photons are, (n,) float64."""
+    if not (scale.level != NO_WATER).any():
+        return scale.alpha[cell]
+    own = noise_at(cell, height, scale) * scale.unit_m / scale.per_m[cell]
+    found: NDArray[np.float64] = np.where(
+        scale.level[cell] != NO_WATER, np.maximum(own, ALPHA_MIN), scale.alpha[cell]
+    )
+    return found
+
+
+def counted(cell: NDArray[np.intp], scale: Scale, settings: SignalSettings) -> NDArray[np.int64]:
+    """Neighbours that count, of photons by the row of their cell: (n,) int64."""
+    fewer = min(settings.water_neighbours, settings.neighbours)
+    number: NDArray[np.int64] = np.where(
+        scale.level[cell] != NO_WATER, fewer, settings.neighbours
+    ).astype(np.int64)
+    return number
 
 
 def most_cells(scale: Scale, rate: RateSettings) -> int:
@@ -121,11 +150,12 @@ def score(
         uv,
         query,
         round(CAP_UNITS * UNIT_QUANTA),
-        np.pi * scale.alpha[cell] / UNIT_QUANTA**2,
+        np.pi * local_alpha(cell, height, scale) / UNIT_QUANTA**2,
         prior[cell],
         table.within,
         table.beyond,
         (table.first, table.step),
+        counted(cell, scale, settings),
     )
     return result.astype(np.float32)
 
@@ -141,7 +171,6 @@ def thresholds(
     counts: NDArray[np.int64],
     far: NDArray[np.int64],
     wanted: NDArray[np.float64],
-    gate_over_far: NDArray[np.float64],
     false_share: float,
 ) -> NDArray[np.int64]:
     """Least score bin that is signal, of each window.
@@ -152,10 +181,8 @@ def thresholds(
         Photons by score bin, and those of them far from the surface.
     wanted : (w,) float64
         n_s, signal photons estimated [count].
-    gate_over_far : (w,) float64
-        Area of the gate over that of its part far from the surface.
     false_share : float
-        Most that noise may contribute, wherever it lies.
+        Most that noise far from the surface may contribute.
 
     Returns
     -------
@@ -163,12 +190,23 @@ def thresholds(
         From 1 to the number of bins, which takes none.
     """
     above = np.cumsum(counts[:, ::-1], axis=1)
-    false = np.cumsum(far[:, ::-1], axis=1) * gate_over_far[:, None]
+    false = surely(np.cumsum(far[:, ::-1], axis=1))
     fine = (above <= np.maximum(wanted, 0.0)[:, None]) & (false <= false_share * above)
     # The widest choice that is fine; a count below it may not be, by chance, and need not.
     taken = np.where(fine.any(1), fine.shape[1] - np.argmax(fine[:, ::-1], axis=1), 0)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
     return least
+
+
+def surely(count: NDArray[Any]) -> NDArray[np.float64]:
+    """Mean at which a Poisson count or more is as likely as not, of the shape of ``count``.
+
+    A single stray photon far up tells next to nothing of how much noise passes.
+    """
+    bound: NDArray[np.float64] = np.where(
+        count > 0, special.gammaincinv(np.maximum(count, 1), 1.0 - CONFIDENCE), 0.0
+    )
+    return bound
 
 
 def mean_density(
@@ -178,11 +216,7 @@ def mean_density(
 
     On the scaled axis a cell is longer by its noise rate over the reference.
     """
-    stretch = (
-        scale.per_m / (scale.reference * scale.unit_m)
-        if settings.mdbscan.scaled
-        else np.ones(len(scale.index))
-    )
+    stretch = scale.stretch if settings.mdbscan.scaled else np.ones(len(scale.index))
     area = cells.gate_m * rate.cell_m * stretch
     counted = np.stack([cells.count.astype(np.float64), area])
     at, sums = of_window(scale.index, counted, rate, settings.window_m)
@@ -211,9 +245,11 @@ def mdbscan(
     rate, settings : RateSettings, BaselineSettings
         Cells; the ellipse and the factor.
     """
-    u, _, cell = scaled(along, height, scale, rate)
-    to_m = 1.0 / (UNIT_QUANTA * scale.reference * scale.unit_m)
-    s_m = u * to_m if settings.scaled else along / QUANTA_PER_M
+    size = quanta(rate.cell_m)
+    cell = np.searchsorted(scale.index, along // size)
+    inside_m = (along - scale.index[cell] * size) / QUANTA_PER_M
+    stretched_m = scale.stretched_m[cell] + inside_m * scale.stretch[cell]
+    s_m = stretched_m if settings.scaled else along / QUANTA_PER_M
     plane = np.stack([s_m / settings.along_m, height / QUANTA_PER_M / settings.height_m], axis=1)
     if not len(plane):
         return np.zeros(0, np.bool_)
@@ -229,7 +265,6 @@ def mdbscan(
 
 def baseline_reach_m(scale: Scale, settings: BaselineSettings) -> float:
     """Along-track distance beyond which no photon matters to mDBSCAN [m]."""
-    if not settings.scaled or not len(scale.per_m):
+    if not settings.scaled or not len(scale.stretch):
         return 2.0 * settings.along_m
-    slowest = float(scale.per_m.min()) / (scale.reference * scale.unit_m)
-    return 2.0 * settings.along_m / slowest
+    return 2.0 * settings.along_m / float(scale.stretch.min())
