@@ -45,7 +45,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
     {
         IMAGING: Home(
             "spl_batch.workflow:Workflow",
-            "spl_batch.runner:KINDS",
+            "spl_batch.runner.chain:KINDS",
             "spl_batch.api.imaging:RECEIVER",
             "spl_batch.report.model:Report",
             "spl_batch.simulate:simulate_file",

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from spl_batch import runner
+from spl_batch.runner import chain
 from spl_batch.runner.context import Context, Produced
 
 VARIABLE = "SPL_BATCH_TEST_FAULTS"
@@ -29,9 +29,9 @@ PIECE_BYTES = 32 << 20
 def dask_setup(_worker: object) -> None:
     """Put the faults around every kind of task."""
     plan = Path(os.environ[VARIABLE])
-    runner.KINDS = {  # type: ignore[misc]
+    chain.KINDS = {  # type: ignore[misc]
         kind: dataclasses.replace(entry, function=_faulty(kind, entry.loaded(), plan))
-        for kind, entry in runner.KINDS.items()
+        for kind, entry in chain.KINDS.items()
     }
 
 

@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any, Final
 
 from spl_batch.api.tilemap import TileMap
-from spl_batch.runner import STAGES
+from spl_batch.runner.chain import STAGES
 
 TRUSTED_SHARE: Final = 0.2
 """Share of a stage's points from which on the time left follows from its own speed alone."""
