@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from spl_batch.runner import chain
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
+from spl_batch.runner.survey_context import Context
 
 VARIABLE = "SPL_BATCH_TEST_FAULTS"
 """Environment variable that names the plan file."""

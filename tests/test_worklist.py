@@ -23,8 +23,8 @@ from spl_batch.plan.places import build
 from spl_batch.plan.shelf import Shelf
 from spl_batch.plan.survey import Survey
 from spl_batch.plan.worklist import SORTED, Worklist
-from spl_batch.runner.context import Context
 from spl_batch.runner.remember import RunFacts, StageCost, performance
+from spl_batch.runner.survey_context import Context
 from spl_batch.task import Receipt, Task
 from spl_batch.tiling import CellId
 from spl_batch.workflow import parse_workflow

@@ -17,7 +17,7 @@ from spl_batch.plan.memory import enough_mib, stretch_bytes
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, timeless_sources
 from spl_batch.plan.worklist import Worklist
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 from spl_batch.stages.geometry import Ahead
 from spl_batch.task import Receipt
 

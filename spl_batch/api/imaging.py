@@ -40,8 +40,8 @@ from spl_batch.products import NAMES, PRODUCTS
 from spl_batch.report.model import Report
 from spl_batch.report.summary import screen_summary
 from spl_batch.runner import code_version
-from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts, RunFacts
+from spl_batch.runner.survey_context import Context
 from spl_batch.settings import BaseWorkflow
 from spl_batch.stages.line_noise import RAISE_INTERVAL
 from spl_batch.task import Receipt, Task

@@ -17,8 +17,8 @@ from spl_batch.plan.layout import CORE_COST
 from spl_batch.plan.memory import Need, halo_m, needs
 from spl_batch.plan.survey import Survey
 from spl_batch.products import PRODUCTS
-from spl_batch.runner.context import Context
 from spl_batch.runner.index import parts_of
+from spl_batch.runner.survey_context import Context
 from spl_batch.tiling import Bounds
 from spl_batch.workflow import Workflow
 

@@ -11,8 +11,8 @@ from spl_batch.constants import NODATA
 from spl_batch.io.polygons import contains, read_polygons
 from spl_batch.model import PointTable
 from spl_batch.report.model import Density
-from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts
+from spl_batch.runner.survey_context import Context
 from spl_batch.stages.footprint import SQUARE_M2, footprint
 from spl_batch.tiling import Bounds
 

@@ -27,7 +27,6 @@ from spl_batch.report.pictures import PictureInputs, make_pictures
 from spl_batch.report.summary import mostly_unfiltered
 from spl_batch.report.write import write_report
 from spl_batch.runner.accuracy import Comparison, compared, not_compared
-from spl_batch.runner.context import Context
 from spl_batch.runner.coverage import area_km2, density
 from spl_batch.runner.pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.runner.profile import cut_profile
@@ -39,6 +38,7 @@ from spl_batch.runner.remember import (
     provenance,
     remember,
 )
+from spl_batch.runner.survey_context import Context
 from spl_batch.settings import FilterSettings
 from spl_batch.stages.kept_noise import PARTS
 from spl_batch.workflow import Workflow
