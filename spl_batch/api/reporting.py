@@ -13,7 +13,7 @@ from spl_batch.report.model import Failure
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import RunFacts, StageCost, recall
 from spl_batch.settings.mistaken import no_output
-from spl_batch.workflow import parse_any
+from spl_batch.workflow_file import parse_any
 
 
 def report(output: Path | str) -> RunResult:

@@ -11,7 +11,7 @@ from spl_batch.api.synthetic import mark_quickstart, quickstarted, simulating
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import IMAGING, simulator
 from spl_batch.settings.mistaken import is_workflow
-from spl_batch.workflow import known_kind, read_mapping
+from spl_batch.workflow_file import known_kind, read_mapping
 
 
 def simulate(
