@@ -23,7 +23,7 @@ from spl_batch.plan.inputs import (
     stem_names,
 )
 from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.runner.unchanged import stamp
 from spl_batch.task import Task
 from spl_batch.tiling import quanta

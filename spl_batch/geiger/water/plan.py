@@ -22,7 +22,7 @@ from spl_batch.plan.inputs import (
     stem_names,
 )
 from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Task
