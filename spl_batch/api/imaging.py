@@ -31,9 +31,10 @@ from spl_batch.plan.blocks import (
 )
 from spl_batch.plan.cost import SurveyCost, estimate
 from spl_batch.plan.first_look import first_look
+from spl_batch.plan.halo import surface_reach_m
 from spl_batch.plan.inputs import gather_inputs
 from spl_batch.plan.ledger import Phase
-from spl_batch.plan.memory import REMEDIES, surface_reach_m
+from spl_batch.plan.memory import REMEDIES
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, mosaic_parts
 from spl_batch.products import NAMES, PRODUCTS

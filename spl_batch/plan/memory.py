@@ -14,10 +14,10 @@ from spl_batch.errors import grouped
 from spl_batch.io.trajectory_merge import WAITING_RECORDS
 from spl_batch.plan.density import Box, Peak, Piece, largest
 from spl_batch.plan.ground_cells import GroundCells
+from spl_batch.plan.halo import halo_m, surface_reach_m
 from spl_batch.plan.worker_memory import USABLE_SHARE, WORKER_BASE_BYTES, enough_mib, usable_bytes
 from spl_batch.runner.delivery import PASS_POINTS
 from spl_batch.runner.index import CHUNK_POINTS
-from spl_batch.stages import denoise, reflectance, surface
 from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow
 
@@ -105,16 +105,6 @@ def stretch_points(limit: int) -> int:
     while points > LEAST_STRETCH_POINTS and UNEVEN * points > points_within("scatter", limit):
         points //= 2
     return points
-
-
-def halo_m(workflow: Workflow) -> float:
-    """Halo of a denoise block: the sum of the reaches of the filter's steps [m]."""
-    return denoise.reach_m(workflow.filter)
-
-
-def surface_reach_m(workflow: Workflow) -> float:
-    """Margin that a ground cell's rasters read [m]."""
-    return max(surface.reach_m(workflow.products), reflectance.reach_m(workflow.products))
 
 
 def needs(
