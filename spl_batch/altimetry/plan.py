@@ -14,7 +14,7 @@ from spl_batch.altimetry.runner.delivery import PASS_PHOTONS
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.errors import InputError, Said, WorkflowError, shared
 from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.inputs import (
+from spl_batch.plan.input_files import (
     check_keys,
     expand,
     name_below,

@@ -13,7 +13,7 @@ from spl_batch.geiger.water.io import PIECE_VALUES, FrameFacts, inspect_frames
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.io.crs import projected_crs
 from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.inputs import (
+from spl_batch.plan.input_files import (
     check_keys,
     expand,
     name_below,
