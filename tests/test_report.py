@@ -17,18 +17,8 @@ from pydantic import ValidationError
 from spl_batch.accuracy.summary import USGS_LEVELS
 from spl_batch.report import format as text
 from spl_batch.report.html import render
-from spl_batch.report.model import (
-    Accuracy,
-    Counts,
-    Number,
-    Parameters,
-    Part,
-    Provenance,
-    Report,
-    Statistics,
-    Survey,
-    finite_or_none,
-)
+from spl_batch.report.model import Accuracy, Counts, Report, Survey
+from spl_batch.report.parts import Number, Parameters, Part, Provenance, Statistics, finite_or_none
 from spl_batch.report.schema import schemas
 from spl_batch.report.summary import (
     USGS_LIMITS,

@@ -8,8 +8,8 @@ from pydantic import Field
 
 from spl_batch.io.atomic import write_bytes
 from spl_batch.report import style
-from spl_batch.report.model import Count, Number, Part
 from spl_batch.report.page import environment
+from spl_batch.report.parts import Count, Number, Part
 from spl_batch.report.pictures import Picture
 from spl_batch.report.plots import Profile, draw_methods
 

@@ -14,8 +14,8 @@ from typing import Any, Final, Protocol
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from spl_batch.report import format as text
-from spl_batch.report.model import Failure, Performance, Provenance, StagePerformance
 from spl_batch.report.parameters import changed, without
+from spl_batch.report.parts import Failure, Performance, Provenance, StagePerformance
 from spl_batch.report.summary import Verdict
 
 LONGEST_TABLE: Final = 200

@@ -18,7 +18,8 @@ from spl_batch.report import style
 from spl_batch.report.format import centimetres
 from spl_batch.report.locator import Extent, draw_locator
 from spl_batch.report.maps import Raster, draw_ramp, draw_relief, nice, reduce_raster, spread
-from spl_batch.report.model import Report, Statistics
+from spl_batch.report.model import Report
+from spl_batch.report.parts import Statistics
 from spl_batch.report.plots import Profile, draw_histogram, draw_profile
 from spl_batch.report.summary import photon_counting, terrain_statistics
 

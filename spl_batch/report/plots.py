@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import CLASS_GROUND, NOISE_AFTERPULSE, NOISE_BACKGROUND
 from spl_batch.report import style
 from spl_batch.report.format import centimetres
-from spl_batch.report.model import Statistics
+from spl_batch.report.parts import Statistics
 
 WIDTH_IN: Final = 10.5
 MOST_POINTS: Final = 250_000

@@ -14,7 +14,8 @@ from spl_batch.report.format import (
     significant,
     surface_name,
 )
-from spl_batch.report.model import Counts, Failure, Performance, Report, Statistics
+from spl_batch.report.model import Counts, Report
+from spl_batch.report.parts import Failure, Performance, Statistics
 
 Tone = Literal["good", "attention", "bad", "neutral"]
 

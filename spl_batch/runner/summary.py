@@ -11,18 +11,8 @@ from spl_batch.errors import Said, grouped, shared
 from spl_batch.io.raster_parts import Part, read_overview
 from spl_batch.report.format import as_ascii
 from spl_batch.report.maps import Raster
-from spl_batch.report.model import (
-    Accuracy,
-    Basis,
-    Counts,
-    Flightline,
-    InputFile,
-    Noise,
-    Provenance,
-    Report,
-    Statistics,
-    Survey,
-)
+from spl_batch.report.model import Accuracy, Basis, Counts, Flightline, Noise, Report, Survey
+from spl_batch.report.parts import InputFile, Provenance, Statistics
 from spl_batch.report.pictures import PictureInputs, make_pictures
 from spl_batch.report.summary import mostly_unfiltered
 from spl_batch.report.write import write_report
