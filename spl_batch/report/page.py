@@ -16,7 +16,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from spl_batch.report import format as text
 from spl_batch.report.parameters import changed, without
 from spl_batch.report.parts import Failure, Performance, Provenance, StagePerformance
-from spl_batch.report.summary import Verdict
+from spl_batch.report.verdict import Verdict
 
 LONGEST_TABLE: Final = 200
 """More rows than this are in ``report.json`` only: a page is for reading."""

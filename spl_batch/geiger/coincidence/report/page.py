@@ -14,7 +14,7 @@ from spl_batch.report.maps import Raster, draw_ramp, draw_relief, reduce_raster,
 from spl_batch.report.page import Front, render_page
 from spl_batch.report.pictures import Picture
 from spl_batch.report.plots import WIDTH_IN
-from spl_batch.report.summary import Verdict, failure_verdict
+from spl_batch.report.verdict import Verdict, failure_verdict
 
 SECTIONS: Final = (("points", "Points"),)
 _PACKAGE: Final = "spl_batch.geiger.coincidence.report"
