@@ -10,7 +10,7 @@ from spl_batch.io.atomic import write_bytes
 from spl_batch.report import style
 from spl_batch.report.page import environment
 from spl_batch.report.parts import Count, Number, Part
-from spl_batch.report.pictures import Picture
+from spl_batch.report.picture import Picture
 from spl_batch.report.plots import Profile, draw_methods
 
 

@@ -7,7 +7,7 @@ from typing import Final
 from spl_batch.report import format as text
 from spl_batch.report.model import Counts, Report, Survey
 from spl_batch.report.page import Front, render_page
-from spl_batch.report.pictures import Picture
+from spl_batch.report.picture import Picture
 from spl_batch.report.summary import noise_removed, photon_counting, terrain_statistics, verdicts
 from spl_batch.report.verdict import speed_remark
 

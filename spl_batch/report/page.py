@@ -91,7 +91,7 @@ def render_page(
         Package that the template lies in.
     **more
         What the template needs beside it; ``pictures``, a mapping of str to
-        :class:`~spl_batch.report.pictures.Picture`, is always among it.
+        :class:`~spl_batch.report.picture.Picture`, is always among it.
 
     Returns
     -------

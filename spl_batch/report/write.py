@@ -11,7 +11,7 @@ from spl_batch.io.atomic import write_bytes
 from spl_batch.report.model import Report
 
 if TYPE_CHECKING:  # matplotlib is loaded only where one draws
-    from spl_batch.report.pictures import Picture
+    from spl_batch.report.picture import Picture
 
 
 def report_json(report: BaseModel) -> str:

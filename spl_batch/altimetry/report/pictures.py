@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from spl_batch.report import style
-from spl_batch.report.pictures import Picture
+from spl_batch.report.picture import Picture
 from spl_batch.report.plots import WIDTH_IN
 
 MOST_PHOTONS: Final = 120_000

@@ -17,7 +17,7 @@ from spl_batch.altimetry.runner.photons import Selection, read_rate
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.io.tables import read_arrays, read_columns, read_groups, reading
 from spl_batch.report.parts import Statistics
-from spl_batch.report.pictures import Picture
+from spl_batch.report.picture import Picture
 from spl_batch.report.write import write_both
 from spl_batch.runner.remember import (
     Receipts,

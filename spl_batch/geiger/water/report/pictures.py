@@ -10,7 +10,7 @@ from spl_batch.report import style
 from spl_batch.report.format import metres
 from spl_batch.report.maps import WIDTH_IN as MAP_WIDTH_IN
 from spl_batch.report.maps import Raster, draw_ramp, spread
-from spl_batch.report.pictures import Picture
+from spl_batch.report.picture import Picture
 from spl_batch.report.plots import WIDTH_IN
 
 Floats = NDArray[np.float64]
