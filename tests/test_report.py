@@ -27,7 +27,8 @@ from spl_batch.report.summary import (
     terrain_statistics,
     verdicts,
 )
-from spl_batch.report.write import read_report, report_json
+from spl_batch.report.survey_files import read_report
+from spl_batch.report.write import report_json
 from tests.report_data import make_failures, make_report
 
 NARROW = text.THIN

@@ -19,7 +19,7 @@ from spl_batch.report.model import Accuracy, Counts, Noise, Report, Survey
 from spl_batch.report.parts import Performance, Statistics
 from spl_batch.report.picture import Picture
 from spl_batch.report.pictures import PictureInputs, Profile, Raster, make_pictures
-from spl_batch.report.write import write_report
+from spl_batch.report.survey_files import write_report
 from tests.report_data import EXTENT, make_failures, make_inputs, make_profile, make_report
 
 KEYS = (
