@@ -21,7 +21,7 @@ class Home:
     Parameters
     ----------
     workflow : str
-        Model of its workflow file, a :class:`~spl_batch.settings.BaseWorkflow`.
+        Model of its workflow file, a :class:`~spl_batch.settings.base.BaseWorkflow`.
     kinds : str
         What its tasks do: a mapping of :class:`~spl_batch.runner.Kind`.
     receiver : str

@@ -17,7 +17,6 @@ from spl_batch.sensor import Sensor, load_preset
 from spl_batch.settings import (
     AcquisitionSettings,
     AfterpulseSettings,
-    BaseWorkflow,
     FilterSettings,
     GroundSettings,
     NoiseSettings,
@@ -28,6 +27,7 @@ from spl_batch.settings import (
     TilingSettings,
     WireSettings,
 )
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.workflow_file import parse_any, workflow_content
 
 

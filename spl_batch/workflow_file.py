@@ -9,9 +9,7 @@ import yaml
 
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
-from spl_batch.settings import (
-    BaseWorkflow,
-)
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.settings.faults import validated
 from spl_batch.settings.mistaken import called, is_scene
 

@@ -49,7 +49,7 @@ _HOMES = {
     "PlanSummary": "planning",
     "plan": "planning",
     "report": "reporting",
-    "quickstart": "simulation",
+    "quickstart": "first_survey",
     "simulate": "simulation",
 }
 

@@ -43,7 +43,7 @@ from spl_batch.report.summary import screen_summary
 from spl_batch.runner import code_version
 from spl_batch.runner.remember import Receipts, RunFacts
 from spl_batch.runner.survey_context import Context
-from spl_batch.settings import BaseWorkflow
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.stages.line_noise import RAISE_INTERVAL
 from spl_batch.task import Receipt, Task
 from spl_batch.tiling import quanta

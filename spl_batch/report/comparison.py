@@ -72,7 +72,7 @@ def write_comparison(
     """
     content = json.dumps(report.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     pictures = [_picture(*shown) for shown in profiles]
-    template = environment().get_template("compare.html.j2")
+    template = environment(__package__).get_template("compare.html.j2")
     page = template.render(report=report, pictures=pictures, cards=report.methods)
     write_bytes(out / "compare.json", content.encode())
     write_bytes(out / "compare.html", page.encode())

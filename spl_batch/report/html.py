@@ -89,6 +89,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
             cards=tuple(_cards(report)),
             unused=() if photons else PHOTON_KEYS,
         ),
+        package=__package__,
         pictures=pictures,
         photons=photons,
         pieces=_shown_pieces(pictures),

@@ -21,7 +21,7 @@ from spl_batch.report.verdict import Verdict
 LONGEST_TABLE: Final = 200
 """More rows than this are in ``report.json`` only: a page is for reading."""
 
-HOME: Final = "spl_batch.report"
+HOME: Final = __package__
 """Package of the templates that all reports share."""
 
 

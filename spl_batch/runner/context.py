@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 from pyproj import CRS
 
 from spl_batch.io.store import Store
-from spl_batch.settings import BaseWorkflow
+from spl_batch.settings.base import BaseWorkflow
 
 W = TypeVar("W", bound=BaseWorkflow)
 

@@ -17,7 +17,7 @@ from spl_batch.report.pictures import PictureInputs, make_pictures
 from spl_batch.report.summary import mostly_unfiltered
 from spl_batch.report.survey_files import write_report
 from spl_batch.runner.accuracy import Comparison, compared, not_compared
-from spl_batch.runner.coverage import area_km2, density
+from spl_batch.runner.coverage_summary import area_km2, density
 from spl_batch.runner.pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.runner.profile import cut_profile
 from spl_batch.runner.remember import (

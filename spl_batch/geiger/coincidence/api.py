@@ -18,7 +18,7 @@ from spl_batch.report.verdict import ending_rows
 from spl_batch.runner import code_version
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
-from spl_batch.settings import BaseWorkflow
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.task import Receipt, Task
 
 
