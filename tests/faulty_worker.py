@@ -6,6 +6,7 @@ given to do in a file beside the plan.
 """
 
 import dataclasses
+import functools
 import json
 import os
 import signal
@@ -45,6 +46,7 @@ def place(args: Mapping[str, Any]) -> str:
 def _faulty(
     kind: str, function: Callable[..., Produced], plan: Path
 ) -> Callable[[Mapping[str, Any], Context], Produced]:
+    @functools.wraps(function)
     def perhaps(args: Mapping[str, Any], context: Context) -> Produced:
         name = place(args)
         with (plan.parent / "tries.jsonl").open("a") as stream:
