@@ -32,7 +32,7 @@ from spl_batch.io.tables import read_columns
 from spl_batch.kernels.kdtree import build
 from spl_batch.plan import places
 from spl_batch.runner import space_domain
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 from spl_batch.task import Task
 
 STEPS: Final = {

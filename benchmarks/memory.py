@@ -46,7 +46,7 @@ from spl_batch.io.sbet import BLOCK_RECORDS, SBET_RECORD
 from spl_batch.io.store import Store, read_receipts
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.runner import space_domain
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import Scene
 from spl_batch.task import Receipt, Task

@@ -21,8 +21,8 @@ from spl_batch.api.comparison import PUBLISHED_FILTER, PUBLISHED_NOISE
 from spl_batch.io.links import share_finished
 from spl_batch.io.store import Store
 from spl_batch.io.tables import read_columns
-from spl_batch.plan.inputs import source_key
-from spl_batch.runner import KINDS as TASK_KINDS
+from spl_batch.plan.input_files import source_key
+from spl_batch.runner.chain import KINDS as TASK_KINDS
 from spl_batch.settings import FilterSettings
 from spl_batch.simulate import simulate
 from spl_batch.simulate.scene import Scene

@@ -31,7 +31,7 @@ from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey
 from spl_batch.plan.worklist import Worklist
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 from spl_batch.task import Receipt, Task
 from spl_batch.workflow import parse_workflow
 

@@ -47,9 +47,12 @@ def called(workflow: Path) -> dict[str, list[str]]:
 
     def heard(kernel: Any, *args: Any, **named: Any) -> Any:
         result = first_call(kernel, *args, **named)
-        module, _, last = kernel.py_func.__module__.rpartition(".")
-        if module == "spl_batch.kernels":
-            name = f"{last}.{kernel.py_func.__name__}"
+        module = kernel.py_func.__module__
+        home = sys.modules.get(module)
+        if isinstance(getattr(home, kernel.py_func.__name__, None), Dispatcher) and (
+            module.startswith("spl_batch.")
+        ):
+            name = f"{module}:{kernel.py_func.__name__}"
             types = "; ".join(str(kernel.typeof_pyval(arg)) for arg in args)
             found.setdefault(name, set()).add(types)
         return result

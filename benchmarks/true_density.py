@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.kernels.sim_scan import rotations
+from spl_batch.kernels.attitude import rotations
 from spl_batch.kernels.sim_shots import Optics, beam_direction
 from spl_batch.simulate.budget import make_optics, solve_noise
 from spl_batch.simulate.flight import CHUNK_S, GATE_S, chunks, gate_centres, make_passes

@@ -21,7 +21,7 @@ class Home:
     Parameters
     ----------
     workflow : str
-        Model of its workflow file, a :class:`~spl_batch.settings.BaseWorkflow`.
+        Model of its workflow file, a :class:`~spl_batch.settings.base.BaseWorkflow`.
     kinds : str
         What its tasks do: a mapping of :class:`~spl_batch.runner.Kind`.
     receiver : str
@@ -45,7 +45,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
     {
         IMAGING: Home(
             "spl_batch.workflow:Workflow",
-            "spl_batch.runner:KINDS",
+            "spl_batch.runner.chain:KINDS",
             "spl_batch.api.imaging:RECEIVER",
             "spl_batch.report.model:Report",
             "spl_batch.simulate:simulate_file",

@@ -6,6 +6,7 @@ given to do in a file beside the plan.
 """
 
 import dataclasses
+import functools
 import json
 import os
 import signal
@@ -16,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from spl_batch import runner
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner import chain
+from spl_batch.runner.context import Produced
+from spl_batch.runner.survey_context import Context
 
 VARIABLE = "SPL_BATCH_TEST_FAULTS"
 """Environment variable that names the plan file."""
@@ -29,9 +31,9 @@ PIECE_BYTES = 32 << 20
 def dask_setup(_worker: object) -> None:
     """Put the faults around every kind of task."""
     plan = Path(os.environ[VARIABLE])
-    runner.KINDS = {  # type: ignore[misc]
+    chain.KINDS = {  # type: ignore[misc]
         kind: dataclasses.replace(entry, function=_faulty(kind, entry.loaded(), plan))
-        for kind, entry in runner.KINDS.items()
+        for kind, entry in chain.KINDS.items()
     }
 
 
@@ -44,6 +46,7 @@ def place(args: Mapping[str, Any]) -> str:
 def _faulty(
     kind: str, function: Callable[..., Produced], plan: Path
 ) -> Callable[[Mapping[str, Any], Context], Produced]:
+    @functools.wraps(function)
     def perhaps(args: Mapping[str, Any], context: Context) -> Produced:
         name = place(args)
         with (plan.parent / "tries.jsonl").open("a") as stream:

@@ -6,20 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.report.model import (
-    Accuracy,
-    Counts,
-    Density,
+from spl_batch.report.model import Accuracy, Counts, Density, Flightline, Noise, Report, Survey
+from spl_batch.report.parts import (
     Failure,
-    Flightline,
     InputFile,
-    Noise,
     Performance,
     Provenance,
-    Report,
     StagePerformance,
     Statistics,
-    Survey,
 )
 from spl_batch.report.pictures import PictureInputs, Profile, Raster
 

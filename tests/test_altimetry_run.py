@@ -19,7 +19,7 @@ from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.simulate import SceneFile, simulate_file
 from spl_batch.altimetry.stages.signal import score_bins
 from spl_batch.errors import WorkflowError
-from spl_batch.workflow import parse_any
+from spl_batch.workflow_file import parse_any
 from tests import surveys
 from tests.tracks import (
     labels,

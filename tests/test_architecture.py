@@ -23,7 +23,7 @@ STOREYS: list[set[str]] = [
     {"model", "task", "products"},
     {
         *{"workflow", "settings", "sensor", "sensors", "constants", "errors", "order"},
-        *{"receivers", "imports", "numerics", "__init__"},
+        *{"receivers", "workflow_file", "imports", "numerics", "__init__"},
     },
 ]
 """Modules by storey, the top one first; a module may import its own storey and below."""

@@ -13,7 +13,7 @@ import shapely
 
 from spl_batch import api
 from spl_batch.errors import grouped
-from spl_batch.plan.inputs import source_key
+from spl_batch.plan.input_files import source_key
 from spl_batch.simulate.files import write_polygons
 from tests import surveys
 from tests.io_files import patch

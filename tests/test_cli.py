@@ -16,7 +16,7 @@ import spl_batch
 from spl_batch.cli import _STAGES, cli, live, main
 from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError, storage
 from spl_batch.graph import cluster
-from spl_batch.runner import STAGES
+from spl_batch.runner.chain import STAGES
 from tests import surveys
 
 COMMANDS = sorted(cli.commands)

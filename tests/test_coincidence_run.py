@@ -25,7 +25,7 @@ from spl_batch.geiger.coincidence.settings import (
 )
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings
 from spl_batch.tiling import Bounds
-from spl_batch.workflow import parse_any
+from spl_batch.workflow_file import parse_any
 from tests.coincidence_scene import SMALL, flown
 from tests.workflow_files import differing, unshown
 

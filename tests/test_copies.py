@@ -8,7 +8,7 @@ import pytest
 
 from spl_batch.api.events import Event, Note
 from spl_batch.errors import grouped
-from spl_batch.plan.inputs import source_key
+from spl_batch.plan.input_files import source_key
 from tests import surveys
 
 

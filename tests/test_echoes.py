@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.kernels.planes_behind import behind_plane
 from spl_batch.kernels.surroundings import UNIT, columns, weigh_around
 from spl_batch.model import PointFlag, PointTable, canonical_order
-from spl_batch.runner import KINDS
+from spl_batch.runner.chain import KINDS
 from spl_batch.settings import AfterpulseSettings
 from spl_batch.stages import echoes, foliage
 from tests.test_denoise import as_table

@@ -7,7 +7,7 @@ import pytest
 
 from spl_batch import api
 from spl_batch.io.store import Store, read_receipts
-from spl_batch.runner import KINDS
+from spl_batch.runner.chain import KINDS
 from tests import surveys
 
 LIMIT_MIB = 900

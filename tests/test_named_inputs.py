@@ -9,7 +9,7 @@ from spl_batch.altimetry.plan import Tracks, gather_inputs
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.io.crs import projected_crs
-from spl_batch.plan.inputs import check_keys, refuse_own, stem_names
+from spl_batch.plan.input_files import check_keys, refuse_own, stem_names
 
 
 @dataclass

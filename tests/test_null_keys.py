@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spl_batch.settings import FilterSettings, Section, WireSettings
+from spl_batch.settings import FilterSettings, WireSettings
+from spl_batch.settings.base import Section
 from spl_batch.stages import null_distribution, wire_null
 from spl_batch.stages.null_distribution import settings_key
 

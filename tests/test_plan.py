@@ -37,7 +37,7 @@ from spl_batch.plan.flightlines import (
     fullest_span,
     is_timeless,
 )
-from spl_batch.plan.inputs import source_key
+from spl_batch.plan.input_files import source_key
 from spl_batch.plan.layout import ORIGIN, Block, Layout, around, parse_block
 from spl_batch.plan.memory import UNEVEN
 from spl_batch.plan.mosaics import split_mosaic

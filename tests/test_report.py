@@ -17,18 +17,8 @@ from pydantic import ValidationError
 from spl_batch.accuracy.summary import USGS_LEVELS
 from spl_batch.report import format as text
 from spl_batch.report.html import render
-from spl_batch.report.model import (
-    Accuracy,
-    Counts,
-    Number,
-    Parameters,
-    Part,
-    Provenance,
-    Report,
-    Statistics,
-    Survey,
-    finite_or_none,
-)
+from spl_batch.report.model import Accuracy, Counts, Report, Survey
+from spl_batch.report.parts import Number, Parameters, Part, Provenance, Statistics, finite_or_none
 from spl_batch.report.schema import schemas
 from spl_batch.report.summary import (
     USGS_LIMITS,
@@ -37,7 +27,8 @@ from spl_batch.report.summary import (
     terrain_statistics,
     verdicts,
 )
-from spl_batch.report.write import read_report, report_json
+from spl_batch.report.survey_files import read_report
+from spl_batch.report.write import report_json
 from tests.report_data import make_failures, make_report
 
 NARROW = text.THIN

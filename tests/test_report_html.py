@@ -15,17 +15,11 @@ from PIL import Image
 from spl_batch.errors import StoppedError
 from spl_batch.report import maps, plots, style
 from spl_batch.report.html import render
-from spl_batch.report.model import (
-    Accuracy,
-    Counts,
-    Noise,
-    Performance,
-    Report,
-    Statistics,
-    Survey,
-)
-from spl_batch.report.pictures import Picture, PictureInputs, Profile, Raster, make_pictures
-from spl_batch.report.write import write_report
+from spl_batch.report.model import Accuracy, Counts, Noise, Report, Survey
+from spl_batch.report.parts import Performance, Statistics
+from spl_batch.report.picture import Picture
+from spl_batch.report.pictures import PictureInputs, Profile, Raster, make_pictures
+from spl_batch.report.survey_files import write_report
 from tests.report_data import EXTENT, make_failures, make_inputs, make_profile, make_report
 
 KEYS = (

@@ -26,8 +26,9 @@ from spl_batch.io.rasters import write_cog
 from spl_batch.report import maps, style
 from spl_batch.report.comparison import ComparisonReport, MethodResult, write_comparison
 from spl_batch.report.html import render
-from spl_batch.report.model import Noise, Piece, Provenance, Report, Statistics
+from spl_batch.report.model import Noise, Piece, Report
 from spl_batch.report.parameters import changed, without
+from spl_batch.report.parts import Provenance, Statistics
 from spl_batch.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.report.summary import screen_summary, verdicts
 from spl_batch.runner import pieces

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import optimize, stats
 
 from spl_batch.kernels import (
+    attitude,
     scene_layers,
     scene_trace,
     sim_detect,
@@ -260,10 +261,10 @@ def test_heading_roll_and_pitch_turn_the_body_the_way_pilots_mean():
     zero = np.array([0.0])
     small = np.array([0.1])
     np.testing.assert_allclose(
-        sim_scan.rotations(quarter, zero, zero)[0] @ [0, 1, 0], [1, 0, 0], atol=1e-12
+        attitude.rotations(quarter, zero, zero)[0] @ [0, 1, 0], [1, 0, 0], atol=1e-12
     )
-    assert (sim_scan.rotations(zero, small, zero)[0] @ [1, 0, 0])[2] < 0
-    assert (sim_scan.rotations(zero, zero, small)[0] @ [0, 1, 0])[2] > 0
+    assert (attitude.rotations(zero, small, zero)[0] @ [1, 0, 0])[2] < 0
+    assert (attitude.rotations(zero, zero, small)[0] @ [0, 1, 0])[2] > 0
 
 
 def test_poisson_counts_have_the_poisson_law():

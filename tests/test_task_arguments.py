@@ -9,7 +9,7 @@ import pytest
 from spl_batch.plan import places
 from spl_batch.products import NAMES, PRODUCTS, REFLECTANCE, Product, products
 from spl_batch.runner import space_domain
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 from spl_batch.tiling import Bounds, grow
 from spl_batch.workflow import load_workflow
 from tests import surveys

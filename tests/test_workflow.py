@@ -11,7 +11,8 @@ from pydantic import BaseModel
 from spl_batch.api import simulate
 from spl_batch.errors import WorkflowError
 from spl_batch.sensor import Sensor, load_preset, preset_names
-from spl_batch.workflow import Workflow, load_any, load_workflow, parse_workflow
+from spl_batch.workflow import Workflow, load_workflow, parse_workflow
+from spl_batch.workflow_file import load_any
 
 MINIMAL: dict[str, Any] = {"survey": {"flightlines": "*.laz"}, "output": "out"}
 

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from spl_batch.runner import STAGES
+from spl_batch.runner.chain import STAGES
 from spl_batch.simulate import load_scene
-from spl_batch.workflow import Workflow, parse_any, parse_workflow
+from spl_batch.workflow import Workflow, parse_workflow
+from spl_batch.workflow_file import parse_any
 from tests.workflow_files import differing, unshown
 
 ROOT = Path(__file__).parent.parent

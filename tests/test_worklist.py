@@ -7,24 +7,18 @@ from typing import Any
 import pytest
 
 from spl_batch.io.store import Store, write_receipt
-from spl_batch.plan import budget, memory
+from spl_batch.plan import budget, memory, worker_memory
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.inputs import Inputs
-from spl_batch.plan.memory import (
-    STRETCH_POINTS,
-    needs,
-    refusal,
-    stretch_points,
-    task_bytes,
-    usable_bytes,
-)
+from spl_batch.plan.memory import STRETCH_POINTS, needs, refusal, stretch_points, task_bytes
 from spl_batch.plan.phases import PHASES, Phase
 from spl_batch.plan.places import build
 from spl_batch.plan.shelf import Shelf
 from spl_batch.plan.survey import Survey
+from spl_batch.plan.worker_memory import usable_bytes
 from spl_batch.plan.worklist import SORTED, Worklist
-from spl_batch.runner.context import Context
 from spl_batch.runner.remember import RunFacts, StageCost, performance
+from spl_batch.runner.survey_context import Context
 from spl_batch.task import Receipt, Task
 from spl_batch.tiling import CellId
 from spl_batch.workflow import parse_workflow
@@ -157,7 +151,7 @@ def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> Non
 
 def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     limit = 2**30
-    full = int((usable_bytes(limit) - memory.WORKER_BASE_BYTES) / 0.9)
+    full = int((usable_bytes(limit) - worker_memory.WORKER_BASE_BYTES) / 0.9)
     known = survey(limit)
     bounds = [0, 0, 0, 5_099_999, 5_099_999, 1]
     known.of("index_file").put(receipt("index_file", "1", bounds=bounds))

@@ -13,8 +13,9 @@ from spl_batch.accuracy.differences import (
     surface_differences,
     terrain_differences,
 )
+from spl_batch.accuracy.error_statistics import STATISTICS, statistics
 from spl_batch.accuracy.located import Grid, Raster, Reference
-from spl_batch.accuracy.summary import STATISTICS, accuracy_report, statistics
+from spl_batch.accuracy.summary import accuracy_report
 from spl_batch.accuracy.tally import STEPS_PER_M, Tallies, Tally, add_up, tallies
 
 __all__ = [

@@ -14,7 +14,7 @@ from spl_batch.altimetry.runner.delivery import PASS_PHOTONS
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.errors import InputError, Said, WorkflowError, shared
 from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.inputs import (
+from spl_batch.plan.input_files import (
     check_keys,
     expand,
     name_below,
@@ -23,7 +23,7 @@ from spl_batch.plan.inputs import (
     stem_names,
 )
 from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.runner.unchanged import stamp
 from spl_batch.task import Task
 from spl_batch.tiling import quanta

@@ -26,7 +26,7 @@ from spl_batch.errors import grouped
 from spl_batch.io.atomic import write_bytes
 from spl_batch.settings.base import Positive, Section
 from spl_batch.settings.faults import validated
-from spl_batch.workflow import read_mapping
+from spl_batch.workflow_file import read_mapping
 
 PIECE_M: Final = 4.0
 """Track of one noise rate: 0.02 s at 200 m/s [m]."""

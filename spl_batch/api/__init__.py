@@ -13,10 +13,11 @@ from spl_batch.api.status import RunStatus, StageStatus
 if TYPE_CHECKING:
     from spl_batch.api.alone import AloneResult, run_alone
     from spl_batch.api.comparison import ComparisonResult, compare
+    from spl_batch.api.first_survey import quickstart
     from spl_batch.api.pipeline import RunResult, run
     from spl_batch.api.planning import Left, PlanSummary, plan
     from spl_batch.api.reporting import report
-    from spl_batch.api.simulation import quickstart, simulate
+    from spl_batch.api.simulation import simulate
 
 __all__ = [
     "AloneResult",
@@ -48,7 +49,7 @@ _HOMES = {
     "PlanSummary": "planning",
     "plan": "planning",
     "report": "reporting",
-    "quickstart": "simulation",
+    "quickstart": "first_survey",
     "simulate": "simulation",
 }
 

@@ -30,7 +30,7 @@ from spl_batch.report.comparison import ComparisonReport, MethodResult, write_co
 from spl_batch.report.model import Report
 from spl_batch.report.plots import Profile
 from spl_batch.report.summary import noise_removed
-from spl_batch.runner import KINDS
+from spl_batch.runner.chain import KINDS
 from spl_batch.runner.comparison import FAR_M, Contrast, Outcome, contrast
 from spl_batch.runner.profile import read_strip, tallest_strip
 from spl_batch.settings import FilterSettings

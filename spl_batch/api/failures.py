@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from spl_batch.api.receiver import Prepared
 from spl_batch.graph import OUT_OF_MEMORY
-from spl_batch.report.model import Failure
+from spl_batch.report.parts import Failure
 from spl_batch.task import Receipt, Task
 
 

@@ -13,11 +13,12 @@ from spl_batch.io.las_numbers import Numbers
 from spl_batch.plan.channels import unnamed_channels
 from spl_batch.plan.first_look import holds_few
 from spl_batch.plan.flightlines import FALLBACK_PRF_HZ
-from spl_batch.plan.memory import enough_mib, stretch_bytes
+from spl_batch.plan.memory import stretch_bytes
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, timeless_sources
+from spl_batch.plan.worker_memory import enough_mib
 from spl_batch.plan.worklist import Worklist
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 from spl_batch.stages.geometry import Ahead
 from spl_batch.task import Receipt
 

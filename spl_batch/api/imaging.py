@@ -31,18 +31,19 @@ from spl_batch.plan.blocks import (
 )
 from spl_batch.plan.cost import SurveyCost, estimate
 from spl_batch.plan.first_look import first_look
+from spl_batch.plan.halo import surface_reach_m
 from spl_batch.plan.inputs import gather_inputs
 from spl_batch.plan.ledger import Phase
-from spl_batch.plan.memory import REMEDIES, surface_reach_m
+from spl_batch.plan.memory import REMEDIES
 from spl_batch.plan.phases import PHASES
 from spl_batch.plan.survey import Survey, mosaic_parts
 from spl_batch.products import NAMES, PRODUCTS
 from spl_batch.report.model import Report
 from spl_batch.report.summary import screen_summary
 from spl_batch.runner import code_version
-from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts, RunFacts
-from spl_batch.settings import BaseWorkflow
+from spl_batch.runner.survey_context import Context
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.stages.line_noise import RAISE_INTERVAL
 from spl_batch.task import Receipt, Task
 from spl_batch.tiling import quanta

@@ -9,7 +9,7 @@ from spl_batch.api.receiver import Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped, told_together
 from spl_batch.graph import machine_memory
 from spl_batch.receivers import receiver
-from spl_batch.workflow import load_any
+from spl_batch.workflow_file import load_any
 
 REMOTE_BYTES: Final = 4 * 2**30
 """Memory limit of a worker of a running scheduler unless told otherwise [byte]."""

@@ -18,7 +18,7 @@ from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Ledger, Phase
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
-from spl_batch.settings import BaseWorkflow
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.task import Receipt, Task
 
 L = TypeVar("L", bound=Ledger[Any, Any])

@@ -9,11 +9,11 @@ from spl_batch.errors import WorkflowError
 from spl_batch.io.store import Store, read_receipt
 from spl_batch.plan.shelf import Shelf
 from spl_batch.receivers import receiver
-from spl_batch.report.model import Failure
+from spl_batch.report.parts import Failure
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import RunFacts, StageCost, recall
 from spl_batch.settings.mistaken import no_output
-from spl_batch.workflow import parse_any
+from spl_batch.workflow_file import parse_any
 
 
 def report(output: Path | str) -> RunResult:

@@ -1,17 +1,14 @@
-"""Synthetic surveys, and the quickstart that runs the whole chain on one."""
+"""Synthetic data of any receiver."""
 
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from spl_batch.api.events import Listener, ignore
-from spl_batch.api.pipeline import RunResult, run
-from spl_batch.api.synthetic import mark_quickstart, quickstarted, simulating
+from spl_batch.api.synthetic import simulating
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import IMAGING, simulator
 from spl_batch.settings.mistaken import is_workflow
-from spl_batch.workflow import known_kind, read_mapping
+from spl_batch.workflow_file import known_kind, read_mapping
 
 
 def simulate(
@@ -49,41 +46,3 @@ def simulate(
         if progress is not None:
             progress(0.0)
         return simulator(kind)(Path(scene), Path(output), progress=progress)
-
-
-def quickstart(
-    output: Path | str = "spl-quickstart",
-    *,
-    workers: int = 2,
-    memory: str | int | None = None,
-    progress: Callable[[float], None] | None = None,
-    listener: Listener = ignore,
-) -> RunResult:
-    """Simulate a small survey and run the whole chain on it.
-
-    Parameters
-    ----------
-    output : Path or str
-        Folder; the survey that an earlier quickstart made there is used again.
-    workers : int
-        Worker processes [count].
-    memory : str or int, optional
-        Memory limit of a worker [byte]; a share of the machine's unless told.
-    progress : callable, optional
-        Told the share of the simulation that is done, 0..1.
-    listener : callable
-        Told what happens in the run.
-
-    Raises
-    ------
-    WorkflowError
-        If the folder holds anything that no quickstart made.
-    """
-    folder = Path(output)
-    workflow = folder / "workflow.yaml"
-    if not quickstarted(folder):
-        preset = resources.files("spl_batch.simulate").joinpath("scenes/quickstart.yaml")
-        with resources.as_file(preset) as scene:
-            simulate(scene, folder, progress=progress)
-        mark_quickstart(folder)
-    return run(workflow, workers=workers, memory=memory, listener=listener)

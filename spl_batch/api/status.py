@@ -10,7 +10,8 @@ from datetime import datetime
 from typing import Any, Final
 
 from spl_batch.api.tilemap import TileMap
-from spl_batch.runner import STAGES
+from spl_batch.receivers import IMAGING
+from spl_batch.runner import stages as stages_of
 
 TRUSTED_SHARE: Final = 0.2
 """Share of a stage's points from which on the time left follows from its own speed alone."""
@@ -170,7 +171,7 @@ class RunStatus:
     holder: Mapping[str, Any] | None = None
     kinds: dict[str, float] = field(default_factory=dict)
     begun: dict[tuple[str, str], str] = field(default_factory=dict)
-    order: Sequence[str] = STAGES
+    order: Sequence[str] = field(default_factory=lambda: stages_of(IMAGING))
     waiting: list[Mapping[str, Any]] = field(default_factory=list)
     reporting: bool = False
     counted: bool = False
@@ -210,7 +211,7 @@ class RunStatus:
             self._start_over(record)
 
     def _start_over(self, record: Mapping[str, Any]) -> None:
-        fresh = RunStatus(order=tuple(record.get("stages") or STAGES))
+        fresh = RunStatus(order=tuple(record.get("stages") or stages_of(IMAGING)))
         for name in self.__slots__:
             setattr(self, name, getattr(fresh, name))
         for name, seconds in record.get("expected_s", {}).items():

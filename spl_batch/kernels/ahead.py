@@ -86,9 +86,9 @@ def divided(names: Mapping[str, Any], shares: int) -> list[list[str]]:
 
 
 def find(name: str) -> Dispatcher:
-    """Kernel by module and name, such as ``"tubes.fullest"``."""
-    module, _, function = name.partition(".")
-    kernel: Dispatcher = getattr(importlib.import_module(f"spl_batch.kernels.{module}"), function)
+    """Kernel by ``module:name``, such as ``"spl_batch.kernels.tubes:fullest"``."""
+    module, _, function = name.partition(":")
+    kernel: Dispatcher = getattr(importlib.import_module(module), function)
     return kernel
 
 

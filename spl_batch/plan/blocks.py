@@ -12,8 +12,9 @@ from typing import Any, Final, NamedTuple
 from spl_batch.errors import DamagedError
 from spl_batch.io.store import Store, read_json, write_json
 from spl_batch.plan.density import Cut, Piece
+from spl_batch.plan.halo import halo_m
 from spl_batch.plan.layout import ORIGIN, Block, Layout, around, parse_block
-from spl_batch.plan.memory import halo_m, points_within
+from spl_batch.plan.memory import points_within
 from spl_batch.task import Receipt
 from spl_batch.tiling import BoxIndex, CellId, cell_bounds, quanta
 from spl_batch.workflow import Workflow

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from spl_batch.errors import PlanError, grouped
 from spl_batch.io.atomic import names_in
 from spl_batch.io.store import Store, read_receipts
-from spl_batch.plan.memory import enough_mib, usable_bytes
+from spl_batch.plan.worker_memory import enough_mib, usable_bytes
 from spl_batch.runner import kinds
 from spl_batch.runner.context import RunContext
 

@@ -12,13 +12,14 @@ from spl_batch.plan.blocks import choose_sizes, count_blocks
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box, Piece
 from spl_batch.plan.ground_cells import GroundCells
+from spl_batch.plan.halo import halo_m
 from spl_batch.plan.inputs import Source
 from spl_batch.plan.layout import CORE_COST
-from spl_batch.plan.memory import Need, halo_m, needs
+from spl_batch.plan.memory import Need, needs
 from spl_batch.plan.survey import Survey
 from spl_batch.products import PRODUCTS
-from spl_batch.runner.context import Context
 from spl_batch.runner.index import parts_of
+from spl_batch.runner.survey_context import Context
 from spl_batch.tiling import Bounds
 from spl_batch.workflow import Workflow
 

@@ -19,7 +19,8 @@ from spl_batch.io.las_numbers import Numbers
 from spl_batch.io.trajectory_ends import ends
 from spl_batch.plan.channels import POINTS_A_BEAMLET, unnamed_channels
 from spl_batch.plan.flightlines import points_of_a_shot
-from spl_batch.plan.inputs import Inputs, Source, name_below
+from spl_batch.plan.input_files import name_below
+from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.sensor import Sensor
 from spl_batch.workflow import Workflow
 

@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from spl_batch.errors import InputError
 from spl_batch.plan.shelf import Shelf
-from spl_batch.settings import BaseWorkflow
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.task import Task
 
 

@@ -4,7 +4,6 @@ A task's need is that of a worker that has compiled its kernels and the points t
 task holds at once times the bytes of each; `benchmarks/memory.py` measures them.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -15,17 +14,12 @@ from spl_batch.errors import grouped
 from spl_batch.io.trajectory_merge import WAITING_RECORDS
 from spl_batch.plan.density import Box, Peak, Piece, largest
 from spl_batch.plan.ground_cells import GroundCells
+from spl_batch.plan.halo import halo_m, surface_reach_m
+from spl_batch.plan.worker_memory import USABLE_SHARE, WORKER_BASE_BYTES, enough_mib, usable_bytes
 from spl_batch.runner.delivery import PASS_POINTS
 from spl_batch.runner.index import CHUNK_POINTS
-from spl_batch.stages import denoise, reflectance, surface
 from spl_batch.tiling import quanta
 from spl_batch.workflow import Workflow
-
-WORKER_BASE_BYTES: Final = 600 * 2**20
-"""Resident memory of a worker that has compiled its kernels, rounded up [byte]."""
-
-USABLE_SHARE: Final = 0.9
-"""Part of a worker's limit that the plan uses: dask ends a worker at 95 %."""
 
 BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
     {
@@ -86,16 +80,6 @@ class Need(NamedTuple):
     remedy: str
 
 
-def usable_bytes(limit: int) -> int:
-    """Part of a worker's memory limit that a task may count on [byte]."""
-    return int(USABLE_SHARE * limit)
-
-
-def enough_mib(needed: int) -> int:
-    """Smallest memory limit of a worker under which a task may hold so many bytes [MiB]."""
-    return math.ceil(needed / USABLE_SHARE / 2**20)
-
-
 def task_bytes(kind: str, points: float) -> int:
     """Memory of a task that holds so many points, its worker included [byte]."""
     return WORKER_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
@@ -121,16 +105,6 @@ def stretch_points(limit: int) -> int:
     while points > LEAST_STRETCH_POINTS and UNEVEN * points > points_within("scatter", limit):
         points //= 2
     return points
-
-
-def halo_m(workflow: Workflow) -> float:
-    """Halo of a denoise block: the sum of the reaches of the filter's steps [m]."""
-    return denoise.reach_m(workflow.filter)
-
-
-def surface_reach_m(workflow: Workflow) -> float:
-    """Margin that a ground cell's rasters read [m]."""
-    return max(surface.reach_m(workflow.products), reflectance.reach_m(workflow.products))
 
 
 def needs(

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.plan.blocks import Holders
+from spl_batch.plan.halo import surface_reach_m
 from spl_batch.plan.inputs import source_args
-from spl_batch.plan.memory import refusal, surface_reach_m
+from spl_batch.plan.memory import refusal
 from spl_batch.plan.space import Unit, fired_index, voxel_index
 from spl_batch.plan.survey import Survey, mosaic_parts
 from spl_batch.products import products

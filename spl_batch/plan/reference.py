@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.plan.inputs import source_key
+from spl_batch.plan.input_files import source_key
 from spl_batch.plan.memory import UNEVEN, points_within, refusal
 from spl_batch.plan.survey import Survey
 from spl_batch.runner.unchanged import stamp_if_there

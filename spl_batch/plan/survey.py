@@ -12,10 +12,11 @@ from spl_batch.plan.blocks import Holders, Sizes, blocks, choose_sizes, layout_o
 from spl_batch.plan.density import from_counts
 from spl_batch.plan.flightlines import Flightline, find_flightlines, is_timeless
 from spl_batch.plan.ground_cells import GroundCells
+from spl_batch.plan.halo import halo_m
 from spl_batch.plan.inputs import Inputs, Source
 from spl_batch.plan.layout import Block
 from spl_batch.plan.ledger import Ledger
-from spl_batch.plan.memory import halo_m, stretch_points
+from spl_batch.plan.memory import stretch_points
 from spl_batch.plan.mosaics import split_mosaic
 from spl_batch.plan.space import Unit, tile_counts
 from spl_batch.runner.index import part_name

@@ -8,9 +8,9 @@ from pydantic import Field
 
 from spl_batch.io.atomic import write_bytes
 from spl_batch.report import style
-from spl_batch.report.model import Count, Number, Part
 from spl_batch.report.page import environment
-from spl_batch.report.pictures import Picture
+from spl_batch.report.parts import Count, Number, Part
+from spl_batch.report.picture import Picture
 from spl_batch.report.plots import Profile, draw_methods
 
 
@@ -72,7 +72,7 @@ def write_comparison(
     """
     content = json.dumps(report.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     pictures = [_picture(*shown) for shown in profiles]
-    template = environment().get_template("compare.html.j2")
+    template = environment(__package__).get_template("compare.html.j2")
     page = template.render(report=report, pictures=pictures, cards=report.methods)
     write_bytes(out / "compare.json", content.encode())
     write_bytes(out / "compare.html", page.encode())

@@ -7,14 +7,9 @@ from typing import Final
 from spl_batch.report import format as text
 from spl_batch.report.model import Counts, Report, Survey
 from spl_batch.report.page import Front, render_page
-from spl_batch.report.pictures import Picture
-from spl_batch.report.summary import (
-    noise_removed,
-    photon_counting,
-    speed_remark,
-    terrain_statistics,
-    verdicts,
-)
+from spl_batch.report.picture import Picture
+from spl_batch.report.summary import noise_removed, photon_counting, terrain_statistics, verdicts
+from spl_batch.report.verdict import speed_remark
 
 SECTIONS: Final = (
     ("accuracy", "Accuracy"),
@@ -94,6 +89,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
             cards=tuple(_cards(report)),
             unused=() if photons else PHOTON_KEYS,
         ),
+        package=__package__,
         pictures=pictures,
         photons=photons,
         pieces=_shown_pieces(pictures),

@@ -5,59 +5,20 @@ is finite or null: a statistic of nothing is null, never NaN, so that any JSON r
 takes the file.
 """
 
-import math
-import operator
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Final, Literal, SupportsIndex
+from typing import Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import Field
 
-SCHEMA_VERSION: Final = 1
-"""Raised when a field of ``report.json`` is renamed or removed."""
-
-
-def finite_or_none(value: Any) -> Any:
-    """Replace every non-finite number inside a value by ``None``.
-
-    Parameters
-    ----------
-    value : object
-        A number, or mappings and sequences of them; numpy scalars are welcome.
-
-    Returns
-    -------
-    object
-        The same value of plain Python types, finite or ``None``.
-    """
-    if isinstance(value, Mapping):
-        return {str(key): finite_or_none(item) for key, item in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return [finite_or_none(item) for item in value]
-    if value is None or isinstance(value, bool | str):
-        return value
-    if isinstance(value, SupportsIndex):
-        return operator.index(value)
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        return value  # not a number: the field's own type says what is wrong with it
-    return number if math.isfinite(number) else None
-
-
-def _plain_integer(value: Any) -> Any:
-    return operator.index(value) if isinstance(value, SupportsIndex) else value
-
-
-Number = Annotated[float | None, BeforeValidator(finite_or_none)]
-Count = Annotated[int, BeforeValidator(_plain_integer), Field(ge=0)]
-Parameters = Annotated[dict[str, JsonValue], BeforeValidator(finite_or_none)]
-
-
-class Part(BaseModel):
-    """Base of every part of the report: frozen, and strict about its keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+from spl_batch.report.parts import (
+    SCHEMA_VERSION,
+    Count,
+    Failure,
+    Number,
+    Part,
+    Performance,
+    Provenance,
+    Statistics,
+)
 
 Basis = Literal["given", "sensor", "estimated", "assumed", "none"]
 """Where a number comes from."""
@@ -154,20 +115,6 @@ class Counts(Part):
     )
 
 
-class Statistics(Part):
-    """Differences of one class of surface, delivered minus reference."""
-
-    n: Count = Field(description="Compared points or cells [count].")
-    mean: Number = Field(None, description="Mean difference [m].")
-    median: Number = Field(None, description="Median difference [m].")
-    rmse: Number = Field(None, description="Root mean square difference [m].")
-    sd: Number = Field(None, description="Standard deviation [m].")
-    nmad: Number = Field(None, description="1.4826 x median absolute deviation [m].")
-    p95: Number = Field(None, description="95th percentile of the absolute difference [m].")
-    min: Number = Field(None, description="Smallest difference [m].")
-    max: Number = Field(None, description="Largest difference [m].")
-
-
 class Accuracy(Part):
     """Comparison with reference linear-mode lidar, by class of surface; ``all`` is overall."""
 
@@ -224,83 +171,6 @@ class Noise(Part):
     dsm_support: Count | None = Field(
         None, description="Returns nearby that a highest return needs to set a DSM cell [count]."
     )
-
-
-class StagePerformance(Part):
-    """Cost of one stage."""
-
-    wall_s: Number = Field(None, description="Summed time of its tasks [s].")
-    tasks: Count = Field(0, description="Tasks done in this run [count].")
-    skipped: Count = Field(0, description="Tasks found done by an earlier run [count].")
-    failed: Count = Field(0, description="Tasks that failed [count].")
-    points_per_s: Number = Field(None, description="Points per second and worker [1/s].")
-    peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
-
-
-class Performance(Part):
-    """Cost of the run."""
-
-    wall_s: Number = Field(None, description="From start to the report [s].")
-    earlier_wall_s: Number = Field(
-        None,
-        description="The part of it that earlier runs took, whose work was found, those that were "
-        "stopped included; null where nothing tells it, and wall_s is this run's part alone [s].",
-    )
-    compile_s: Number = Field(
-        None,
-        description="The part of it in which workers compiled kernels for this machine, before the "
-        "first task; later runs find that done. Null where nothing was to be compiled, or tasks "
-        "did it [s].",
-    )
-    points_per_s: Number = Field(
-        None, description="Input points per second, end to end; null where wall_s is a part [1/s]."
-    )
-    peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
-    workers: Count | None = Field(None, description="Workers [count].")
-    stages: dict[str, StagePerformance] = Field({}, description="By stage, in order of work.")
-
-    @property
-    def part_alone(self) -> bool:
-        """Whether its duration leaves out that of work which it found finished."""
-        found = any(stage.skipped for stage in self.stages.values())
-        return found and self.earlier_wall_s is None
-
-
-class Failure(Part):
-    """One task or file that did not make it."""
-
-    stage: str = Field(description="Stage that failed.")
-    place: str = Field(description="File, flightline stretch or tile.")
-    reason: str = Field(description="What went wrong, in one line.")
-    remedy: str | None = Field(None, description="What to do, or the command that tries again.")
-    task: str | None = Field(None, description="Kind and name of the task.")
-    inputs: tuple[str, ...] = Field((), description="Files, tiles and stretches that it reads.")
-    command: str | None = Field(
-        None, description="Command that does this task alone, to reproduce the failure."
-    )
-
-
-class InputFile(Part):
-    """Identity of one input file."""
-
-    path: str = Field(description="Path as the workflow gives it.")
-    role: str = Field("flightline", description="Flightline, trajectory, reference, polygons.")
-    size: Count = Field(description="Size [bytes].")
-    hash: str = Field(description="Algorithm and digest, e.g. sha256:9f86d0...")
-    points: Count | None = Field(None, description="Points that its header promises [count].")
-
-
-class Provenance(Part):
-    """Enough to do it again."""
-
-    version: str = Field(description="Version of this software.")
-    created: str = Field(description="When the report was written, ISO 8601 with offset.")
-    command: str | None = Field(None, description="Command line of the run.")
-    python: str | None = Field(None, description="Version of Python.")
-    platform: str | None = Field(None, description="Operating system and processor.")
-    libraries: dict[str, str] = Field({}, description="Version of each library used.")
-    parameters: Parameters = Field({}, description="The whole workflow, defaults included.")
-    inputs: tuple[InputFile, ...] = ()
 
 
 class Report(Part):

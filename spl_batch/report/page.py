@@ -14,14 +14,14 @@ from typing import Any, Final, Protocol
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from spl_batch.report import format as text
-from spl_batch.report.model import Failure, Performance, Provenance, StagePerformance
 from spl_batch.report.parameters import changed, without
-from spl_batch.report.summary import Verdict
+from spl_batch.report.parts import Failure, Performance, Provenance, StagePerformance
+from spl_batch.report.verdict import Verdict
 
 LONGEST_TABLE: Final = 200
 """More rows than this are in ``report.json`` only: a page is for reading."""
 
-HOME: Final = "spl_batch.report"
+HOME: Final = __package__
 """Package of the templates that all reports share."""
 
 
@@ -91,7 +91,7 @@ def render_page(
         Package that the template lies in.
     **more
         What the template needs beside it; ``pictures``, a mapping of str to
-        :class:`~spl_batch.report.pictures.Picture`, is always among it.
+        :class:`~spl_batch.report.picture.Picture`, is always among it.
 
     Returns
     -------

@@ -7,7 +7,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
-from spl_batch.report.model import finite_or_none
+from spl_batch.report.parts import finite_or_none
 
 LONGEST_VALUE: Final = 160
 """Longest value that the table of changed parameters shows whole [characters]."""

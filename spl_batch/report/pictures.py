@@ -5,7 +5,6 @@ and with the sentence that says why, so that a reader never wonders whether some
 was forgotten.
 """
 
-import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -18,40 +17,13 @@ from spl_batch.report import style
 from spl_batch.report.format import centimetres
 from spl_batch.report.locator import Extent, draw_locator
 from spl_batch.report.maps import Raster, draw_ramp, draw_relief, nice, reduce_raster, spread
-from spl_batch.report.model import Report, Statistics
+from spl_batch.report.model import Report
+from spl_batch.report.parts import Statistics
+from spl_batch.report.picture import Picture
 from spl_batch.report.plots import Profile, draw_histogram, draw_profile
 from spl_batch.report.summary import photon_counting, terrain_statistics
 
-__all__ = ["Picture", "PictureInputs", "Profile", "Raster", "make_pictures"]
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """One picture of the report, or the reason why there is none.
-
-    Parameters
-    ----------
-    title, caption : str
-        Heading, and what to look for (or why the picture is missing).
-    alt : str
-        What a reader who cannot see it is told.
-    png : bytes
-        Empty where there is no picture.
-    width_px, height_px : int
-        Size that the page lays out.
-    """
-
-    title: str
-    caption: str
-    alt: str = ""
-    png: bytes = b""
-    width_px: int = 0
-    height_px: int = 0
-
-    @property
-    def data_uri(self) -> str:
-        """The image as text that a page can hold."""
-        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
+__all__ = ["PictureInputs", "Profile", "Raster", "make_pictures"]
 
 
 @dataclass(frozen=True, slots=True)

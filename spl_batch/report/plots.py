@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from spl_batch.constants import CLASS_GROUND, NOISE_AFTERPULSE, NOISE_BACKGROUND
 from spl_batch.report import style
 from spl_batch.report.format import centimetres
-from spl_batch.report.model import Statistics
+from spl_batch.report.parts import Statistics
 
-WIDTH_IN: Final = 10.5
 MOST_POINTS: Final = 250_000
 """A profile with more points is thinned evenly: the picture has no pixels for them."""
 
@@ -139,7 +138,7 @@ def draw_profile(profile: Profile) -> Figure:
         ("noise: afterpulses", afterpulse, style.AFTERPULSE, 0.9),
     )
     with style.type_context():
-        drawn = style.figure(WIDTH_IN, 6.2)
+        drawn = style.figure(style.WIDTH_IN, 6.2)
         top, bottom = drawn.subplots(2, 1, sharex=True, sharey=True)
         top.scatter(along, z, s=size, c=style.RAW, alpha=0.55, linewidths=0)
         top.set_title("As recorded")
@@ -184,7 +183,7 @@ def draw_methods(profiles: Mapping[str, Profile]) -> Figure:
     low, high = _height_limits(first.z_m, kept)
     rows = -(-(len(profiles) + 1) // 2)
     with style.type_context():
-        drawn = style.figure(WIDTH_IN, 0.5 + 2.5 * rows)
+        drawn = style.figure(style.WIDTH_IN, 0.5 + 2.5 * rows)
         grid = drawn.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
         panels = list(grid.ravel())
         shown = _thinned(first)

@@ -30,6 +30,7 @@ NOISE: Final = "#e0684b"
 AFTERPULSE: Final = "#c2189b"
 RAW: Final = "#4a5562"
 
+WIDTH_IN: Final = 10.5
 DPI: Final = 200
 """Two pixels of a picture for one of the page's layout, which is as wide as it gets [1/in]."""
 LARGEST_PNG: Final = 420_000

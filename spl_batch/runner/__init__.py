@@ -1,8 +1,6 @@
 """One task: read, run the stage, write atomically, leave a receipt.
 
-:data:`KINDS` is the whole list of what can be done with an airborne survey: the function, the
-stage of the command line that it belongs to, and the parts of the workflow that its result
-depends on. Other receivers have lists of their own; :func:`kinds` finds the one of a workflow.
+Each receiver lists its kinds of task; :func:`kinds` finds the list of a workflow's receiver.
 """
 
 import dataclasses
@@ -17,7 +15,6 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 from spl_batch import __version__
@@ -25,22 +22,9 @@ from spl_batch.errors import DamagedError, SplBatchError, StoppedError, is_fault
 from spl_batch.imports import content_hash, data_files, imported, module_file
 from spl_batch.io.atomic import checksum, size, stop_if_full
 from spl_batch.io.store import forget_receipt, read_receipt, write_receipt
-from spl_batch.receivers import load, task_kinds
+from spl_batch.receivers import HOMES, load, task_kinds
 from spl_batch.runner.context import RunContext, TaskFunction
-from spl_batch.settings import AfterpulseSettings
 from spl_batch.task import Receipt, Task
-
-STAGES: Final = (
-    "index",
-    "shots",
-    "shuffle",
-    "denoise",
-    "ground",
-    "surfaces",
-    "deliver",
-    "report",
-)
-"""Stages of an airborne survey's run, in order."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -94,60 +78,6 @@ DECISIVE: Final = (
 LIBRARIES: Final = (*DECISIVE, "dask", "distributed", "h5py", "pyarrow", "pyogrio")
 """Libraries whose versions a report tells."""
 
-_INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
-_OBSERVED: Final = ("noise", "acquisition", "survey.sensor")
-_TIME: Final = (
-    *("noise", "acquisition", "survey.sensor"),
-    *(f"afterpulse.{key}" for key in AfterpulseSettings.model_fields if key != "vegetation_loss"),
-)
-"""How many returns may go with the afterpulses is decided later, in the space domain."""
-
-KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
-    {
-        "index_part": Kind("index", "spl_batch.runner.index:index_part", _INDEXED),
-        "index_file": Kind("index", "spl_batch.runner.index:index_file", _INDEXED),
-        "trajectory": Kind(
-            "index", "spl_batch.runner.index:gather_trajectory", ("survey.trajectory_crs",)
-        ),
-        "heading": Kind("shots", "spl_batch.runner.index:find_heading", ()),
-        "gather": Kind("shots", "spl_batch.runner.time_domain:gather", _OBSERVED),
-        "gather_range": Kind(
-            "shots", "spl_batch.runner.time_domain:gather_range", ("survey.channel_dimension",)
-        ),
-        "sensor_path": Kind("shots", "spl_batch.runner.lines_of_sight:find_path", ()),
-        "observe": Kind("shots", "spl_batch.runner.lines_of_sight:observe", _OBSERVED),
-        "fit_line": Kind("shots", "spl_batch.runner.time_domain:fit_line", _TIME),
-        "scatter": Kind(
-            "shuffle",
-            "spl_batch.runner.time_domain:scatter",
-            (*_TIME, "tiling.tile_m", "aoi", "water"),
-        ),
-        "build_tile": Kind("shuffle", "spl_batch.runner.time_domain:build_tile", ()),
-        "denoise": Kind(
-            "denoise",
-            "spl_batch.runner.space_domain:denoise",
-            ("filter", "noise", "afterpulse", "outputs.diagnostics"),
-        ),
-        "ground": Kind("ground", "spl_batch.runner.space_domain:ground", ("ground",)),
-        "surface": Kind(
-            "surfaces",
-            "spl_batch.runner.space_domain:surface",
-            ("ground.cell_m", "products", "aoi"),
-        ),
-        "deliver_file": Kind(
-            "deliver", "spl_batch.runner.delivery:deliver_file", ("outputs.diagnostics",)
-        ),
-        "deliver_tile": Kind(
-            "deliver", "spl_batch.runner.delivery:deliver_tile", ("outputs.tiles",)
-        ),
-        "mosaic": Kind(
-            "deliver", "spl_batch.runner.delivery:mosaic", ("ground.cell_m", "products.cell_m")
-        ),
-        "reference": Kind("report", "spl_batch.runner.reference:reference", ()),
-        "accuracy": Kind("report", "spl_batch.runner.accuracy:accuracy", ("products.cell_m",)),
-    }
-)
-
 
 def kinds(receiver: str) -> Mapping[str, Kind]:
     """What the tasks of a receiver do, by kind of task.
@@ -183,7 +113,8 @@ def code_version(receiver: str) -> str:
 
 def task_files(receiver: str) -> frozenset[Path]:
     """Modules that a receiver's tasks import, directly or not, and the tables that these read."""
-    homes = {kind.module for kind in kinds(receiver).values()}
+    listed = HOMES[receiver].kinds.partition(":")[0]
+    homes = {listed, *(kind.module for kind in kinds(receiver).values())}
     files = (module_file(name) for name in (__name__, *homes))
     modules = frozenset[Path]().union(*(imported(path) for path in files if path is not None))
     return modules.union(*map(data_files, modules))

@@ -27,9 +27,10 @@ from spl_batch.errors import DamagedError
 from spl_batch.io.raster_parts import overview_frame, read_part
 from spl_batch.io.store import forget_receipt
 from spl_batch.io.tables import read_arrays, write_arrays
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
 from spl_batch.runner.reference import read_square
 from spl_batch.runner.remember import Receipts, RunFacts
+from spl_batch.runner.survey_context import Context
 from spl_batch.tiling import cell_bounds, parse_cell
 
 SAMPLE: Final = 500_000

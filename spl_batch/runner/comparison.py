@@ -11,8 +11,8 @@ from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.io.labels import read_labelled_tile
 from spl_batch.io.tables import read_table
 from spl_batch.model import PointTable
-from spl_batch.runner.context import Context
 from spl_batch.runner.profile import LENGTH_M, WIDTH_M
+from spl_batch.runner.survey_context import Context
 from spl_batch.task import Receipt
 from spl_batch.tiling import Bounds, CellId, cell_bounds, parse_cell, quanta
 

@@ -8,9 +8,7 @@ from typing import Any, Generic, TypeVar
 from pyproj import CRS
 
 from spl_batch.io.store import Store
-from spl_batch.settings import BaseWorkflow
-from spl_batch.tiling import quanta
-from spl_batch.workflow import Workflow
+from spl_batch.settings.base import BaseWorkflow
 
 W = TypeVar("W", bound=BaseWorkflow)
 
@@ -52,17 +50,6 @@ class RunContext(Generic[W]):
     def resolve(self, name: str) -> Path:
         """Path of the workflow, seen from its folder."""
         return (self.base / name).resolve()
-
-
-@dataclass(frozen=True, slots=True)
-class Context(RunContext[Workflow]):
-    """What a run on an airborne survey is."""
-
-    @property
-    def rasters(self) -> Path:
-        """Raster cells of the working store."""
-        workflow = self.workflow
-        return self.store.rasters(quanta(workflow.ground.cell_m), quanta(workflow.products.cell_m))
 
 
 @dataclass(frozen=True, slots=True)

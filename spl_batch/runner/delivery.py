@@ -19,7 +19,8 @@ from spl_batch.io.rasters import write_cog
 from spl_batch.io.tables import read_arrays, read_columns
 from spl_batch.model import COLUMNS, PointTable
 from spl_batch.runner import index
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
+from spl_batch.runner.survey_context import Context
 from spl_batch.runner.unchanged import as_indexed, unchanged
 from spl_batch.tiling import Bounds, cells_of_runs, parse_cell, quanta
 

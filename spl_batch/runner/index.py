@@ -22,8 +22,9 @@ from spl_batch.io.tables import GroupWriter, read_arrays, write_arrays, writing
 from spl_batch.io.trajectory import PointExtent, gathering, write_trajectory
 from spl_batch.io.trajectory_files import Records
 from spl_batch.model import COLUMNS
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
 from spl_batch.runner.stretches import KEPT_COLUMNS, add_points
+from spl_batch.runner.survey_context import Context
 from spl_batch.runner.tally import Tally, spans_of
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.stages.geometry import heading_from_track, merge_track

@@ -14,8 +14,9 @@ from spl_batch.io.store import Store
 from spl_batch.io.tables import read_arrays, write_arrays
 from spl_batch.io.trajectory import read_slice, write_trajectory
 from spl_batch.model import BeamTable, PointTable, Trajectory
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
 from spl_batch.runner.stretches import read_stretch
+from spl_batch.runner.survey_context import Context
 from spl_batch.stages import afterpulse, geometry, line_noise, sight
 
 

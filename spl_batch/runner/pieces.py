@@ -9,8 +9,8 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.io.raster_parts import overview_frame
 from spl_batch.report.maps import Raster
 from spl_batch.report.model import Piece as PieceReport
-from spl_batch.runner.context import Context
 from spl_batch.runner.remember import Receipts
+from spl_batch.runner.survey_context import Context
 
 Box = tuple[float, float, float, float]
 """West, south, east and north edges [m]."""

@@ -9,7 +9,7 @@ from spl_batch.io.labels import read_region
 from spl_batch.io.raster_parts import Part
 from spl_batch.model import TILE_COLUMNS
 from spl_batch.report.plots import Profile
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 from spl_batch.task import Receipt
 from spl_batch.tiling import Bounds, CellId, cell_bounds, cells_touching, overlap, quanta
 

@@ -13,7 +13,8 @@ from spl_batch.io.atomic import remove, scratch_folder
 from spl_batch.io.las import iter_points
 from spl_batch.io.tables import read_columns, writing
 from spl_batch.model import PointTable
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
+from spl_batch.runner.survey_context import Context
 from spl_batch.runner.unchanged import unchanged
 from spl_batch.tiling import Bounds, inside
 

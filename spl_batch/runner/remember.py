@@ -16,13 +16,7 @@ from spl_batch.errors import StoreError
 from spl_batch.imports import content_hash, imported, module_file
 from spl_batch.io.atomic import checksum, write_bytes
 from spl_batch.receivers import HOMES
-from spl_batch.report.model import (
-    Failure,
-    InputFile,
-    Performance,
-    Provenance,
-    StagePerformance,
-)
+from spl_batch.report.parts import Failure, InputFile, Performance, Provenance, StagePerformance
 from spl_batch.runner import LIBRARIES
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.unchanged import stamp_if_there

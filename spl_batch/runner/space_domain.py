@@ -16,9 +16,10 @@ from spl_batch.io.store import forget_receipt, read_receipt
 from spl_batch.io.tables import read_arrays
 from spl_batch.kernels.raster import add_up_finite
 from spl_batch.model import PointFlag, PointTable
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
 from spl_batch.runner.coverage import covered
 from spl_batch.runner.expected import expected_noise
+from spl_batch.runner.survey_context import Context
 from spl_batch.stages import classes, reflectance
 from spl_batch.stages import denoise as denoising
 from spl_batch.stages import ground as grounding

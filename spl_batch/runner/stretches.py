@@ -15,7 +15,7 @@ from spl_batch.io.gpstime import usable_times
 from spl_batch.io.tables import GroupWriter, group_ranges, read_table
 from spl_batch.model import EXCLUDED, SOURCE_COLUMNS, PointTable, ShotClock, concat, rows_of
 from spl_batch.order import in_order, lexicographic_order
-from spl_batch.runner.context import Context
+from spl_batch.runner.survey_context import Context
 
 TIME_ORDER: Final = (
     "gps_time",

@@ -11,24 +11,13 @@ from spl_batch.errors import Said, grouped, shared
 from spl_batch.io.raster_parts import Part, read_overview
 from spl_batch.report.format import as_ascii
 from spl_batch.report.maps import Raster
-from spl_batch.report.model import (
-    Accuracy,
-    Basis,
-    Counts,
-    Flightline,
-    InputFile,
-    Noise,
-    Provenance,
-    Report,
-    Statistics,
-    Survey,
-)
+from spl_batch.report.model import Accuracy, Basis, Counts, Flightline, Noise, Report, Survey
+from spl_batch.report.parts import InputFile, Provenance, Statistics
 from spl_batch.report.pictures import PictureInputs, make_pictures
 from spl_batch.report.summary import mostly_unfiltered
-from spl_batch.report.write import write_report
+from spl_batch.report.survey_files import write_report
 from spl_batch.runner.accuracy import Comparison, compared, not_compared
-from spl_batch.runner.context import Context
-from spl_batch.runner.coverage import area_km2, density
+from spl_batch.runner.coverage_summary import area_km2, density
 from spl_batch.runner.pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.runner.profile import cut_profile
 from spl_batch.runner.remember import (
@@ -39,6 +28,7 @@ from spl_batch.runner.remember import (
     provenance,
     remember,
 )
+from spl_batch.runner.survey_context import Context
 from spl_batch.settings import FilterSettings
 from spl_batch.stages.kept_noise import PARTS
 from spl_batch.workflow import Workflow

@@ -29,9 +29,10 @@ from spl_batch.model import (
 )
 from spl_batch.order import lexicographic_order
 from spl_batch.runner import lines_of_sight
-from spl_batch.runner.context import Context, Produced
+from spl_batch.runner.context import Produced
 from spl_batch.runner.index import CHUNK_POINTS
 from spl_batch.runner.stretches import read_stretch
+from spl_batch.runner.survey_context import Context
 from spl_batch.runner.unchanged import as_indexed, unchanged
 from spl_batch.sensor import Sensor
 from spl_batch.settings import DccSettings

@@ -3,13 +3,6 @@
 Each key has its unit in its name or in its description.
 """
 
-from spl_batch.settings.base import (
-    BaseWorkflow,
-    Positive,
-    Section,
-    Share,
-    StoreSettings,
-)
 from spl_batch.settings.filters import (
     AesSettings,
     CylinderSettings,
@@ -41,7 +34,6 @@ __all__ = [
     "AcquisitionSettings",
     "AesSettings",
     "AfterpulseSettings",
-    "BaseWorkflow",
     "CylinderSettings",
     "DccSettings",
     "FilterSettings",
@@ -49,14 +41,10 @@ __all__ = [
     "MultilevelSettings",
     "NoiseSettings",
     "OutputSettings",
-    "Positive",
     "ProductSettings",
     "PtdSettings",
     "ReferenceSettings",
-    "Section",
-    "Share",
     "SmrfSettings",
-    "StoreSettings",
     "SurveySettings",
     "TilingSettings",
     "VoxelSettings",

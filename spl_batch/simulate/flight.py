@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.kernels.attitude import rotations
 from spl_batch.kernels.scene_trace import SceneArrays
-from spl_batch.kernels.sim_scan import central_vectors, rotations
+from spl_batch.kernels.sim_scan import central_vectors
 from spl_batch.simulate.scene import Flight, Scene
 
 CHUNK_S = 0.25

@@ -15,7 +15,7 @@ from pyproj.exceptions import CRSError
 
 from spl_batch.sensor import Sensor, load_preset
 from spl_batch.settings.faults import validated
-from spl_batch.workflow import read_mapping
+from spl_batch.workflow_file import read_mapping
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

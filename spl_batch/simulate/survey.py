@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.io.atomic import replacing
+from spl_batch.kernels.attitude import rotations
 from spl_batch.kernels.scene_trace import SceneArrays
 from spl_batch.kernels.sim_detect import Receiver
-from spl_batch.kernels.sim_scan import rotations
 from spl_batch.kernels.sim_shots import (
     NoiseGrid,
     Optics,

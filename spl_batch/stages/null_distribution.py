@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 from spl_batch.kernels.kdtree import build
 from spl_batch.kernels.null_table import between, level_of, place_of, value_of
 from spl_batch.kernels.spacing import peer_distances
-from spl_batch.settings import FilterSettings, Section
+from spl_batch.settings import FilterSettings
+from spl_batch.settings.base import Section
 from spl_batch.stages.evidence import evidence
 from spl_batch.tiling import quanta
 

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from spl_batch.report import style
-from spl_batch.report.pictures import Picture
-from spl_batch.report.plots import WIDTH_IN
+from spl_batch.report.picture import Picture
 
 MOST_PHOTONS: Final = 120_000
 """A picture of more photons is thinned evenly: it has no pixels for them."""
@@ -78,7 +77,7 @@ def _picture(title: str, caption: str, make: Callable[[], Figure], *, there: boo
 
 
 def _axes(xlabel: str, ylabel: str, height_in: float) -> tuple[Figure, Any]:
-    figure = style.figure(WIDTH_IN, height_in)
+    figure = style.figure(style.WIDTH_IN, height_in)
     axes = figure.subplots()
     axes.set_xlabel(xlabel)
     axes.set_ylabel(ylabel)

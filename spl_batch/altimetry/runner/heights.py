@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.accuracy.summary import statistics
+from spl_batch.accuracy.error_statistics import statistics
 from spl_batch.altimetry.io.atl08 import find_labels
 from spl_batch.altimetry.io.terrain import sample_terrain
 from spl_batch.altimetry.io.track_csv import read_profile

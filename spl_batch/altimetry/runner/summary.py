@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.accuracy.summary import statistics
+from spl_batch.accuracy.error_statistics import statistics
 from spl_batch.altimetry.model import LABELS
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
@@ -16,8 +16,8 @@ from spl_batch.altimetry.runner.context import Context, place
 from spl_batch.altimetry.runner.photons import Selection, read_rate
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.io.tables import read_arrays, read_columns, read_groups, reading
-from spl_batch.report.model import Statistics
-from spl_batch.report.pictures import Picture
+from spl_batch.report.parts import Statistics
+from spl_batch.report.picture import Picture
 from spl_batch.report.write import write_both
 from spl_batch.runner.remember import (
     Receipts,

@@ -14,11 +14,11 @@ from spl_batch.geiger.coincidence.runner import CoincidenceContext
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
 from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase
-from spl_batch.report.summary import ending_rows
+from spl_batch.report.verdict import ending_rows
 from spl_batch.runner import code_version
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.remember import Receipts, RunFacts
-from spl_batch.settings import BaseWorkflow
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.task import Receipt, Task
 
 

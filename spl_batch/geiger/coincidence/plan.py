@@ -18,9 +18,9 @@ from spl_batch.io.crs import projected_crs
 from spl_batch.plan import density
 from spl_batch.plan.budget import Cost, measured_rates
 from spl_batch.plan.density import Box
-from spl_batch.plan.inputs import check_keys, expand, name_below, refuse_own, source_key
+from spl_batch.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.unchanged import stamp
 from spl_batch.task import Receipt, Task

@@ -15,7 +15,7 @@ from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase
 from spl_batch.runner import code_version
 from spl_batch.runner.remember import Receipts, RunFacts
-from spl_batch.settings import BaseWorkflow
+from spl_batch.settings.base import BaseWorkflow
 from spl_batch.task import Receipt, Task
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(

@@ -13,7 +13,7 @@ from spl_batch.geiger.water.io import PIECE_VALUES, FrameFacts, inspect_frames
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.io.crs import projected_crs
 from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.inputs import (
+from spl_batch.plan.input_files import (
     check_keys,
     expand,
     name_below,
@@ -22,7 +22,7 @@ from spl_batch.plan.inputs import (
     stem_names,
 )
 from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.memory import WORKER_BASE_BYTES
+from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
 from spl_batch.runner.context import RunContext
 from spl_batch.runner.unchanged import stamp_if_there
 from spl_batch.task import Task

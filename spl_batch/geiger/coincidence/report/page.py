@@ -12,13 +12,12 @@ from spl_batch.report import format as text
 from spl_batch.report import style
 from spl_batch.report.maps import Raster, draw_ramp, draw_relief, reduce_raster, spread
 from spl_batch.report.page import Front, render_page
-from spl_batch.report.pictures import Picture
-from spl_batch.report.plots import WIDTH_IN
-from spl_batch.report.summary import Verdict, failure_verdict
+from spl_batch.report.picture import Picture
+from spl_batch.report.verdict import Verdict, failure_verdict
 
 SECTIONS: Final = (("points", "Points"),)
 _PACKAGE: Final = "spl_batch.geiger.coincidence.report"
-_STRIP_IN: Final = (WIDTH_IN, 4.8)
+_STRIP_IN: Final = (style.WIDTH_IN, 4.8)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from spl_batch.geiger.coincidence.model import Attitudes, Detections, Frames
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceWorkflow
 from spl_batch.io.atomic import checksum
 from spl_batch.io.store import Store
-from spl_batch.kernels.sim_scan import rotations
+from spl_batch.kernels.attitude import rotations
 from spl_batch.runner.context import Produced, RunContext
 from spl_batch.runner.unchanged import unchanged
 

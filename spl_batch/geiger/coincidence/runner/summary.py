@@ -18,7 +18,7 @@ from spl_batch.geiger.coincidence.runner.intake import CoincidenceContext
 from spl_batch.geiger.coincidence.runner.tasks import MAP_CELLS, map_path
 from spl_batch.io.tables import read_arrays
 from spl_batch.report.maps import Raster
-from spl_batch.report.model import InputFile
+from spl_batch.report.parts import InputFile
 from spl_batch.report.write import write_both
 from spl_batch.runner.remember import (
     Receipts,

@@ -12,7 +12,7 @@ from spl_batch.geiger.coincidence.simulate.flight import detect, flights
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
 from spl_batch.io.atomic import write_bytes
 from spl_batch.settings.faults import validated
-from spl_batch.workflow import read_mapping
+from spl_batch.workflow_file import read_mapping
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from spl_batch.constants import QUANTA_PER_M
 from spl_batch.geiger.coincidence.kernels.scene import Targets, expose
 from spl_batch.geiger.coincidence.model import Attitudes, Detections, Frames
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
-from spl_batch.kernels.sim_scan import rotations
+from spl_batch.kernels.attitude import rotations
 
 FRAMES_OF_A_PASS = 10_000_000
 """Frame numbers are the pass times this, and then count from the start of the pass."""

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.report import format as text
 from spl_batch.report.page import Front, render_page
-from spl_batch.report.pictures import Picture
-from spl_batch.report.summary import Verdict, ending_rows, failure_verdict
+from spl_batch.report.picture import Picture
+from spl_batch.report.verdict import Verdict, ending_rows, failure_verdict
 
 
 def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:

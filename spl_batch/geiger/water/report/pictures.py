@@ -10,8 +10,7 @@ from spl_batch.report import style
 from spl_batch.report.format import metres
 from spl_batch.report.maps import WIDTH_IN as MAP_WIDTH_IN
 from spl_batch.report.maps import Raster, draw_ramp, spread
-from spl_batch.report.pictures import Picture
-from spl_batch.report.plots import WIDTH_IN
+from spl_batch.report.picture import Picture
 
 Floats = NDArray[np.float64]
 
@@ -99,7 +98,7 @@ def _histogram(counts: NDArray[np.int64], gate: tuple[int, int]) -> Picture:
     low, high = gate
     first, last = max(low - 40, 1), min(high + 40, len(counts))
     with style.type_context():
-        drawn = style.figure(WIDTH_IN, 3.0)
+        drawn = style.figure(style.WIDTH_IN, 3.0)
         axes = drawn.add_subplot()
         axes.bar(np.arange(first, last), counts[first:last], width=1.0, color=style.SIGNAL)
         axes.axvspan(low - 0.5, high - 0.5, color=style.RULE, zorder=0)
@@ -123,7 +122,7 @@ def _intensity(share: Floats) -> Picture:
 def _each(rows: Floats) -> Picture:
     title = "Errors of each surface"
     with style.type_context():
-        drawn = style.figure(WIDTH_IN, 3.4)
+        drawn = style.figure(style.WIDTH_IN, 3.4)
         bias, normal = drawn.subplots(1, 2)
         along = np.arange(len(rows))
         bias.plot(along, 1e3 * rows[:, 0], ".", color=style.SIGNAL, label="bias")
@@ -147,7 +146,7 @@ def _each(rows: Floats) -> Picture:
 def _pixels(maps: dict[str, Floats]) -> Picture:
     title = "Errors of each pixel"
     with style.type_context():
-        drawn = style.figure(WIDTH_IN, 8.0)
+        drawn = style.figure(style.WIDTH_IN, 8.0)
         for k, (key, label, factor) in enumerate(PANELS):
             axes = drawn.add_subplot(2, 2, k + 1)
             values = maps[key] if key in {"bias_m", "normal_deg"} else np.sqrt(maps[key])

@@ -9,7 +9,7 @@ from spl_batch.geiger.water.settings import CameraSettings, MountSettings
 from spl_batch.geiger.water.simulate.frames import Instrument, Target
 from spl_batch.settings.base import Positive, Section
 from spl_batch.settings.faults import validated
-from spl_batch.workflow import read_mapping
+from spl_batch.workflow_file import read_mapping
 
 
 class TargetFrames(Section):
