@@ -230,3 +230,19 @@ def test_delivered_files_are_looked_at_closely_where_they_were_written_to(
     damaged = surveys.results(surveys.run(survey, until="deliver").output)
     assert damaged != expected, "by size and time alone it cannot be told"
     assert surveys.results(surveys.run(survey, until="deliver", verify=True).output) == expected
+
+
+@pytest.mark.parametrize("folder", ["tiles", "noise"])
+def test_what_the_report_finds_damaged_is_made_again_in_the_same_run(
+    survey: Path, expected: dict[str, bytes], folder: str
+) -> None:
+    """Every task is finished, and only the report's profile reads the file."""
+    output = survey.parent / "out"
+    assert surveys.run(survey).exit_status == 0
+    (output / "report.json").unlink()
+    for path in sorted((output / "store" / folder).rglob("*.parquet")):
+        flip(path)
+    result = surveys.run(survey)
+    assert result.exit_status == 0
+    assert (output / "report.json").exists()
+    assert surveys.results(result.output) == expected

@@ -13,8 +13,9 @@ from spl_batch.api.status import RunStatus, StageStatus
 if TYPE_CHECKING:
     from spl_batch.api.alone import AloneResult, run_alone
     from spl_batch.api.comparison import ComparisonResult, compare
+    from spl_batch.api.conclusion import RunResult
     from spl_batch.api.first_survey import quickstart
-    from spl_batch.api.pipeline import RunResult, run
+    from spl_batch.api.pipeline import run
     from spl_batch.api.planning import Left, PlanSummary, plan
     from spl_batch.api.reporting import report
     from spl_batch.api.simulation import simulate
@@ -43,7 +44,7 @@ _HOMES = {
     "run_alone": "alone",
     "ComparisonResult": "comparison",
     "compare": "comparison",
-    "RunResult": "pipeline",
+    "RunResult": "conclusion",
     "run": "pipeline",
     "Left": "planning",
     "PlanSummary": "planning",

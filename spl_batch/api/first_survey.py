@@ -4,8 +4,9 @@ from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
+from spl_batch.api.conclusion import RunResult
 from spl_batch.api.events import Listener, ignore
-from spl_batch.api.pipeline import RunResult, run
+from spl_batch.api.pipeline import run
 from spl_batch.api.simulation import simulate
 from spl_batch.api.synthetic import mark_quickstart, quickstarted
 

@@ -5,24 +5,22 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 from spl_batch.api.claim import claim
-from spl_batch.api.earlier import earlier_wall_s, log_bytes
+from spl_batch.api.conclusion import RunResult, concluded, kind_of, stages_of
 from spl_batch.api.events import (
     Listener,
     Note,
     PhaseStarted,
-    ReportStarted,
     RunEnded,
     RunStarted,
     ignore,
 )
-from spl_batch.api.failures import Invocation, failures
+from spl_batch.api.failures import Invocation
 from spl_batch.api.lock import lock_file, locked
 from spl_batch.api.owner import gone_inputs, this_survey, usable
 from spl_batch.api.planning import fitting_cost
@@ -44,42 +42,14 @@ from spl_batch.plan.budget import Cost
 from spl_batch.plan.ledger import Phase, waves
 from spl_batch.plan.shelf import delivers
 from spl_batch.plan.worklist import Worklist
-from spl_batch.receivers import report_model
-from spl_batch.report.format import as_ascii, duration
-from spl_batch.runner import kinds, stages
-from spl_batch.runner.remember import REPORT_FILES, RunFacts, StageCost, stands
+from spl_batch.runner import kinds
+from spl_batch.runner.remember import StageCost
 from spl_batch.task import Receipt
 
 COMPILING: Final = (
     "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
     "minute or two, and later runs load them in seconds"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """How a run ended.
-
-    Parameters
-    ----------
-    exit_status : int
-        0 all done, 1 some files or tiles failed.
-    output : Path
-        Folder of the results.
-    report : BaseModel or None
-        The receiver's model of its report, that of an airborne survey is
-        :class:`~spl_batch.report.model.Report`; None when the run was told to stop before it.
-    screen : tuple of (str, str)
-        Label and value of the numbers that matter.
-    results : tuple of (str, list of Path)
-        Label and paths of what a user looks at first.
-    """
-
-    exit_status: int
-    output: Path
-    report: Any
-    screen: tuple[tuple[str, str], ...] = ()
-    results: tuple[tuple[str, list[Path]], ...] = ()
 
 
 def run(
@@ -155,7 +125,7 @@ def run(
             invocation,
             repairs,
             deliveries,
-            kinds(_kind(prepared)),
+            kinds(kind_of(prepared)),
             {str(source.key): source.name for source in prepared.ledger.inputs.sources},
             prepared.receiver.essential,
         )
@@ -175,85 +145,23 @@ def run(
                 progress.warn(text)
             for text in told_together(prepared.ledger.inputs.bad):
                 progress.tell(Note("error", text))
-            with executor(
+            workforce = partial(
+                executor,
                 workers=workers,
                 memory_bytes=prepared.ledger.memory_bytes,
                 scheduler=scheduler,
                 observer=progress,
-                footing=Footing(_kind(prepared), code, str(lock_file(output)), mark),
+                footing=Footing(kind_of(prepared), code, str(lock_file(output)), mark),
                 ahead=ahead,
-            ) as pool:
-                _process(prepared, pool, progress, until, verify=verify)
-            compile_s = ahead.took_s if ahead else None
-            result = _conclude(prepared, progress, until, (start, compile_s))
+            )
+            result = None
+            while result is None:
+                with workforce() as pool:
+                    _process(prepared, pool, progress, until, verify=verify)
+                compile_s = ahead.took_s if ahead else None
+                result = concluded(prepared, progress, until, (start, compile_s))
         progress.tell(RunEnded(result.exit_status))
     return result
-
-
-def stages_of(prepared: Prepared[Any, Any]) -> tuple[str, ...]:
-    """Stages of a run, in order."""
-    return stages(_kind(prepared))
-
-
-def _kind(prepared: Prepared[Any, Any]) -> str:
-    return str(prepared.context.workflow.kind)
-
-
-def _conclude(
-    prepared: Prepared[Any, Any],
-    progress: Progress,
-    until: str | None,
-    took: tuple[float, float | None],
-) -> RunResult:
-    """Delete what is stale, and write the report unless the run was to stop before it.
-
-    ``took`` is when the run began, and how long it has compiled [s].
-    """
-    ledger, context, receiver = prepared.ledger, prepared.context, prepared.receiver
-    order = stages_of(prepared)
-    if until is None or order.index(until) >= order.index("deliver"):
-        for text in progress.deliveries.withdraw(ledger):
-            progress.tell(Note("info", text))
-    if until is not None and until != "report":
-        status = int(bool(progress.failures or ledger.inputs.bad))
-        return RunResult(status, context.output, None)
-    found = any(cost.skipped for cost in progress.costs.values())
-    earlier_s = earlier_wall_s(context.output) if found else 0.0
-    facts = RunFacts(
-        time.perf_counter() - took[0] + (earlier_s or 0.0),
-        progress.invocation.workers,
-        progress.costs,
-        tuple(failures(prepared, progress.failures)),
-        progress.notes,
-        receiver.reference(ledger),
-        receiver.not_read(ledger),
-        earlier_s,
-        log_bytes(context.output),
-        took[1],
-    )
-    written = _standing(prepared, facts) if progress.idle else None
-    now = []
-    if written is None:
-        progress.tell(ReportStarted())
-        written = receiver.report(ledger.done, context, facts)
-    else:
-        seconds = as_ascii(duration(time.perf_counter() - took[0]))
-        now = [("now", f"nothing was left to do: looked at in {seconds}")]
-    screen = (*receiver.screen(written), *now)
-    return RunResult(int(bool(written.failures)), context.output, written, screen, _shown(prepared))
-
-
-def _standing(prepared: Prepared[Any, Any], facts: RunFacts) -> Any:
-    """The report that is there; None where it would say something else now."""
-    context = prepared.context
-    if not stands(prepared.ledger.done, context, facts):
-        return None
-    model = report_model(_kind(prepared))
-    return model.model_validate_json((context.output / REPORT_FILES[0]).read_bytes())
-
-
-def _shown(prepared: Prepared[Any, Any]) -> tuple[tuple[str, list[Path]], ...]:
-    return tuple(prepared.receiver.results(prepared.context.output))
 
 
 @contextmanager

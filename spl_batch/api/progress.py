@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -112,9 +112,12 @@ class Progress:
         """Whether everything was found finished so far."""
         return not any(cost.tasks for cost in self.costs.values())
 
-    def repair(self, ledger: Ledger[Any, Any]) -> bool:
-        """Begin again where files of the store are to be made again."""
-        damaged = self.repairs.begin(self.failed, ledger)
+    def repair(self, ledger: Ledger[Any, Any], found: Iterable[str] = ()) -> bool:
+        """Begin again where files of the store are to be made again.
+
+        ``found`` are paths of damaged files that no task has met.
+        """
+        damaged = self.repairs.begin(self.failed, ledger, found)
         if damaged:
             self.tell(
                 Note("info", f"damaged files of the store are made again: {', '.join(damaged)}")

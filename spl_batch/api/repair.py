@@ -28,7 +28,7 @@ class Repairs:
         self.times: Counter[str] = Counter()
 
     def wanted(
-        self, failed: Iterable[Receipt], ledger: Ledger[Any, Any]
+        self, failed: Iterable[Receipt], ledger: Ledger[Any, Any], found: Iterable[str] = ()
     ) -> dict[str, tuple[str, str]]:
         """Damaged files that can be made again, with kind and name of the task that does it.
 
@@ -38,8 +38,11 @@ class Repairs:
             Of tasks that did not do their work.
         ledger : Ledger
             Knows who made what.
+        found : iterable of str
+            Paths of more damaged files, which no task has met.
         """
-        damaged = {self.store.name_of(r.facts["damaged"]) for r in failed if "damaged" in r.facts}
+        paths = [*found, *(r.facts["damaged"] for r in failed if "damaged" in r.facts)]
+        damaged = {self.store.name_of(path) for path in paths}
         if not damaged:
             return {}
         makers = {
@@ -48,29 +51,36 @@ class Repairs:
             for receipt in read_receipts(self.store, kind)
             for output in receipt.outputs
         }
-        found = {}
+        again = {}
         for name in sorted(damaged):
             # A chunk is part of an output that is a directory.
             for part in (name, *map(str, PurePosixPath(name).parents)):
                 if part in makers and self.times[part] < TRIES:
-                    found[part] = makers[part]
-        return found
+                    again[part] = makers[part]
+        return again
 
-    def begin(self, failed: Iterable[Receipt], ledger: Ledger[Any, Any]) -> list[str]:
+    def begin(
+        self, failed: Iterable[Receipt], ledger: Ledger[Any, Any], found: Iterable[str] = ()
+    ) -> list[str]:
         """Forget the tasks that made damaged files, and what the ledger knows of finished ones.
+
+        Parameters
+        ----------
+        failed, ledger, found
+            As :meth:`wanted` takes them.
 
         Returns
         -------
         list of str
             The files, as receipts call them; none if there is nothing to be done again.
         """
-        found = self.wanted(failed, ledger)
-        for name, maker in found.items():
+        again = self.wanted(failed, ledger, found)
+        for name, maker in again.items():
             self.times[name] += 1
             forget_receipt(self.store, *maker)
-        if found:
+        if again:
             ledger.done.clear()
             for name, member in vars(type(ledger)).items():
                 if isinstance(member, cached_property):
                     ledger.__dict__.pop(name, None)
-        return list(found)
+        return list(again)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from spl_batch.api.pipeline import RunResult
+from spl_batch.api.conclusion import RunResult
 from spl_batch.api.receiver import Place, Receiver
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import Store, read_receipt
