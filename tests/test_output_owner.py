@@ -8,7 +8,7 @@ import fsspec
 import pytest
 
 from spl_batch import api
-from spl_batch.api import simulation
+from spl_batch.api import first_survey, simulation
 from spl_batch.errors import WorkflowError
 from spl_batch.io.store import write_json
 from tests import surveys
@@ -233,7 +233,7 @@ def test_quickstart_refuses_a_folder_with_anything_else(
     def fly(_: object, folder: Path, **__: object) -> None:
         (folder / "workflow.yaml").write_text("survey: {name: quickstart}\n")
 
-    monkeypatch.setattr(simulation, "run", run)
+    monkeypatch.setattr(first_survey, "run", run)
     monkeypatch.setattr(simulation, "simulator", lambda _: fly)
     theirs = tmp_path / "theirs"
     (theirs / "flightlines").mkdir(parents=True)

@@ -107,8 +107,8 @@ def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 def delivered(output: Path) -> dict[str, bytes]:
-    """Content of everything that a user gets, but for reports, which tell of times."""
-    report = {"report.html", "report.json", "log.jsonl"}
+    """Content of everything that a user gets, but for what tells of times and places."""
+    report = {"report.html", "report.json", "log.jsonl", "delivered.json"}
     files = (p for p in output.rglob("*") if p.is_file() and p.name not in report)
     named = {p.relative_to(output).as_posix(): p for p in files}
     return {k: p.read_bytes() for k, p in sorted(named.items()) if not k.startswith("store/")}

@@ -301,6 +301,7 @@ class TestLinear:
         assert not re.findall(words, told, re.IGNORECASE)
         assert "Linear-mode lidar" in told
         assert "ground.method" in told
+        assert "filter.method" in told
         assert 'href="#noise"' not in shown
 
     def test_the_console_says_nothing_of_noise(self) -> None:
@@ -322,7 +323,7 @@ class TestParameters:
     def test_only_what_differs_is_told_with_its_default(self) -> None:
         found = {key: rest for key, *rest in changed(linear_report().provenance.parameters)}
         assert found["products.cell_m"] == ["0.5", "1"]
-        assert found["ground.method"] == ["smrf", "ptd"]
+        assert found["ground.method"] == ["smrf", "multiscale"]
         assert found["survey.flightlines"] == ["*.laz", "required"]
         assert found["filter.method"] == ["none", "vsaes"]
         assert found["afterpulse.enabled"] == ["false", "true"]

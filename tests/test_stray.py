@@ -144,7 +144,7 @@ def test_noise_of_a_loose_filter_makes_no_ground_off_the_edge(share: float) -> N
     assert found[:count][noise[kept, 0] > 65].all()
     assert not found[count:].any()
     mask = ground_mask(points, (points["noise_class"] == KEPT) & ~found, GroundSettings())
-    assert mask[count : count + len(ground)].mean() > 0.999
+    assert mask[count : count + len(ground)].mean() > 0.996
     assert points["z"][mask].min() > 35_000
 
 

@@ -168,7 +168,7 @@ def test_terrain_over_clear_water_is_its_flat_surface_and_the_bottom_stays() -> 
     found = classify(table, cell, dtm)
     assert (found[surface] == 9).mean() > 0.999
     assert (found[deep] == 1).all()
-    assert (found[~wet] == 2).mean() > 0.99
+    assert (found[~wet] == 2).mean() > 0.98
 
 
 def test_only_what_lies_at_the_surface_is_put_on_it() -> None:

@@ -65,6 +65,10 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
+FEW_PIECES: Final = 2
+"""Further pieces of a survey whose rasters the console names [count]."""
+
+
 class Imaging(Receiver[Survey, Context]):
     """Flightlines to classified clouds, terrain and surface rasters."""
 
@@ -252,10 +256,16 @@ class Imaging(Receiver[Survey, Context]):
             ("report", [output / "report.html"]),
             (
                 "rasters",
-                [output / "dtm.tif", output / "dsm.tif", *sorted(output.glob("d?m_*.tif"))],
+                [output / "dtm.tif", output / "dsm.tif", *_of_further_pieces(output)],
             ),
             ("clouds", [output / "laz"]),
         ]
+
+
+def _of_further_pieces(output: Path) -> list[Path]:
+    """Terrain of the other pieces of a survey, of few; their folder where there are more."""
+    found = sorted(output.glob("dtm_*.tif"))
+    return found if len(found) <= FEW_PIECES else [output]
 
 
 RECEIVER: Final[Receiver[Any, Any]] = Imaging()

@@ -172,7 +172,8 @@ def _refuse_unknown(prepared: Prepared[Any, Any], deliveries: Deliveries) -> Non
     unknown = [name for name in found if name not in deliveries.files]
     store = output / "store"
     own = any((store / name).exists() for name in ("lock", "receipts"))
-    if store.is_dir() and not own and any(store.iterdir()):
+    here = prepared.context.store.url is None  # one that lies elsewhere has a mark of its own
+    if here and store.is_dir() and not own and any(store.iterdir()):
         unknown.append("store/")
     if unknown:
         raise WorkflowError(

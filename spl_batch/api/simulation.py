@@ -42,7 +42,7 @@ def simulate(
     if is_workflow(content):
         raise WorkflowError(f"{scene}: this is a workflow, not a scene; `spl-batch run` is for it")
     kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
-    with simulating(Path(output)):
+    with simulating(Path(output), Path(scene)):
         if progress is not None:
             progress(0.0)
         return simulator(kind)(Path(scene), Path(output), progress=progress)

@@ -26,13 +26,15 @@ _BEFORE_RECORDS: Final = frozenset(
 
 
 @contextmanager
-def simulating(folder: Path) -> Iterator[None]:
+def simulating(folder: Path, scene: Path) -> Iterator[None]:
     """Simulate into a folder that holds nothing else; record what was made in it.
 
     Parameters
     ----------
     folder : Path
         Where the block writes to; made where it is missing.
+    scene : Path
+        File of the scene, which may lie in the folder.
 
     Raises
     ------
@@ -40,10 +42,16 @@ def simulating(folder: Path) -> Iterator[None]:
         If it holds a file that no simulation made, or one that has changed since.
     """
     made = _made(folder)
+    given = (
+        {scene.resolve().relative_to(folder.resolve()).as_posix()}
+        if _holds(folder, scene)
+        else set()
+    )
+    there = [name for name in _contents(folder) if name not in given]
     if made is None:
-        _refuse(folder, _contents(folder), "which no simulation made")
+        _refuse(folder, there, "which no simulation made")
     elif not made["begun"]:
-        there, files = _contents(folder), made["files"]
+        files = made["files"]
         _refuse(folder, [n for n in there if n not in files], "which no simulation made")
         changed = [n for n in there if _stamp(folder / n) != files[n]]
         _refuse(folder, changed, "which has changed since it was simulated")
@@ -52,13 +60,17 @@ def simulating(folder: Path) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        if not _contents(folder):  # a fault of the scene leaves nothing behind
+        if set(_contents(folder)) <= given:  # a fault of the scene leaves nothing behind
             (folder / MADE).unlink()
             if new:
                 folder.rmdir()
         raise
-    files = {name: _stamp(folder / name) for name in _contents(folder)}
+    files = {name: _stamp(folder / name) for name in _contents(folder) if name not in given}
     write_json(folder / MADE, {"begun": False, "files": files, "quickstart": False})
+
+
+def _holds(folder: Path, scene: Path) -> bool:
+    return folder.resolve() in scene.resolve().parents
 
 
 def mark_quickstart(folder: Path) -> None:

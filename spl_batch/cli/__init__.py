@@ -16,6 +16,7 @@ from spl_batch import __version__
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.errors import SplBatchError
 
+_LOADING = "loading, and reading the headers of the inputs"
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
 
 
@@ -97,7 +98,7 @@ def simulate(scene: Path, output: Path) -> int:
 @_SETTINGS
 def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str, ...]) -> int:
     """Say what a run of WORKFLOW would do, and what is wrong with its inputs."""
-    with saying_if_slow("loading, and reading the headers of the inputs"):
+    with saying_if_slow(_LOADING):
         from spl_batch import api  # noqa: PLC0415
         from spl_batch.cli import screen  # noqa: PLC0415
 
@@ -133,28 +134,36 @@ def run(
     overrides: tuple[str, ...],
 ) -> int:
     """Process the survey of WORKFLOW; run again, it continues where it stopped."""
-    from spl_batch import api  # noqa: PLC0415
-    from spl_batch.cli import screen  # noqa: PLC0415
-    from spl_batch.cli.view import watching  # noqa: PLC0415
+    with saying_if_slow(_LOADING) as begun:
+        from spl_batch import api  # noqa: PLC0415
+        from spl_batch.cli import screen  # noqa: PLC0415
+        from spl_batch.cli.view import watching  # noqa: PLC0415
 
-    if only is not None:
-        if scheduler or fresh or verify or until:
-            raise click.UsageError("--only goes with --workers, --memory and --set alone")
-        alone = api.run_alone(workflow, only, workers=workers, memory=memory, overrides=overrides)
-        screen.print_alone(alone)
-        return alone.exit_status
-    with watching() as view:
-        result = api.run(
-            workflow,
-            workers=workers,
-            memory=memory,
-            scheduler=scheduler,
-            fresh=fresh,
-            verify=verify,
-            until=until,
-            overrides=overrides,
-            listener=view.on_event,
-        )
+        if only is not None:
+            if scheduler or fresh or verify or until:
+                raise click.UsageError("--only goes with --workers, --memory and --set alone")
+            alone = api.run_alone(
+                workflow, only, workers=workers, memory=memory, overrides=overrides
+            )
+            screen.print_alone(alone)
+            return alone.exit_status
+        with watching() as view:
+
+            def listen(event: Any) -> None:
+                begun()
+                view.on_event(event)
+
+            result = api.run(
+                workflow,
+                workers=workers,
+                memory=memory,
+                scheduler=scheduler,
+                fresh=fresh,
+                verify=verify,
+                until=until,
+                overrides=overrides,
+                listener=listen,
+            )
     screen.print_result(result, _CLOCK.get().took_s)
     return result.exit_status
 

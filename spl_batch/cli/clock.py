@@ -3,7 +3,7 @@
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -50,12 +50,12 @@ class CommandClock:
 
 
 @contextmanager
-def saying_if_slow(text: str, after_s: float = SLOW_S) -> Iterator[None]:
-    """Say on standard error what is done if it is not done soon."""
+def saying_if_slow(text: str, after_s: float = SLOW_S) -> Iterator[Callable[[], None]]:
+    """Say on standard error what is done if it is not done soon; call what is given once it is."""
     timer = threading.Timer(after_s, lambda: click.echo(f"info: {text}", err=True))
     timer.daemon = True
     timer.start()
     try:
-        yield
+        yield timer.cancel
     finally:
         timer.cancel()

@@ -210,7 +210,8 @@ def count_blocks(
     shapes = _shapes(sizes.tiles, workflow)
     cuts = _cuts(pieces, workflow, sizes.under(memory_bytes), sizes.tiles)
     there = [max(shape) for shape, cut in zip(shapes, cuts, strict=True) if cut.units]
-    reading = math.fsum(cut.read for cut in cuts)
+    # squares of a density know no tile's edge; a block reads at least what it owns
+    reading = max(math.fsum(cut.read for cut in cuts), points)
     longest = max(there, default=sizes.tiles)
     return Expected(sum(cut.units for cut in cuts), longest, reading / points)
 

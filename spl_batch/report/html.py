@@ -10,6 +10,7 @@ from spl_batch.report.page import Front, render_page
 from spl_batch.report.picture import Picture
 from spl_batch.report.summary import noise_removed, photon_counting, terrain_statistics, verdicts
 from spl_batch.report.verdict import speed_remark
+from spl_batch.settings import FilterSettings
 
 SECTIONS: Final = (
     ("accuracy", "Accuracy"),
@@ -22,8 +23,11 @@ SECTIONS: Final = (
 OF_PHOTONS: Final = ("noise", "survey")
 """Sections that linear-mode lidar has nothing to say in."""
 
-PHOTON_KEYS: Final = ("afterpulse", "acquisition", "noise", "filter", "survey.sensor")
-"""Parameters of single-photon lidar alone: without a filter nothing reads them."""
+PHOTON_KEYS: Final = (
+    *(f"filter.{key}" for key in FilterSettings.model_fields if key != "method"),
+    *("afterpulse", "acquisition", "noise", "survey.sensor"),
+)
+"""Parameters of single-photon lidar alone: nothing reads them where no filter runs."""
 
 HOW: Final[Mapping[str, str]] = MappingProxyType(
     {

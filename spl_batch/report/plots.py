@@ -98,14 +98,14 @@ def _statistic_lines(axes: Axes, statistics: Statistics) -> None:
     if statistics.mean is not None:
         label = f"mean {centimetres(statistics.mean)}"
         axes.axvline(100 * statistics.mean, color="#b03a1f", linewidth=1.5, label=label)
-    for name, centre, value, dashes in (
-        ("RMSE", 0.0, statistics.rmse, (5, 3)),
-        ("NMAD", statistics.median or 0.0, statistics.nmad, (1.5, 2)),
+    for name, centre, around, value, dashes in (
+        ("RMSE", 0.0, "zero", statistics.rmse, (5, 3)),
+        ("NMAD", statistics.median or 0.0, "the median", statistics.nmad, (1.5, 2)),
     ):
         if value is None:
             continue
         colour = style.INK if name == "RMSE" else style.SIGNAL
-        label = f"\N{PLUS-MINUS SIGN}{name} {centimetres(value)}"
+        label = f"\N{PLUS-MINUS SIGN}{name} {centimetres(value)} around {around}"
         for side, shown in ((-value, "_"), (value, label)):
             place = 100 * (centre + side)
             axes.axvline(place, color=colour, linewidth=1.2, linestyle=(0, dashes), label=shown)

@@ -26,7 +26,10 @@ class Verdict(NamedTuple):
 
 
 def ending_rows(
-    work: Performance, failures: Sequence[Failure], warnings: Sequence[str]
+    work: Performance,
+    failures: Sequence[Failure],
+    warnings: Sequence[str],
+    noun: str = "points",
 ) -> list[tuple[str, str]]:
     """Label and value of what the console shows last, whatever the receiver.
 
@@ -38,8 +41,10 @@ def ending_rows(
         What did not make it.
     warnings : sequence of str
         What a reader has to know.
+    noun : str
+        What the receiver counts.
     """
-    rows = [("run time", f"{duration(work.wall_s)}{_of_which(work)}")]
+    rows = [("run time", f"{duration(work.wall_s)}{_of_which(work, noun)}")]
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MiB per worker"))
     rows.append(("failures", number(len(failures)) if failures else "none"))
@@ -59,11 +64,11 @@ def _failed(failure: Failure) -> str:
     return what if said else f"{what}; {failure.remedy}"
 
 
-def _of_which(work: Performance) -> str:
+def _of_which(work: Performance, noun: str) -> str:
     """Speed of a run, and what it took itself where it went on with the work of others."""
     if work.part_alone:
         return f" for this part alone; the rest was finished before{_compiling(work)}"
-    speed = f" ({large(work.points_per_s)} points/s)"
+    speed = f" ({large(work.points_per_s)} {noun}/s)"
     if not work.earlier_wall_s or work.wall_s is None:
         return speed + _compiling(work)
     own = duration(work.wall_s - work.earlier_wall_s)
@@ -77,7 +82,9 @@ def _compiling(work: Performance) -> str:
 
 def speed_remark(work: Performance, noun: str = "points") -> str:
     """What a page says beside the duration of a run."""
-    return "this part alone" if work.part_alone else f"{large(work.points_per_s)} {noun}/s"
+    if work.part_alone:
+        return "this part alone"
+    return f"{large(work.points_per_s)} {noun}/s{_compiling(work)}"
 
 
 def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Verdict:

@@ -113,7 +113,7 @@ def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
             if agreement.f1 is not None:
                 rows.append((f"{beam.name} labels, {method}", f"F1 {agreement.f1:.3f}"))
     plain = [(label, text.as_ascii(value)) for label, value in rows]
-    return plain + ending_rows(work, report.failures, report.warnings)
+    return plain + ending_rows(work, report.failures, report.warnings, "photons")
 
 
 def _with_share(part: int, whole: int) -> str:

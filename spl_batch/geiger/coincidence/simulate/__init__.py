@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import yaml
@@ -64,15 +65,13 @@ def simulate(
     scene: SceneSettings, out: Path, *, progress: Callable[[float], None] | None = None
 ) -> CoincidenceSimulation:
     """Fly over a scene; see :func:`simulate_file`."""
-    targets = build(scene)
+    targets, passes = build(scene), len(scene.flight.headings_deg)
     frames = detections = 0
     for k, (seen, attitudes) in enumerate(flights(scene), start=1):
-        found = detect(scene, seen, targets)
+        found = detect(scene, seen, targets, partial(_tell, progress, k - 1, passes))
         files.write_frames(out / "l1" / f"pass_{k}_frames.parquet", attitudes)
         files.write_detections(out / "l1" / f"pass_{k}_detections.parquet", found)
         frames, detections = frames + len(seen), detections + len(found)
-        if progress is not None:
-            progress(k / len(scene.flight.headings_deg))
     workflow = {
         "kind": "coincidence",
         "survey": {
@@ -87,3 +86,9 @@ def simulate(
     for name, made in (("workflow", workflow), ("scene", scene.model_dump(mode="json"))):
         write_bytes(out / f"{name}.yaml", yaml.safe_dump(made, sort_keys=False).encode())
     return CoincidenceSimulation(frames, detections)
+
+
+def _tell(progress: Callable[[float], None] | None, before: int, passes: int, share: float) -> None:
+    """Tell how much of all passes is flown, where some are and this one is in part."""
+    if progress is not None:
+        progress((before + share) / passes)

@@ -4,7 +4,7 @@ Each frame has random numbers of its own, so what is simulated does not depend o
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,12 @@ def flights(scene: SceneSettings) -> Iterator[tuple[Frames, Attitudes]]:
         yield Frames(number_of, place, turn[rows]), Attitudes(number_of, place, attitude)
 
 
-def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections:
+def detect(
+    scene: SceneSettings,
+    frames: Frames,
+    targets: Targets,
+    tell: Callable[[float], None] = lambda _: None,
+) -> Detections:
     """What the detectors record: at most one detection of each in a frame.
 
     Parameters
@@ -67,6 +72,8 @@ def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections
         From :func:`flights`.
     targets : Targets
         From :func:`~.scene.build`.
+    tell : callable
+        Told the share of the frames that is done, 0..1.
 
     Returns
     -------
@@ -93,6 +100,7 @@ def detect(scene: SceneSettings, frames: Frames, targets: Targets) -> Detections
         frame.append(np.full(len(fired), number))
         detector.append(fired.astype(np.int32))
         xyz.append(np.rint(place * QUANTA_PER_M).astype(np.int64))
+        tell((k + 1) / len(frames))
     if not frame:
         return Detections(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3), np.int64))
     return Detections(np.concatenate(frame), np.concatenate(detector), np.concatenate(xyz))
