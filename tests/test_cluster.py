@@ -247,7 +247,7 @@ def test_a_second_try_does_not_wait_for_workers_that_are_gone(
     found, watcher = flow_through(threads, jobs(1), monkeypatch, do)
     assert [r.reason for r in found] == [""]
     assert len(tries) == 2
-    assert any("is gone" in note for note in watcher.notes)
+    assert any("is lost" in note for note in watcher.notes)
 
 
 def test_workers_are_found_whatever_the_client_holds(threads: LocalCluster) -> None:

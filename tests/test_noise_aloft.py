@@ -1,7 +1,7 @@
 """Noise around raster cells: the average, and squares where it is clearly more."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
