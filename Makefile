@@ -22,7 +22,7 @@ types: ## static types
 	mypy
 
 schemas: ## schemas/ agrees with the models
-	python -m spl_batch.report.schema --check
+	python -m spl_batch.engine.report.schema --check
 
 test: ## all tests
 	python -m pytest

@@ -22,35 +22,26 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from benchmarks import (
-    afterpulses,
-    intensity,
-    methods,
-    near_surface,
-    noise_density,
-    null_calibration,
-    water_surface,
-)
-from benchmarks.afterpulse_scenes import CANOPIES, LIGHTS
-from benchmarks.afterpulse_tables import Prepared, prepare
-from benchmarks.methods import (
-    GROUND,
-    WIRE,
-    Columns,
-    is_noise,
-    known_methods,
-)
-from benchmarks.terrain import cut
-from benchmarks.trajectories import read_trajectory
-from benchmarks.twins import weak_wires
+from benchmarks.airborne.afterpulse import afterpulses
+from benchmarks.airborne.afterpulse.afterpulse_scenes import CANOPIES, LIGHTS
+from benchmarks.airborne.afterpulse.afterpulse_tables import Prepared, prepare
+from benchmarks.airborne.beams.trajectories import read_trajectory
+from benchmarks.airborne.filter import methods, near_surface, null_calibration
+from benchmarks.airborne.filter.methods import GROUND, WIRE, Columns, is_noise, known_methods
+from benchmarks.airborne.ground.terrain import cut
+from benchmarks.airborne.noise import noise_density
+from benchmarks.airborne.products import intensity
+from benchmarks.airborne.published.twins import weak_wires
+from benchmarks.geiger.water import water_surface
 from spl_batch import api
-from spl_batch.io.atomic import write_bytes
-from spl_batch.report import style
-from spl_batch.sensor import load_preset
-from spl_batch.settings import AfterpulseSettings, FilterSettings, WireSettings
-from spl_batch.simulate import simulate
-from spl_batch.simulate.scene import Scene, parse_scene
-from spl_batch.stages import afterpulse, echoes, geometry
+from spl_batch.airborne.afterpulse import afterpulse_decision, candidates
+from spl_batch.airborne.beams import geometry
+from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings, WireSettings
+from spl_batch.airborne.simulate import simulate
+from spl_batch.airborne.simulate.scene.scene_file import Scene, parse_scene
+from spl_batch.engine.report import style
+from spl_batch.formats.files.atomic import write_bytes
 
 LARGEST: Final = 150_000
 """Most bytes of a figure."""
@@ -84,12 +75,12 @@ SHOWN_M: Final = (-6.0, 34.0)
 """Heights of the profile, from the lowest ground in it [m]."""
 
 FILTERS: Final = ("published", "calibrated", "ours")
-"""Filters of the profile, by name in :func:`benchmarks.methods.known_methods`."""
+"""Filters of the profile, by name in :func:`benchmarks.airborne.filter.methods.known_methods`."""
 
 SMALL: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     {"edges": (190.0, 76.0), "gate 85 m": (100.0, 100.0), "channels": (90.0, 90.0)}
 )
-"""Extent of the scenes of :mod:`benchmarks.noise_density` that are drawn [m]."""
+"""Extent of the scenes of :mod:`benchmarks.airborne.noise.noise_density` that are drawn [m]."""
 
 PATCHES_M: Final = 80.0
 """Edge of the scene of reflectances [m]."""
@@ -242,7 +233,7 @@ def _curve(axes: Axes, name: str, survey: Prepared, folder: Path) -> None:
         lost, removed = by_threshold(np.asarray(values, np.float64), true, false)
         axes.plot(lost, removed, color=colour, linewidth=1.5, label=label,
                   linestyle=(0, (4, 2)) if colour == TRUTH else "-")  # fmt: skip
-    echo = echoes.resolve(survey.table, survey.density, AfterpulseSettings()).echo
+    echo = afterpulse_decision.resolve(survey.table, survey.density, AfterpulseSettings()).echo
     marks = (
         ("ours, by default", echo, OURS, "o"),
         ("published rule of planes", plane_rule(survey, folder), PUBLISHED, "s"),
@@ -276,7 +267,7 @@ def plane_rule(survey: Prepared, folder: Path) -> NDArray[np.bool_]:
         table = survey.table.take(rows)
         table = table.with_columns(channel=np.zeros(len(rows), dtype=np.uint8))
         beams = geometry.beams(table, loaded.trajectory)
-        chance = afterpulse.probability(
+        chance = candidates.probability(
             table, beams, AfterpulseSettings(), load_preset("spl100"), gate_m=150.0
         )
         out[rows] = chance >= 0.5

@@ -13,7 +13,7 @@ from typing import Final
 
 from PIL import Image
 
-from spl_batch.io.atomic import write_bytes
+from spl_batch.formats.files.atomic import write_bytes
 
 PNG: Final = Path("docs/images/quickstart.png")
 

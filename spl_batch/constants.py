@@ -1,7 +1,8 @@
 """Physics and fixed conventions that every storey shares.
 
 Nothing here is a setting: a value that a user may want to change lives in
-:mod:`spl_batch.workflow`, an instrument's fact in :mod:`spl_batch.sensor`.
+:mod:`spl_batch.airborne.settings.workflow`, an instrument's fact in
+:mod:`spl_batch.airborne.sensors.sensor`.
 """
 
 from typing import Final

@@ -21,7 +21,8 @@ def named(names: Sequence[object], most: int = 5) -> str:
 def grouped(value: float, digits: int = 0) -> str:
     """A number as every message has it: ``1 234 567``, in plain spaces.
 
-    Where typographic ones are at home, in a report, it is :func:`spl_batch.report.format.number`.
+    Where typographic ones are at home, in a report, it is
+    :func:`spl_batch.engine.report.number_format.number`.
     """
     return f"{value:,.{digits}f}".replace(",", " ")
 

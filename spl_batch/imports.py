@@ -77,7 +77,7 @@ def _direct(path: Path, package: Path) -> frozenset[Path]:
     for name in _names(path, package):
         parts = name.split(".")
         if parts[0] == package.name:
-            # Of "spl_batch.io.las.inspect" the last part is a function.
+            # Of "spl_batch.formats.las.reader.inspect" the last part is a function.
             files = (module_file(".".join(parts[:n]), package) for n in range(1, len(parts) + 1))
             found |= {file for file in files if file is not None}
     return frozenset(found)

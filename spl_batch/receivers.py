@@ -21,11 +21,11 @@ class Home:
     Parameters
     ----------
     workflow : str
-        Model of its workflow file, a :class:`~spl_batch.settings.base.BaseWorkflow`.
+        Model of its workflow file, a :class:`~spl_batch.engine.settings.base.BaseWorkflow`.
     kinds : str
-        What its tasks do: a mapping of :class:`~spl_batch.runner.Kind`.
+        What its tasks do: a mapping of :class:`~spl_batch.engine.tasks.runner.Kind`.
     receiver : str
-        What the verbs need: a :class:`~spl_batch.api.receiver.Receiver`.
+        What the verbs need: a :class:`~spl_batch.engine.verbs.receiver.Receiver`.
     report : str
         Model of its ``report.json``.
     simulate : str
@@ -44,30 +44,30 @@ class Home:
 HOMES: Final[Mapping[str, Home]] = MappingProxyType(
     {
         IMAGING: Home(
-            "spl_batch.workflow:Workflow",
-            "spl_batch.runner.chain:KINDS",
-            "spl_batch.api.imaging:RECEIVER",
-            "spl_batch.report.model:Report",
-            "spl_batch.simulate:simulate_file",
+            "spl_batch.airborne.settings.workflow:Workflow",
+            "spl_batch.airborne.tasks.kinds:KINDS",
+            "spl_batch.airborne.receiver:RECEIVER",
+            "spl_batch.airborne.report.model:Report",
+            "spl_batch.airborne.simulate:simulate_file",
         ),
         "altimetry": Home(
             "spl_batch.altimetry.settings:TrackWorkflow",
-            "spl_batch.altimetry.runner:KINDS",
-            "spl_batch.altimetry.api:RECEIVER",
+            "spl_batch.altimetry.tasks.kinds:KINDS",
+            "spl_batch.altimetry.receiver:RECEIVER",
             "spl_batch.altimetry.report.model:TrackReport",
             "spl_batch.altimetry.simulate:simulate_file",
         ),
         "coincidence": Home(
             "spl_batch.geiger.coincidence.settings:CoincidenceWorkflow",
-            "spl_batch.geiger.coincidence.runner:KINDS",
-            "spl_batch.geiger.coincidence.api:RECEIVER",
+            "spl_batch.geiger.coincidence.tasks.points:KINDS",
+            "spl_batch.geiger.coincidence.receiver:RECEIVER",
             "spl_batch.geiger.coincidence.report.model:CoincidenceReport",
             "spl_batch.geiger.coincidence.simulate:simulate_file",
         ),
         "water_surface": Home(
             "spl_batch.geiger.water.settings:WaterWorkflow",
-            "spl_batch.geiger.water.runner:KINDS",
-            "spl_batch.geiger.water.api:RECEIVER",
+            "spl_batch.geiger.water.tasks.kinds:KINDS",
+            "spl_batch.geiger.water.receiver:RECEIVER",
             "spl_batch.geiger.water.report.model:WaterReport",
             "spl_batch.geiger.water.simulate:simulate_file",
         ),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from spl_batch.simulate import preset_scene, simulate
+from spl_batch.airborne.simulate import preset_scene, simulate
 from tests import clusters, surveys
 
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from spl_batch.runner import chain
-from spl_batch.runner.context import Produced
-from spl_batch.runner.survey_context import Context
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.tasks import kinds
+from spl_batch.engine.tasks.context import Produced
 
 VARIABLE = "SPL_BATCH_TEST_FAULTS"
 """Environment variable that names the plan file."""
@@ -31,9 +31,9 @@ PIECE_BYTES = 32 << 20
 def dask_setup(_worker: object) -> None:
     """Put the faults around every kind of task."""
     plan = Path(os.environ[VARIABLE])
-    chain.KINDS = {  # type: ignore[misc]
+    kinds.KINDS = {  # type: ignore[misc]
         kind: dataclasses.replace(entry, function=_faulty(kind, entry.loaded(), plan))
-        for kind, entry in chain.KINDS.items()
+        for kind, entry in kinds.KINDS.items()
     }
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.model import COLUMNS, PointTable, ShotClock, Trajectory
+from spl_batch.lattice.tables import COLUMNS, PointTable, ShotClock, Trajectory
 
 CLOCK = ShotClock(200_000.0, 50_000.0)
 ALTITUDE_M = 3000.0

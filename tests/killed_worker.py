@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from spl_batch import runner
-from spl_batch.io import atomic
+from spl_batch.engine.tasks import runner
+from spl_batch.formats.files import atomic
 
 VARIABLE = "SPL_BATCH_TEST_KILL"
 """Environment variable that holds the moment; after it, the output folder."""

@@ -6,8 +6,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.report.model import Accuracy, Counts, Density, Flightline, Noise, Report, Survey
-from spl_batch.report.parts import (
+from spl_batch.airborne.report.model import (
+    Accuracy,
+    Counts,
+    Density,
+    Flightline,
+    Noise,
+    Report,
+    Survey,
+)
+from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster
+from spl_batch.engine.report.parts import (
     Failure,
     InputFile,
     Performance,
@@ -15,7 +24,6 @@ from spl_batch.report.parts import (
     StagePerformance,
     Statistics,
 )
-from spl_batch.report.pictures import PictureInputs, Profile, Raster
 
 EXTENT = (500_000.0, 500_400.0, 3_300_000.0, 3_300_300.0)
 

@@ -7,16 +7,16 @@ from typing import Any
 import jsonschema
 import pytest
 
+from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.engine.report.schema import main, schemas, stale
 from spl_batch.errors import WorkflowError
-from spl_batch.report.schema import main, schemas, stale
-from spl_batch.workflow import parse_workflow
 
 FOLDER = Path(__file__).parents[1] / "schemas"
 MINIMAL = {"survey": {"flightlines": "*.laz"}, "output": "out"}
 
 
 def test_the_committed_schemas_are_not_stale() -> None:
-    assert stale(FOLDER) == [], "run: python -m spl_batch.report.schema"
+    assert stale(FOLDER) == [], "run: python -m spl_batch.engine.report.schema"
     assert {p.name for p in FOLDER.glob("*.json")} == set(schemas())
 
 

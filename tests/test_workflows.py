@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from spl_batch.runner.chain import STAGES
-from spl_batch.simulate import load_scene
-from spl_batch.workflow import Workflow, parse_workflow
-from spl_batch.workflow_file import parse_any
+from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
+from spl_batch.airborne.simulate import load_scene
+from spl_batch.airborne.tasks.kinds import STAGES
+from spl_batch.engine.settings.workflow_file import parse_any
 from tests.workflow_files import differing, unshown
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 FILES = sorted((ROOT / "workflows").glob("*.yaml"))
 WORKFLOWS = [path for path in FILES if not path.name.endswith("scene.yaml")]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -109,7 +109,7 @@ def test_people_and_ci_use_the_same_commands() -> None:
         "ruff format --check .",
         "ruff check .",
         "mypy",
-        "python -m spl_batch.report.schema --check",
+        "python -m spl_batch.engine.report.schema --check",
         "python -m pytest",
         "spl-batch quickstart",
     ):

@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from spl_batch.settings.base import Section
+from spl_batch.engine.settings.base import Section
 
 
 def keys(model: type[BaseModel], place: str = "") -> list[str]:

@@ -8,13 +8,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from spl_batch.altimetry.io.photons import BeamFacts, TrackFile, inspect
-from spl_batch.altimetry.runner.context import Context
-from spl_batch.altimetry.runner.delivery import PASS_PHOTONS
+from spl_batch.altimetry.formats.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.settings import TrackWorkflow
-from spl_batch.errors import InputError, Said, WorkflowError, shared
-from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.input_files import (
+from spl_batch.altimetry.tasks.context import Context
+from spl_batch.altimetry.tasks.delivery import PASS_PHOTONS
+from spl_batch.engine.plan.budget import Cost, measured_rates
+from spl_batch.engine.plan.input_files import (
     check_keys,
     expand,
     name_below,
@@ -22,11 +21,12 @@ from spl_batch.plan.input_files import (
     source_key,
     stem_names,
 )
-from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
-from spl_batch.runner.unchanged import stamp
-from spl_batch.task import Task
-from spl_batch.tiling import quanta
+from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
+from spl_batch.engine.tasks.input_changes import stamp
+from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.task import Task
+from spl_batch.errors import InputError, Said, WorkflowError, shared
+from spl_batch.lattice.tiles import quanta
 
 RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 2.0e6, "rate": 1.5e6, "signal": 0.2e6, "profile": 1.0e6, "deliver": 0.8e6}

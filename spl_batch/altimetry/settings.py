@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
+from spl_batch.engine.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
 class TrackSettings(Section):

@@ -1,7 +1,7 @@
 """Profiles like MABEL's with truth for every photon: mountain or flat, green or infrared.
 
-Not a link budget (that is :mod:`spl_batch.simulate`): photons per metre of track and noise per
-square metre are given, since these decide what a filter along a profile can do. Signal of
+Not a link budget (that is :mod:`spl_batch.airborne.simulate`): photons per metre of track and noise
+per square metre are given, since these decide what a filter along a profile can do. Signal of
 one-minute flights at 20 km is about one photon per metre in the green and a few in the
 infrared; noise follows sky, albedo and slope and steps up over bright ground, as [W17]
 Fig. 4-5 shows it between 8 and 9 km. The gate follows a coarse terrain model and the product
@@ -18,15 +18,15 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field
 
-from spl_batch.altimetry.io.mabel import write_mabel
-from spl_batch.altimetry.io.track_csv import to_text
-from spl_batch.altimetry.model import Background
+from spl_batch.altimetry.formats.mabel import write_mabel
+from spl_batch.altimetry.formats.track_csv import to_text
+from spl_batch.altimetry.photon_table import Background
 from spl_batch.constants import SPEED_OF_LIGHT_M_S
+from spl_batch.engine.settings.base import Positive, Section
+from spl_batch.engine.settings.validation import validated
+from spl_batch.engine.settings.workflow_file import read_mapping
 from spl_batch.errors import grouped
-from spl_batch.io.atomic import write_bytes
-from spl_batch.settings.base import Positive, Section
-from spl_batch.settings.faults import validated
-from spl_batch.workflow_file import read_mapping
+from spl_batch.formats.files.atomic import write_bytes
 
 PIECE_M: Final = 4.0
 """Track of one noise rate: 0.02 s at 200 m/s [m]."""

@@ -6,19 +6,18 @@ A verb is imported when it is asked for: planning needs no pictures, say.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# At once, for a module has the name of the verb: imported later, that would take its place.
-from spl_batch.api.follower import Follower, status
-from spl_batch.api.status import RunStatus, StageStatus
+from spl_batch.engine.watch.log_follower import Follower, status
+from spl_batch.engine.watch.status import RunStatus, StageStatus
 
 if TYPE_CHECKING:
-    from spl_batch.api.alone import AloneResult, run_alone
-    from spl_batch.api.comparison import ComparisonResult, compare
-    from spl_batch.api.conclusion import RunResult
-    from spl_batch.api.first_survey import quickstart
-    from spl_batch.api.pipeline import run
-    from spl_batch.api.planning import Left, PlanSummary, plan
-    from spl_batch.api.reporting import report
-    from spl_batch.api.simulation import simulate
+    from spl_batch.airborne.compare.comparison import ComparisonResult, compare
+    from spl_batch.airborne.quickstart import quickstart
+    from spl_batch.engine.verbs.alone import AloneResult, run_alone
+    from spl_batch.engine.verbs.conclusion import RunResult
+    from spl_batch.engine.verbs.planning import Left, PlanSummary, plan
+    from spl_batch.engine.verbs.reporting import report
+    from spl_batch.engine.verbs.running import run
+    from spl_batch.engine.verbs.simulation import simulate
 
 __all__ = [
     "AloneResult",
@@ -40,22 +39,22 @@ __all__ = [
 ]
 
 _HOMES = {
-    "AloneResult": "alone",
-    "run_alone": "alone",
-    "ComparisonResult": "comparison",
-    "compare": "comparison",
-    "RunResult": "conclusion",
-    "run": "pipeline",
-    "Left": "planning",
-    "PlanSummary": "planning",
-    "plan": "planning",
-    "report": "reporting",
-    "quickstart": "first_survey",
-    "simulate": "simulation",
+    "AloneResult": "spl_batch.engine.verbs.alone",
+    "run_alone": "spl_batch.engine.verbs.alone",
+    "ComparisonResult": "spl_batch.airborne.compare.comparison",
+    "compare": "spl_batch.airborne.compare.comparison",
+    "RunResult": "spl_batch.engine.verbs.conclusion",
+    "run": "spl_batch.engine.verbs.running",
+    "Left": "spl_batch.engine.verbs.planning",
+    "PlanSummary": "spl_batch.engine.verbs.planning",
+    "plan": "spl_batch.engine.verbs.planning",
+    "report": "spl_batch.engine.verbs.reporting",
+    "quickstart": "spl_batch.airborne.quickstart",
+    "simulate": "spl_batch.engine.verbs.simulation",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"spl_batch.api.{_HOMES[name]}"), name)
+    return getattr(import_module(_HOMES[name]), name)

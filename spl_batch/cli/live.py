@@ -11,8 +11,8 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.api.status import RunStatus, StageStatus
-from spl_batch.api.tilemap import State, TileMap
+from spl_batch.engine.watch.status import RunStatus, StageStatus
+from spl_batch.engine.watch.tile_map import State, TileMap
 from spl_batch.errors import grouped
 
 COLOURS: Final = {

@@ -11,9 +11,15 @@ from rich.table import Table
 from rich.text import Text
 
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, taken
+from spl_batch.engine.report import number_format as texts
+from spl_batch.engine.report.number_format import (
+    as_ascii,
+    centimetres,
+    number,
+    percent,
+    significant,
+)
 from spl_batch.errors import grouped, storage
-from spl_batch.report import format as texts
-from spl_batch.report.format import as_ascii, centimetres, number, percent, significant
 
 if TYPE_CHECKING:  # each command loads what it needs only
     from spl_batch.api import (

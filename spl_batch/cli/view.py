@@ -9,7 +9,8 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from spl_batch.api.events import (
+from spl_batch.cli.live import bars, details, duration, short
+from spl_batch.engine.watch.events import (
     Compiling,
     Event,
     Note,
@@ -19,8 +20,7 @@ from spl_batch.api.events import (
     WorkersReady,
     as_record,
 )
-from spl_batch.api.status import RunStatus, StageStatus
-from spl_batch.cli.live import bars, details, duration, short
+from spl_batch.engine.watch.status import RunStatus, StageStatus
 
 _ERR = Console(stderr=True)
 

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.report.parts import (
+from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
     Failure,

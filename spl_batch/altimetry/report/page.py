@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from spl_batch.altimetry.report.model import TrackReport
-from spl_batch.report import format as text
-from spl_batch.report.page import Front, render_page
-from spl_batch.report.parts import Statistics
-from spl_batch.report.picture import Picture
-from spl_batch.report.verdict import Verdict, ending_rows, failure_verdict, speed_remark
+from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report.page import Front, render_page
+from spl_batch.engine.report.parts import Statistics
+from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.verdict import Verdict, ending_rows, failure_verdict, speed_remark
 
 SECTIONS: Final = (("profiles", "Profiles"), ("accuracy", "Accuracy"), ("beams", "Beams"))
 

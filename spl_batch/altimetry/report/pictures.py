@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from spl_batch.report import style
-from spl_batch.report.picture import Picture
+from spl_batch.engine.report import style
+from spl_batch.engine.report.picture import Picture
 
 MOST_PHOTONS: Final = 120_000
 """A picture of more photons is thinned evenly: it has no pixels for them."""

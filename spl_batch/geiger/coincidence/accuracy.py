@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spl_batch.geiger.coincidence.kernels.distances import heights_below, surface_distance
-from spl_batch.geiger.coincidence.kernels.scene import Targets
 from spl_batch.geiger.coincidence.simulate.scene import (
     PLACES_M,
     SPOKE_RADIUS_M,
     TARGET_HEIGHT_M,
     bars,
 )
+from spl_batch.geiger.coincidence.simulate.scene_distances import heights_below, surface_distance
+from spl_batch.geiger.coincidence.simulate.scene_rays import Targets
 
 BAND_M = 0.3
 """Height around a level target within which points are taken for its own [m]."""

@@ -10,30 +10,33 @@ from typing import Any, Final
 from pyproj import CRS
 
 from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.plan.budget import Cost, measured_rates
+from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
+from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.input_changes import stamp
+from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.errors import InputError, Said, WorkflowError, shared
-from spl_batch.geiger.coincidence.io import files
+from spl_batch.formats.crs import projected_crs
+from spl_batch.geiger.coincidence.formats import l1_files as files
 from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
-from spl_batch.geiger.coincidence.stages import least_detections, reach_q
-from spl_batch.io.crs import projected_crs
-from spl_batch.plan import density
-from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.density import Box
-from spl_batch.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
-from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
-from spl_batch.runner.context import RunContext
-from spl_batch.runner.unchanged import stamp
-from spl_batch.task import Receipt, Task
-from spl_batch.tiling import Bounds, parse_cell, quanta
+from spl_batch.geiger.coincidence.surface.coincide import least_detections, reach_q
+from spl_batch.lattice import density
+from spl_batch.lattice.density import Box
+from spl_batch.lattice.tiles import Bounds, parse_cell, quanta
 
 RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 0.4e6, "coincidence": 30_000.0, "deliver": 0.5e6}
 )
 """Detections per second and worker until a store has measured its own; points when delivering.
-``benchmarks/coincidence.py`` prints them, ``benchmarks/memory.py coincidence`` the first."""
+``benchmarks/geiger/coincidence/known_scene.py`` prints them, ``benchmarks/engine/memory.py
+coincidence`` the first."""
 
 INDEX_BYTES: Final = 100 * 2**20
-"""Peak memory of indexing a file of any size [byte]; ``benchmarks/memory.py coincidence``."""
+"""Peak memory of indexing a file of any size [byte].
+
+``python -m benchmarks.engine.memory coincidence`` measures it."""
 
 BYTES_PER_VOXEL: Final = 60
 """Peak memory of a sub-volume: four rasters and what is found in it [byte]."""

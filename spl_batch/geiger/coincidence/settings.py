@@ -7,7 +7,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from spl_batch.constants import QUANTA_PER_M, SPEED_OF_LIGHT_M_S
-from spl_batch.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
+from spl_batch.engine.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
 class ArraySettings(Section):

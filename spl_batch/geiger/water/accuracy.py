@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.geiger.water.kernels.rays import floor_points, refracted
+from spl_batch.geiger.water.surface.refraction import floor_points, refracted
 
 Floats = NDArray[np.float64]
 

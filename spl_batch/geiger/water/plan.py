@@ -8,12 +8,8 @@ from typing import Final
 
 from pyproj import CRS
 
-from spl_batch.errors import InputError, Said, WorkflowError, grouped, shared
-from spl_batch.geiger.water.io import PIECE_VALUES, FrameFacts, inspect_frames
-from spl_batch.geiger.water.settings import WaterWorkflow
-from spl_batch.io.crs import projected_crs
-from spl_batch.plan.budget import Cost, measured_rates
-from spl_batch.plan.input_files import (
+from spl_batch.engine.plan.budget import Cost, measured_rates
+from spl_batch.engine.plan.input_files import (
     check_keys,
     expand,
     name_below,
@@ -21,11 +17,15 @@ from spl_batch.plan.input_files import (
     source_key,
     stem_names,
 )
-from spl_batch.plan.ledger import Ledger, Phase
-from spl_batch.plan.worker_memory import WORKER_BASE_BYTES
-from spl_batch.runner.context import RunContext
-from spl_batch.runner.unchanged import stamp_if_there
-from spl_batch.task import Task
+from spl_batch.engine.plan.worker_memory import WORKER_BASE_BYTES
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.input_changes import stamp_if_there
+from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.task import Task
+from spl_batch.errors import InputError, Said, WorkflowError, grouped, shared
+from spl_batch.formats.crs import projected_crs
+from spl_batch.geiger.water.formats import PIECE_VALUES, FrameFacts, inspect_frames
+from spl_batch.geiger.water.settings import WaterWorkflow
 
 PIECE_ACQUISITIONS: Final = 50
 """Acquisitions of a task, at most [count]."""
@@ -37,7 +37,9 @@ BYTES_PER_PIXEL: Final = 180
 """Of each acquisition's results while a task holds them [byte]."""
 
 WORK_BYTES_PER_PIXEL: Final = 1200
-"""Of the one acquisition that is being made; ``benchmarks.receivers_memory arrays`` [byte]."""
+"""Of the one acquisition that is being made [byte].
+
+``python -m benchmarks.engine.receivers_memory arrays`` measures it."""
 
 RATES_FRAMES_PER_S: Final = MappingProxyType(
     {"index": 6.0e4, "calibrate": 1.0e6, "surfaces": 7.0e3, "deliver": 2.0e5}

@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from spl_batch.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
+from spl_batch.engine.settings.base import BaseWorkflow, Positive, Section, Share, StoreSettings
 
 
 class CameraSettings(Section):

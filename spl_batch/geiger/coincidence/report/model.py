@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from spl_batch.report.parts import Count, Failure, Number, Part, Performance, Provenance
+from spl_batch.engine.report.parts import Count, Failure, Number, Part, Performance, Provenance
 
 
 class Scene(Part):

@@ -7,13 +7,13 @@ from typing import Any, Final
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report import style
+from spl_batch.engine.report.maps import Raster, draw_ramp, draw_relief, reduce_raster, spread
+from spl_batch.engine.report.page import Front, render_page
+from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.verdict import Verdict, failure_verdict
 from spl_batch.geiger.coincidence.report.model import CoincidenceReport
-from spl_batch.report import format as text
-from spl_batch.report import style
-from spl_batch.report.maps import Raster, draw_ramp, draw_relief, reduce_raster, spread
-from spl_batch.report.page import Front, render_page
-from spl_batch.report.picture import Picture
-from spl_batch.report.verdict import Verdict, failure_verdict
 
 SECTIONS: Final = (("points", "Points"),)
 _PACKAGE: Final = "spl_batch.geiger.coincidence.report"

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import yaml
 
+from spl_batch.engine.settings.validation import validated
+from spl_batch.engine.settings.workflow_file import read_mapping
 from spl_batch.errors import grouped
-from spl_batch.geiger.coincidence.io import files
+from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.geiger.coincidence.formats import l1_files
 from spl_batch.geiger.coincidence.simulate.flight import detect, flights
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
-from spl_batch.io.atomic import write_bytes
-from spl_batch.settings.faults import validated
-from spl_batch.workflow_file import read_mapping
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +69,8 @@ def simulate(
     frames = detections = 0
     for k, (seen, attitudes) in enumerate(flights(scene), start=1):
         found = detect(scene, seen, targets, partial(_tell, progress, k - 1, passes))
-        files.write_frames(out / "l1" / f"pass_{k}_frames.parquet", attitudes)
-        files.write_detections(out / "l1" / f"pass_{k}_detections.parquet", found)
+        l1_files.write_frames(out / "l1" / f"pass_{k}_frames.parquet", attitudes)
+        l1_files.write_detections(out / "l1" / f"pass_{k}_detections.parquet", found)
         frames, detections = frames + len(seen), detections + len(found)
     workflow = {
         "kind": "coincidence",

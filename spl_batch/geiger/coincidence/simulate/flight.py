@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
-from spl_batch.geiger.coincidence.kernels.scene import Targets, expose
-from spl_batch.geiger.coincidence.model import Attitudes, Detections, Frames
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
-from spl_batch.kernels.attitude import rotations
+from spl_batch.geiger.coincidence.simulate.scene_rays import Targets, expose
+from spl_batch.geiger.coincidence.tables import Attitudes, Detections, Frames
+from spl_batch.numerics.attitude import rotations
 
 FRAMES_OF_A_PASS = 10_000_000
 """Frame numbers are the pass times this, and then count from the start of the pass."""

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from spl_batch.geiger.coincidence.kernels.scene import Targets
+from spl_batch.engine.settings.base import Positive, Section, Share
 from spl_batch.geiger.coincidence.settings import ArraySettings
-from spl_batch.settings.base import Positive, Section, Share
+from spl_batch.geiger.coincidence.simulate.scene_rays import Targets
 
 BAR_WIDTHS_M: Final = (
     *(1.00, 0.95, 0.90, 0.85, 0.80, 0.75, 0.70, 0.65, 0.60, 0.55),

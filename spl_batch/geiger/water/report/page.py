@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 
+from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report.page import Front, render_page
+from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.verdict import Verdict, ending_rows, failure_verdict
 from spl_batch.geiger.water.report.model import WaterReport
-from spl_batch.report import format as text
-from spl_batch.report.page import Front, render_page
-from spl_batch.report.picture import Picture
-from spl_batch.report.verdict import Verdict, ending_rows, failure_verdict
 
 
 def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:

@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from spl_batch.report import style
-from spl_batch.report.format import metres
-from spl_batch.report.maps import WIDTH_IN as MAP_WIDTH_IN
-from spl_batch.report.maps import Raster, draw_ramp, spread
-from spl_batch.report.picture import Picture
+from spl_batch.engine.report import style
+from spl_batch.engine.report.maps import WIDTH_IN as MAP_WIDTH_IN
+from spl_batch.engine.report.maps import Raster, draw_ramp, spread
+from spl_batch.engine.report.number_format import metres
+from spl_batch.engine.report.picture import Picture
 
 Floats = NDArray[np.float64]
 

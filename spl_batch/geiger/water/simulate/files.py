@@ -10,12 +10,12 @@ import numpy as np
 import yaml
 
 from spl_batch.errors import grouped
-from spl_batch.geiger.water.io import FrameTruth, write_frames
-from spl_batch.geiger.water.model import View, view_of
+from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.geiger.water.formats import FrameTruth, write_frames
+from spl_batch.geiger.water.pixel_geometry import View, view_of
 from spl_batch.geiger.water.settings import MountSettings
 from spl_batch.geiger.water.simulate.frames import Target, acquisitions
 from spl_batch.geiger.water.simulate.scene import TargetFrames, WaterScene
-from spl_batch.io.atomic import write_bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from spl_batch.geiger.water.model import HALF_C_M_NS, Floats, View
+from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS, Floats, View
 from spl_batch.geiger.water.settings import CameraSettings
 
 GRAVITY_M_S2 = 9.81

@@ -5,11 +5,11 @@ from typing import Literal
 
 from pydantic import Field
 
+from spl_batch.engine.settings.base import Positive, Section
+from spl_batch.engine.settings.validation import validated
+from spl_batch.engine.settings.workflow_file import read_mapping
 from spl_batch.geiger.water.settings import CameraSettings, MountSettings
 from spl_batch.geiger.water.simulate.frames import Instrument, Target
-from spl_batch.settings.base import Positive, Section
-from spl_batch.settings.faults import validated
-from spl_batch.workflow_file import read_mapping
 
 
 class TargetFrames(Section):

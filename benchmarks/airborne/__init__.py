@@ -1,0 +1,1 @@
+"""Measurements of the airborne survey as a whole."""

@@ -1,0 +1,1 @@
+"""Afterpulses found and missed, against point truth."""

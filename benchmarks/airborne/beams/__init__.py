@@ -1,0 +1,1 @@
+"""Measurements of beam geometry and light."""

@@ -1,0 +1,1 @@
+"""Noise filters, against point truth and pure noise."""

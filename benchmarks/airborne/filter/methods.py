@@ -1,0 +1,221 @@
+"""The filters that this installation knows, and what each says about a simulated survey.
+
+``judge`` runs the chain up to the filter with a method's settings and gives the noise class of
+every return in the order of the survey's files; the shots are gathered once for each way of
+treating them and linked into each method's own folder, as receipts show what is finished.
+"""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from spl_batch import api
+from spl_batch.airborne.compare.comparison import PUBLISHED_FILTER, PUBLISHED_NOISE
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.simulate import simulate
+from spl_batch.airborne.simulate.scene.scene_file import Scene
+from spl_batch.airborne.tasks.kinds import KINDS as TASK_KINDS
+from spl_batch.engine.plan.input_files import source_key
+from spl_batch.engine.store.links import share_finished
+from spl_batch.engine.store.working_store import Store
+from spl_batch.formats.verified.parquet_npz import read_columns
+
+KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other")
+BACKGROUND, GROUND, ROOF, VEGETATION, WIRE, WATER, AFTERPULSE, OTHER = range(len(KINDS))
+
+Columns = dict[str, NDArray[Any]]
+
+SHARED = tuple(name for name, kind in TASK_KINDS.items() if kind.stage in {"index", "shots"})
+"""Kinds of tasks that do not depend on the filter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One filter with its settings.
+
+    Parameters
+    ----------
+    label : str
+        How tables call it.
+    settings : tuple of str
+        ``key.path=value`` of the filter.
+    shots : tuple of str
+        The same of the steps before it; methods that share them share their work.
+    alone : bool
+        Whether each flightline is filtered by itself, as [W17] ch. 5 does.
+    """
+
+    label: str
+    settings: tuple[str, ...]
+    shots: tuple[str, ...] = ()
+    alone: bool = False
+
+
+LEFT_IN = ("afterpulse.enabled=false",)
+"""Steps before the sources' filters: none of them takes afterpulses out first. VSAES alone has the
+published gamma of [W18] Eq. 2 as well. AES draws the number of noise returns from where there is no
+signal [W17 Eq. 4.1]; gamma's factor of two would make it throw half of the signal away."""
+
+
+def is_noise(kind: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+    """Which returns no surface reflected, by their true kind: (n,)."""
+    return np.isin(kind, (BACKGROUND, AFTERPULSE))
+
+
+def known_methods() -> dict[str, Method]:
+    """Every filter of this installation by name; the sources' with the sources' steps before."""
+    found = {"published": Method("VSAES, as published", PUBLISHED_FILTER, PUBLISHED_NOISE)}
+    for name in _choices("method"):
+        if name not in {"vsaes", "none"}:
+            one = Method(name.upper(), (f"filter.method={name}",), LEFT_IN)
+            found[name] = replace(one, label=f"{one.label}, merged") if name == "aes" else one
+    if "aes" in found:
+        found["aes_alone"] = replace(found["aes"], label="AES, lines alone", alone=True)
+    found["published_alone"] = replace(found["published"], label="VSAES, lines alone", alone=True)
+    scan = "wires" in FilterSettings.model_fields
+    alone, with_scan = (
+        ((f"filter.wires.enabled={word}",) if scan else ()) for word in ("false", "true")
+    )
+    tail = ("filter.method=vsaes", "filter.test=tail")
+    found["tail"] = Method("VSAES, corrected tail", (*tail, *alone))
+    if "calibrated" in _choices("test"):
+        test = ("filter.method=vsaes", "filter.test=calibrated")
+        found["calibrated"] = Method("calibrated", (*test, *alone))
+        found["ours"] = Method(
+            "calibrated + wire scan" if scan else "calibrated", (*test, *with_scan)
+        )
+    return found
+
+
+def _choices(key: str) -> tuple[str, ...]:
+    return get_args(FilterSettings.model_fields[key].annotation)
+
+
+def make_survey(scene: Scene, folder: Path) -> Path:
+    """Simulate a scene into a folder unless it is there; the folder."""
+    if not (folder / "workflow.yaml").exists():
+        simulate(scene, folder)
+    return folder
+
+
+def load_truth(survey: Path) -> Columns:
+    """Every return of a survey with its truth: x, y, z [m], line, kind, parent, parent_row."""
+    parts: dict[str, list[NDArray[Any]]] = {}
+    start = 0
+    for path in flightlines(survey):
+        table = pq.read_table(survey / "truth" / f"{path.stem}.parquet")
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        rows = columns["parent_row"]
+        columns["parent_row"] = np.where(rows >= 0, rows + start, -1)
+        las = laspy.read(path)
+        columns |= {axis: np.asarray(las[axis], dtype=np.float64) for axis in "xyz"}
+        columns["line"] = np.asarray(las.point_source_id)
+        columns["gps_time"] = np.asarray(las.gps_time)
+        start += len(las)
+        for name, values in columns.items():
+            parts.setdefault(name, []).append(values)
+    return {name: np.concatenate(values) for name, values in parts.items()}
+
+
+def judge(survey: Path, method: Method) -> NDArray[np.uint8]:
+    """Noise class of every return, in the order of :func:`load_truth`.
+
+    Parameters
+    ----------
+    survey : Path
+        Folder of a simulated survey.
+    method : Method
+        The filter.
+    """
+    files = flightlines(survey)
+    if not method.alone:
+        return _run(survey, method, output_name(method), files)
+    return np.concatenate([
+        _run(survey, method, f"{output_name(method)}_{path.stem}", [path],
+             f"survey.flightlines=flightlines/{path.name}")
+        for path in files
+    ])  # fmt: skip
+
+
+def _run(
+    survey: Path, method: Method, output: str, files: list[Path], *more: str
+) -> NDArray[np.uint8]:
+    digest = hashlib.blake2b(repr(method.settings).encode(), digest_size=4).hexdigest()
+    own = f"{output}_{digest}"
+    _finish(survey, method, output, "shots", *method.shots, *more)
+    share_finished(Store(survey / output), Store(survey / own), SHARED)
+    _finish(survey, method, own, "denoise", *method.shots, *method.settings, *more)
+    return _read_labels(files, Store(survey / own))
+
+
+def _finish(survey: Path, method: Method, output: str, until: str, *settings: str) -> None:
+    overrides = [*settings, f"output={output}"]
+    result = api.run(survey / "workflow.yaml", overrides=overrides, until=until, workers=0)
+    if result.exit_status:
+        raise SystemExit(f"{survey}: the run with {method.label} failed; see {output}/log.jsonl")
+
+
+def output_name(method: Method) -> str:
+    """Folder of the steps before the filter, which methods may share.
+
+    Labels lie in a folder of each method's own: a filter that looks less far has other blocks, and
+    those of another one would be read with them.
+    """
+    changed = [setting.partition("=")[0].rpartition(".")[2] for setting in method.shots]
+    return "_".join(["out", *changed])
+
+
+def flightlines(survey: Path) -> list[Path]:
+    """Files of a simulated survey, in the order that all benchmarks use."""
+    return sorted((survey / "flightlines").glob("line_*.laz"))
+
+
+def _read_labels(files: list[Path], store: Store) -> NDArray[np.uint8]:
+    with_counts = [(path, _points(path)) for path in files]
+    first = np.cumsum([0, *(n for _, n in with_counts)])
+    start = {
+        source_key(f"flightlines/{path.name}"): int(k)
+        for path, k in zip(files, first[:-1], strict=True)
+    }
+    out = np.full(int(first[-1]), 255, dtype=np.uint8)
+    rows_of = {path.stem: _global_rows(path, start) for path in store.path("tiles").glob("*")}
+    for path in store.path("noise").glob("*.parquet"):
+        names = ("tile_i", "tile_j", "row", "noise_class")
+        table = read_columns(path, names)
+        i, j, row, label = (table[name] for name in names)
+        for tile in np.unique(np.column_stack([i, j]), axis=0):
+            mine = (i == tile[0]) & (j == tile[1])
+            out[rows_of[f"{tile[0]}_{tile[1]}"][row[mine]]] = label[mine]
+    return out
+
+
+def _points(path: Path) -> int:
+    with laspy.open(path) as reader:
+        return int(reader.header.point_count)
+
+
+def _global_rows(path: Path, start: dict[int, int]) -> NDArray[np.int64]:
+    table = pq.read_table(path, columns=["source", "index"])
+    source, index = table["source"].to_numpy(), table["index"].to_numpy()
+    rows: NDArray[np.int64] = index.astype(np.int64)
+    for key, first in start.items():
+        rows[source == np.uint64(key)] += first
+    return rows
+
+
+def share(part: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
+    """Percentage of ``of`` that is in ``part``; NaN where there is none."""
+    return 100.0 * float(part[of].mean()) if of.any() else float("nan")
+
+
+def pooled(values: Iterable[tuple[int, int]]) -> float:
+    """Percentage of counts (part, whole) summed over seeds."""
+    part, whole = (sum(v) for v in zip(*values, strict=True))
+    return 100.0 * part / whole if whole else float("nan")

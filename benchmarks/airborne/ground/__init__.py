@@ -1,0 +1,1 @@
+"""Ground methods, against truth and published samples."""

@@ -1,0 +1,1 @@
+"""Tables of the sources on simulated twins of their surveys."""

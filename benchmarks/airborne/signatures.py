@@ -1,0 +1,71 @@
+"""Which kernels the airborne chain calls, and with what.
+
+Run ``python -m benchmarks.airborne.signatures``.
+
+Flies and runs the packaged tiny survey in this process and writes the types of the arguments of
+each kernel that Python called to ``spl_batch/airborne/signatures.json``, from which workers
+compile ahead. With ``--check`` it compares, and ends with status 1 where they differ.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from numba.core.dispatcher import Dispatcher
+
+from spl_batch import api
+from spl_batch.airborne import precompile
+from spl_batch.airborne.simulate import preset_scene, simulate
+
+
+def main() -> int:
+    """Write or compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="compare, write nothing")
+    check = parser.parse_args().check
+    with tempfile.TemporaryDirectory() as folder:
+        workflow = simulate(preset_scene("tiny"), Path(folder)).workflow
+        found = called(workflow)
+    if check:
+        known = precompile.signatures()
+        for name in sorted({*found, *known}):
+            if found.get(name) != known.get(name):
+                print(f"{name}: called with {found.get(name)}, listed with {known.get(name)}")
+        return int(found != known)
+    target = Path(str(files("spl_batch.airborne") / "signatures.json"))
+    target.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    print(f"{target}: {len(found)} kernels")
+    return 0
+
+
+def called(workflow: Path) -> dict[str, list[str]]:
+    """Types of the arguments of each kernel that a run calls from Python, by its name."""
+    found: dict[str, set[str]] = {}
+    first_call = Dispatcher._compile_for_args  # type: ignore[attr-defined]  # noqa: SLF001
+
+    def heard(kernel: Any, *args: Any, **named: Any) -> Any:
+        result = first_call(kernel, *args, **named)
+        module = kernel.py_func.__module__
+        home = sys.modules.get(module)
+        if isinstance(getattr(home, kernel.py_func.__name__, None), Dispatcher) and (
+            module.startswith("spl_batch.")
+        ):
+            name = f"{module}:{kernel.py_func.__name__}"
+            types = "; ".join(str(kernel.typeof_pyval(arg)) for arg in args)
+            found.setdefault(name, set()).add(types)
+        return result
+
+    Dispatcher._compile_for_args = heard  # type: ignore[attr-defined]  # noqa: SLF001
+    try:
+        api.run(workflow, workers=0)
+    finally:
+        Dispatcher._compile_for_args = first_call  # type: ignore[attr-defined]  # noqa: SLF001
+    return {name: sorted(found[name]) for name in sorted(found)}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Measurements of the engine: memory, time, scheduling, equal bytes."""

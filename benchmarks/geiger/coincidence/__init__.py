@@ -1,0 +1,1 @@
+"""Coincidence processing against its known scene."""

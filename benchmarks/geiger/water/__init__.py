@@ -1,0 +1,1 @@
+"""Water surfaces against the source's figures."""

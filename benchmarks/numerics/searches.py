@@ -1,0 +1,190 @@
+"""Neighbours and spacings of every point of a table, which filters ask for leaf by leaf.
+
+The kernels that find them are the filters' own; tests compare them with all pairs, and
+``benchmarks/airborne/filter/denoise.py`` times them alone.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, spacing_at, spacing_scratch
+from spl_batch.numerics.neighbours.kdtree import (
+    LEAF,
+    ROW_MASK,
+    U1,
+    U3,
+    KdTree,
+    build,
+    check_cap,
+    leaf_slots,
+    nearest_keys,
+)
+from spl_batch.numerics.neighbours.nearest import edges_of_leaves, neighbours_of_leaves
+
+CHUNK: Final = 64
+"""Leaves that are searched before their neighbours are put away [count]."""
+
+
+def nearest(
+    xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Nearest neighbours of points among their own table, the point itself left out.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates relative to any anchor [quanta].
+    query : (n,) bool
+        Points whose neighbours are wanted.
+    neighbours : int
+        Neighbours per point [count].
+    cap : int
+        Farthest neighbour, inclusive [quanta]; at most ``CAP_MAX``.
+
+    Returns
+    -------
+    rows : (m, neighbours) int32
+        Rows by distance, then row, for the query points in table order; -1 where there
+        are fewer.
+    found : (m,) int32
+        Neighbours found [count].
+    """
+    return _search(_one_by_one, xyz, query, neighbours, cap)
+
+
+def nearest_sets(
+    xyz: NDArray[np.int32], query: NDArray[np.bool_], neighbours: int, cap: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Nearest neighbours of points among their own table, the point itself left out.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates relative to any anchor [quanta].
+    query : (n,) bool
+        Points whose neighbours are wanted.
+    neighbours : int
+        Neighbours per point [count].
+    cap : int
+        Farthest neighbour, inclusive [quanta]; at most
+        :data:`~spl_batch.numerics.neighbours.kdtree.CAP_MAX`.
+
+    Returns
+    -------
+    rows : (m, neighbours) int32
+        Rows in no particular order, for the query points in table order; -1 where there
+        are fewer.
+    found : (m,) int32
+        Neighbours found [count].
+    """
+    return _search(_by_leaves, xyz, query, neighbours, cap)
+
+
+def spacings(
+    tree: KdTree, neighbours: int, cap: int, asked: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """Squared distance of points to their n-th neighbour.
+
+    Parameters
+    ----------
+    tree : KdTree
+        The points.
+    neighbours : int
+        Which neighbour [count], >= 1.
+    cap : int
+        Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
+    asked : (n,) bool, optional
+        Points that are asked for, by row; all by default. All are neighbours.
+
+    Returns
+    -------
+    (n,) float64
+        By row, at most ``cap`` squared [quanta2]; whole numbers. NaN for points not asked for.
+    """
+    check_cap(cap)
+    out = np.full(tree.points.shape[1], np.nan)
+    wanted = np.ones(len(out), np.bool_) if asked is None else asked
+    if len(out):
+        _spacings(tree.points, tree.boxes, tree.depth, Spacing(neighbours, cap), wanted, out)
+    return out
+
+
+def _search(
+    kernel: Callable[..., None],
+    xyz: NDArray[np.int32],
+    query: NDArray[np.bool_],
+    neighbours: int,
+    cap: int,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Rows and counts that a kernel finds for query points; see :func:`nearest`."""
+    check_cap(cap)
+    rows = np.full((len(xyz), neighbours), -1, dtype=np.int32)
+    found = np.zeros(len(xyz), dtype=np.int32)
+    tree = build(xyz)
+    if len(xyz):
+        kernel(tree.points, tree.boxes, tree.depth, query, cap, rows, found)
+    return rows[query], found[query]
+
+
+@njit(nogil=True, cache=True)
+def _one_by_one(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
+    """Neighbours of every query point, in tree order, so that the cache stays warm."""
+    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    keys = np.empty(rows.shape[1], dtype=np.int64)
+    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
+    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    for leaf in range(U1 << depth, U1 << (depth + U1)):
+        low, high = leaf_slots(leaf, depth, n)
+        for slot in range(low, high):
+            row = points[U3, slot]
+            if not query[row]:
+                continue
+            count = nearest_keys(
+                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
+            )
+            found[row] = count
+            for i in range(count):
+                rows[row, i] = keys[i] & ROW_MASK
+
+
+@njit(nogil=True, cache=True)
+def _by_leaves(points, boxes, depth, query, cap, rows, found):  # type: ignore[no-untyped-def]
+    """Neighbours of every query point, in tree order, so that the cache stays warm."""
+    n, depth, k = np.uint64(points.shape[1]), np.uint64(depth), rows.shape[1]
+    leaves, chunk, edges = U1 << depth, np.uint64(CHUNK), edges_of_leaves(boxes, depth)
+    room = CHUNK * LEAF
+    asked, others = np.empty(room, np.bool_), np.empty((room, k), np.int32)
+    count, last, few = np.empty(room, np.int64), np.empty(room), np.empty(room)
+    for begin in range(leaves, leaves + leaves, chunk):
+        end = min(begin + chunk, leaves + leaves)
+        low, _ = leaf_slots(begin, depth, n)
+        _, high = leaf_slots(end - U1, depth, n)
+        for at in range(high - low):
+            asked[at] = query[points[U3, low + at]]
+        neighbours_of_leaves(
+            points, boxes, edges, depth, (begin, end), asked, k, cap, 0, others, count, last, few
+        )
+        for at in range(high - low):
+            if asked[at]:
+                row = points[U3, low + at]
+                found[row] = count[at]
+                for i in range(count[at]):
+                    rows[row, i] = points[U3, others[at, i]]
+
+
+@njit(nogil=True, cache=True)
+def _spacings(points, boxes, depth, rule, asked, out):  # type: ignore[no-untyped-def]
+    """Points in tree order, so that the cache stays warm."""
+    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    keys, distance, fresh, stack, bound = spacing_scratch(rule)
+    for leaf in range(U1 << depth, U1 << (depth + U1)):
+        low, high = leaf_slots(leaf, depth, n)
+        for slot in range(low, high):
+            if asked[points[U3, slot]]:
+                out[points[U3, slot]] = spacing_at(
+                    points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound
+                )

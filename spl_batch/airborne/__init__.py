@@ -1,0 +1,1 @@
+"""Airborne single-photon lidar: from flightlines to clouds, terrain and a report."""

@@ -1,0 +1,263 @@
+"""Raster minus reference, by class of surface.
+
+The DTM is compared at every reference ground point, bilinearly between cell centres; the
+DSM cell by cell with the highest reference return of the cell, because a highest return
+per cell is what it is.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from spl_batch.airborne.accuracy.error_tally import STEPS_PER_M
+from spl_batch.airborne.accuracy.raster_and_reference import Grid, Raster, Reference, known
+from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_WATER
+
+OPEN_M: Final = 2.0
+"""Open ground has nothing tall within this distance [m]."""
+
+TALL_M: Final = 0.5
+"""Reference points higher than this above the nearest reference ground are tall [m]."""
+
+CANOPY_M: Final = 2.0
+"""Vegetation this far above a ground point within 1 m makes it ground under canopy [m]."""
+
+CELLS: Final = 4
+"""Cells in the radius that is looked for [count]; speed only."""
+
+CELLS_MAX: Final = 64
+"""Cells for each point beyond which a tree is asked for all [count]: points lie far apart."""
+
+SLOPE_EDGES_DEG: Final = (0, 5, 15, 30, 90)
+"""Classes of terrain slope [deg]."""
+
+Differences = dict[str, NDArray[np.float32]]
+"""Raster minus reference [m] by class of surface; ``all`` holds every one."""
+
+
+def ground_differences(dtm: Raster, reference: Reference) -> NDArray[np.float64]:
+    """DTM minus reference at each ground point, those of the margin included.
+
+    Parameters
+    ----------
+    dtm : Raster
+        Terrain [m].
+    reference : Reference
+        Points; only ground is looked at.
+
+    Returns
+    -------
+    (g,) float64
+        In the order of the ground points [m]; NaN where the DTM is void.
+    """
+    points, _ = _ground(reference.without_noise())
+    return dtm.bilinear(points[:, :2]) - points[:, 2]
+
+
+def _ground(reference: Reference) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Ground points (g, 3) of a reference without noise [m], and whether each counts: (g,)."""
+    ground = reference.classification == CLASS_GROUND
+    return reference.xyz_m[ground], reference.counts[ground]
+
+
+def terrain_differences(
+    dtm: Raster,
+    reference: Reference,
+    *,
+    chm: Raster | None = None,
+    at_ground_m: NDArray[np.float64] | None = None,
+) -> Differences:
+    """DTM minus reference ground points, by class of surface.
+
+    Parameters
+    ----------
+    dtm : Raster
+        Terrain [m].
+    reference : Reference
+        Points of all classes; those that are not ground tell what stands on it.
+    chm : Raster, optional
+        Height of the surface above the terrain [m]: what is no open ground stands out in it,
+        and above the reference.
+    at_ground_m : (g,) float64, optional
+        What :func:`ground_differences` says of them, where it has been asked already.
+
+    Returns
+    -------
+    Differences
+        ``all``; ``open_ground``: no reference point more than 0.5 m above the ground within
+        2 m, no surface 0.5 m above both the terrain and the point; ``under_canopy``: vegetation
+        2 m or more above it within 1 m; and ``slope_0_5``, ``slope_5_15``, ... in degrees.
+    """
+    reference = reference.without_noise()
+    points, counts = _ground(reference)
+    is_open, canopy = _cover(reference)
+    difference = ground_differences(dtm, reference) if at_ground_m is None else at_ground_m
+    if chm is not None:
+        height = chm.at(points[:, :2])
+        over = height + dtm.at(points[:, :2]) - points[:, 2]
+        # Ground that the terrain cuts off stands above the terrain, but not above itself. A void
+        # CHM says nothing against open ground.
+        is_open &= ~((height >= TALL_M) & (over >= TALL_M))
+    classes = {
+        "all": np.ones(len(points), np.bool_),
+        "open_ground": is_open,
+        "under_canopy": canopy,
+    }
+    slope = dtm.slope_deg().at(points[:, :2])
+    for low, high in itertools.pairwise(SLOPE_EDGES_DEG):
+        classes[f"slope_{low}_{high}"] = (slope >= low) & (slope < high)
+    used = counts & np.isfinite(difference)
+    return _by_class(difference, classes, used)
+
+
+def _cover(reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which ground points are open, and which lie under vegetation: two (g,) bool."""
+    points, _ = _ground(reference)
+    others = ~np.isin(reference.classification, (CLASS_GROUND, CLASS_WATER))
+    if not len(points) or not others.any():
+        return np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    above = reference.xyz_m[others]
+    foot = np.asarray(_tree(points).query(above[:, :2])[1], dtype=np.intp)
+    height = above[:, 2] - points[foot, 2]
+    plants = reference.classification[others] != CLASS_BUILDING
+    return (
+        ~_near(points, above[height > TALL_M], OPEN_M),
+        _near(points, above[plants & (height >= CANOPY_M)], 1.0),
+    )
+
+
+def _near(
+    points: NDArray[np.float64], others: NDArray[np.float64], radius_m: float
+) -> NDArray[np.bool_]:
+    """Which points have one of the others within a horizontal distance.
+
+    Distances between cells settle it for most; a tree is asked for the rest.
+    """
+    if len(others) == 0 or len(points) == 0:
+        return np.zeros(len(points), np.bool_)
+    low_m, high_m = _by_cells(points, others, radius_m / CELLS)
+    near = high_m < radius_m
+    unsure = np.flatnonzero(~near & (low_m <= radius_m))
+    found, _ = _tree(others).query(points[unsure, :2], distance_upper_bound=radius_m)
+    near[unsure] = np.isfinite(found)
+    return near
+
+
+def _by_cells(
+    points: NDArray[np.float64], others: NDArray[np.float64], cell_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bounds of each point's distance from the nearest of the others [m]: two (n,) float64."""
+    corner = np.minimum(points[:, :2].min(axis=0), others[:, :2].min(axis=0))
+    mine, theirs = (
+        np.floor((p[:, :2] - corner) / cell_m).astype(np.int64) for p in (points, others)
+    )
+    shape = np.maximum(mine.max(axis=0), theirs.max(axis=0)) + 1
+    if shape.prod() > CELLS_MAX * (len(points) + len(others)):
+        return np.zeros(len(points)), np.full(len(points), np.inf)
+    free = np.ones(shape, np.bool_)
+    free[*theirs.T] = False
+    apart_m = cell_m * distance_transform_edt(free)[*mine.T]
+    # each of the two lies up to half a diagonal from the centre of its cell
+    diagonal_m = cell_m * math.sqrt(2.0) * (1.0 + 1e-9)
+    return apart_m - diagonal_m, apart_m + diagonal_m
+
+
+def _tree(points: NDArray[np.float64]) -> cKDTree:
+    """Tree of horizontal places; one that is built quickly, as it is asked little."""
+    return cKDTree(points[:, :2], balanced_tree=False, compact_nodes=False)
+
+
+def surface_differences(dsm: Raster, reference: Reference) -> Differences:
+    """DSM minus the highest reference return of each cell, by class of surface.
+
+    Parameters
+    ----------
+    dsm : Raster
+        Highest returns [m].
+    reference : Reference
+        Points of all classes. A cell counts where its highest reference point does.
+
+    Returns
+    -------
+    Differences
+        ``all``; ``ground``, ``water``, ``building`` (roofs: the cell and its eight
+        neighbours), ``building_edge`` (the other cells topped by a building),
+        ``vegetation`` (all else), by the class of the highest reference point.
+    """
+    reference = reference.without_noise()
+    row, col, held = dsm.place(reference.xyz_m[:, :2])
+    rows, cols = dsm.values.shape
+    picked = np.flatnonzero(held)
+    cell = row[picked] * cols + col[picked]
+    # The last that is put down stays: the highest. Equal heights are settled by class, never by
+    # order.
+    order = np.lexsort([reference.classification[picked], reference.xyz_m[picked, 2]])
+    highest = np.full(rows * cols, -1, np.intp)
+    highest[cell[order]] = picked[order]
+    cell = np.flatnonzero(highest >= 0)
+    top = highest[cell]
+    surface = known(dsm.values.ravel()[cell])
+    kind = reference.classification[top]
+    roof = np.zeros((rows + 2, cols + 2), np.bool_)
+    r, c = cell // cols + 1, cell % cols + 1
+    roof[r, c] = kind == CLASS_BUILDING
+    inner = np.ones(len(cell), np.bool_)
+    for dr in (-1, 0, 1):
+        for dc in (-1, 0, 1):
+            inner &= roof[r + dr, c + dc]
+    building = kind == CLASS_BUILDING
+    classes = {
+        "all": np.ones(len(cell), np.bool_),
+        "ground": kind == CLASS_GROUND,
+        "water": kind == CLASS_WATER,
+        "building": inner,
+        "building_edge": building & ~inner,
+        "vegetation": ~np.isin(kind, (CLASS_GROUND, CLASS_WATER, CLASS_BUILDING)),
+    }
+    difference = surface - reference.xyz_m[top, 2]
+    return _by_class(difference, classes, reference.counts[top] & np.isfinite(difference))
+
+
+def _by_class(
+    difference: NDArray[np.float64],
+    classes: Mapping[str, NDArray[np.bool_]],
+    used: NDArray[np.bool_],
+) -> Differences:
+    return {name: difference[mask & used].astype(np.float32) for name, mask in classes.items()}
+
+
+def difference_sums(
+    at_ground_m: NDArray[np.float64], reference: Reference, grid: Grid
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """DTM minus reference ground, added up over the points of each cell of a map.
+
+    Parameters
+    ----------
+    at_ground_m : (g,) float64
+        DTM minus reference at each ground point, by :func:`ground_differences`.
+    reference : Reference
+        The points; only ground that counts is added up.
+    grid : Grid
+        Cells of the map.
+
+    Returns
+    -------
+    cell, total, count : (n,) int64
+        Cells that hold a point, counted row by row; sum of the differences [0.1 mm], so that
+        sums of several places do not depend on their order; points [count]. The DTM is taken
+        at each point, so slopes leave no trace.
+    """
+    points, counts = _ground(reference.without_noise())
+    row, col, held = grid.place(points[:, :2])
+    used = held & counts & np.isfinite(at_ground_m)
+    steps = np.rint(at_ground_m[used] * STEPS_PER_M).astype(np.int64)
+    cell, place = np.unique(row[used] * grid.columns + col[used], return_inverse=True)
+    total = np.zeros(len(cell), np.int64)
+    np.add.at(total, place, steps)
+    return cell, total, np.bincount(place, minlength=len(cell)).astype(np.int64)

@@ -1,0 +1,1 @@
+"""Afterpulses: how often they come, candidates, the decision."""

@@ -1,0 +1,357 @@
+r"""Which afterpulse candidates are afterpulses: the neighbourhood disposes.
+
+Domain: space. The source gives up on vegetation and takes the bottom of water away [W17 7.6].
+There a true second return has the same signature as an afterpulse: an earlier return of its
+beamlet, a short way in front. What differs is what *other* beamlets see at the place. For a
+candidate at lag :math:`l` behind its parents, two rates per metre of beamlet compete:
+
+- :math:`\lambda_a = p \sum f(l)`, column ``afterpulse_rate``, from the law that was fitted to the
+  flightline (:mod:`~spl_batch.airborne.afterpulse.afterpulse_law`);
+- :math:`\lambda_t = \rho\, r / n`, true returns: :math:`\rho` is the density of returns around it,
+  those in front in its own beamlet among them [1/m3], and :math:`n / r`, expected noise
+  density over the beamlet's own noise rate [m/m3], is the length of beamlets per volume that
+  listened, silent ones included.
+
+The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in :math:`\rho` by
+their own probability of being true, which takes a second round (expectation maximisation).
+
+:math:`\rho` comes from counts in spheres, from one wide enough for crowns to one that tells clumps
+of leaves from the gaps between them, weighed by how much the leaves around hang in clumps
+(:mod:`~spl_batch.airborne.afterpulse.foliage`).
+
+A candidate whose parent lies on a plane of parentless returns, of all flightlines, with next to
+nothing at the candidate's depth, is behind a hard surface as one that the time domain is sure of.
+Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
+beamlets' returns make a surface there: the bottom of water, within polygons more readily. It is
+tilted as the hard surface is: behind a steep roof a level one would hold the roof.
+
+How much is believed is a budget, the share :math:`B` of true returns that may go. Where rates
+are constant, odds of at least :math:`\theta` mean lags up to
+:math:`s \ln(p / (s \theta \lambda_t))`, and true returns as near are a share
+:math:`\lambda_t` times that. The share is largest where
+:math:`s \lambda_t / p = 1 / (e \theta)`, and is :math:`p / (e \theta)` there, whatever the
+scale. So :math:`\theta = p / (e B)` keeps the budget in any foliage, by the fitted law alone.
+In clumps rates are far from constant, and few places have the one at which most is lost: smaller
+odds keep it there.
+
+What can be had is bounded: in crowns the two rates are of one size.
+``benchmarks/airborne/afterpulse/afterpulses.py``
+prints the curve of removed against lost beside the best that the simulation's laws allow.
+"""
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse import foliage
+from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
+from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
+from spl_batch.airborne.beams.dependent_returns import LAG_M, dependents
+from spl_batch.airborne.settings import AfterpulseSettings
+from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
+from spl_batch.lattice.tiles import quanta
+
+DOMAIN: Final = "space"
+COLUMNS_NEEDED: Final = (
+    "x", "y", "z", "gps_time", "channel", "flags", "line_density", "afterpulse", "afterpulse_rate",
+    "afterpulse_share",
+)  # fmt: skip
+
+FLAT_M: Final = (1.5, 0.2)
+"""Horizontal and vertical radius of the ellipsoid that finds surfaces behind hard ones [m]."""
+
+WIDE_M: Final = max(FLAT_M[0], foliage.KERNELS_M[0][0])
+"""How far a count of returns looks, and how far a parent is sought aside [m]."""
+
+REACH_M: Final = 2.0 * WIDE_M + foliage.REACH_M
+"""How far the decision about a point looks: the second round counts returns by what the first
+one found, that by parents near by, and a parent is one as no other is nearer to its follower
+[m]."""
+
+AFTERPULSE_MIN: Final = 0.5
+"""Probability from which the time domain's word is believed: behind hard surfaces."""
+
+RESOLVED_MIN: Final = 0.5
+"""Probability here from which a return is no evidence of its own."""
+
+SURFACE_MAX: Final = 0.35
+WATER_MAX: Final = 0.5
+"""Below it a candidate behind a hard surface is a surface itself: on land, in water polygons."""
+
+PLANE_M: Final = (0.8, 1.0, 0.15)
+"""Cylinder around a parent in which such a plane is sought, radius and half-height, and its
+half-thickness, three ranging spreads [m]."""
+
+PLANE_SHARE: Final = 0.7
+PLANE_LEAST: Final = 8
+"""Share of the returns in it that lie on the plane, and their least number [count]."""
+
+SHARE: Final = 0.15
+"""Afterpulses per detection where the flightline's own are not known [W17 7.5]."""
+
+CLUMPED_ODDS: Final = 0.4
+"""Odds that keep the budget where leaves hang in clumps, over those at constant rates: with them
+about as much is lost of a budget there as in evenly turbid crowns."""
+
+SETTLED: Final = 0.3
+"""Probability in crowns below which the first round is the last: it hardly rises so far."""
+
+LEAST: Final = 0.1
+"""Returns that a place behind a hard surface without any has."""
+
+BATCH: Final = 1 << 17
+"""Candidates in crowns that are weighed at once [count]."""
+
+STRIP_POINTS: Final = 3 << 20
+"""Points of a strip, which are listed by place at once [count]: a block's would take half as much
+memory again as the block does."""
+
+STRIP_M: Final = 12 * REACH_M
+"""Least width of a strip, as each reads what lies around it [m]."""
+
+
+class Chances(NamedTuple):
+    """What the neighbourhood says of the time domain's candidates.
+
+    Parameters
+    ----------
+    rows : (m,) intp
+        Candidates about which something can be said: those where noise is expected, so
+        that the beamlets that listened are known; in no particular order.
+    chance : (m,) float64
+        Probability that each is an afterpulse.
+    hard : (m,) bool
+        Whether it lies behind a hard surface, of its shot or of all flightlines.
+    clumped : (m,) float64
+        Whether the leaves around it hang evenly, 0, or in clumps, towards 1.
+    """
+
+    rows: NDArray[np.intp]
+    chance: NDArray[np.float64]
+    hard: NDArray[np.bool_]
+    clumped: NDArray[np.float64]
+
+
+class Echoes(NamedTuple):
+    """What is an afterpulse, and what depends on another return: two (n,) bool."""
+
+    echo: NDArray[np.bool_]
+    dependent: NDArray[np.bool_]
+
+
+def resolve(
+    table: PointTable, density: NDArray[np.float64], settings: AfterpulseSettings
+) -> Echoes:
+    """Decide about the time domain's candidates.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of a block and its halo in canonical order. Without ``afterpulse`` there are no
+        candidates; without ``afterpulse_rate`` the time domain decides alone.
+    density : (n,) float64
+        Expected noise at each point [1/m3].
+    settings : AfterpulseSettings
+        ``vegetation_loss``.
+    """
+    found = believed(table)
+    if "afterpulse" not in table:
+        return found
+    dependent = dependents(table)
+    rows, chance, hard, clumped = probability(table, density)
+    spared = np.where(table.has(PointFlag.WATER)[rows], WATER_MAX, SURFACE_MAX)
+    found.echo[rows] = chance >= np.where(hard, spared, _enough(table, rows, clumped, settings))
+    dependent[rows] = chance >= RESOLVED_MIN
+    return Echoes(found.echo, dependent & ~found.echo & ~table.has(EXCLUDED))
+
+
+def _enough(
+    table: PointTable, rows: NDArray[np.intp], clumped: NDArray[np.float64],
+    settings: AfterpulseSettings,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Probability from which a candidate is believed to keep the budget: (m,) float64."""
+    share = np.full(len(rows), SHARE)
+    if "afterpulse_share" in table:
+        share = table["afterpulse_share"][rows].astype(np.float64)
+    odds = share / (math.e * settings.vegetation_loss) * CLUMPED_ODDS**clumped**3
+    return odds / (1.0 + odds)
+
+
+def believed(table: PointTable) -> Echoes:
+    """The time domain's word alone, for clouds that are not filtered."""
+    echo = np.zeros(len(table), np.bool_)
+    if "afterpulse" in table:
+        echo = (table["afterpulse"] >= AFTERPULSE_MIN) & ~table.has(EXCLUDED)
+    return Echoes(echo, np.zeros(len(table), np.bool_))
+
+
+def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
+    """Probability that each candidate is an afterpulse, by its neighbourhood.
+
+    Parameters
+    ----------
+    table, density
+        As in :func:`resolve`, points in canonical order.
+    """
+    if "afterpulse_rate" not in table or not len(table):
+        return Chances(np.empty(0, np.intp), np.empty(0), np.empty(0, np.bool_), np.empty(0))
+    strips = []
+    for own, weighed, near in _strips(table["x"]):
+        start, end = weighed.start - near.start, weighed.stop - near.start
+        found = _within(table.take(near), density[near], start, end)
+        rows = found.rows + near.start
+        mine = (rows >= own.start) & (rows < own.stop)
+        strips.append((rows[mine], *(values[mine] for values in found[1:])))
+    return Chances(*map(np.concatenate, zip(*strips, strict=True)))
+
+
+def _strips(x: NDArray[np.int64]) -> Iterator[list[slice]]:
+    """Rows of strips across x, which ascends; with what the second round counts; all in reach."""
+    most = int(x[-1] - x[0]) // quanta(STRIP_M)
+    count = max(min(len(x) // STRIP_POINTS, most), 1)
+    if count == 1:
+        yield [slice(0, len(x))] * 3
+        return
+    edges, end = [int(x[0])], int(x[-1]) + 1
+    for k in range(1, count):
+        cut = int(x[len(x) * k // count])
+        if min(cut - edges[-1], end - cut) >= quanta(STRIP_M):
+            edges.append(cut)
+    for low, high in pairwise([*edges, end]):
+        spans = ((low - margin, high + margin) for margin in map(quanta, (0.0, WIDE_M, REACH_M)))
+        yield [slice(*np.searchsorted(x, span).tolist()) for span in spans]
+
+
+def _within(table: PointTable, density: NDArray[np.float64], start: int, end: int) -> Chances:
+    """The same of a strip and what lies around it; 0 for rows before ``start``, from ``end`` on."""
+    usable = ~table.has(EXCLUDED)
+    known = (table["afterpulse_rate"] > 0) & usable & (density > 0) & (table["line_density"] > 0)
+    places = _Places(table)
+    rows, at = places.in_turn(np.flatnonzero(known))
+    sure = table["afterpulse"] >= AFTERPULSE_MIN
+    true = places.listed(np.where(sure | ~usable, 0, UNIT).astype(np.int16))
+    hard = sure[rows]
+    open_ = np.flatnonzero(~hard)
+    true[at[open_]] = _weights(1.0 - _from_shot(table["afterpulse"][rows[open_]]))
+    per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
+    rate = table["afterpulse_rate"][rows].astype(np.float64)
+    alone = places.listed(usable & (table["afterpulse_rate"] == 0))
+    behind, tilt, parents = places.behind_plane(at, alone)
+    hard |= behind
+    chance = np.zeros(len(rows))
+    clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
+    open_ = np.flatnonzero(~hard & (rows >= start) & (rows < end))
+    for last in (False, True):
+        if last:
+            # Spheres would hold the surface itself, a level ellipsoid that of a steep roof.
+            flat = places.around(at[hard], true, (FLAT_M,), tilt[hard])
+            returns = (flat[:, 0] / UNIT**2 + LEAST) / foliage.volume_m3(*FLAT_M)
+            chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
+            open_ = np.flatnonzero(~hard & (chance >= SETTLED))
+        for first in range(0, len(open_), BATCH):
+            some = open_[first : first + BATCH]
+            counts = places.around(at[some], true, foliage.KERNELS_M, own=foliage.OWN)
+            returns = foliage.density(counts / UNIT**2, clumping[some])
+            chance[some] = rate[some] / (rate[some] + returns * per_metre[some])
+        # All at once: what one finds must not hang on which were looked at before.
+        true[at[open_]] = _weights(1.0 - chance[open_])
+    return Chances(rows, chance, hard, foliage.clumped(clumping))
+
+
+def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Probabilities as weights of returns, in :data:`UNIT`."""
+    return np.rint(true * UNIT).astype(np.int16)
+
+
+def _order(numbers: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
+    """Indices that put numbers in order; quicker for millions than comparing them."""
+    return lexicographic_order([numbers])
+
+
+class _Places:
+    """Points of a table, listed so that weighted counts around them are quick."""
+
+    def __init__(self, table: PointTable) -> None:
+        self._table = table
+        xyz = np.empty((3, len(table)), dtype=np.int32)
+        for axis, name in enumerate("xyz"):
+            xyz[axis] = table[name] - table[name].min()
+        self._listed = columns(xyz, quanta(WIDE_M), _order)
+        order = self._listed.order
+        self._xyz, self._time, self._channel = (
+            xyz.take(order, axis=1), table["gps_time"][order], table["channel"][order],
+        )  # fmt: skip
+        self._place = np.empty(len(order), np.int32)
+        self._place[order] = np.arange(len(order), dtype=np.int32)
+
+    def in_turn(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
+        """Rows in the order of their places, as neighbours then share memory; and the places."""
+        place = self._place[rows]
+        turn = _order(place)
+        return rows[turn], place[turn]
+
+    def listed(self, values: NDArray[Any]) -> NDArray[Any]:
+        """A column of the table by place."""
+        return values[self._listed.order]
+
+    def around(
+        self,
+        places: NDArray[np.int32],
+        true: NDArray[np.int16],
+        radii_m: tuple[tuple[float, float], ...],
+        tilt: NDArray[np.float64] | None = None,
+        own: float = 0.0,
+    ) -> NDArray[np.int64]:
+        """True returns around places, by kernel: (m, k) int64 [count / :data:`UNIT` ** 2].
+
+        ``true`` has weights by place. One of the same beamlet above counts for ``own``; those below
+        do not.
+        """
+        listed = self._listed
+        sums = np.empty((len(places), len(radii_m)), dtype=np.int64)
+        weigh_around(
+            self._xyz, self._time, self._channel,
+            true, listed.starts, listed.shape, listed.edge, places,
+            np.array([[quanta(r) for r in pair] for pair in radii_m], dtype=np.int64),
+            np.zeros((len(places), 2)) if tilt is None else tilt, round(own * UNIT), sums,
+        )  # fmt: skip
+        return sums
+
+    def clumping(
+        self, rows: NDArray[np.intp], parents: NDArray[np.int32], true: NDArray[np.int16]
+    ) -> NDArray[np.float64]:
+        """How much leaves hang in clumps around rows, by places of parents: (m, k - 1) float64."""
+        parents = np.sort(parents)
+        counts = self.around(parents, true, foliage.KERNELS_M)
+        x, y = self._table["x"], self._table["y"]
+        named = self._listed.order[parents].astype(np.intp)
+        return foliage.clumping(x, y, named, true[parents], counts, rows)
+
+    def behind_plane(
+        self, places: NDArray[np.int32], alone: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int32]]:
+        """Which places lie behind a hard surface of returns without a parent, and its slopes.
+
+        (m,) bool, and (m, 2) float64, 0 where there is none; then the places of their parents,
+        (m,) int32, -1 for none. ``alone`` goes by place.
+        """
+        listed = self._listed
+        out, tilt = np.empty(len(places), dtype=np.bool_), np.empty((len(places), 2))
+        parents = np.empty(len(places), dtype=np.int32)
+        wide, high, thick = (quanta(m) for m in PLANE_M)
+        behind_plane(
+            self._xyz, self._time, self._channel, alone, listed.starts, listed.shape,
+            listed.edge, places, quanta(LAG_M), wide, high, thick, PLANE_SHARE, PLANE_LEAST,
+            out, tilt, parents,
+        )  # fmt: skip
+        return out, tilt, parents
+
+
+def _from_shot(afterpulse: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Probability that the time domain gives a candidate, free of its cap: (m,) float64."""
+    return np.minimum(afterpulse.astype(np.float64) / AFTERPULSE_MIN, 1.0)

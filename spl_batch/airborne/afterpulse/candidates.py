@@ -1,0 +1,119 @@
+"""Afterpulse candidates, shot by shot.
+
+Source: [W17] ch. 7 (DCC, robust regression, 68th percentile, 0.3 m), Eq. 3.3.
+
+Deviations. The published rule flags whatever lies below the plane. Here a return also
+needs a parent: an earlier return of its own beamlet, on that surface, at most
+``lag_max_m`` in front. So the ground beside a roof, a car or a wall is not taken for the
+roof's afterpulse. Returns that follow another one of their beamlet do not take part in
+the fit. Where one plane does not do, a shot may hold up to three surfaces. Distances to
+the threshold are taken along the beam, as an afterpulse lags along it. Away from hard
+surfaces the lag, by the flightline's own law
+(:mod:`~spl_batch.airborne.afterpulse.afterpulse_law`), gives
+a probability below one half: the space domain decides
+(:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`).
+Where a shot knows no channels, the published rule stands, but not deeper than ``lag_max_m``.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse import afterpulse_law
+from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, sensor_law, shot_offsets
+from spl_batch.airborne.afterpulse.hard_surfaces import Rules
+from spl_batch.airborne.afterpulse.shot_evidence import shot_probabilities
+from spl_batch.airborne.beams.shot_runs import lag_behind, run_starts
+from spl_batch.airborne.noise.gate import GATE_ASSUMED_M
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.airborne.settings import AfterpulseSettings
+from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
+
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
+COLUMNS_ADDED: Final = ("afterpulse",)
+
+
+def probability(
+    table: PointTable,
+    beams: BeamTable,
+    settings: AfterpulseSettings,
+    sensor: Sensor,
+    *,
+    gate_m: float | None = None,
+    law: AfterpulseLaw | None = None,
+) -> NDArray[np.float32]:
+    """Probability that each return is an afterpulse.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by (gps_time, channel, ...).
+    beams : BeamTable
+        Their beams; rows without a known beam get 0.
+    settings : AfterpulseSettings
+        Numbers of the method.
+    sensor : Sensor
+        Dead time, ranging spread, afterpulse statistics.
+    gate_m : float, optional
+        Slant length of the gate as the flightline's noise model found it [m].
+    law : AfterpulseLaw, optional
+        Of the flightline; the sensor's by default.
+
+    Returns
+    -------
+    (n,) float32
+        Probabilities; at 0.5 and above the return is called an afterpulse.
+    """
+    out = np.zeros(len(table), dtype=np.float32)
+    if not settings.enabled or not beams.known.any():
+        return out
+    rows = rows_of(beams.known)
+    table = table.take(rows)
+    time, channel, range_m = table["gps_time"], table["channel"], beams.range_m[rows]
+    shots = run_starts(time)
+    law = law or sensor_law(sensor)
+    lag = np.empty(len(table), dtype=np.float32)
+    lag_behind(run_starts(time, channel), range_m, law.least_m, settings.lag_max_m, lag)
+    found = np.empty(len(table), dtype=np.float32)
+    shot_probabilities(
+        shots, shot_offsets(table, shots), np.ascontiguousarray(beams.direction[rows]),
+        range_m, channel, lag, hard_rules(settings, sensor, law, gate_m), found,
+    )  # fmt: skip
+    out[rows] = found
+    return out
+
+
+def observe(table: PointTable, beams: BeamTable, sensor: Sensor) -> dict[str, NDArray[np.int64]]:
+    """What the law of a flightline is fitted to, by the default idea of a hard surface.
+
+    See :func:`spl_batch.airborne.afterpulse.afterpulse_law.observe`.
+    """
+    law = sensor_law(sensor)
+    rules = hard_rules(AfterpulseSettings(), sensor, law)
+    return afterpulse_law.observe(table, beams, rules, law.least_m)
+
+
+def hard_rules(
+    settings: AfterpulseSettings,
+    sensor: Sensor,
+    law: AfterpulseLaw,
+    gate_m: float | None = None,
+) -> Rules:
+    """Numbers of the method for the kernels."""
+    return Rules(
+        gate_m=gate_m or sensor.gate_m or GATE_ASSUMED_M,
+        coarse_m=settings.coarse_bin_m,
+        fine_m=settings.fine_bin_m,
+        weight_min=settings.weight_min,
+        p68_max_m=settings.fit_p68_max_m,
+        below_m=settings.below_plane_m,
+        lag_max_m=settings.lag_max_m,
+        dead_m=law.dead_m,
+        sigma_m=sensor.range_sigma_m,
+        probability=law.probability,
+        scale_m=law.scale_m,
+        longest_m=law.longest_m,
+        beamlets=float(sensor.beamlets),
+    )

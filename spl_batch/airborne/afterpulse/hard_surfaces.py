@@ -1,0 +1,189 @@
+"""Hard surfaces in one shot: robust planes that its returns agree on [W17 ch. 7].
+
+See :mod:`spl_batch.airborne.afterpulse.candidates` for the method and its deviations.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.planes.robust_plane import percentile_68_below, spread
+from spl_batch.numerics.planes.robust_planes_simd import U0, fit_planes
+from spl_batch.numerics.simd import LANES, UL, load, store, where
+from spl_batch.numerics.simd import spread as everywhere
+
+SURFACES_MAX = 3
+"""Hard surfaces looked for in a shot: a roof, the ground beside it, one between."""
+
+RETURNS_MIN = 6
+"""Least returns of a surface [count]."""
+
+SHARP = 3.0
+"""Most that the residuals of a hard surface spread [ranging spreads]."""
+
+PASSED_MIN = 2.0
+PASSED_SHARE = 0.1
+"""A surface is penetrable when more scattered first returns lie behind it [count, share]."""
+
+NEAR_M = 1.6
+"""Reach across the beam of the returns that tell whether a place is hard [m]."""
+
+
+class Rules(NamedTuple):
+    """Numbers of the method; lengths in metres along the beam.
+
+    Parameters
+    ----------
+    gate_m, coarse_m, fine_m : float
+        DCC.
+    weight_min, p68_max_m : float
+        Hard surface and trust.
+    below_m, lag_max_m, dead_m : float
+        Threshold behind the plane, longest lag, dead time.
+    sigma_m : float
+        Ranging spread.
+    probability, scale_m, longest_m : float
+        Afterpulses per detection, the scale of their lag behind the dead time, the longest lag.
+    beamlets : float
+        Beamlets fired per shot.
+    """
+
+    gate_m: float
+    coarse_m: float
+    fine_m: float
+    weight_min: float
+    p68_max_m: float
+    below_m: float
+    lag_max_m: float
+    dead_m: float
+    sigma_m: float
+    probability: float
+    scale_m: float
+    longest_m: float
+    beamlets: float
+
+
+@njit(nogil=True, cache=True)
+def on_surface(distance: float, spread: float, rules: Rules) -> bool:
+    """Whether a return is as near to a surface as its own returns are."""
+    return abs(distance) <= max(rules.below_m, 4.0 * spread)
+
+
+@njit(nogil=True, cache=True)
+def fit_surfaces(
+    sets: int, first: NDArray[np.int64], member: NDArray[np.uint64], u: NDArray[np.float64],
+    v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules, plane: NDArray[np.float64],
+    trusted: NDArray[np.bool_], spreads: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Robust planes of sets of candidates, and whether they are to be trusted [W17 ch. 7].
+
+    Parameters
+    ----------
+    sets, first, member, u, v, w, plane
+        As :func:`~spl_batch.numerics.planes.robust_planes_simd.fit_planes` takes them; each set
+        holds at least
+        :data:`RETURNS_MIN`.
+    rules : Rules
+        Numbers of the method.
+    trusted : (sets or more,) bool
+        Filled: 68th percentile of the distances small, and hard returns enough.
+    spreads : (sets or more,) float64
+        Filled with the scale of the residuals of the hard returns, where trusted [m].
+    """
+    weight = np.empty(first[sets])
+    fit_planes(sets, first, member, u, v, w, rules.sigma_m, plane, weight, trusted)
+    longest = 0
+    for one in range(sets):
+        longest = max(longest, first[one + 1] - first[one])
+    distance, hard = np.empty(longest), np.empty(longest)
+    for one in range(sets):
+        if not trusted[one]:
+            continue
+        a, b, c = plane[one, 0], plane[one, 1], plane[one, 2]
+        size = count = 0
+        for k in range(first[one], first[one + 1]):
+            row = member[k]
+            distance[size] = abs(w[row] - (a + b * u[row] + c * v[row]))
+            hard[count] = distance[size]
+            size += 1
+            count += weight[k] > rules.weight_min
+        trusted[one] = count >= RETURNS_MIN and percentile_68_below(
+            plane[one], distance[:size], rules.p68_max_m
+        )
+        if trusted[one]:
+            spreads[one] = spread(hard[:count], rules.sigma_m)
+
+
+@njit(nogil=True, cache=True)
+def densest(w, low, high, width):  # type: ignore[no-untyped-def]
+    """Start of the fullest range window and its count; the nearest of equals.
+
+    Parameters
+    ----------
+    w : (n + 8 or more,) float64
+        Ranges [m].
+    low, high : int
+        First row to look at, and the one after the last; at least one.
+    width : float
+        Width of the window [m].
+
+    Returns
+    -------
+    start : float
+        [m].
+    count : int
+    """
+    counts, none, unit = np.empty(LANES), everywhere(0.0), everywhere(1.0)
+    first, end, reach = np.uint64(low), np.uint64(high), everywhere(width)
+    start, best = np.inf, 0.0
+    for i in range(first, end, UL):
+        at, count = load(w, i), none
+        for j in range(first, end):
+            behind = everywhere(w[j]) - at
+            count = count + where((behind >= none) & (behind <= reach), unit, none)
+        store(counts, U0, count)
+        for k in range(min(end - i, UL)):
+            if counts[k] > best or (counts[k] == best and w[i + k] < start):
+                start, best = w[i + k], counts[k]
+    return start, np.int64(best)
+
+
+@njit(nogil=True, cache=True)
+def returns_behind(
+    s: int, rows: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
+    first: NDArray[np.bool_], rules: Rules,
+) -> tuple[bool, float]:  # fmt: skip
+    """What beamlets that miss a surface return behind it.
+
+    Few and scattered are background, many at one depth are the ground beside a roof;
+    many and scattered mean that the surface is penetrable: a crown, water. ``rows`` are the
+    first one of the shot and the one after its last.
+
+    Returns
+    -------
+    hard : bool
+        Whether the surface is not penetrable.
+    depth : float
+        Start of the depths, ``2 below_m`` wide, that most of them share; inf for none [m].
+    """
+    on, passed = 0, 0
+    depths = np.empty(rows[1] - rows[0] + LANES)
+    for i in range(rows[0], rows[1]):
+        if not first[i]:
+            continue
+        if on_surface(behind[s, i], spreads[s], rules):
+            on += 1
+        elif 0.0 < behind[s, i] <= rules.lag_max_m:
+            other = False
+            for k in range(len(behind)):
+                other = other or (k != s and on_surface(behind[k, i], spreads[k], rules))
+            if not other:
+                depths[passed] = behind[s, i]
+                passed += 1
+    if passed == 0:
+        return True, np.inf
+    depth, together = densest(depths, 0, passed, 2.0 * rules.below_m)
+    scattered = passed - together
+    return scattered <= PASSED_MIN + PASSED_SHARE * on, depth if together > 1 else np.inf

@@ -1,0 +1,224 @@
+"""Returns behind a hard surface: below the plane that others make around their parent.
+
+A parent is the return in front of one along the same beamlet. What lies around it, in an upright
+cylinder, is fitted by a plane; sums are of whole numbers, in any order.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse.weighted_counts import most_around, spare_rows
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
+from spl_batch.numerics.neighbours.lattice_columns import first_above
+from spl_batch.numerics.planes.robust_plane import plane_of_moments
+from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
+
+
+@njit(nogil=True, cache=True)
+def _near(
+    xyz: NDArray[np.int32], counts: NDArray[np.bool_], starts: NDArray[np.int64],
+    shape: tuple[int, int], edge: int, row: int, wide: int, span: int,
+    offsets: NDArray[np.float64],
+) -> np.int64:  # fmt: skip
+    """List what counts in an upright cylinder around a point: how many they are.
+
+    ``offsets`` (3, m) is filled with their offsets, and beyond them. None is farther than ``span``
+    up or down, and ``wide`` <= ``edge`` aside.
+    """
+    nx, ny = shape
+    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
+    last, size = np.uint64(xyz.shape[1]) - UL, U0
+    most, high = spread(np.float64(wide * wide)), spread(np.float64(span))
+    for i in range(max((x - wide) // edge, 0), min((x + wide) // edge + 1, nx)):
+        for j in range(max((y - wide) // edge, 0), min((y + wide) // edge + 1, ny)):
+            low, stop = starts[i * ny + j], starts[i * ny + j + 1]
+            begin, end = np.uint64(first_above(xyz, low, stop, z - span)), np.uint64(stop)
+            for p in range(begin, end, UL):
+                if xyz[U2, p] > z + span:
+                    break
+                # The last eight of the table, where fewer are left of it.
+                at = min(p, last)
+                rows = ascending(at)
+                dx = load(xyz, (U0, at)) - spread(np.float64(x))
+                dy = load(xyz, (U1, at)) - spread(np.float64(y))
+                dz = load(xyz, (U2, at)) - spread(np.float64(z))
+                taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
+                taken = taken & (dx * dx + dy * dy <= most) & (dz <= high)
+                pack(offsets, (U0, size), dx, taken)
+                pack(offsets, (U1, size), dy, taken)
+                pack(offsets, (U2, size), dz, taken)
+                size += number(taken)
+    return np.int64(size)
+
+
+@njit(nogil=True, cache=True)
+def _parent(
+    row: int, xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
+    starts: NDArray[np.int64], shape: tuple[int, int], edge: int, lag: int, aside: int,
+) -> int:  # fmt: skip
+    """The lowest return of the beamlet above one of it; -1 for none.
+
+    It is at most ``lag`` higher and ``aside`` <= ``edge`` away.
+    """
+    nx, ny = shape
+    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
+    own = int(x // edge) * ny + int(y // edge)
+    # Most stand in its own column, and others must be lower. Of two as high the one farther west
+    # or south is taken, wherever columns begin.
+    found: int = _mate(row, xyz, time, channel, row + 1, starts[own + 1], z + lag, aside)
+    top = z + lag if found < 0 else xyz[U2, found]
+    for i in range(max((x - aside) // edge, 0), min((x + aside) // edge + 1, nx)):
+        for j in range(max((y - aside) // edge, 0), min((y + aside) // edge + 1, ny)):
+            column = i * ny + j
+            if column == own:
+                continue
+            stop = starts[column + 1]
+            begin = first_above(xyz, starts[column], stop, z + 1)
+            mate = _mate(row, xyz, time, channel, begin, stop, top, aside)
+            if mate >= 0 and (found < 0 or _before(xyz, mate, found)):
+                found, top = mate, xyz[U2, mate]
+    return found
+
+
+@njit(nogil=True, cache=True)
+def _before(xyz, one, other):  # type: ignore[no-untyped-def]
+    """Whether one point is lower than another, or as high and farther west, or south of it."""
+    if xyz[U2, one] != xyz[U2, other]:
+        return xyz[U2, one] < xyz[U2, other]
+    if xyz[U0, one] != xyz[U0, other]:
+        return xyz[U0, one] < xyz[U0, other]
+    return xyz[U1, one] < xyz[U1, other]
+
+
+@njit(nogil=True, cache=True)
+def _mate(row, xyz, time, channel, begin, stop, top, aside):  # type: ignore[no-untyped-def]
+    """The first of a stretch of returns that is of a return's beamlet, and above it; -1 for none.
+
+    Heights ascend; none is looked for above ``top``, or farther aside.
+    """
+    x, y, z = xyz[U0, row], xyz[U1, row], xyz[U2, row]
+    moment, last, end = spread(time[row]), np.uint64(xyz.shape[1]) - UL, np.uint64(stop)
+    for p in range(np.uint64(begin), end, UL):
+        if xyz[U2, p] > top:
+            return -1
+        if number(load(time, min(p, last)) == moment) == U0:
+            continue
+        for q in range(p, min(p + UL, end)):
+            if time[q] != time[row] or channel[q] != channel[row] or not z < xyz[U2, q] <= top:
+                continue
+            dx, dy = xyz[U0, q] - x, xyz[U1, q] - y
+            if dx * dx + dy * dy <= aside * aside:
+                return np.int64(q)
+    return -1
+
+
+@njit(nogil=True, cache=True, fastmath={"reassoc"})
+def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.float64]) -> None:
+    """Sums of 1, u, v, w, uu, uv, vv, uw and vw of offsets: whole numbers, in any order."""
+    u1 = v1 = w1 = 0.0
+    uu = uv = vv = uw = vw = 0.0
+    for i in range(np.uint64(size)):
+        u, v, w = offsets[U0, i], offsets[U1, i], offsets[U2, i]
+        u1 += u
+        v1 += v
+        w1 += w
+        uu += u * u
+        uv += u * v
+        vv += v * v
+        uw += u * w
+        vw += v * w
+    sums[0], sums[1], sums[2], sums[3] = size, u1, v1, w1
+    sums[4], sums[5], sums[6], sums[7], sums[8] = uu, uv, vv, uw, vw
+
+
+@njit(nogil=True, cache=True)
+def _on_planes(
+    offsets: NDArray[np.float64], size: np.int64, plane: NDArray[np.float64], level: float,
+    thick: float,
+) -> tuple[np.int64, np.int64]:  # fmt: skip
+    """How many are within ``thick`` of a plane, and of one off by ``level`` but not of it."""
+    here = there = np.int64(0)
+    a, b, c = plane[0], plane[1], plane[2]
+    for i in range(np.uint64(size)):
+        distance = offsets[U2, i] - (a + b * offsets[U0, i] + c * offsets[U1, i])
+        beside = abs(distance) > thick
+        here += not beside
+        there += (abs(distance - level) <= thick) & beside
+    return here, there
+
+
+@njit(nogil=True, cache=True)
+def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
+    """Least squares plane w = a + b u + c v of such sums; False where there is none."""
+    n = sums[0]
+    mu, mv, mw = sums[1] / n, sums[2] / n, sums[3] / n
+    uu, uv, vv = sums[4] - n * mu * mu, sums[5] - n * mu * mv, sums[6] - n * mv * mv
+    uw, vw = sums[7] - n * mu * mw, sums[8] - n * mv * mw
+    return plane_of_moments(mu, mv, mw, uu, uv, vv, uw, vw, 1e-3, plane)
+
+
+@njit(nogil=True, cache=True)
+def behind_plane(
+    xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
+    true: NDArray[np.bool_], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
+    rows: NDArray[np.int32], lag: int, wide: int, high: int, thick: int, share: float,
+    least: int, out: NDArray[np.bool_], tilt: NDArray[np.float64], parents: NDArray[np.int32],
+) -> None:  # fmt: skip
+    """Whether points lie behind a plane that the true returns around their parent make.
+
+    Parameters
+    ----------
+    xyz, time, channel, starts, shape, edge, rows
+        As in :func:`~spl_batch.airborne.afterpulse.weighted_counts.weigh_around`.
+    true : (n,) bool
+        Returns that count.
+    lag : int
+        Longest way down from a parent, which is at most ``edge`` aside [quanta].
+    wide, high : int
+        Radius and half-height of the cylinder around the parent [quanta], ``wide <= edge``.
+    thick : int
+        Half-thickness of a plane [quanta].
+    share : float
+        Least share of the returns in the cylinder that lie on the plane.
+    least : int
+        Least number of returns in it.
+    out : (m,) bool
+        Filled. The parent lies on the plane, the point behind it by more than ``thick``, and
+        of the cylinder's returns at most one in twenty lies at its depth.
+    tilt : (m, 2) float64
+        Filled with the plane's slopes towards x and y, whatever lies at the point's depth;
+        0 where there is no plane.
+    parents : (m,) int32
+        Filled with the points' parents, -1 for none.
+    """
+    sums, plane = np.empty(9), np.zeros(3)
+    offsets = np.empty((3, most_around(starts, shape) + LANES))
+    spare = spare_rows(xyz.shape[1])
+    if len(spare):
+        xyz, time, true = xyz[:, spare], time[spare], true[spare]
+    for q in range(len(rows)):
+        row = rows[q]
+        out[q], tilt[q, 0], tilt[q, 1] = False, 0.0, 0.0
+        # Most parents are near; a short search first spares a long one in crowns.
+        close = min(lag // 10, edge)
+        parent = _parent(row, xyz, time, channel, starts, shape, edge, lag // 5, close)
+        if parent < 0:
+            parent = _parent(row, xyz, time, channel, starts, shape, edge, lag, edge)
+        parents[q] = parent
+        if parent < 0:
+            continue
+        size = _near(xyz, true, starts, shape, edge, parent, wide, high, offsets)
+        if size < least:
+            continue
+        _moments(offsets, size, sums)
+        if not _plane_of(sums, plane):
+            continue
+        x, y = xyz[U0, row] - xyz[U0, parent], xyz[U1, row] - xyz[U1, parent]
+        level = xyz[U2, row] - xyz[U2, parent] - (plane[0] + plane[1] * x + plane[2] * y)
+        if abs(plane[0]) > thick or level >= -thick:
+            continue
+        here, there = _on_planes(offsets, size, plane, level, thick)
+        if here >= share * size:
+            tilt[q, 0], tilt[q, 1] = plane[1], plane[2]
+            out[q] = 20 * there <= size

@@ -1,0 +1,260 @@
+"""Weighted counts of what other beamlets return around a point, in integers.
+
+Points are listed by square columns of the plane, from the lowest up, so that a count looks
+at nine columns and in each at a slice of heights. Weights and kernels are integers: sums do
+not depend on the order in which points are met, so neither on tiles nor on blocks.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import U0, U1, U2
+from spl_batch.numerics.neighbours.lattice_columns import first_above
+from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
+
+UNIT: Final = 1024
+"""Weight of a whole return, and of a kernel at its centre."""
+
+WHOLE: Final = 32
+"""Weights that are summed at once [count]; a power of two."""
+
+MASS: Final = 8.0 / 35.0
+"""Mean of the kernel (1 - d^2)^2 over the ball d < 1."""
+
+
+class Columns(NamedTuple):
+    """Points sorted by column, then height.
+
+    Parameters
+    ----------
+    order : (n,) int32
+        Rows in that order.
+    starts : (nx * ny + 1,) int64
+        Where columns start in ``order``, then n.
+    shape : tuple of int
+        nx, ny.
+    edge : int
+        Edge of a column [quanta].
+    """
+
+    order: NDArray[np.int32]
+    starts: NDArray[np.int64]
+    shape: tuple[int, int]
+    edge: int
+
+
+def columns(
+    xyz: NDArray[np.int32],
+    edge: int,
+    sort: Callable[[NDArray[np.int64]], NDArray[np.intp]] = np.argsort,
+) -> Columns:
+    """List points by column.
+
+    Parameters
+    ----------
+    xyz : (3, n) int32
+        Coordinates >= 0 [quanta], 1 <= n < 2**31.
+    edge : int
+        Edge of a column [quanta].
+    sort : callable
+        Indices that put numbers in order.
+    """
+    i, j = xyz[0] // edge, xyz[1] // edge
+    nx, ny = int(i.max()) + 1, int(j.max()) + 1
+    column = i.astype(np.int64) * ny + j
+    count = np.bincount(column, minlength=nx * ny)
+    height = int(xyz[2].max()) + 1
+    column *= height
+    column += xyz[2]
+    order = sort(column).astype(np.int32)
+    starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    return Columns(order, starts, (nx, ny), edge)
+
+
+@njit(nogil=True, cache=True)
+def most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
+    """Most points in a column and the eight around it."""
+    nx, ny = shape
+    most = 0
+    for i in range(nx):
+        for j in range(ny):
+            held = 0
+            for k in range(max(i - 1, 0), min(i + 2, nx)):
+                held += starts[k * ny + min(j + 2, ny)] - starts[k * ny + max(j - 1, 0)]
+            most = max(most, held)
+    return most
+
+
+@njit(nogil=True, cache=True)
+def weigh_around(
+    xyz: NDArray[np.int32],
+    time: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    weight: NDArray[np.int16],
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    edge: int,
+    rows: NDArray[np.int32],
+    radii: NDArray[np.int64],
+    tilt: NDArray[np.float64],
+    own: int,
+    out: NDArray[np.int64],
+) -> None:
+    """Kernel sums of the weights around some points.
+
+    Parameters
+    ----------
+    xyz : (3, n) int32
+        Points in the order of :class:`Columns` [quanta].
+    time, channel : (n,) float64, uint8
+        Their beamlets.
+    weight : (n,) int16
+        0 to :data:`UNIT`.
+    starts, shape, edge
+        As in :class:`Columns`.
+    rows : (m,) int32
+        Points to count around; quickest in ascending order.
+    radii : (k, 2) int64
+        Horizontal and vertical radius of each kernel [quanta]; the first one contains the
+        others, and its horizontal radius is at most ``edge``.
+    tilt : (m, 2) float64
+        Slopes of the kernels towards x and y.
+    own : int
+        What a return of the same beamlet above the point counts for [returns / UNIT]; those
+        below it do not count.
+    out : (m, k) int64
+        Filled with the sums of weight x (1 - d^2)^2 x :data:`UNIT`, d the distance in radii.
+    """
+    wide, high = radii[0, 0], radii[0, 1]
+    across, up = 1.0 / radii[:, 0].astype(np.float64) ** 2, 1.0 / radii[:, 1] ** 2.0
+    room = most_around(starts, shape) + 2 * WHOLE
+    near, mates, some = np.empty(room, np.uint64), np.empty(room, np.uint64), weight != 0
+    flat, square, worth = np.zeros(room), np.zeros(room), np.zeros(room, np.int32)
+    first, column = np.zeros(9, np.int64), -1
+    spare = spare_rows(xyz.shape[1])
+    if len(spare):
+        xyz, time, some = xyz[:, spare], time[spare], some[spare]
+    for q in range(len(rows)):
+        row, bx, by = rows[q], tilt[q, 0], tilt[q, 1]
+        span = high + math.ceil(math.hypot(bx, by) * wide)
+        column = _move_up(xyz, starts, shape, edge, row, span, column, first)
+        size, fellows = _ellipsoid(
+            xyz, time, some, starts, shape, column, first, row, span, across[0], up[0],
+            (bx, by), near, mates, flat, square,
+        )  # fmt: skip
+        for i in range(size):
+            worth[i] = weight[near[i]]
+        for i in range(fellows):
+            p = mates[i]
+            dx, dy = np.float64(xyz[U0, p] - xyz[U0, row]), np.float64(xyz[U1, p] - xyz[U1, row])
+            rise = np.float64(xyz[U2, p] - xyz[U2, row])
+            flat[size], square[size] = dx * dx + dy * dy, (rise - bx * dx - by * dy) ** 2
+            worth[size] = weight[p]
+            if channel[p] == channel[row]:
+                worth[size] = worth[size] * own // UNIT if rise > 0.0 else 0
+            size += U1
+        for i in range(size, size + np.uint64(WHOLE)):
+            worth[i] = 0
+        for k in range(len(radii)):
+            out[q, k] = _weighed(flat, square, worth, size, across[k], up[k])
+
+
+@njit(nogil=True, cache=True)
+def spare_rows(n: int) -> NDArray[np.int64]:
+    """Rows to take of so few points that no vector would hold them: none of enough."""
+    return np.minimum(np.arange(LANES), n - 1) if n < LANES else np.arange(0)
+
+
+@njit(nogil=True, cache=True)
+def _move_up(
+    xyz: NDArray[np.int32], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
+    row: int, span: int, before: int, first: NDArray[np.int64],
+) -> int:  # fmt: skip
+    """Where to begin in the columns around a point: its own column.
+
+    ``first`` (9,) receives places below which all heights are less than the point's by more
+    than ``span``; it holds those of a point in the column ``before``, beside which they mostly are.
+    """
+    nx, ny = shape
+    own = int(xyz[U0, row] // edge) * ny + int(xyz[U1, row] // edge)
+    bottom, k = xyz[U2, row] - span, 0
+    for i in range(own // ny - 1, own // ny + 2):
+        for j in range(own % ny - 1, own % ny + 2):
+            if 0 <= i < nx and 0 <= j < ny:
+                low, stop = starts[i * ny + j], starts[i * ny + j + 1]
+                at = first[k] if own == before else first_above(xyz, low, stop, bottom)
+                # Heights ascend, so whole vectors are passed by.
+                while at + LANES <= stop and xyz[U2, at + LANES - 1] < bottom:
+                    at += LANES
+                while at > low and xyz[U2, at - 1] >= bottom:
+                    at -= min(at - low, LANES)
+                first[k] = at
+            k += 1
+    return own
+
+
+@njit(nogil=True, cache=True)
+def _ellipsoid(
+    xyz: NDArray[np.int32], time: NDArray[np.float64], counts: NDArray[np.bool_],
+    starts: NDArray[np.int64], shape: tuple[int, int], column: int, first: NDArray[np.int64],
+    row: int, span: int, across: float, up: float, slope: tuple[float, float],
+    near: NDArray[np.uint64], mates: NDArray[np.uint64], flat: NDArray[np.float64],
+    square: NDArray[np.float64],
+) -> tuple[np.uint64, np.uint64]:  # fmt: skip
+    """List what counts in an ellipsoid around a point, whose horizontal radius is at most an edge.
+
+    ``near`` receives the rows, ``flat`` and ``square`` their squared distances from the axis and
+    from the middle plane, which may be tilted; ``mates`` the rows of the point's shot instead, its
+    own among them. Returns how many there are of both.
+    """
+    nx, ny = shape
+    x, y = spread(np.float64(xyz[U0, row])), spread(np.float64(xyz[U1, row]))
+    z, top = spread(np.float64(xyz[U2, row])), xyz[U2, row] + span
+    east, north, moment = spread(slope[0]), spread(slope[1]), spread(time[row])
+    last = np.uint64(xyz.shape[1]) - UL
+    size = fellows = U0
+    k = 0
+    for i in range(column // ny - 1, column // ny + 2):
+        for j in range(column % ny - 1, column % ny + 2):
+            if 0 <= i < nx and 0 <= j < ny:
+                end = np.uint64(starts[i * ny + j + 1])
+                for p in range(np.uint64(first[k]), end, UL):
+                    if xyz[U2, p] > top:
+                        break
+                    # The last eight of the table, where fewer are left of it.
+                    at = min(p, last)
+                    rows = ascending(at)
+                    dx, dy = load(xyz, (U0, at)) - x, load(xyz, (U1, at)) - y
+                    off = load(xyz, (U2, at)) - z - east * dx - north * dy
+                    apart, off = dx * dx + dy * dy, off * off
+                    left = spread(1.0) - apart * spread(across) - off * spread(up)
+                    taken = load(counts, at) & (rows >= spread(p)) & (rows < spread(end))
+                    taken, at_once = taken & (left > spread(0.0)), load(time, at) == moment
+                    pack(mates, fellows, rows, taken & at_once)
+                    fellows += number(taken & at_once)
+                    taken = taken & (load(time, at) != moment)
+                    pack(near, size, rows, taken)
+                    pack(flat, size, apart, taken)
+                    pack(square, size, off, taken)
+                    size += number(taken)
+            k += 1
+    return size, fellows
+
+
+@njit(nogil=True, cache=True)
+def _weighed(
+    flat: NDArray[np.float64], square: NDArray[np.float64], worth: NDArray[np.int32],
+    size: np.uint64, across: float, up: float,
+) -> np.int64:  # fmt: skip
+    """Sum of weights times a kernel, in whole vectors: behind the last one weights are 0."""
+    total = np.int64(0)
+    for i in range((size + np.uint64(WHOLE - 1)) // np.uint64(WHOLE) * np.uint64(WHOLE)):
+        left = 1.0 - flat[i] * across - square[i] * up
+        left = max(left, 0.0)
+        total += np.int64(worth[i]) * np.int64(np.int32(left * left * UNIT))
+    return total

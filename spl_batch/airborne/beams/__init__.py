@@ -1,0 +1,1 @@
+"""Beams and shots: geometry, sensor path, order of returns within a shot."""

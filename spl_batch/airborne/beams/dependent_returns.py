@@ -1,0 +1,82 @@
+"""Returns that depend on another one: no evidence of their own, and judged with it.
+
+Domain: space. An afterpulse follows *any* detection, one of background noise too. Such a
+pair is two returns where the null hypothesis of [W18] Eq. 6-8, independent points, expects
+one: left in, pairs of pairs pass the test high up in the gate. The time domain gives each
+follower the probability that it is an afterpulse; from :data:`DEPENDENT_MIN` on it does not
+count as a neighbour, and it shares the label of the return in front of it in its beamlet:
+the echo of noise goes with the noise, a second return of a tree stays with the tree.
+
+Deviation: the sources count every return.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.label_inheritance import inherit, may_share
+from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import quanta
+
+DOMAIN: Final = "space"
+
+DEPENDENT_MIN: Final = 0.3
+"""Afterpulse probability from which a return is no evidence of its own."""
+
+LAG_M: Final = 5.0
+"""Farthest parent [m]; [W17] 7.2 finds afterpulses within 2-3 m of it."""
+
+
+def dependents(table: PointTable) -> NDArray[np.bool_]:
+    """Returns that are no evidence of their own: (n,) bool."""
+    if "afterpulse" not in table:
+        return np.zeros(len(table), np.bool_)
+    found: NDArray[np.bool_] = table["afterpulse"] >= DEPENDENT_MIN
+    return found
+
+
+def families(table: PointTable, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Returns of the beamlets that some points lie on, and a few others: (n,) bool.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points with ``gps_time, channel``.
+    chosen : (n,) bool
+        The points; their own beamlets are among those found.
+    """
+    # 0.0 for -0.0: equal times have equal bits.
+    return may_share((table["gps_time"] + 0.0).view(np.uint64), table["channel"], chosen)
+
+
+def follow(
+    table: PointTable, dependent: NDArray[np.bool_], label: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Labels with those of dependent returns taken over from the returns in front of them.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points with ``gps_time, channel, z`` in canonical order: whole :func:`families`.
+    dependent : (n,) bool
+        Returns whose own label does not count.
+    label : (n,) uint8
+        ``noise_class``; "not assessed" where it is not known.
+
+    Returns
+    -------
+    (n,) uint8
+        A follower of noise is an afterpulse. One whose parent is not known keeps its label.
+    """
+    if not dependent.any():
+        return label
+    time, channel = table["gps_time"], table["channel"]
+    order = np.lexsort((-table["z"].astype(np.int64), channel, time))
+    same = np.zeros(len(order), np.bool_)
+    same[1:] = (np.diff(time[order]) == 0) & (np.diff(channel[order].astype(np.int16)) == 0)
+    out = label.copy()
+    inherit(order, same, table["z"], dependent, quanta(LAG_M), out, NOISE_NOT_ASSESSED)
+    out[dependent & (out == NOISE_BACKGROUND)] = NOISE_AFTERPULSE
+    return out

@@ -1,0 +1,295 @@
+"""Beam geometry of each point, and what is estimated where the survey does not say it.
+
+Sources: [W17] 6.2.2 and [W18] 2.2.2 (the line of sight joins the return with the
+trajectory interpolated at the shot's time).
+
+Deviations: without a trajectory the beam is taken from the scan angle across the
+flight direction, or is vertical; its origin is then a stand-in where the beam crosses
+the absolute height :data:`STAND_IN_HEIGHT_M`, so that ranges still order the returns of
+a beam and a gate cut at a height stays one. Nothing depends on how a flightline is cut.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.rays import look
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
+
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "scan_angle")
+COLUMNS_ADDED: Final = ()
+
+STAND_IN_HEIGHT_M: Final = 10_000.0
+"""Height of stand-in origins [m]; above every terrain and every survey flight."""
+
+STEP_BIN_S: Final = 1e-8
+"""Bin of the histogram of steps between shots [s]."""
+
+STEP_BINS: Final = 100_000
+"""Bins of that histogram: steps up to 1 ms, so PRFs from 1 kHz."""
+
+AHEAD_S: Final = 1.0
+"""Time in which a scan looks ahead and astern many times over [s]."""
+
+AHEAD_RETURNS: Final = 20_000
+"""Returns by which it is asked how far ahead they lie [count]."""
+
+LOOKS_AHEAD: Final = 0.05
+"""Returns lie ahead of a sensor on average by no more than this part of its height."""
+
+MIN_ANGLES: Final = 16
+"""Fewer distinct scan angles than this are a label of the line, not a geometry."""
+
+
+def beams(
+    table: PointTable, trajectory: Trajectory | None, *, heading_rad: float | None = None
+) -> BeamTable:
+    """Line of sight of each point.
+
+    Parameters
+    ----------
+    table : PointTable
+        Needs :data:`COLUMNS_NEEDED`; times are finite.
+    trajectory : Trajectory or None
+        Sensor positions; where they do not cover a time the beam is not known.
+    heading_rad : float, optional
+        Flight direction, clockwise from north [rad], used without a trajectory: beams
+        then lean by the scan angle to starboard. None gives vertical beams.
+
+    Returns
+    -------
+    BeamTable
+    """
+    if trajectory is not None:
+        return _from_trajectory(table, trajectory)
+    points = np.empty((len(table), 3), dtype=np.float64)
+    for axis, name in enumerate(("x", "y", "z")):
+        points[:, axis] = table[name] * QUANTUM_M
+    lean = np.zeros(len(table))
+    if heading_rad is not None:
+        lean = np.deg2rad(table["scan_angle"].astype(np.float64))
+    starboard = (0.0, 0.0) if heading_rad is None else (np.cos(heading_rad), -np.sin(heading_rad))
+    return _stand_in(points, lean, starboard)
+
+
+def _from_trajectory(table: PointTable, trajectory: Trajectory) -> BeamTable:
+    n = len(table)
+    shots = run_starts(table["gps_time"])
+    sensor, covered = trajectory.position(table["gps_time"][shots[:-1]])
+    origin, direction, range_m = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    place = (table["x"], table["y"], table["z"])
+    look(shots, sensor, place, QUANTUM_M, origin, direction, range_m)
+    known: NDArray[np.bool_] = np.repeat(covered, np.diff(shots)) & (range_m > 0)
+    return BeamTable(origin, direction, range_m, known)
+
+
+def _stand_in(
+    points: NDArray[np.float64], lean_rad: NDArray[np.float64], starboard: Sequence[float]
+) -> BeamTable:
+    cosine = np.cos(lean_rad)
+    direction = np.column_stack(
+        [np.sin(lean_rad) * starboard[0], np.sin(lean_rad) * starboard[1], -cosine]
+    )
+    known: NDArray[np.bool_] = (cosine > 0.1) & (points[:, 2] < STAND_IN_HEIGHT_M)
+    range_m = (STAND_IN_HEIGHT_M - points[:, 2]) / np.where(known, cosine, 1.0)
+    return BeamTable(points - direction * range_m[:, None], direction, range_m, known)
+
+
+def observe_track(table: PointTable) -> dict[str, NDArray[np.int64]]:
+    """What a flightline's heading is estimated from; parts of a flightline add up.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of one flightline with finite times, at least one.
+
+    Returns
+    -------
+    dict
+        ``second`` (m,), and per whole second ``count``, ``x_sum``, ``y_sum`` [quanta];
+        ``angle`` (a,) distinct scan angles [mdeg], all int64.
+    """
+    second = np.floor(table["gps_time"]).astype(np.int64)
+    x, y = table["x"], table["y"]
+    if np.any(second[1:] < second[:-1]):
+        order = np.argsort(second, kind="stable")
+        second, x, y = second[order], x[order], y[order]
+    starts = run_starts(second)
+    angle = np.rint(table["scan_angle"].astype(np.float64) * 1000).astype(np.int64)
+    return {
+        "second": second[starts[:-1]],
+        "count": np.diff(starts),
+        "x_sum": np.add.reduceat(x, starts[:-1]),
+        "y_sum": np.add.reduceat(y, starts[:-1]),
+        "angle": np.flatnonzero(np.bincount(angle - angle.min()))[: 4 * MIN_ANGLES] + angle.min(),
+    }
+
+
+def merge_track(parts: Sequence[dict[str, NDArray[np.int64]]]) -> dict[str, NDArray[np.int64]]:
+    """Add up parts of :func:`observe_track`, in any order."""
+    if not parts:
+        return observe_track_empty()
+    second, inverse = np.unique(np.concatenate([p["second"] for p in parts]), return_inverse=True)
+    merged = {"second": second}
+    for name in ("count", "x_sum", "y_sum"):
+        merged[name] = np.zeros(len(second), dtype=np.int64)
+        np.add.at(merged[name], inverse, np.concatenate([p[name] for p in parts]))
+    merged["angle"] = np.unique(np.concatenate([p["angle"] for p in parts]))[: 4 * MIN_ANGLES]
+    return merged
+
+
+def observe_track_empty() -> dict[str, NDArray[np.int64]]:
+    """Statistics of no points."""
+    names = ("second", "count", "x_sum", "y_sum", "angle")
+    return {name: np.empty(0, dtype=np.int64) for name in names}
+
+
+def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
+    """Flight direction from the drift of the points' centroid.
+
+    Parameters
+    ----------
+    track : dict
+        Merged statistics of one flightline.
+
+    Returns
+    -------
+    float or None
+        Heading, clockwise from north [rad]; None (beams are then vertical) where the
+        scan angle takes too few values to be a geometry, or the drift is no clear line.
+    """
+    if len(track["angle"]) < MIN_ANGLES or len(track["second"]) < 3:
+        return None
+    # The first and last second are cut somewhere: their centroids are not comparable.
+    inner = slice(1, -1) if len(track["second"]) > 4 else slice(None)
+    time = (track["second"] - track["second"][0])[inner].astype(np.float64)
+    x = ((track["x_sum"] / track["count"])[inner]) * QUANTUM_M
+    y = ((track["y_sum"] / track["count"])[inner]) * QUANTUM_M
+    speed = np.array([np.polynomial.polynomial.polyfit(time, v, 1)[1] for v in (x, y)])
+    travelled = float(np.hypot(*speed) * np.ptp(time))
+    spread = np.hypot(
+        x - x.mean() - speed[0] * (time - time.mean()),
+        y - y.mean() - speed[1] * (time - time.mean()),
+    )
+    if travelled < 50.0 or float(np.median(spread)) > 0.1 * travelled:
+        return None
+    return float(np.arctan2(speed[0], speed[1]))
+
+
+class Ahead(NamedTuple):
+    """How far ahead of the sensor, or astern, its returns lie on average.
+
+    Parameters
+    ----------
+    ahead_m : float
+        Along the direction of flight [m].
+    height_m : float
+        Of the sensor above them [m].
+    speed_m_s : float
+        Of the sensor over ground [m/s].
+    """
+
+    ahead_m: float
+    height_m: float
+    speed_m_s: float
+
+    @property
+    def is_above(self) -> bool:
+        """Whether the sensor is about above what it sees."""
+        return abs(self.ahead_m) <= LOOKS_AHEAD * self.height_m
+
+
+def look_ahead(beams: BeamTable, time_s: NDArray[np.float64]) -> Ahead | None:
+    """Mean look along the flight direction: near zero, as scans look both ways.
+
+    Parameters
+    ----------
+    beams : BeamTable
+        Beams of returns in time order, from positions that are not derived from them: (n,).
+    time_s : (n,) float64
+        Their times [s].
+
+    Returns
+    -------
+    Ahead or None
+        None where the sensor is known for less than :data:`AHEAD_S`, or stands still.
+    """
+    rows = np.flatnonzero(beams.known)
+    rows = rows[:: max(len(rows) // AHEAD_RETURNS, 1)]
+    if not len(rows) or time_s[rows[-1]] - time_s[rows[0]] < AHEAD_S:
+        return None
+    time, place = time_s[rows] - time_s[rows].mean(), beams.origin_m[rows, :2]
+    velocity = time @ (place - place.mean(axis=0)) / (time @ time)
+    speed = float(np.hypot(*velocity))
+    if speed < 1.0:
+        return None
+    to_return = beams.direction[rows] * beams.range_m[rows, None]
+    ahead = float(np.mean(to_return[:, :2] @ velocity)) / speed
+    return Ahead(ahead, float(-np.mean(to_return[:, 2])), speed)
+
+
+def ordered_times(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times in order; as they are where they are in order already."""
+    return np.sort(time_s) if np.any(time_s[1:] < time_s[:-1]) else time_s
+
+
+def shot_steps(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Histogram of the steps between consecutive shots; histograms add up.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Times of the points of one flightline, in any order; not finite ones are ignored.
+
+    Returns
+    -------
+    (STEP_BINS,) int64
+        Number of steps by length, in bins of :data:`STEP_BIN_S`; longer ones are dropped.
+    """
+    time = ordered_times(time_s[np.isfinite(time_s)])
+    step = np.diff(time[run_starts(time)[:-1]])
+    step = step[step < (STEP_BINS - 1) * STEP_BIN_S]
+    index = np.rint(step / STEP_BIN_S).astype(np.int64)
+    return np.bincount(index, minlength=STEP_BINS).astype(np.int64)
+
+
+def estimate_prf(steps: NDArray[np.int64]) -> float | None:
+    """Pulse repetition frequency from the steps between shots.
+
+    Silent shots make steps of two and more periods, but one period stays the commonest;
+    the mean around the mode takes out the jitter (20.03 / 19.97 us), and the steps of
+    two periods sharpen it.
+
+    Parameters
+    ----------
+    steps : (STEP_BINS,) int64
+        Sum of histograms of :func:`shot_steps`.
+
+    Returns
+    -------
+    float or None
+        PRF [Hz]; None where no step is common enough.
+    """
+    total = int(steps.sum())
+    if total < 10:
+        return None
+    centre = np.arange(len(steps)) * STEP_BIN_S
+    # A window of +-2 % around each bin, so that jitter does not split the mode.
+    half = np.maximum(3, np.arange(len(steps)) // 50)
+    cumulative = np.concatenate([[0], np.cumsum(steps)])
+    low = np.maximum(np.arange(len(steps)) - half, 0)
+    high = np.minimum(np.arange(len(steps)) + half + 1, len(steps))
+    window = (cumulative[high] - cumulative[low]).astype(np.float64)
+    window[:4] = 0
+    # The window widens with the step, so ties and trends favour the long steps: undo it.
+    mode = int(np.argmax(window / np.sqrt(high - low)))
+    if window[mode] < max(5.0, 0.05 * total):
+        return None
+    counted = steps[low[mode] : high[mode]]
+    period = float(np.dot(counted, centre[low[mode] : high[mode]]) / counted.sum())
+    return 1.0 / period

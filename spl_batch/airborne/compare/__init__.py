@@ -1,0 +1,1 @@
+"""Comparison of several filters on one survey."""

@@ -1,0 +1,1 @@
+"""Noise filter: which returns are background."""

@@ -1,0 +1,325 @@
+"""Space-domain noise filter: which points are background [W18 2.2.3; W17 5.2.2, 6.2.3].
+
+Domain: space. Columns needed: x, y, z, flags, and those of
+:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision` where the time domain ran; columns added:
+noise_class, p_value, wire.
+
+Every method decides about the same points: those that the survey may use, without the
+afterpulses, about which the time domain and the neighbourhood agree first. For our own tests
+a return that depends on another one is no evidence either, and shares its label
+(:mod:`~spl_batch.airborne.beams.dependent_returns`); the sources' filters count every return.
+:data:`METHODS` names the module that judges.
+"""
+
+from collections.abc import Callable
+from types import MappingProxyType
+from typing import Final, NamedTuple, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse import afterpulse_decision
+from spl_batch.airborne.beams.dependent_returns import LAG_M, families, follow
+from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
+from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
+from spl_batch.airborne.filter.published import aes, cylinder, dcc, multilevel, voxel
+from spl_batch.airborne.filter.wires import wire_null, wire_scan
+from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
+from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.lattice.tables import EXCLUDED, UNFILTERED, PointFlag, PointTable
+from spl_batch.lattice.tiles import quanta
+
+COLUMNS_NEEDED: Final = afterpulse_decision.COLUMNS_NEEDED
+"""Columns of a table to filter."""
+
+COLUMNS_JUDGED: Final = ("z", "gps_time", "channel", "flags")
+"""Those that :func:`judge` looks at."""
+
+
+class Method(NamedTuple):
+    """How one filter judges, how far it looks [m], and whether it adds noise up over voxels."""
+
+    judge: Callable[[Cloud, FilterSettings], Verdict]
+    reach_m: Callable[[FilterSettings], float]
+    by_voxel: bool = False
+
+
+METHODS: Final = MappingProxyType(
+    {
+        "vsaes": Method(ellipsoid_test.judge, ellipsoid_test.reach_m),
+        "aes": Method(aes.judge, aes.reach_m, by_voxel=True),
+        "dcc": Method(dcc.judge, dcc.reach_m),
+        "voxel": Method(voxel.judge, voxel.reach_m),
+        "multilevel": Method(multilevel.judge, multilevel.reach_m),
+        "cylinder": Method(cylinder.judge, cylinder.reach_m),
+    }
+)
+"""The filters of the space domain by the name that ``filter.method`` has."""
+
+
+class Independent(NamedTuple):
+    """Returns that are judged by themselves, and what is judged with them.
+
+    Parameters
+    ----------
+    rows : (m,) int32
+        Where they are in the table, ascending.
+    cloud : Cloud
+        The same returns.
+    """
+
+    rows: NDArray[np.int32]
+    cloud: Cloud
+
+
+class NoiseColumns(TypedDict):
+    """Columns that the filter gives for the query points, in table order."""
+
+    noise_class: NDArray[np.uint8]
+    p_value: NDArray[np.float32]
+    wire: NDArray[np.uint8]
+
+
+def reach_m(settings: FilterSettings) -> float:
+    """Halo that the filter needs [m]."""
+    if settings.method == "none":
+        return 0.0
+    reach = METHODS[settings.method].reach_m(settings)
+    if _independent(settings):
+        reach = max(reach, wire_scan.reach_m(settings.wires))
+    return reach + afterpulse_decision.REACH_M + (LAG_M if _independent(settings) else 0.0)
+
+
+def asks_for_means(settings: FilterSettings) -> bool:
+    """Whether the filter adds up noise over whole voxels: it needs their means, silence included.
+
+    The others test a point in the noise of what is listened to around it.
+    """
+    return settings.method != "none" and METHODS[settings.method].by_voxel
+
+
+def denoise(
+    table: PointTable,
+    density: NDArray[np.float64],
+    query: NDArray[np.bool_],
+    settings: FilterSettings,
+    afterpulse: AfterpulseSettings = AfterpulseSettings(),  # noqa: B008 - frozen
+    *,
+    exact: bool = False,
+) -> NoiseColumns:
+    """Decide which points are noise.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of a block and its halo in canonical order.
+    density : (n,) float64
+        Expected noise at each point [1/m3]; finite, >= 0. It must be right in the
+        halo too, as far as links reach.
+    query : (n,) bool
+        Points to decide.
+    settings : FilterSettings
+        Method and its parameters.
+    afterpulse : AfterpulseSettings
+        From which probability an afterpulse is believed.
+    exact : bool
+        Whether p is wanted where it is far smaller than the decision needs
+        (:func:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_test.judge`); labels stay the same.
+
+    Returns
+    -------
+    NoiseColumns
+        For the m query points: ``noise_class`` (m,) uint8 and ``p_value`` (m,)
+        float32, P(as much evidence | noise), NaN where not assessed; ``wire`` (m,) uint8,
+        1 for what is surely a conductor.
+    """
+    found = resolve(table, density, settings, afterpulse)
+    chosen = independent(table, density, query, found, settings)
+    return judge(table, chosen, query, found, settings, exact=exact)
+
+
+def independent(
+    table: PointTable,
+    density: NDArray[np.float64],
+    query: NDArray[np.bool_],
+    found: afterpulse_decision.Echoes,
+    settings: FilterSettings,
+) -> Independent:
+    """Returns that are judged by themselves; none where nothing filters.
+
+    Parameters
+    ----------
+    table : PointTable
+        As for :func:`denoise`; ``x, y, z, flags`` at least.
+    density, query, settings
+        As for :func:`denoise`.
+    found : Echoes
+        From :func:`resolve`.
+    """
+    echo, dependent = found
+    judged = ~table.has(EXCLUDED) & ~echo & ~dependent & (settings.method != "none")
+    rows = np.flatnonzero(judged).astype(np.int32)
+    # A parent outside the area of interest is judged for the sake of who follows it.
+    wanted = _with_parents(table, query & ~table.has(UNFILTERED), dependent)
+    wanted &= ~table.has(EXCLUDED | PointFlag.NO_BEAM)
+    return Independent(rows, _cloud(table, rows, density, wanted))
+
+
+def judge(
+    table: PointTable,
+    chosen: Independent,
+    query: NDArray[np.bool_],
+    found: afterpulse_decision.Echoes,
+    settings: FilterSettings,
+    *,
+    exact: bool = False,
+) -> NoiseColumns:
+    """Decide which points are noise, where it is known which are afterpulses.
+
+    Parameters
+    ----------
+    table : PointTable
+        As for :func:`denoise`, :data:`COLUMNS_JUDGED` at least.
+    chosen : Independent
+        From :func:`independent`.
+    query, settings, exact
+        As for :func:`denoise`.
+    found : Echoes
+        From :func:`resolve`.
+
+    Returns
+    -------
+    NoiseColumns
+        As from :func:`denoise`.
+    """
+    echo, dependent = found
+    excluded = table.has(EXCLUDED)
+    noise_class = np.full(len(table), NOISE_NOT_ASSESSED, dtype=np.uint8)
+    p_value = np.full(len(table), np.nan, dtype=np.float32)
+    wire = np.zeros(len(table), dtype=np.uint8)
+    if settings.method == "none":
+        noise_class[~excluded] = NOISE_SIGNAL
+    else:
+        cloud = chosen.cloud
+        verdict, conductor = verdict_on(cloud, settings, exact=exact)
+        rows = chosen.rows[cloud.asked]
+        wire[rows] = conductor
+        noise_class[rows] = np.where(verdict.signal, NOISE_SIGNAL, NOISE_BACKGROUND)
+        p_value[rows] = verdict.p_value
+        noise_class[echo] = NOISE_AFTERPULSE
+        noise_class[dependent & ~table.has(EXCLUDED | PointFlag.NO_BEAM)] = NOISE_SIGNAL
+        if dependent.any():
+            kin = np.flatnonzero(families(table, dependent & query) & ~excluded)
+            family = table.select(("gps_time", "channel", "z")).take(kin)
+            noise_class[kin] = follow(family, dependent[kin], noise_class[kin])
+        noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
+    noise_class[echo] = NOISE_AFTERPULSE
+    outside = table.has(PointFlag.OUTSIDE_AOI)
+    noise_class[outside] = NOISE_NOT_ASSESSED
+    p_value[outside] = np.nan
+    wire[noise_class != NOISE_SIGNAL] = 0
+    return {"noise_class": noise_class[query], "p_value": p_value[query], "wire": wire[query]}
+
+
+def verdict_on(
+    cloud: Cloud, settings: FilterSettings, *, exact: bool = False
+) -> tuple[Verdict, NDArray[np.bool_]]:
+    """Verdict of the method, with what the scan for conductors keeps; the sure ones among that.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Independent returns of a block and its halo.
+    settings, exact
+        As for :func:`denoise`.
+
+    Returns
+    -------
+    Verdict
+        Of the points asked for. The two share alpha, and p: a share x of pure noise has p <= x
+        by either of them, so what the scan keeps of it is added to the p of the test, from the
+        scan's own alpha on.
+    (m,) bool
+        Points that are surely of a conductor.
+    """
+    nothing = np.zeros(int(np.count_nonzero(cloud.asked)), np.bool_)
+    if settings.method != "vsaes":
+        return METHODS[settings.method].judge(cloud, settings), nothing
+    if not (settings.wires.enabled and _independent(settings)):
+        return ellipsoid_test.judge(cloud, settings, exact=exact), nothing
+
+    def spent(density: NDArray[np.float64]) -> NDArray[np.float64]:
+        return wire_null.spent(density, settings)
+
+    verdict = ellipsoid_test.judge(cloud, settings, exact=exact, spent=spent)
+    wires = wire_null.fitted(settings)
+    found = wire_scan.scan(cloud, wires)
+    both = (verdict.p_value + spent(cloud.density[cloud.asked])).astype(np.float32)
+    both = np.where(both >= wires.alpha, np.minimum(both, 1.0), verdict.p_value)
+    return Verdict(verdict.signal | found.signal, np.fmin(both, found.p_value)), found.wire
+
+
+def resolve(
+    table: PointTable,
+    density: NDArray[np.float64],
+    settings: FilterSettings,
+    afterpulse: AfterpulseSettings,
+) -> afterpulse_decision.Echoes:
+    """What is an afterpulse, and what is no evidence of its own.
+
+    Parameters
+    ----------
+    table, density, settings, afterpulse
+        As for :func:`denoise`.
+
+    Returns
+    -------
+    Echoes
+        Two (n,) bool.
+    """
+    if settings.method == "none":
+        return afterpulse_decision.believed(table)
+    found = afterpulse_decision.resolve(table, density, afterpulse)
+    if _independent(settings):
+        return found
+    return afterpulse_decision.Echoes(found.echo, np.zeros(len(table), np.bool_))
+
+
+def _with_parents(
+    table: PointTable, query: NDArray[np.bool_], dependent: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Points to decide, and those that a dependent one of them may follow: (n,) bool."""
+    asked = np.flatnonzero(query & dependent)
+    if not len(asked):
+        return query
+    margin = quanta(LAG_M)
+    parents = np.ones(len(table), np.bool_)
+    for name in "xy":
+        values = table[name]
+        parents &= (values >= values[asked].min() - margin) & (
+            values <= values[asked].max() + margin
+        )
+    return query | parents
+
+
+def _independent(settings: FilterSettings) -> bool:
+    """Whether returns that depend on another one are left out of the evidence."""
+    return settings.method == "vsaes" and settings.test != "published"
+
+
+def _cloud(
+    table: PointTable,
+    rows: NDArray[np.int32],
+    density: NDArray[np.float64],
+    asked: NDArray[np.bool_],
+) -> Cloud:
+    """Rows of a table with coordinates relative to their smallest: exact, and 32 bits do."""
+    xyz = np.empty((len(rows), 3), dtype=np.int32)
+    anchor = [0, 0, 0]
+    for axis, name in enumerate("xyz"):
+        values = table[name][rows].astype(np.int64, copy=False)
+        if len(values):
+            anchor[axis] = int(values.min())
+            xyz[:, axis] = values - anchor[axis]
+    shot_noise = table.has(PointFlag.SHOT_NOISE)[rows]
+    return Cloud(xyz, (anchor[0], anchor[1], anchor[2]), density[rows], asked[rows], shot_noise)

@@ -1,0 +1,1 @@
+"""Test of adaptive ellipsoids: counts, null distribution, decision."""

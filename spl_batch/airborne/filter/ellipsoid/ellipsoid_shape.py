@@ -1,0 +1,221 @@
+r"""Shape of each point's adaptive ellipsoid [W18 Eq. 3-5; W17 Eq. 5.4-5.6].
+
+============ ================================================================
+symbol       name
+============ ================================================================
+e_1..e_3     ``values``: eigenvalues of the neighbours' covariance [m2]
+a, b, c      ``axes``: semi-axes r e_i / cbrt(e_1 e_2 e_3) [m]
+r            ``radius``: radius of the sphere of equal volume [m]
+P            ``vectors``: eigenvectors, as rows
+flag         :func:`flag`: below 1 inside
+============ ================================================================
+
+Deviations: eigenvalues are floored (coincident and collinear neighbours have none);
+the long axis is capped, and the volume is that of the capped ellipsoid; with fewer than
+four neighbours within reach there is no shape to speak of, and the sphere is used.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import U0, U1, U2, U3, U4, U5
+from spl_batch.numerics.planes.eigen import eigen_symmetric
+from spl_batch.numerics.simd import LANES, load, spread, store
+
+SHAPE_MIN: Final = 4
+"""Neighbours below which the ellipsoid is the sphere [count]."""
+
+
+class Shape(NamedTuple):
+    """How neighbours become an ellipsoid; lengths in quanta.
+
+    Parameters
+    ----------
+    neighbours : int
+        Neighbours that shape it [count].
+    radius, floor, axis_cap, neighbour_cap : float
+        Sphere of equal volume, smallest spread, longest semi-axis, farthest neighbour.
+    power : float
+        1 for eigenvalues [W18 Eq. 3], 0.5 for their roots.
+    """
+
+    neighbours: int
+    radius: float
+    floor: float
+    axis_cap: float
+    neighbour_cap: int
+    power: float
+
+
+@njit(nogil=True, cache=True, fastmath={"reassoc"})
+def covariance(near, member, found, moments, column):  # type: ignore[no-untyped-def]
+    """Covariance of neighbours; the sums are whole numbers, so their order is free.
+
+    ``near`` (m, 3, k) has the offsets of the neighbours of some members, a column of ``moments``
+    (6, m) receives xx, xy, xz, yy, yz, zz.
+    """
+    sx = sy = sz = 0.0
+    sxx = sxy = sxz = syy = syz = szz = 0.0
+    for i in range(found):
+        dx, dy, dz = near[member, U0, i], near[member, U1, i], near[member, U2, i]
+        sx += dx
+        sy += dy
+        sz += dz
+        sxx += dx * dx
+        sxy += dx * dy
+        sxz += dx * dz
+        syy += dy * dy
+        syz += dy * dz
+        szz += dz * dz
+    n = np.float64(max(found, 1))
+    scale = 1.0 / (n * n)
+    moments[0, column] = (n * sxx - sx * sx) * scale
+    moments[1, column] = (n * sxy - sx * sy) * scale
+    moments[2, column] = (n * sxz - sx * sz) * scale
+    moments[3, column] = (n * syy - sy * sy) * scale
+    moments[4, column] = (n * syz - sy * sz) * scale
+    moments[5, column] = (n * szz - sz * sz) * scale
+
+
+@njit(nogil=True, cache=True)
+def _axes(values, shape, axes, member):  # type: ignore[no-untyped-def]
+    """Semi-axes (3, m) of a member from eigenvalues [W18 Eq. 3]; returns the volume.
+
+    Without a cap it is the sphere's to the last bit, so that the critical count of one
+    point serves the next.
+    """
+    floor = shape.floor * shape.floor
+    product = 1.0
+    for i in range(3):
+        value = max(values[i, member], floor)
+        axes[i, member] = value if shape.power == 1.0 else value**shape.power
+        product *= axes[i, member]
+    scale = shape.radius / np.cbrt(product)
+    volume = 4.0 / 3.0 * math.pi * shape.radius**3
+    for i in range(3):
+        axes[i, member] *= scale
+        if axes[i, member] > shape.axis_cap:
+            volume *= shape.axis_cap / axes[i, member]
+            axes[i, member] = shape.axis_cap
+    return volume
+
+
+@njit(nogil=True, cache=True)
+def _quadrics(vectors, axes, quadrics):  # type: ignore[no-untyped-def]
+    """Upper triangles (6, 8) of the matrices Q with flag = d' Q d [W18 Eq. 4-5]."""
+    q0 = q1 = q2 = q3 = q4 = q5 = spread(0.0)
+    for i in range(U3):
+        axis, x = load(axes, (i, U0)), load(vectors, (U3 * i, U0))
+        y, z = load(vectors, (U3 * i + U1, U0)), load(vectors, (U3 * i + U2, U0))
+        weight = spread(1.0) / (axis * axis)
+        q0, q1, q2 = q0 + weight * x * x, q1 + weight * x * y, q2 + weight * x * z
+        q3, q4, q5 = q3 + weight * y * y, q4 + weight * y * z, q5 + weight * z * z
+    store(quadrics, (U0, U0), q0)
+    store(quadrics, (U1, U0), q1)
+    store(quadrics, (U2, U0), q2)
+    store(quadrics, (U3, U0), q3)
+    store(quadrics, (U4, U0), q4)
+    store(quadrics, (U5, U0), q5)
+
+
+@njit(nogil=True, cache=True)
+def flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """[W18 Eq. 5]: below 1 inside."""
+    return (
+        q[0] * dx * dx
+        + q[3] * dy * dy
+        + q[5] * dz * dz
+        + 2.0 * (q[1] * dx * dy + q[2] * dx * dz + q[4] * dy * dz)
+    )
+
+
+@njit(nogil=True, cache=True)
+def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
+    """Half-extents of the ellipsoid's bounding box, rounded up."""
+    for axis in range(3):
+        total = 0.0
+        for i in range(3):
+            total += (axes[i] * vectors[i, axis]) ** 2
+        half[axis] = math.sqrt(total) + 1.0
+
+
+class Bodies(NamedTuple):
+    """Ellipsoids of eight points at a time, one to a column.
+
+    Parameters
+    ----------
+    found : (8,) int64
+        Neighbours that shape each [count].
+    moments, quadrics : (6, 8) float64
+        Covariance of the neighbours, and the matrix of the ellipsoid, upper triangles.
+    values, axes : (3, 8) float64
+        Eigenvalues and semi-axes, longest first [quanta].
+    vectors : (9, 8) float64
+        Unit axes, x, y, z of each.
+    volume : (8,) float64
+        [quanta3].
+    matrix, value, rows : (6,), (3,), (3, 3) float64
+        Scratch for one of them.
+    """
+
+    found: NDArray[np.int64]
+    moments: NDArray[np.float64]
+    quadrics: NDArray[np.float64]
+    values: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    vectors: NDArray[np.float64]
+    volume: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+    value: NDArray[np.float64]
+    rows: NDArray[np.float64]
+
+
+@njit(nogil=True, cache=True)
+def no_bodies():  # type: ignore[no-untyped-def]
+    """Room for :class:`Bodies`."""
+    return Bodies(
+        np.zeros(LANES, np.int64), np.zeros((6, LANES)), np.zeros((6, LANES)),
+        np.zeros((3, LANES)), np.zeros((3, LANES)), np.zeros((9, LANES)), np.zeros(LANES),
+        np.zeros(6), np.zeros(3), np.zeros((3, 3)),
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True)
+def fit(bodies, shape):  # type: ignore[no-untyped-def]
+    """Ellipsoids of eight points by how many neighbours they have, and by their covariance."""
+    found, moments, quadrics, values, axes, vectors, volume, matrix, value, rows = bodies
+    for member in range(LANES):
+        for i in range(6):
+            matrix[i] = moments[i, member]
+        eigen_symmetric(matrix, value, rows)
+        lone = found[member] < SHAPE_MIN
+        for i in range(3):
+            values[i, member] = 1.0 if lone else value[i]
+            for j in range(3):
+                vectors[3 * i + j, member] = (1.0 if i == j else 0.0) if lone else rows[i, j]
+        volume[member] = _axes(values, shape, axes, member)
+    _quadrics(vectors, axes, quadrics)
+
+
+@njit(nogil=True, cache=True)
+def lone_body(bodies, member, quadric, vectors, axes):  # type: ignore[no-untyped-def]
+    """One of them as arrays of its own: (6,), (3, 3) by rows, (3,)."""
+    for i in range(3):
+        axes[i] = bodies.axes[i, member]
+        for j in range(3):
+            vectors[i, j] = bodies.vectors[3 * i + j, member]
+    for i in range(6):
+        quadric[i] = bodies.quadrics[i, member]
+
+
+@njit(nogil=True, cache=True, inline="always")
+def offsets(points, slot, others, at, found, near, member):  # type: ignore[no-untyped-def]
+    """Fill in the offsets of a slot's neighbours, row ``at`` of ``others`` [quanta]."""
+    for axis in range(U3):
+        own = np.float64(points[axis, slot])
+        for i in range(found):
+            near[member, axis, i] = points[axis, np.uint64(others[at, i])] - own

@@ -1,0 +1,258 @@
+"""Point-wise test of the adaptive ellipsoid [W18 2.2.3; W17 5.2.2, 6.2.3].
+
+Three tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 11-26 %
+of pure noise. ``tail`` deviates in four points:
+
+- it uses P(K >= k), the probability of a count at least as large as the one found;
+- alpha is divided by ``selection``, because an ellipsoid is fitted to the very points
+  that it counts (``benchmarks/airborne/filter/denoise.py`` prints what is kept);
+- only peers are counted: neighbours whose own spacing is at least the point's divided by
+  ``peer_ratio`` (:mod:`~spl_batch.airborne.filter.ellipsoid.spacing`). Noise a few metres from a
+  surface lives on the surface's returns otherwise;
+- hysteresis: a point that passes at ``weak_alpha`` only lives if at least ``link_count``
+  peers that pass by themselves lie within ``link_m``. Links are not chained, so the
+  reach is that of the ellipsoid and the spacing in it, plus one link.
+
+``calibrated``, the default, keeps peers and hysteresis, and replaces the division:
+
+- counts have their ties broken, and the score is compared with what pure noise of the
+  same density scores (:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), so a share
+  alpha of noise is kept, whatever its density (``benchmarks/airborne/filter/null_calibration.py``);
+- of alpha, ``link_share`` is what links may add: where noise is dense, links are shorter.
+
+Rules for the borders of the method: with fewer neighbours within the cap than the
+settings ask for, those there are shape the ellipsoid, and with fewer than four it is
+the sphere; with no noise expected a single neighbour inside makes a signal; but for the
+published test a point with no neighbour inside is background, unless fewer than
+:data:`HARDLY_EXPECTED` noise points are expected within the neighbours' cap: clouds whose
+vendor has removed the noise, and linear-mode ones, keep their lone returns. Coincident
+points are neighbours like any other.
+"""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.filter.ellipsoid.evidence import Evidence, evidence
+from spl_batch.airborne.filter.ellipsoid.null_distribution import EXACT_TO, null_table
+from spl_batch.airborne.filter.ellipsoid.spacing import enough_peers
+from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.neighbours.kdtree import build
+from spl_batch.numerics.poisson import noise_tail_probability
+
+DOMAIN: Final = "space"
+
+HARDLY_EXPECTED: Final = 0.05
+"""Noise within the neighbours' cap below which a lone return is a real one [points]."""
+
+LEAST: Final = 0.5
+"""Part of alpha that this test gets, whatever another one takes."""
+
+BATCH: Final = 1 << 17
+"""Points that a table is looked up for at once [count]."""
+
+TOLD_TO: Final = 1e-6
+"""Score down to which the calibrated test counts on beyond its decision: at any density less than
+the 3e-5 that p is tabulated to."""
+
+Spent = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Share of pure noise of given densities [1/m3] that is kept, array for array."""
+
+PUBLISHED_ALPHA: Final = 0.05
+"""[W18 2.2.3]: noise where the cumulative probability is below 95 %."""
+
+
+def reach_m(settings: FilterSettings) -> float:
+    """How far the test of a point looks [m]."""
+    if settings.test == "published":
+        return max(settings.neighbour_cap_m, settings.axis_cap_m)
+    reach = max(settings.neighbour_cap_m, settings.axis_cap_m + settings.spacing_cap_m)
+    return reach + (settings.link_m if settings.link_count > 0 else 0.0)
+
+
+def judge(
+    cloud: Cloud,
+    settings: FilterSettings,
+    *,
+    exact: bool = False,
+    spent: Spent | None = None,
+) -> Verdict:
+    """Test the points asked for.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Independent returns of a block and its halo.
+    settings : FilterSettings
+        Test and its parameters.
+    exact : bool
+        Count on until the score is below 1e-12, so that p is exact down to there. Without
+        it counting stops once the decision stands and, calibrated, the score is below
+        :data:`TOLD_TO`: p of what lies farther down is that of the count where counting
+        stopped, an upper bound, the same whatever the tiling.
+    spent : callable, optional
+        Share of pure noise that another test keeps, by noise density: what is left of alpha is
+        spent here, at least half of it.
+
+    Returns
+    -------
+    Verdict
+        Of the points asked for, in their order. ``p_value`` is the share of pure noise
+        that scores no more for the calibrated test, P(K >= k) for the others; a linked
+        point has that of its own neighbourhood.
+    """
+    asked = cloud.asked
+    if settings.test == "published":
+        stop = min(PUBLISHED_ALPHA, _at_most(settings, exact=exact))
+        found = evidence(cloud.xyz, cloud.density, asked, settings, stop)
+        signal = noise_tail_probability(found.inside + 1, found.expected) <= PUBLISHED_ALPHA
+        return Verdict(signal[asked], found.score[asked].astype(np.float32))
+    linked = settings.link_count > 0
+    assessed = cloud.around(quanta(settings.link_m), (0, 1, 2)) if linked else asked
+    most = _at_most(settings, exact=exact)
+    # Of a block of millions each array counts, most of all while the tree is built.
+    tree = build(cloud.xyz)
+    limit = _limits(cloud.density, assessed, settings, spent)
+    found = evidence(
+        cloud.xyz, cloud.density, assessed, settings, limit,
+        at_most=most, scores_only=True, tree=tree,
+    )  # fmt: skip
+    signal = assessed & (found.score <= limit)
+    del limit
+    if linked:
+        weak, link = _weak(cloud.density, found.score, asked & ~signal, settings, spent)
+        _pass_with_peers(signal, weak, link, cloud.xyz, found, settings)
+    p_value = found.score[asked]
+    del found, tree
+    if settings.test == "calibrated":
+        p_value = _batched(null_table(settings).p_value, cloud.density[asked], p_value)
+    kept = signal[asked] | _hardly_expected(cloud.density[asked], settings)
+    return Verdict(kept, p_value.astype(np.float32))
+
+
+def _pass_with_peers(
+    signal: NDArray[np.bool_],
+    weak: NDArray[np.intp],
+    link: NDArray[np.float64],
+    xyz: NDArray[np.int32],
+    found: Evidence,
+    settings: FilterSettings,
+) -> None:
+    """Let weak points pass that have enough peers in ``signal``; the others' spacings go."""
+    row = found.tree.points[3]
+    chosen = np.zeros(len(signal), np.bool_)
+    chosen[weak] = True
+    # In the order of the tree, as neighbours share memory.
+    slot = np.flatnonzero(chosen[row])
+    rows, own = row[slot], found.spacing[slot]
+    # A point that does not pass alone is nobody's peer.
+    found.spacing[~signal[row]] = -1.0
+    signal[rows] = enough_peers(
+        found.tree, found.spacing, xyz[rows], own, link[np.searchsorted(weak, rows)],
+        settings.link_count, settings.peer_ratio,
+    )  # fmt: skip
+
+
+def _limits(
+    density: NDArray[np.float64],
+    assessed: NDArray[np.bool_],
+    settings: FilterSettings,
+    spent: Spent | None,
+) -> NDArray[np.float64]:
+    """Score that passes alone: (n,) float64, 0 for what is not assessed.
+
+    It is found a batch of points at a time: a table's look-up takes many arrays.
+    """
+    limit = np.zeros(len(density))
+    for first in range(0, len(density), BATCH):
+        rows = first + np.flatnonzero(assessed[first : first + BATCH])
+        limit[rows] = _limit(density[rows], settings, _left(spent, settings, density[rows]))
+    return limit
+
+
+def _left(
+    spent: Spent | None, settings: FilterSettings, density: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What another test leaves of alpha in noise of some densities: (m,) float64."""
+    taken = np.zeros(len(density)) if spent is None else spent(density)
+    return settings.alpha - np.minimum(taken, LEAST * settings.alpha)
+
+
+def _limit(
+    density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Score that passes alone, where a share ``alpha`` of noise is to be kept: (m,) float64."""
+    if settings.test == "tail":
+        return alpha / settings.selection
+    table = null_table(settings)
+    return table.critical(
+        density, table.alone(density, alpha) if settings.link_count > 0 else alpha
+    )
+
+
+def _batched(
+    compute: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    density: NDArray[np.float64],
+    values: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The same, a batch of points at a time: a table's look-up takes many arrays."""
+    out = np.empty(len(density))
+    for first in range(0, len(out), BATCH):
+        some = slice(first, first + BATCH)
+        out[some] = compute(density[some], values[some])
+    return out
+
+
+def _weak(
+    density: NDArray[np.float64],
+    score: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    settings: FilterSettings,
+    spent: Spent | None,
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Chosen points that pass with links, and their longest links [quanta]; found by batches."""
+    rows, links = [], []
+    for first in range(0, max(len(density), 1), BATCH):
+        some = first + np.flatnonzero(chosen[first : first + BATCH])
+        rule = _links(density[some], settings, _left(spent, settings, density[some]))
+        enough = score[some] <= rule.weak
+        rows.append(some[enough])
+        links.append(rule.link[enough])
+    return np.concatenate(rows), np.concatenate(links)
+
+
+class _Links(NamedTuple):
+    """Limits at each point: score that passes with links, longest link [quanta]."""
+
+    weak: NDArray[np.float64]
+    link: NDArray[np.float64]
+
+
+def _links(
+    density: NDArray[np.float64], settings: FilterSettings, alpha: NDArray[np.float64]
+) -> _Links:
+    """Limits of the same rule for points that do not pass alone."""
+    if settings.test == "tail":
+        ones = np.ones(len(density))
+        return _Links(ones * settings.weak_alpha, ones * float(quanta(settings.link_m)))
+    table = null_table(settings)
+    # no longer than the halo was made for
+    link = np.minimum(table.link(density, alpha), settings.link_m) * quanta(1.0)
+    return _Links(table.critical(density, settings.weak_alpha), link)
+
+
+def _at_most(settings: FilterSettings, *, exact: bool) -> float:
+    """Score down to which is counted where less would do for the decision."""
+    told = TOLD_TO if settings.test == "calibrated" else 1.0
+    return min(told, EXACT_TO) if exact else told
+
+
+def _hardly_expected(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.bool_]:
+    """Places where noise is rarer than a lone echo: (n,) bool."""
+    ball_m3 = 4.0 / 3.0 * np.pi * settings.neighbour_cap_m**3
+    rare: NDArray[np.bool_] = density * ball_m3 < HARDLY_EXPECTED
+    return rare

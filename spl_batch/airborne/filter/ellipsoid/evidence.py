@@ -1,0 +1,116 @@
+"""How strongly each return's neighbourhood speaks against noise: scores of adaptive ellipsoids.
+
+Domain: space. What :mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_test` decides by and what
+:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution` draws under the null is computed here,
+once.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import count_inside
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.neighbours.kdtree import KdTree, build
+
+DOMAIN: Final = "space"
+
+
+class Evidence(NamedTuple):
+    """What is known about n points.
+
+    Parameters
+    ----------
+    score : (n,) float64
+        Small means unlikely to be noise; 1 where not asked. See
+        :func:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_counts.count_inside`.
+    inside : (n,) int32
+        Neighbours counted, at most the critical count [count]; empty where not wanted.
+    expected : (n,) float64
+        Noise points expected inside the ellipsoid [count]; empty where not wanted.
+    spacing : (n,) float64
+        Squared spacing of the points asked for, and of some others, by slot of the tree; negative
+        where it is not known; all zero for the published test [quanta2].
+    tree : KdTree
+        The points.
+    """
+
+    score: NDArray[np.float64]
+    inside: NDArray[np.int32]
+    expected: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    tree: KdTree
+
+
+def shape_of(settings: FilterSettings) -> Shape:
+    """How neighbours become an ellipsoid, in quanta."""
+    return Shape(
+        neighbours=settings.neighbours,
+        radius=float(quanta(settings.radius_m)),
+        floor=float(quanta(settings.eigen_floor_m)),
+        axis_cap=float(quanta(settings.axis_cap_m)),
+        neighbour_cap=quanta(settings.neighbour_cap_m),
+        power=1.0 if settings.axis_power == "eigenvalue" else 0.5,
+    )
+
+
+def evidence(
+    xyz: NDArray[np.int32],
+    density: NDArray[np.float64],
+    asked: NDArray[np.bool_],
+    settings: FilterSettings,
+    stop: float | NDArray[np.float64],
+    *,
+    at_most: float = 1.0,
+    scores_only: bool = False,
+    tree: KdTree | None = None,
+) -> Evidence:
+    """Scores of the points asked for.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        Coordinates in canonical order [quanta].
+    density : (n,) float64
+        Expected noise [1/m3].
+    asked : (n,) bool
+        Points to score.
+    settings : FilterSettings
+        The test: the published one counts every neighbour, the others peers only;
+        the calibrated one breaks the ties of counts.
+    stop : float or (n,) float64
+        Counting stops once the score is no larger.
+    at_most : float
+        Counts on to there where ``stop`` is larger.
+    scores_only : bool
+        Whether counts, found and expected, are not wanted.
+    tree : KdTree, optional
+        Of ``xyz``, where there is one already.
+
+    Returns
+    -------
+    Evidence
+    """
+    spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
+    tree = build(xyz) if tree is None else tree
+    count, expected, score = count_inside(
+        xyz,
+        tree,
+        asked,
+        density,
+        shape_of(settings),
+        alpha=stop,
+        at_most=at_most,
+        unit=QUANTA_PER_M,
+        spacing=spacing,
+        rule=Spacing(settings.spacing_neighbours, quanta(settings.spacing_cap_m)),
+        peer_ratio=settings.peer_ratio,
+        tie=settings.test == "calibrated",
+        scores_only=scores_only,
+    )
+    return Evidence(score, count, expected, spacing, tree)

@@ -1,0 +1,396 @@
+"""What pure noise scores in the adaptive-ellipsoid test: the null distribution, drawn once.
+
+Domain: space. An ellipsoid is fitted to the very points that it counts, so its count is not
+Poisson under the null [W18 Eq. 6-8 take it for that]; how far off it is depends on the density
+of the noise and on the fixed settings of the test alone. So it is drawn: uniform noise in
+periodic boxes, scored by the code that scores surveys, for densities from 1e-4 to 10 per m3.
+Two things are tabulated by density:
+
+==================== ===================================================================
+``NullTable.score``  the score that a share p of pure noise does not exceed
+``NullTable.link_m`` how near the ``link_count``-th strong peer of a weak point of pure noise
+                     comes for a share ``link_share`` x alpha of all points, or ``link_m``
+``NullTable.own``    the rest of alpha
+==================== ===================================================================
+
+The table of the default settings ships with the package (``null_table.json``, written by
+``python -m benchmarks.airborne.filter.null_table``); for others a coarser one is drawn on first
+use, in each
+process. Between densities and levels interpolation is linear in logarithms; beyond the last
+level p falls with the score as it does on average over the last decade.
+
+Accuracy: ``python -m benchmarks.airborne.filter.null_calibration``.
+"""
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.filter.ellipsoid.evidence import evidence
+from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, place_of, value_of
+from spl_batch.airborne.filter.ellipsoid.spacing import peer_distances
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.engine.settings.base import Section
+from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.neighbours.kdtree import build
+
+DOMAIN: Final = "space"
+
+FILE: Final = "null_table.json"
+
+IRRELEVANT: Final = frozenset(
+    {
+        "method",
+        "test",
+        "alpha",
+        "selection",
+        "wires",
+        "aes",
+        "dcc",
+        "voxel",
+        "multilevel",
+        "cylinder",
+    }
+)
+"""Settings that the null distribution does not depend on. A setting that is not named here is part
+of a table's key: a new one draws a table of its own and cannot be overlooked."""
+
+DENSITIES: Final = 10.0 ** np.linspace(-4, 1, 51)
+"""Noise densities of the table [1/m3]."""
+
+LEVELS: Final = 10.0 ** -np.linspace(0, 4.5, 46)
+"""Shares of pure noise, from all to 3e-5."""
+
+ALPHAS: Final = 10.0 ** -np.linspace(1, 4, 13)
+"""Levels that links are tabulated for."""
+
+POINTS: Final = 60_000
+"""Noise points drawn per density where no shipped table fits [count]."""
+
+SMOOTH: Final = 5
+"""Neighbouring densities that smooth each other's drawn quantiles, by a parabola."""
+
+ROUNDS: Final = 3
+"""Times that the share of links is balanced with that of the points that pass alone."""
+
+SHORTEST_M: Final = 1e-3
+"""A link [m]."""
+
+EXACT_TO: Final = 1e-12
+"""Score below which counting stops."""
+
+_LOCK = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class NullTable:
+    """Null distribution for fixed settings; logarithms are natural.
+
+    Parameters
+    ----------
+    density : (d,) float64
+        Log noise density [1/m3], ascending.
+    level : (p,) float64
+        Log share of pure noise, descending from 0.
+    score : (d, p) float64
+        Log score that this share does not exceed, descending along each row.
+    alpha : (a,) float64
+        Log level of the whole decision, descending.
+    own : (d, a) float64
+        Log share of noise that may pass alone, so that with links alpha do.
+    link_m : (d, a) float64
+        Log of the longest link [m].
+    """
+
+    density: NDArray[np.float64]
+    level: NDArray[np.float64]
+    score: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    own: NDArray[np.float64]
+    link_m: NDArray[np.float64]
+
+    def critical(
+        self, density: NDArray[np.float64], share: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Score that a share of noise of these densities does not exceed: (n,)."""
+        wanted = np.log(np.broadcast_to(share, density.shape))
+        return np.exp(value_of(self._row(density), wanted, self.score, self.level, self._slope()))
+
+    def p_value(
+        self, density: NDArray[np.float64], score: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Share of noise of these densities that scores no more: (n,), 0 without noise."""
+        log_score = np.log(np.maximum(score, np.finfo(np.float64).tiny))
+        log_p = level_of(self._row(density), log_score, self.score, self.level, self._slope())
+        return np.where(density > 0, np.exp(log_p), 0.0)
+
+    def alone(
+        self, density: NDArray[np.float64], alpha: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Share of noise that may pass alone at level ``alpha``: (n,)."""
+        return self._by_alpha(density, alpha, self.own - self.alpha) * alpha
+
+    def link(
+        self, density: NDArray[np.float64], alpha: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Longest link at level ``alpha``: (n,) [m]."""
+        return self._by_alpha(density, alpha, self.link_m)
+
+    def _by_alpha(
+        self,
+        density: NDArray[np.float64],
+        alpha: float | NDArray[np.float64],
+        table: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Exponential of a table's value, linear between its rows and columns: (n,)."""
+        row = self._row(density)
+        wanted = -np.log(np.broadcast_to(alpha, density.shape))
+        column = place_of(wanted, -self.alpha)
+        found: NDArray[np.float64] = np.exp(between(row, column, table))
+        return found
+
+    def _row(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Row of the table, with its fraction; its ends beyond them."""
+        log_density = np.log(np.maximum(density, np.finfo(np.float64).tiny))
+        return place_of(log_density, self.density)
+
+    def _slope(self) -> float:
+        """Change of log p with log score over the last decade of the table, mean over densities."""
+        first = int(np.searchsorted(-self.level, -self.level[-1] - np.log(10.0)))
+        rise = self.score[:, first] - self.score[:, -1]
+        return float(np.mean((self.level[first] - self.level[-1]) / rise))
+
+
+def settings_key(settings: Section, irrelevant: frozenset[str]) -> dict[str, Any]:
+    """Settings that a drawn table belongs to: all but those that do not matter to it.
+
+    Parameters
+    ----------
+    settings : Section
+        Of the filter, or of a part of it.
+    irrelevant : frozenset of str
+        Names of the settings that do not matter.
+    """
+    return settings.model_dump(mode="json", exclude=set(irrelevant))
+
+
+def null_table(settings: FilterSettings) -> NullTable:
+    """The shipped table, or for other settings one that is drawn now and kept in memory."""
+    key = json.dumps(settings_key(settings, IRRELEVANT), sort_keys=True)
+    with _LOCK:
+        return _table(key)
+
+
+@lru_cache(maxsize=8)
+def _table(key: str) -> NullTable:
+    text = (
+        resources.files("spl_batch.airborne.filter.ellipsoid")
+        .joinpath(FILE)
+        .read_text(encoding="utf-8")
+    )
+    shipped = json.loads(text)
+    if shipped["settings"] == json.loads(key):
+        return parse_table(shipped)
+    return draw_table(FilterSettings(test="calibrated", **json.loads(key)), POINTS, DENSITIES[::2])
+
+
+def parse_table(content: Mapping[str, Any]) -> NullTable:
+    """Table of a JSON file's content."""
+    names = ("density", "level", "score", "alpha", "own", "link_m")
+    return NullTable(*(np.array(content[name], dtype=np.float64) for name in names))
+
+
+def draw_table(
+    settings: FilterSettings,
+    points: int | NDArray[np.int64],
+    densities: NDArray[np.float64] = DENSITIES,
+    tell: Callable[[float], None] = lambda _: None,
+    workers: int = 1,
+) -> NullTable:
+    """Draw the null distribution.
+
+    Parameters
+    ----------
+    settings : FilterSettings
+        All matter but :data:`IRRELEVANT`.
+    points : int or (d,) int64
+        Noise points per density [count].
+    densities : (d,) float64
+        [1/m3], evenly spaced in logarithm.
+    tell : callable
+        Called with each density before it is drawn.
+    workers : int
+        Densities drawn at a time.
+
+    Returns
+    -------
+    NullTable
+        The same for the same settings, points and densities.
+    """
+    settings = settings.model_copy(update={"test": "calibrated"})
+    numbers = np.broadcast_to(points, densities.shape)
+
+    def one(i: int) -> _Drawn:
+        tell(float(densities[i]))
+        return _drawn(settings, i, float(densities[i]), int(numbers[i]))
+
+    with ThreadPoolExecutor(workers) as pool:
+        drawn = list(pool.map(one, range(len(densities))))
+    own, link = np.moveaxis(np.log(np.array([d.links for d in drawn])), 2, 0)
+    smooth = _smooth(np.array([d.score for d in drawn]))
+    return NullTable(
+        np.log(densities),
+        np.log(LEVELS),
+        np.minimum.accumulate(np.minimum(smooth, 0.0), axis=1),
+        np.log(ALPHAS),
+        np.minimum(_smooth(own), np.log(ALPHAS)),
+        np.minimum(_smooth(link), np.log(max(settings.link_m, SHORTEST_M))),
+    )
+
+
+class _Drawn(NamedTuple):
+    """One density: log score by level, and links by alpha."""
+
+    score: NDArray[np.float64]
+    links: list["_Links"]
+
+
+def _drawn(settings: FilterSettings, seed: int, density: float, points: int) -> _Drawn:
+    rng = np.random.default_rng([seed, points])
+    xyz, source, core = periodic_noise(rng, density, points, settings)
+    found = evidence(xyz, np.full(len(xyz), density), core, settings, EXACT_TO)
+    ordered = np.sort(found.score[core])
+    noise = _Noise(xyz, core, found.score[source], found.tree.by_row(found.spacing)[source])
+    links = [_links(noise, ordered, alpha, settings) for alpha in ALPHAS]
+    return _Drawn(np.log(np.quantile(ordered, LEVELS, method="inverted_cdf")), links)
+
+
+def _smooth(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows smoothed by a parabola through each and its neighbours."""
+    from scipy.signal import savgol_filter  # noqa: PLC0415 - drags scipy.stats in, 1 s
+
+    smooth: NDArray[np.float64] = savgol_filter(drawn, SMOOTH, 2, axis=0)
+    return smooth
+
+
+def periodic_noise(
+    rng: np.random.Generator, density: float, points: int, settings: FilterSettings
+) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
+    """Uniform noise in a box that repeats itself, as far as the test looks.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of chance.
+    density : float
+        [1/m3].
+    points : int
+        Points wanted in the box [count]; it is no narrower than the test's reach.
+    settings : FilterSettings
+        Test.
+
+    Returns
+    -------
+    xyz : (n, 3) int32
+        Points of the box, then their images around it [quanta].
+    source : (n,) intp
+        Row of the point in the box.
+    core : (n,) bool
+        Points of the box.
+    """
+    around = max(settings.neighbour_cap_m, settings.axis_cap_m + settings.spacing_cap_m)
+    around = quanta(max(around, settings.link_m))
+    side = max(quanta((points / density) ** (1.0 / 3.0)), around)
+    return repeated(rng, density, np.full(3, side), np.full(3, around))
+
+
+def repeated(
+    rng: np.random.Generator,
+    density: float,
+    size: NDArray[np.int64],
+    around: NDArray[np.int64],
+) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.bool_]]:
+    """Uniform noise in a box of any size, and its images so far around it.
+
+    Parameters
+    ----------
+    rng, density
+        As for :func:`periodic_noise`, which says what is returned.
+    size, around : (3,) int64
+        Edges of the box; what images are needed around it, at most as much [quanta].
+    """
+    number = rng.poisson(density * float(np.prod(size / quanta(1.0))))
+    xyz = rng.integers(0, size, (number, 3))
+    source = np.arange(number)
+    for axis in range(3):
+        low, high = xyz[:, axis] < around[axis], xyz[:, axis] >= size[axis] - around[axis]
+        shift = size[axis] * (np.arange(3) == axis)
+        xyz = np.concatenate([xyz, xyz[low] + shift, xyz[high] - shift])
+        source = np.concatenate([source, source[low], source[high]])
+    return (xyz + around).astype(np.int32), source, np.arange(len(xyz)) < number
+
+
+class _Links(NamedTuple):
+    """Share of noise that passes alone, and the longest link of the rest [m]."""
+
+    own: float
+    link_m: float
+
+
+class _Noise(NamedTuple):
+    """Points of a box and their images: which are no image, and what each scores."""
+
+    xyz: NDArray[np.int32]
+    core: NDArray[np.bool_]
+    score: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+
+
+def _links(
+    noise: _Noise,
+    ordered: NDArray[np.float64],
+    alpha: float,
+    settings: FilterSettings,
+) -> _Links:
+    """How alpha is shared between points that pass alone and linked ones.
+
+    Links get ``link_share`` of it or what they use, if that is less; fewer strong points
+    make fewer links, so the rest is found in two rounds.
+    """
+    if settings.link_count == 0:
+        return _Links(alpha, max(settings.link_m, SHORTEST_M))
+    number = len(ordered)
+    weakest = _at(ordered, settings.weak_alpha)
+    own = alpha * (1.0 - settings.link_share)
+    link = settings.link_m
+    for _ in range(ROUNDS):
+        critical = _at(ordered, own)
+        strong = noise.score <= critical
+        weak = noise.core & ~strong & (noise.score <= weakest)
+        tree = build(noise.xyz[strong])
+        distance = np.sort(
+            peer_distances(
+                tree, tree.by_slot(noise.spacing[strong]), noise.xyz[weak], noise.spacing[weak],
+                quanta(settings.link_m), settings.link_count, settings.peer_ratio,
+            )
+        )  # fmt: skip
+        wanted = round((alpha - own) * number)
+        linked = min(wanted, int(np.isfinite(distance).sum()))
+        link = settings.link_m
+        if linked == wanted and wanted > 0:
+            link = min(float(distance[wanted - 1]) / quanta(1.0), link)
+        own = alpha - linked / number
+    return _Links(max(own, alpha * (1.0 - settings.link_share)), max(link, SHORTEST_M))
+
+
+def _at(ordered: NDArray[np.float64], share: float) -> float:
+    """Score that a share of the points does not exceed."""
+    return float(ordered[max(round(share * len(ordered)) - 1, 0)])

@@ -1,0 +1,1 @@
+"""Scan for conductors: lines of returns too weak for a test of single points."""

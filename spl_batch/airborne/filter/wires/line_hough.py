@@ -1,0 +1,350 @@
+r"""Fullest straight tube through each point among nearly horizontal directions.
+
+Every neighbour within the half-length L adds one to the directions that pass it closely: a
+Hough transform of one point, over cells of azimuth and slope. A conductor hangs: a typical
+parabola is taken away first, and what is left of others stays below the tube's width.
+
+A tube is a window of (2 w + 1)^2 cells, with w = 1 in the outer half of its length, 3 in the
+next quarter and 7 within. So it is as wide as stated on average, and a neighbour costs 9
+additions in 7 cases of 8; four cells of 16 bits share a word, so they are made two to a row.
+
+====== ==========================================================================
+symbol name
+====== ==========================================================================
+L, l   ``length``, ``least``: half-length of a tube, nearest neighbour that counts [quanta]
+r      ``radius``: half-width of a tube [quanta]; a cell is ``CELL`` r / L
+K      ``count``: returns in the fullest tube, the point itself excluded
+lambda ``expected``: background in one tube, its density times the volume of the windows.
+       The density is the expected one, or that of the double cone of all directions
+       without the tube, whichever is larger
+====== ==========================================================================
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import U0, U1, U2, U3
+from spl_batch.numerics.neighbours.lattice_columns import columns_around, first_above
+from spl_batch.numerics.simd import UL, ascending, load, number, pack, spread
+
+CELL: Final = 0.83
+"""Edge of a cell of direction [r / L]: windows are 2 r wide, each weighted by its volume."""
+
+TURNS, LEVELS = 400, 160
+"""Most cells of azimuth and of slope [count]; longer tubes get coarser cells."""
+
+PAD: Final = 8
+"""Cells beyond the steepest slope at either side [count]."""
+
+STRETCH: Final = np.uint64(256)
+"""Cells that are looked through at once for a count [count]."""
+
+WORDS: Final = 5
+"""Words of four cells that the widest window may touch [count]."""
+
+UW = np.uint64(WORDS)
+
+
+@njit(nogil=True, cache=True, inline="always")
+def half_turn(x, y):  # type: ignore[no-untyped-def]
+    """Azimuth of a direction without sense, in [0, pi], to 0.0016 rad.
+
+    A polynomial (Rajan et al., "Efficient approximations for the arctangent function",
+    IEEE Signal Processing Magazine 23, 2006): cells of direction are 15 times as wide.
+    """
+    ax, ay = abs(x), abs(y)
+    t = min(ax, ay) / max(ax, ay)
+    angle = t * (0.25 * math.pi + (1.0 - t) * (0.2447 + 0.0663 * t))
+    if ay > ax:
+        angle = 0.5 * math.pi - angle
+    if (x < 0.0) != (y < 0.0):
+        angle = math.pi - angle
+    return angle
+
+
+@njit(nogil=True, cache=True, inline="always")
+def grid(reach, radius, slope_max):  # type: ignore[no-untyped-def]
+    """Edge of a cell of direction [rad], cells of azimuth, and of slope without the rim."""
+    step = CELL * radius / reach
+    step = max(step, math.pi / TURNS, 2.0 * slope_max / (LEVELS - 2 * PAD - 1))
+    turns = np.int64(math.pi / step)
+    step = math.pi / turns
+    return step, turns, np.int64(2.0 * slope_max / step) + 1
+
+
+@njit(nogil=True, cache=True, inline="always")
+def window(flat, reach):  # type: ignore[no-untyped-def]
+    """Half-width of a neighbour's window [cells], by its squared distance."""
+    share = flat / (reach * reach)
+    return 1 if share >= 0.25 else (3 if share >= 0.0625 else 7)
+
+
+@njit(nogil=True, cache=True)
+def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
+    """Volume of all windows along one direction [quanta3]."""
+    volume = 0.0
+    far = reach
+    for half in (1.5, 3.5, 7.5):
+        near = max(least, 0.5 * far if half < 7.0 else 0.0)
+        if near < far:
+            volume += 8.0 / 3.0 * (half * step) ** 2 * (far**3 - near**3)
+        far = near
+    return volume
+
+
+@njit(nogil=True, cache=True)
+def _first_with(cells, size, most):  # type: ignore[no-untyped-def]
+    """First cell with a count, of those that have it; stretches without are passed in vectors."""
+    for begin in range(U0, size, STRETCH):
+        end = min(begin + STRETCH, size)
+        equal = np.uint16(0)
+        for i in range(begin, end):
+            equal += np.uint16(cells[i] == most)
+        if equal > 0:
+            for i in range(begin, end):
+                if cells[i] == most:
+                    return i
+    return size
+
+
+@njit(nogil=True, cache=True)
+def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
+    """Centre of the first cell with the largest count and of its equals beside it [cells]."""
+    first = np.int64(_first_with(cells, np.uint64(turns * lanes), np.uint16(most)))
+    a, b = first // lanes, first % lanes
+    total_a = total_b = equal = 0
+    for i in range(a, min(a + 3, turns)):
+        for j in range(max(b - 2, 0), min(b + 3, rows)):
+            if cells[i * lanes + j] == most:
+                total_a += i
+                total_b += j
+                equal += 1
+    return total_a / equal + 0.5, total_b / equal + 0.5
+
+
+@njit(nogil=True, cache=True)
+def _masks():  # type: ignore[no-untyped-def]
+    """Ones in the lanes of a window, by its size and first lane, over as many words."""
+    masks = np.zeros((3, 4, WORDS), np.uint64)
+    for size in range(3):
+        for first in range(4):
+            for lane in range(first, first + 2 * (2 << size) - 1):
+                masks[size, first, lane >> 2] |= np.uint64(1) << np.uint64(16 * (lane & 3))
+    return masks
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _directions(dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level, size):  # type: ignore[no-untyped-def]
+    """Cells of azimuth and slope, and size of the window, of every neighbour."""
+    scale = 1.0 / step
+    outer, inner = 0.25 * reach * reach, 0.0625 * reach * reach
+    for k in range(near):
+        up = rise[k] / math.sqrt(flat[k])
+        up = -up if dy[k] < 0.0 else up
+        turn[k] = min(np.int32(half_turn(dx[k], dy[k]) * scale), turns - 1)
+        level[k] = min(np.int32((up + slope_max) * scale), levels - 1)
+        size[k] = np.int32(flat[k] < outer) + np.int32(flat[k] < inner)
+
+
+@njit(nogil=True, cache=True)
+def _vote(words, masks, turn, level, size, near, turns, levels, stride):  # type: ignore[no-untyped-def]
+    """Add every neighbour to the directions that pass it: four cells to a word."""
+    for k in range(near):
+        half = (2 << size[k]) - 1
+        a, b = turn[k], level[k]
+        left = b - half + PAD
+        if size[k] == 0 and 0 < a < turns - 1:
+            # Seven neighbours of eight, written out for the compiler's sake.
+            at, lane = np.uint64((a - 1) * stride + (left >> 2)), np.uint64(left & 3)
+            low, high = masks[U0, lane, U0], masks[U0, lane, U1]
+            for _ in range(3):
+                words[at] += low
+                words[at + U1] += high
+                at += np.uint64(stride)
+            continue
+        wide = np.uint64(size[k])
+        for i in range(a - half, a + half + 1):
+            row, left = i, b - half + PAD
+            if i < 0 or i >= turns:
+                row = i + turns if i < 0 else i - turns
+                left = levels - 1 - b - half + PAD
+            at, lane = np.uint64(row * stride + (left >> 2)), np.uint64(left & 3)
+            # As many words as it may touch: what is added to the others is 0.
+            for j in range(U3):
+                words[at + j] += masks[wide, lane, j]
+            if wide > U1:
+                for j in range(U3, UW):
+                    words[at + j] += masks[wide, lane, j]
+
+
+@njit(nogil=True, cache=True)
+def _largest_count(cells, size):  # type: ignore[no-untyped-def]
+    """Largest of the first cells."""
+    most = np.uint16(0)
+    for i in range(size):
+        most = max(most, cells[i])
+    return np.int64(most)
+
+
+@njit(nogil=True, cache=True)
+def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
+    """Most points in the columns around one [count]."""
+    most = 0
+    for a in range(nx):
+        i0, i1 = columns_around(a, span, nx)
+        for b in range(ny):
+            j0, j1 = columns_around(b, span, ny)
+            held = 0
+            for i in range(i0, i1):
+                held += start[i * ny + j1] - start[i * ny + j0]
+            most = max(most, held)
+    return most
+
+
+@njit(nogil=True, cache=True)
+def _cone(  # type: ignore[no-untyped-def]
+    points, low, high, x, y, z, bend, steep, outer, inner, near, dx, dy, flat, rise
+):
+    """Add the offsets, without the parabola, of what of a stretch is in the double cone of a place.
+
+    Four of ten are. Returns how many there are then.
+    """
+    for slot in range(low, high, UL):
+        across, along = load(points, (U0, slot)) - spread(x), load(points, (U1, slot)) - spread(y)
+        apart = across * across + along * along
+        up = load(points, (U2, slot)) - spread(z) - spread(bend) * apart
+        taken = (up * up <= spread(steep) * apart) & (apart <= spread(outer))
+        taken = taken & (apart >= spread(inner)) & (ascending(slot) < spread(high))
+        pack(dx, near, across, taken)
+        pack(dy, near, along, taken)
+        pack(flat, near, apart, taken)
+        pack(rise, near, up, taken)
+        near += number(taken)
+    return near
+
+
+@njit(nogil=True, cache=True)
+def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
+    points, start, nx, ny, edge, corner, seed, length, density, largest,
+    radius, least, slope_max, bend, count, azimuth, slope, expected,
+):  # fmt: skip
+    """Fullest tube of every seed, column by column, each column from below.
+
+    Parameters
+    ----------
+    points, start, nx, ny, edge, corner
+        The columns.
+    seed : (n,) int32
+        Number of the seed, from 0, by row; negative for points that are none.
+    length, density : (m,) float64
+        Half-length [quanta] and background [1/quanta3] of each seed.
+    largest : (k,) float64
+        Largest lambda at which so many returns make a tube worth keeping.
+    radius, least : float
+        Half-width of a tube; nearest neighbour that tells a direction [quanta].
+    slope_max, bend : float
+        Steepest tube [rise/run]; parabola z = bend h^2 [1/quanta].
+    count, azimuth, slope, expected
+        (m,) of each seed, out: K, or 0 where the tube is not worth keeping; direction
+        [rad, rise/run]; lambda.
+    """
+    longest = 0.0
+    for i in range(len(length)):
+        longest = max(longest, length[i])
+    span = np.int64(longest / edge) + 1
+    steep = slope_max * slope_max
+    # Neighbour columns: their slots between floor and stop in the window, their lower corners.
+    first = np.empty((2 * span + 1) ** 2, np.int64)
+    last, floor, stop = np.empty_like(first), np.empty_like(first), np.empty_like(first)
+    place = np.empty((2, len(first)))
+    # Arrays that stay as they are: numba counts the references to each view of one.
+    room = _fullest_window(start, nx, ny, span)
+    dx, dy, flat, rise = (
+        np.empty(room + 8),
+        np.empty(room + 8),
+        np.empty(room + 8),
+        np.empty(room + 8),
+    )
+    turn, level = np.empty(room, np.int32), np.empty(room, np.int32)
+    size, masks = np.empty(room, np.int32), _masks()
+    words = np.zeros((TURNS + 1) * (LEVELS // 4 + 1), np.uint64)
+    cells = words.view(np.uint16)
+    for a in range(nx):
+        for b in range(ny):
+            own = a * ny + b
+            if start[own] == start[own + 1]:
+                continue
+            beside = -1
+            for slot in range(start[own], start[own + 1]):
+                at = seed[points[3, slot]]
+                if at < 0:
+                    continue
+                if beside < 0:
+                    beside = 0
+                    i0, i1 = columns_around(a, span, nx)
+                    j0, j1 = columns_around(b, span, ny)
+                    for i in range(i0, i1):
+                        for j in range(j0, j1):
+                            gap = math.hypot(max(abs(i - a) - 1, 0), max(abs(j - b) - 1, 0))
+                            column = i * ny + j
+                            if gap * edge >= longest or start[column] == start[column + 1]:
+                                continue
+                            floor[beside], stop[beside] = start[column], start[column + 1]
+                            first[beside] = first_above(
+                                points, start[column], stop[beside], points[2, slot]
+                            )
+                            last[beside] = first[beside]
+                            place[0, beside] = corner[0] + i * edge
+                            place[1, beside] = corner[1] + j * edge
+                            beside += 1
+                x, y, z = points[0, slot], points[1, slot], points[2, slot]
+                reach = length[at]
+                outer, inner = reach * reach, least * least
+                near = U0
+                for k in range(beside):
+                    # The near and the far corner of the column bound what of it may count.
+                    ahead, aside = place[0, k] - x, place[1, k] - y
+                    gap_x, gap_y = max(ahead, -ahead - edge, 0.0), max(aside, -aside - edge, 0.0)
+                    if gap_x * gap_x + gap_y * gap_y > outer:
+                        continue
+                    far_x, far_y = max(-ahead, ahead + edge), max(-aside, aside + edge)
+                    far = min(far_x * far_x + far_y * far_y, outer)
+                    depth = slope_max * math.sqrt(far) + 1.0
+                    low, high, end = first[k], last[k], stop[k]
+                    bottom, top = np.int64(z - depth), np.int64(z + depth + bend * far)
+                    while low < end and points[2, low] < bottom:
+                        low += 1
+                    while low > floor[k] and points[2, low - 1] >= bottom:
+                        low -= 1
+                    high = max(low, high)
+                    while high < end and points[2, high] <= top:
+                        high += 1
+                    while high > low and points[2, high - 1] > top:
+                        high -= 1
+                    first[k], last[k] = low, high
+                    near = _cone(
+                        points, np.uint64(low), np.uint64(high), np.float64(x), np.float64(y),
+                        np.float64(z), bend, steep, outer, inner, near, dx, dy, flat, rise,
+                    )  # fmt: skip
+                step, turns, levels = grid(reach, radius, slope_max)
+                _directions(
+                    dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level,
+                    size,
+                )  # fmt: skip
+                stride = (levels + 2 * PAD + 7) // 4
+                for i in range(turns * stride):
+                    words[i] = 0
+                _vote(words, masks, turn, level, size, near, turns, levels, stride)
+                most = _largest_count(cells, 4 * turns * stride)
+                cone = 4.0 / 3.0 * math.pi * slope_max * (reach**3 - least**3)
+                crowd = max(density[at], max(np.int64(near) - most, 0) / cone)
+                expected[at] = crowd * tube_volume(reach, least, step)
+                if expected[at] > largest[min(most, len(largest) - 1)]:
+                    continue
+                count[at] = most
+                around, up = _middle(cells, most, turns, levels + 2 * PAD, 4 * stride)
+                azimuth[at] = around * step
+                slope[at] = (up - PAD) * step - slope_max

@@ -1,0 +1,221 @@
+"""What the scan for conductors keeps of pure noise, so that the point-wise test can make room.
+
+Domain: space. ``filter.alpha`` is the share of pure noise that the whole filter keeps. The scan
+(:mod:`~spl_batch.airborne.filter.wires.wire_scan`) bounds what it keeps by an alpha of its own, and
+how much that really is depends on the density of the noise. It is drawn as in
+:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`: uniform noise that repeats itself,
+scanned by the code
+that scans surveys. The point-wise test gets the rest of alpha (:func:`spent`), at least half of
+it: where the scan would take more, it is made stricter (:func:`fitted`).
+
+What both keep is counted twice, which errs on the safe side.
+
+The table of the default settings ships with the package (``wire_null.json``, written by
+``python -m benchmarks.airborne.filter.null_table``); for others a coarser one is drawn on first
+use.
+"""
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.filter.ellipsoid.null_distribution import repeated, settings_key
+from spl_batch.airborne.filter.filter_interface import Cloud
+from spl_batch.airborne.filter.wires.wire_scan import scan
+from spl_batch.airborne.settings import FilterSettings, WireSettings
+from spl_batch.lattice.tiles import quanta
+
+DOMAIN: Final = "space"
+
+FILE: Final = "wire_null.json"
+
+IRRELEVANT: Final = frozenset({"enabled", "classify"})
+"""Settings that the share does not depend on."""
+
+DENSITIES: Final = 10.0 ** np.linspace(-2, 0, 51)
+"""Noise densities of the table [1/m3]; its first and last shares hold beyond. A tube is significant
+from a whole number of returns on, so the share goes up and down with the density, by a factor of
+four from one number to the next: a step must be small against those 0.15 powers of ten."""
+
+COARSE: Final = DENSITIES[::10]
+POINTS: Final = 100_000
+"""Noise densities that are drawn where no shipped table fits, and points for each [count]: too few
+for ups and downs."""
+
+HEIGHT_M: Final = 120.0
+"""Height of the box of noise [m]."""
+
+SLACK_M: Final = 4.0
+"""Images of the noise beyond two tubes [m]."""
+
+STRICTER: Final = 0.1
+"""Part of the scan's alpha at which a second share is drawn, for the power of alpha."""
+
+SMOOTH: Final = (1 / 9, 2 / 9, 3 / 9, 2 / 9, 1 / 9)
+"""Weights of neighbouring densities, where these are few."""
+
+ALIKE: Final = 2.0
+"""Shares of the shipped table that differ by more have a step between them [ratio]."""
+
+MOST: Final = 0.5
+"""Largest part of the filter's alpha that the scan gets."""
+
+_LOCK = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class WireNull:
+    """Share of pure noise that the scan keeps.
+
+    Parameters
+    ----------
+    density : (d,) float64
+        Log noise density [1/m3], ascending.
+    share : (d,) float64
+        Share kept at the settings' alpha.
+    power : float
+        The share goes with this power of alpha.
+    """
+
+    density: NDArray[np.float64]
+    share: NDArray[np.float64]
+    power: float
+
+    def at(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Share of noise of these densities that is kept: (n,)."""
+        log_density = np.log(np.maximum(density, np.finfo(np.float64).tiny))
+        found: NDArray[np.float64] = np.interp(log_density, self.density, self.share)
+        return found
+
+
+def fitted(settings: FilterSettings) -> WireSettings:
+    """The scan with an alpha at which it takes no more than its part of the filter's."""
+    wires = settings.wires
+    return wires.model_copy(update={"alpha": wires.alpha * _stricter(settings)})
+
+
+def spent(density: NDArray[np.float64], settings: FilterSettings) -> NDArray[np.float64]:
+    """Share of pure noise of these densities that the :func:`fitted` scan keeps: (n,)."""
+    if not settings.wires.enabled:
+        return np.zeros(len(density))
+    table = wire_null(settings.wires)
+    part = float(np.power(_stricter(settings), table.power))
+    return part * table.at(density)
+
+
+def _stricter(settings: FilterSettings) -> float:
+    """Part of the scan's alpha that the filter's leaves it."""
+    table = wire_null(settings.wires)
+    most = float(table.share.max())
+    allowed = MOST * settings.alpha
+    return float((allowed / most) ** (1.0 / table.power)) if most > allowed else 1.0
+
+
+def wire_null(wires: WireSettings) -> WireNull:
+    """The shipped table, or for other settings one that is drawn now and kept in memory."""
+    key = json.dumps(settings_key(wires, IRRELEVANT), sort_keys=True)
+    with _LOCK:
+        return _table(key)
+
+
+@lru_cache(maxsize=8)
+def _table(key: str) -> WireNull:
+    text = (
+        resources.files("spl_batch.airborne.filter.wires")
+        .joinpath(FILE)
+        .read_text(encoding="utf-8")
+    )
+    shipped = json.loads(text)
+    table = parse_table(shipped)
+    if shipped["settings"] == json.loads(key):
+        return table
+    share = draw_shares(WireSettings(**json.loads(key)), POINTS, COARSE)
+    return WireNull(np.log(COARSE), smoothed(share), table.power)
+
+
+def parse_table(content: Mapping[str, Any]) -> WireNull:
+    """Table of a JSON file's content."""
+    density, share = (np.array(content[name], dtype=np.float64) for name in ("density", "share"))
+    return WireNull(density, share, float(content["power"]))
+
+
+def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shares smoothed over neighbouring densities, the ends going on beyond themselves.
+
+    A chance tube keeps many points at once: drawn shares differ by far more than their number
+    of points tells.
+    """
+    padded = np.pad(share, len(SMOOTH) // 2, mode="edge")
+    smooth: NDArray[np.float64] = np.convolve(padded, SMOOTH, mode="valid")
+    return smooth
+
+
+def smoothed_between_steps(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of each share and of those beside it, up to two, that are :data:`ALIKE`."""
+    padded = np.pad(share, 2, constant_values=np.nan)
+    near = np.lib.stride_tricks.sliding_window_view(padded, 5)
+    alike = (near <= ALIKE * share[:, None]) & (ALIKE * near >= share[:, None])
+    smooth: NDArray[np.float64] = np.where(alike, near, 0.0).sum(axis=1) / alike.sum(axis=1)
+    return smooth
+
+
+def draw_shares(
+    wires: WireSettings,
+    points: int,
+    densities: NDArray[np.float64] = DENSITIES,
+    tell: Callable[[float], None] = lambda _: None,
+    workers: int = 1,
+) -> NDArray[np.float64]:
+    """Share of uniform noise that the scan keeps.
+
+    Parameters
+    ----------
+    wires : WireSettings
+        The scan.
+    points : int
+        Noise points per density [count].
+    densities : (d,) float64
+        [1/m3].
+    tell : callable
+        Called with each density before it is drawn.
+    workers : int
+        Densities drawn at a time.
+
+    Returns
+    -------
+    (d,) float64
+        The same for the same settings, points and densities.
+    """
+    wires = wires.model_copy(update={"enabled": True})
+
+    def one(i: int) -> float:
+        tell(float(densities[i]))
+        return _share(np.random.default_rng([i, points]), float(densities[i]), points, wires)
+
+    with ThreadPoolExecutor(workers) as pool:
+        return np.array(list(pool.map(one, range(len(densities)))))
+
+
+def _share(rng: np.random.Generator, density: float, points: int, wires: WireSettings) -> float:
+    side = np.sqrt(points / density / HEIGHT_M)
+    # A tube through a point, and what lies in one that agrees with it.
+    around = min(2.0 * wires.half_length_m + SLACK_M, side)
+    up = min(wires.slope_max * around + SLACK_M, HEIGHT_M)
+    size, margin = np.array([side, side, HEIGHT_M]), np.array([around, around, up])
+    xyz, _, core = repeated(rng, density, quanta_of(size), quanta_of(margin))
+    nothing = np.zeros(len(xyz), np.bool_)
+    cloud = Cloud(xyz, (0, 0, 0), np.full(len(xyz), density), core, nothing)
+    return float(scan(cloud, wires).signal.mean())
+
+
+def quanta_of(metres: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Lengths in quanta."""
+    return np.array([quanta(float(length)) for length in metres])

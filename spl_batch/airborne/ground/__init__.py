@@ -1,0 +1,1 @@
+"""Ground points and water levels."""

@@ -1,0 +1,285 @@
+"""Ground points of one fixed absolute cell with its buffer, by one of several methods.
+
+Domain: space. A TIN has no bounded reach, so the stage never sees a tile or block:
+it runs on squares of ``ground.cell_m`` on the absolute grid with ``ground.buffer_m`` of
+points around them, always the same ones, and its caller keeps what the square owns.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.airborne.beams.dependent_returns import dependents
+from spl_batch.airborne.ground.ground_seeds import (
+    first_true,
+    lowest_grid,
+    seen_through,
+    start,
+    sunk,
+    supported,
+)
+from spl_batch.airborne.ground.lowest_layers import count_squares, lowest_layers
+from spl_batch.airborne.ground.multiscale import multiscale_mask
+from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
+from spl_batch.airborne.ground.smrf import provisional_terrain
+from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tables import PointTable
+from spl_batch.numerics.cell_groups import chosen_places, group_by_cell
+
+DOMAIN: Final = "space"
+COLUMNS_NEEDED: Final = ("x", "y", "z")
+"""And ``afterpulse`` where the time domain ran."""
+
+COLUMNS_ADDED: Final = ("ground",)
+
+_INSERT_M = 0.05
+"""Nearer candidates leave the surface as it is: a third of the ranging noise of one
+point, and more than that of a layer's mean [m]."""
+
+_FILLED = 2.0
+"""Points in an occupied cell below which the candidates' grid is doubled [count]."""
+
+_WIDE_M = 16.0
+"""Cells that tell the occupied area from voids [m]."""
+
+_GAP_SPACINGS = 10.0
+"""Edges longer than this many mean spacings of the points around cross a gap of the ground
+[count]."""
+
+Float = NDArray[np.float64]
+
+
+class Points(NamedTuple):
+    """Some points: three (n,) float64 [m], on the absolute lattice."""
+
+    x: Float
+    y: Float
+    z: Float
+
+
+def ground_mask(
+    table: PointTable,
+    usable: NDArray[np.bool_],
+    settings: GroundSettings,
+    asked: NDArray[np.bool_] | None = None,
+) -> NDArray[np.bool_]:
+    """Which points are ground.
+
+    Returns that are probably afterpulses are no evidence: behind a bright meadow they lie
+    so close together that they hold each other up, a metre below it. The surface is found
+    without them; those that lie on it are ground like any other point.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of one ground cell and its buffer, in any order.
+    usable : (n,) bool
+        Points to look at: signal, not withheld.
+    settings : GroundSettings
+        Method and parameters.
+    asked : (n,) bool, optional
+        Points to be told; all by default.
+
+    Returns
+    -------
+    (n,) bool
+        True for ground; False wherever a point is not usable or not asked for.
+    """
+    mask = np.zeros(len(table), dtype=np.bool_)
+    own = usable & ~dependents(table)
+    if not own.any():
+        own = usable
+    told = usable if asked is None else usable & asked
+    if told.any():
+        evidence, places = _metres(table, own), _metres(table, told)
+        mask[told] = METHODS[settings.method](evidence, places, settings)
+    return mask
+
+
+def _metres(table: PointTable, chosen: NDArray[np.bool_]) -> Points:
+    """Some points [m], on the absolute lattice."""
+    found = np.empty((3, int(np.count_nonzero(chosen)) + 1))
+    chosen_places((table["x"], table["y"], table["z"]), chosen, QUANTUM_M, *found)
+    return Points(*found[:, :-1])
+
+
+def ptd_mask(own: Points, asked: Points, settings: PtdSettings) -> NDArray[np.bool_]:
+    """Ground points by progressive TIN densification.
+
+    Seeds are the lowest nodes that survive a progressive opening, so that neither a wide
+    hall nor an embankment needs a seed grid of its own size; the source's iteration
+    parameters then take in what the opening cut off. Points are ground in a band on both
+    sides of the surface, so that their mean is not biased low; the band widens with the
+    facets, over which the surface is known less well, but not over gaps: under a roof it
+    would take in what noise and walls leave there.
+
+    Parameters
+    ----------
+    own : Points
+        Evidence; at least one.
+    asked : Points
+        Points to be told; at least one.
+    settings : PtdSettings
+        Parameters.
+
+    Returns
+    -------
+    (m,) bool
+        Which of those asked are ground.
+    """
+    cell_m = node_cell(own.x, own.y, settings.node_m)
+    nodes = start(*own, cell_m, settings)
+    others = np.flatnonzero(~nodes.seed & ~nodes.sunk)
+    tin, _ = densify(
+        nodes.xyz[nodes.seed],
+        nodes.xyz[others],
+        np.where(nodes.trusted[others], -np.inf, -settings.band_m),
+        _limits(settings),
+        settings.seed_cell_m,
+    )
+    mask = np.zeros(len(asked.x), dtype=np.bool_)
+    if tin is None:
+        return mask
+    order = group_by_cell(asked.x, asked.y, cell_m).order
+    x, y, z = (values[order] for values in asked)
+    height, edge = heights_above(tin, x, y, z)
+    edge = np.minimum(edge, _GAP_SPACINGS * spacing_around_m(own.x, own.y, x, y))
+    allowed = settings.band_m + np.tan(np.radians(settings.iteration_angle_deg)) * edge
+    mask[order] = np.abs(height) <= np.minimum(allowed, settings.iteration_distance_m)
+    return mask
+
+
+def _limits(settings: PtdSettings) -> Limits:
+    return Limits(
+        float(np.tan(np.radians(settings.terrain_angle_deg))),
+        float(np.sin(np.radians(settings.iteration_angle_deg))),
+        settings.iteration_distance_m,
+        settings.spread_m,
+        _INSERT_M,
+    )
+
+
+def node_cell(x: Float, y: Float, smallest_m: float) -> float:
+    """Edge of the candidates' grid: doubled for sparse data.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m]; n > 0.
+    smallest_m : float
+        Edge for dense data [m].
+    """
+    return smallest_m * (1 if smallest_m**2 >= _FILLED * spacing_m(x, y) ** 2 else 2)
+
+
+def spacing_m(x: Float, y: Float) -> float:
+    """Mean spacing of points where there are any, voids of :data:`_WIDE_M` left out [m].
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m]; n > 0.
+    """
+    count, _ = _in_squares(x, y)
+    return _WIDE_M * math.sqrt(np.count_nonzero(count) / len(x))
+
+
+def _in_squares(x: Float, y: Float) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """Points in squares of :data:`_WIDE_M` [count], and column and row of the first square."""
+    ends = [int(np.floor(end / _WIDE_M)) for v in (x, y) for end in (v.min(), v.max())]
+    count = np.zeros((ends[1] - ends[0] + 1, ends[3] - ends[2] + 1), dtype=np.int64)
+    count_squares(x, y, _WIDE_M, ends[0], ends[2], count)
+    return count, (ends[0], ends[2])
+
+
+def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
+    """Mean spacing of points around places, by the nine squares of :data:`_WIDE_M` [m].
+
+    The squares lie on the absolute lattice: ground cells agree where they overlap.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Points [m]; n > 0.
+    at_x, at_y : (m,) float64
+        Places [m].
+
+    Returns
+    -------
+    (m,) float64
+        Of the squares with points; :data:`_WIDE_M` where none of the nine has any.
+    """
+    count, (left, bottom) = _in_squares(x, y)
+    around = np.pad(count, 2)
+    points, squares = (
+        sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        for values in (around, (around > 0).astype(np.int64))
+    )
+    spacing = _WIDE_M * np.sqrt(np.maximum(squares, 1) / np.maximum(points, 1))
+    # Places farther out have no points around, as the outermost squares have none.
+    column = np.clip(np.floor(at_x / _WIDE_M).astype(np.int64) - left + 2, 0, len(spacing) - 1)
+    row = np.clip(np.floor(at_y / _WIDE_M).astype(np.int64) - bottom + 2, 0, len(spacing[0]) - 1)
+    found: Float = spacing[column, row]
+    return found
+
+
+def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.bool_]:
+    """Ground points by the simple morphological filter.
+
+    Parameters
+    ----------
+    own : Points
+        Evidence; at least one.
+    asked : Points
+        Points to be told; at least one.
+    settings : SmrfSettings
+        Parameters.
+
+    Returns
+    -------
+    (m,) bool
+        Which of those asked are ground.
+    """
+    cells = group_by_cell(own.x, own.y, settings.cell_m)
+    nodes = lowest_layers(*own, cells, settings.layer_m)
+    below = sunk(nodes, cells, settings.cell_m)
+    believed = supported(nodes, cells, settings.cell_m) & ~below
+    leaves = seen_through(nodes, believed, cells, settings.cell_m)
+    trusted = first_true((~nodes.doubtful & ~below & ~leaves,))
+    lowest = lowest_grid(nodes, trusted, cells)
+    terrain = provisional_terrain(lowest, settings.cell_m, settings.slope, settings.window_m)
+    column = asked.x / settings.cell_m - np.floor(own.x.min() / settings.cell_m) - 0.5
+    row = asked.y / settings.cell_m - np.floor(own.y.min() / settings.cell_m) - 0.5
+    steepness = _steepness(terrain, settings.cell_m)
+    surface = ndimage.map_coordinates(terrain, [row, column], order=1, mode="nearest")
+    slope = ndimage.map_coordinates(steepness, [row, column], order=1, mode="nearest")
+    allowed = settings.threshold_m + settings.scalar * slope
+    mask: NDArray[np.bool_] = np.abs(asked.z - surface) <= allowed
+    return mask
+
+
+def _steepness(terrain: Float, cell_m: float) -> Float:
+    """Steepest rise of a grid [rise/run]; zero along an axis of one cell."""
+    squared = np.zeros_like(terrain)
+    for axis in (0, 1):
+        if terrain.shape[axis] > 1:
+            squared += np.gradient(terrain, cell_m, axis=axis) ** 2
+    return np.sqrt(squared)
+
+
+def _multiscale(own: Points, asked: Points, _: GroundSettings) -> NDArray[np.bool_]:
+    """By a surface whose scale follows the data."""
+    return multiscale_mask(own, asked, spacing_around_m(own.x, own.y, asked.x, asked.y))
+
+
+METHODS: Final[Mapping[str, Callable[[Points, Points, GroundSettings], NDArray[np.bool_]]]] = {
+    "multiscale": _multiscale,
+    "ptd": lambda own, asked, settings: ptd_mask(own, asked, settings.ptd),
+    "smrf": lambda own, asked, settings: smrf_mask(own, asked, settings.smrf),
+}
+"""Methods by their names in the settings: what is evidence, what is asked, settings -> ground."""

@@ -1,0 +1,361 @@
+"""Lowest layers of a point cloud on a grid: what ground filters start from.
+
+A *node* is the mean of the lowest thin layer of points in a grid cell. Where a cell
+holds one point the node is that point; where it holds forty returns of a 5 cm spread
+the node is their mean, so that a surface through the nodes is not biased low, and a
+single point that noise has left below the ground makes no node of its own weight.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.numerics.cell_groups import Cells
+from spl_batch.numerics.compiled import njit
+
+SUPPORTED = 3
+"""Points that make a layer trustworthy by itself [count]."""
+
+_FEW = 64
+"""Points of a cell that are sorted by inserting one after the other [count]."""
+
+_CROWDED = 10
+"""Points in a cell above which a layer of one or two is doubtful [count]."""
+
+_SHEET_POINTS = 6
+_SHEET_M = 0.8
+_SHEET_SHARE = 0.75
+_CLEAR_M = 1.5
+"""A sheet is a hard surface, roof or bare ground: this many points in this thickness, as a
+tilt of 35 degrees gives it in a cell of 1 m, and this share of what lies between the node
+below it and this height above it. Leaves fill twice the thickness, and do not pass."""
+
+
+class Nodes(NamedTuple):
+    """Lowest layers, one or two for each occupied cell, row by row.
+
+    Parameters
+    ----------
+    xyz : (m, 3) float64
+        Mean of the layer's points [m].
+    cell : (m,) int64
+        Cell of the grid.
+    points : (m,) int64
+        Points in the layer [count].
+    doubtful : (m,) bool
+        One or two points below many others in the same cell.
+    buried : (m,) bool
+        One or two points below a hard surface in the same cell: not ground, as light does
+        not pass there, but what noise and afterpulses leave under meadows and roofs.
+    """
+
+    xyz: NDArray[np.float64]
+    cell: NDArray[np.int64]
+    points: NDArray[np.int64]
+    doubtful: NDArray[np.bool_]
+    buried: NDArray[np.bool_]
+
+
+@njit(nogil=True, cache=True)
+def count_squares(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    edge: float,
+    left: int,
+    bottom: int,
+    out: NDArray[np.int64],
+) -> None:
+    """Add up the points of each square of the absolute lattice.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m].
+    edge : float
+        Edge of a square [m].
+    left, bottom : int
+        Column and row of the first square.
+    out : (columns, rows) int64, added to
+        Points [count].
+    """
+    for i in range(len(x)):
+        out[int(np.floor(x[i] / edge)) - left, int(np.floor(y[i] / edge)) - bottom] += 1
+
+
+def lowest_layers(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    cells: Cells,
+    thickness_m: float,
+) -> Nodes:
+    """Nodes of a cloud: the lowest layer of each cell, and the lowest well-filled one.
+
+    Parameters
+    ----------
+    x, y, z : (n,) float64
+        Points [m], on the lattice of quanta.
+    cells : Cells
+        The same points, grouped.
+    thickness_m : float
+        Thickness of a layer [m].
+    """
+    most = 2 * len(cells.start)
+    xyz, cell = np.empty((most, 3)), np.empty(most, dtype=np.int64)
+    count, doubtful = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.bool_)
+    buried = np.empty(most, dtype=np.bool_)
+    used = _lowest_layers(
+        x, y, z, cells.order, cells.start, thickness_m, xyz, cell, count, doubtful, buried
+    )
+    return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used], buried[:used])
+
+
+@njit(nogil=True, cache=True)
+def _lowest_layers(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    order: NDArray[np.int64],
+    start: NDArray[np.int64],
+    thickness: float,
+    xyz: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    count: NDArray[np.int64],
+    doubtful: NDArray[np.bool_],
+    buried: NDArray[np.bool_],
+) -> int:
+    used = most = 0
+    for c in range(len(start) - 1):
+        most = max(most, start[c + 1] - start[c])
+    # A cell's points lie far apart in memory, and are looked at several times.
+    room, sorted_z = np.empty((3, most)), np.empty(most)
+    for c in range(len(start) - 1):
+        n = start[c + 1] - start[c]
+        if n == 0:
+            continue
+        own, heights = room[:, :n], sorted_z[:n]
+        low = np.inf
+        for k in range(n):
+            i = order[start[c] + k]
+            own[0, k], own[1, k], own[2, k] = x[i], y[i], z[i]
+            low = min(low, z[i])
+        first, filled = 0, -1
+        # Most cells have their lowest layer filled, and heights need no order.
+        if not _is_filled(own[2], low, thickness):
+            _sort_heights(own[2], heights)
+            first, filled = _two_layers(heights, thickness)
+        for bottom in (first, filled):
+            if bottom < 0:
+                continue
+            low = heights[bottom] if bottom > 0 else low
+            count[used] = _layer_mean(own, low, thickness, xyz[used])
+            cell[used] = c
+            doubtful[used] = n >= _CROWDED and count[used] < SUPPORTED
+            buried[used] = False
+            if count[used] < SUPPORTED:
+                _sort_heights(own[2], heights)
+                buried[used] = _below_sheet(heights, bottom + count[used])
+            used += 1
+    return used
+
+
+@njit(nogil=True, cache=True)
+def _sort_heights(z: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill with increasing heights; few are put in one after the other."""
+    if len(z) > _FEW:
+        out[:] = z
+        out.sort()
+        return
+    for k in range(len(z)):
+        height, at = z[k], k
+        while at > 0 and out[at - 1] > height:
+            out[at] = out[at - 1]
+            at -= 1
+        out[at] = height
+
+
+@njit(nogil=True, cache=True)
+def _is_filled(z: NDArray[np.float64], low: float, thickness: float) -> bool:
+    """Whether the layer above the lowest height has enough points."""
+    held = 0
+    for k in range(len(z)):
+        held += z[k] - low <= thickness
+    return held >= min(SUPPORTED, len(z))
+
+
+@njit(nogil=True, cache=True)
+def _two_layers(heights: NDArray[np.float64], thickness: float) -> tuple[int, int]:
+    """Bottom of the lowest layer, and of a higher one with enough points (or -1)."""
+    n = len(heights)
+    need = min(SUPPORTED, n)
+    for i in range(n - need + 1):
+        if heights[i + need - 1] - heights[i] <= thickness:
+            return (0, i) if i > 0 else (0, -1)
+    return 0, -1
+
+
+@njit(nogil=True, cache=True)
+def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
+    """Whether a hard surface stands in a cell above its lowest ``first`` points."""
+    end, clear = first, first
+    for i in range(first, len(heights) - _SHEET_POINTS + 1):
+        while end < len(heights) and heights[end] <= heights[i] + _SHEET_M:
+            end += 1
+        if end - i < _SHEET_POINTS:
+            continue
+        while clear < len(heights) and heights[clear] <= heights[i] + _SHEET_M + _CLEAR_M:
+            clear += 1
+        if end - i >= _SHEET_SHARE * (clear - first):
+            return True
+    return False
+
+
+@njit(nogil=True, cache=True)
+def _layer_mean(
+    own: NDArray[np.float64], low: float, thickness: float, out: NDArray[np.float64]
+) -> int:
+    """Mean of the layer above ``low``, then of the layer around that mean; its count.
+
+    Whole quanta are added up: exactly, in whatever order they come.
+    """
+    bottom = low
+    n = 0
+    for _ in range(2):
+        sx, sy, sz, n = 0.0, 0.0, 0.0, 0
+        for k in range(own.shape[1]):
+            if bottom <= own[2, k] <= bottom + thickness:
+                sx += np.rint(own[0, k] * QUANTA_PER_M)
+                sy += np.rint(own[1, k] * QUANTA_PER_M)
+                sz += np.rint(own[2, k] * QUANTA_PER_M)
+                n += 1
+        per_m = n * QUANTA_PER_M
+        out[0], out[1], out[2] = sx / per_m, sy / per_m, sz / per_m
+        bottom = out[2] - thickness / 2
+    return n
+
+
+@njit(nogil=True, cache=True)
+def _first_rows(cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
+    """First row of each cell, -1 for those without any; rows are in order of their cells."""
+    first = np.full(cells, -1, dtype=np.int64)
+    for i in range(len(cell) - 1, -1, -1):
+        first[cell[i]] = i
+    return first
+
+
+@njit(nogil=True, cache=True)
+def count_support(
+    xyz: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    asked: NDArray[np.bool_],
+    rows: int,
+    columns: int,
+    reach: int,
+    reach_m: float,
+    step_m: float,
+    slope: float,
+    enough: int,
+    out: NDArray[np.int64],
+) -> None:
+    """Nodes near each node that continue its surface, along the contour at least.
+
+    Parameters
+    ----------
+    xyz : (m, 3) float64
+        Nodes [m], in order of their cells.
+    cell : (m,) int64
+        Cell of each node.
+    asked : (m,) bool
+        Nodes whose neighbours are counted.
+    rows, columns : int
+        Shape of the grid.
+    reach : int
+        Cells to look at on each side [count].
+    reach_m : float
+        Farthest neighbour [m].
+    step_m, slope : float
+        A neighbour at distance d supports within step_m + slope d [m, rise/run].
+    enough : int
+        No row of cells is looked at where so many support already [count].
+    out : (m,) int64, written
+        Supporting nodes of other cells [count]; 0 where not asked.
+    """
+    first = _first_rows(cell, rows * columns)
+    for i in range(len(cell)):
+        out[i] = 0
+        if not asked[i]:
+            continue
+        r, c = cell[i] // columns, cell[i] % columns
+        n = 0
+        for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
+            if n >= enough:
+                break
+            for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
+                other = rr * columns + cc
+                if other == cell[i] or first[other] < 0:
+                    continue
+                j = first[other]
+                while j < len(cell) and cell[j] == other:
+                    d = _apart(xyz, i, j)
+                    n += d <= reach_m and abs(xyz[j, 2] - xyz[i, 2]) <= step_m + slope * d
+                    j += 1
+        out[i] = n
+
+
+@njit(nogil=True, cache=True)
+def _apart(xyz: NDArray[np.float64], i: int, j: int) -> float:
+    """Distance of two nodes, horizontally [m]."""
+    east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
+    return float(np.sqrt(east * east + north * north))
+
+
+@njit(nogil=True, cache=True)
+def count_below(
+    xyz: NDArray[np.float64],
+    cell: NDArray[np.int64],
+    chosen: NDArray[np.bool_],
+    rows: int,
+    columns: int,
+    reach: int,
+    reach_m: float,
+    step_m: float,
+    slope: float,
+    out: NDArray[np.int64],
+) -> None:
+    """Chosen nodes near each node, and in its own cell, that lie clearly below it.
+
+    Parameters
+    ----------
+    xyz : (m, 3) float64
+        Nodes [m], in order of their cells.
+    cell : (m,) int64
+        Cell of each node.
+    chosen : (m,) bool
+        Nodes that count.
+    rows, columns : int
+        Shape of the grid.
+    reach : int
+        Cells to look at on each side [count].
+    reach_m : float
+        Farthest neighbour [m].
+    step_m, slope : float
+        A neighbour at distance d lies below by more than step_m + slope d [m, rise/run].
+    out : (m,) int64, written
+        Such nodes [count].
+    """
+    picked = np.flatnonzero(chosen)  # few: looked for by themselves
+    first = _first_rows(cell[picked], rows * columns)
+    for i in range(len(cell)):
+        r, c = cell[i] // columns, cell[i] % columns
+        n = 0
+        for rr in range(max(r - reach, 0), min(r + reach + 1, rows)):
+            for cc in range(max(c - reach, 0), min(c + reach + 1, columns)):
+                k = first[rr * columns + cc]
+                while 0 <= k < len(picked) and cell[picked[k]] == rr * columns + cc:
+                    j = picked[k]
+                    d = _apart(xyz, i, j)
+                    n += xyz[j, 2] < xyz[i, 2] - step_m - slope * d and d <= reach_m
+                    k += 1
+        out[i] = n

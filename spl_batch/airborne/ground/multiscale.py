@@ -1,0 +1,188 @@
+"""Ground points by a surface whose scale follows the data.
+
+Domain: space. See :mod:`spl_batch.airborne.ground.multiscale_surface`. There is nothing to set:
+cell sizes, the
+tolerance around the surface and its growth on slopes follow from the spacing of the points and
+from how much the ground scatters.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.airborne.ground.ground_seeds import sunk, supported
+from spl_batch.airborne.ground.lowest_layers import lowest_layers
+from spl_batch.airborne.ground.multiscale_surface import (
+    BLOCK_M,
+    CELL_M,
+    agreeing_nodes,
+    ground_nodes,
+    low_outliers,
+    spread_below,
+    terrain,
+)
+from spl_batch.airborne.ground.ptd import Limits, densify
+from spl_batch.numerics.cell_groups import Cells, group_by_cell
+from spl_batch.numerics.triangulation.tin import Tin, interpolate, triangulate
+
+_LAYER_M = 0.15
+"""Thickness of the layer whose mean is a node: three standard deviations of a range [m]."""
+
+_BAND_M: Final = (0.1, 0.5)
+"""Least and largest distance from the surface of a ground point, where that is level [m]."""
+
+_BAND_SIGMA = 3.0
+"""So many spreads of the points below the surface, where only ranging noise and roughness put
+them."""
+
+_BAND_SPACINGS = 0.25
+"""So many spacings of the points: between them the ground is not known better."""
+
+_SLOPE_M = 1.25
+"""The band grows with the slope by the spacing of the points, and this at most [m], which is what
+the source adds at any spacing."""
+
+_LIMITS: Final = Limits(
+    terrain_slope=float(np.tan(np.radians(88.0))),
+    sin_angle=float(np.sin(np.radians(10.0))),
+    distance_m=1.4,
+    spread_m=0.15,
+    insert_m=0.05,
+)
+"""Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
+
+_HARD_POINTS = 6
+_HARD_M = 0.08
+"""Cells of so many points that lie on a plane by less than this are hard: 1.6 standard deviations
+of a range [m]."""
+
+Float = NDArray[np.float64]
+Place = tuple[Float, Float, Float]
+
+
+def _joined(xyz: Float, hard: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Ground nodes and hard ones that the opening cut off next to them: tops of embankments.
+
+    A bank joins its foot without a wall, and unlike shrubs it is smooth.
+    """
+    others = np.flatnonzero(hard & ~ground)
+    if not len(others):
+        return ground
+    _, taken = densify(xyz[ground], xyz[others], np.zeros(len(others)), _LIMITS, BLOCK_M / 2)
+    joined = ground.copy()
+    joined[others[taken]] = True
+    return joined
+
+
+class Surface(NamedTuple):
+    """Ground: a TIN through its nodes, and where that does not reach a grid with its slope."""
+
+    tin: Tin | None
+    grid: Float
+    steepness: Float
+    corner: Float
+
+
+def multiscale_mask(own: Place, asked: Place, spacing_m: Float) -> NDArray[np.bool_]:
+    """Ground points by a surface whose scale follows the data.
+
+    Parameters
+    ----------
+    own : three (n,) float64
+        Evidence: x, y, z [m]; at least one point.
+    asked : three (m,) float64
+        Points to be told; at least one.
+    spacing_m : (m,) float64
+        Mean spacing of the evidence around each of these [m].
+
+    Returns
+    -------
+    (m,) bool
+        Which of those asked are ground.
+    """
+    xyz, hard = _nodes(*own)
+    chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
+    ground = _joined(xyz, chosen & hard, ground_nodes(xyz, chosen))
+    grid = terrain(xyz, ground)
+    corner = np.floor(xyz[:, :2].min(axis=0) / CELL_M)
+    surface = Surface(triangulate(xyz[ground]), grid, _steepness(grid), corner)
+    height, slope = _surface_at(surface, own)
+    spread = spread_below(own[2] - height, own[0], own[1], _BAND_M[1])
+    if asked[0] is not own[0]:
+        height, slope = _surface_at(surface, asked)
+    level = np.maximum(_BAND_SIGMA * _of_block(spread, own, asked), _BAND_SPACINGS * spacing_m)
+    band = np.clip(level, *_BAND_M) + np.minimum(spacing_m, _SLOPE_M) * slope
+    found: NDArray[np.bool_] = np.abs(asked[2] - height) <= band
+    return found
+
+
+def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
+    """Height of the surface at places [m], and its slope there [rise/run]."""
+    x, y, _ = places
+    at = [y / CELL_M - surface.corner[1] - 0.5, x / CELL_M - surface.corner[0] - 0.5]
+    height: Float = ndimage.map_coordinates(surface.grid, at, order=1, mode="nearest")
+    slope: Float = ndimage.map_coordinates(surface.steepness, at, order=1, mode="nearest")
+    if surface.tin is not None:
+        order = group_by_cell(x, y, CELL_M).order
+        exact = np.empty_like(height)
+        exact[order] = interpolate(surface.tin, x[order], y[order])
+        height = np.where(np.isnan(exact), height, exact)
+    return height, slope
+
+
+def _of_block(spread: Float, own: Place, places: Place) -> Float:
+    """Value of the block that each place is in, or of the nearest."""
+    at = []
+    for axis, last in ((1, len(spread) - 1), (0, len(spread[0]) - 1)):
+        first = np.floor(own[axis].min() / BLOCK_M)
+        at.append(np.clip(np.floor(places[axis] / BLOCK_M) - first, 0, last).astype(np.int64))
+    found: Float = spread[at[0], at[1]]
+    return found
+
+
+def _nodes(x: Float, y: Float, z: Float) -> tuple[Float, NDArray[np.bool_]]:
+    """Lowest layers of cells that are no low noise: (n, 3) [m]; and which are of hard cells."""
+    cells = group_by_cell(x, y, CELL_M)
+    nodes = lowest_layers(x, y, z, cells, _LAYER_M)
+    above = ~sunk(nodes, cells, CELL_M)
+    # A single return below many others is ground where its neighbours continue it, else noise.
+    above &= ~nodes.doubtful | supported(nodes, cells, CELL_M)
+    if not above.any():
+        above[:] = True
+    return nodes.xyz[above], _hard(x, y, z, cells)[nodes.cell[above]]
+
+
+def _hard(x: Float, y: Float, z: Float, cells: Cells) -> NDArray[np.bool_]:
+    """Cells all of whose points lie on a plane, as those of bare ground and roofs do."""
+    count = np.diff(cells.start)
+    hard = np.zeros(len(count), dtype=np.bool_)
+    held = count >= _HARD_POINTS
+    if not held.any():
+        return hard
+    at = [v[cells.order] for v in (x, y, z)]
+    first = cells.start[:-1][count > 0]
+    each = count[count > 0]
+    east, north, up = (v - np.repeat(v[first], each) for v in at)
+
+    def mean(values: Float) -> Float:
+        summed: Float = np.add.reduceat(values, first) / each
+        return summed
+
+    e, n, u = mean(east), mean(north), mean(up)
+    ee, nn, en = mean(east**2) - e * e, mean(north**2) - n * n, mean(east * north) - e * n
+    eu, nu, uu = mean(east * up) - e * u, mean(north * up) - n * u, mean(up**2) - u * u
+    scale = np.maximum(ee * nn - en * en, 1e-6)
+    rest = uu - (nn * eu * eu - 2.0 * en * eu * nu + ee * nu * nu) / scale
+    hard[count > 0] = (each >= _HARD_POINTS) & (rest <= _HARD_M**2)
+    return hard
+
+
+def _steepness(surface: Float) -> Float:
+    """Steepest rise of a grid [rise/run]; zero along an axis of one cell."""
+    squared = np.zeros_like(surface)
+    for axis in (0, 1):
+        if surface.shape[axis] > 1:
+            squared += np.gradient(surface, CELL_M, axis=axis) ** 2
+    return np.sqrt(squared)

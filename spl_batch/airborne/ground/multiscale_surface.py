@@ -1,0 +1,370 @@
+"""Ground surface from nodes whose scale follows the data, by progressive opening.
+
+Progressive morphological opening [Zhang et al. 2003; Pingel, Clarke & McBride 2013] tells objects
+from terrain by how far a surface of lowest heights falls when a window grows. It needs a surface of
+lowest heights that are mostly ground, and it needs the edges of objects. Both fail on real surveys
+with one cell size for all: under trees the lowest return of a metre is a leaf, and at one return
+per four square metres a surface that is interpolated across empty cells turns walls into ramps.
+
+Deviations from the sources:
+
+- **The cell follows the data.** In each block of :data:`BLOCK_M` the nodes are the lowest of cells
+  of 1, 2, 4 or 8 m: the smallest in which most lowest nodes agree with the lowest of the next
+  size (:func:`agreeing_nodes`). The opening always runs on cells of 1 m.
+- **Empty cells take the nearest node**, so that a wall stays as steep as it is.
+- **On steep ground an object stands out twice**: of the heights as they are, and of those above the
+  trend of what is left then. The edge of a slope does so only once.
+- **A fall of more than** :data:`STEP_M` from one window to the next is an object's at any radius.
+- **Low outliers** are told among the lowest nodes of :data:`PIT_CELL_M`: a node far below the third
+  lowest around is none of the ground's, also where several lie beside each other.
+- **What counts as on the surface** follows from the spacing of the points, and from what ground
+  nodes scatter *below* the surface (:func:`scatter_below`): vegetation scatters them upwards only.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
+from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
+from spl_batch.airborne.ground.smrf import fill_gaps, object_cells
+
+CELL_M: Final = 1.0
+"""Edge of the cells that the opening runs on [m]."""
+
+LEVELS_M: Final = (2.0, 4.0, 8.0)
+"""Coarser cells that nodes may be the lowest of [m]."""
+
+BLOCK_M: Final = 16.0
+"""Edge of the blocks that choose their cell [m]."""
+
+_AGREE_M = (0.25, 1.0)
+_AGREE_SIGMA = 4.0
+"""A node is higher than the coarser ones by more than so many of their scatters, within these
+bounds [m]."""
+
+_HIGH_SHARE = 0.35
+"""With more such nodes than this share a block takes the coarser cell."""
+
+_SLOPE = 0.15
+"""Slope tolerance of the opening, as published [rise/run]."""
+
+_STEEP = 0.5
+"""Rise of the trend from which on heights above it count as well: streets of towns are flatter
+[rise/run]."""
+
+STEP_M: Final = 2.0
+"""A larger fall from one window to the next is an object's: a low storey [m]."""
+
+WINDOW_M: Final = 40.0
+"""Radius of the largest window [m]."""
+
+PIT_CELL_M: Final = 4.0
+_PIT_SLOPE = 1.5
+_PIT_RANK = 3
+_PIT_ROUNDS = 8
+"""A low outlier lies below the third lowest of the eight cells around by more than this slope."""
+
+_DAMPING_M2 = 0.05
+"""Added to the scatter of places when a plane is fitted, per node [m2]."""
+
+_HALF_NORMAL = 1.2533
+"""Standard deviation for each mean distance of a half of a normal distribution."""
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+def lowest_nodes(xyz: Float, chosen: Mask, cell_m: float) -> Index:
+    """Lowest of the chosen nodes in each cell of the absolute grid.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    chosen : (n,) bool
+        Nodes to look at.
+    cell_m : float
+        Edge of a cell [m].
+
+    Returns
+    -------
+    (rows, columns) int64
+        Node of each cell of the box around *all* nodes; -1 where there is none.
+    """
+    column, row, shape = _places(xyz, cell_m)
+    places = np.flatnonzero(chosen)
+    key = row[places] * shape[1] + column[places]
+    order = np.lexsort([xyz[places, 2], key])
+    found = np.full(shape[0] * shape[1], -1, dtype=np.int64)
+    # The first of each cell is written last.
+    found[key[order[::-1]]] = places[order[::-1]]
+    return found.reshape(shape)
+
+
+def _places(xyz: Float, cell_m: float) -> tuple[Index, Index, tuple[int, int]]:
+    """Column and row of each node's cell, and the shape of the grid around all."""
+    column, row = np.floor(xyz[:, :2] / cell_m).astype(np.int64).T
+    column, row = column - column.min(), row - row.min()
+    return column, row, (int(row.max()) + 1, int(column.max()) + 1)
+
+
+def _heights(found: Index, z: Float) -> Float:
+    """Heights of a grid of nodes; NaN without one."""
+    return np.where(found >= 0, z[found], np.nan)
+
+
+def low_outliers(xyz: Float) -> Mask:
+    """Nodes far below those around: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    """
+    column, row, _ = _places(xyz, PIT_CELL_M)
+    low = np.zeros(len(xyz), dtype=np.bool_)
+    for _ in range(_PIT_ROUNDS):
+        height = _heights(lowest_nodes(xyz, ~low, PIT_CELL_M), xyz[:, 2])
+        around = np.sort(_neighbours(np.where(np.isnan(height), np.inf, height)), axis=0)
+        floor = around[_PIT_RANK - 1] - _PIT_SLOPE * PIT_CELL_M
+        floor[np.isinf(floor)] = -np.inf
+        found = ~low & (xyz[:, 2] < floor[row, column])
+        if not found.any():
+            break
+        low |= found
+    return low
+
+
+def _neighbours(grid: Float) -> Float:
+    """Values of the eight cells around each: (8, rows, columns); inf beyond the edge."""
+    rows, columns = grid.shape
+    wide = np.pad(grid, 1, constant_values=np.inf)
+    steps = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
+
+
+def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
+    """Nodes of the scale that the data have, block by block.
+
+    Starting with all nodes, a block goes on to the lowest nodes of cells twice as large while
+    more than a third of its nodes stand above the plane through the coarser ones around.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m], at most a few in a cell of :data:`CELL_M`.
+    usable : (n,) bool
+        Nodes that may be chosen.
+
+    Returns
+    -------
+    (n,) bool
+    """
+    column, row, shape = _places(xyz, BLOCK_M)
+    going = np.ones(shape, dtype=np.bool_)
+    first = lowest_nodes(xyz, usable, CELL_M)
+    current = np.sort(first[first >= 0])
+    chosen = np.zeros(len(xyz), dtype=np.bool_)
+    for cell_m in LEVELS_M:
+        grid = lowest_nodes(xyz, usable, cell_m)
+        coarse = np.sort(grid[grid >= 0])
+        limit = np.clip(_AGREE_SIGMA * scatter_below(xyz, coarse, grid, cell_m), *_AGREE_M)
+        above = xyz[current, 2] - plane_heights(xyz, grid, cell_m)[current]
+        at = row[current], column[current]
+        key = at[0] * shape[1] + at[1]
+        high, count = (
+            _around(np.bincount(key[of], minlength=shape[0] * shape[1]).reshape(shape))
+            for of in (above > limit[at], slice(None))
+        )
+        share = high / np.maximum(count, 1.0)
+        stays = going & (share <= _HIGH_SHARE)
+        chosen[current[stays[at]]] = True
+        going &= ~stays
+        current = coarse
+    chosen[current[going[row[current], column[current]]]] = True
+    return chosen
+
+
+def _around(grid: NDArray[Any]) -> Float:
+    """Sum over a cell and the eight around it; whole numbers add up exactly."""
+    summed: Float = ndimage.correlate(grid.astype(np.float64), np.ones((3, 3)), mode="constant")
+    return summed
+
+
+def plane_heights(xyz: Float, grid: Index, cell_m: float, *, own: bool = True) -> Float:
+    """Height at each node of the plane through the grid's nodes in nine cells.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1, as :func:`lowest_nodes` finds them.
+    cell_m : float
+        Edge of a cell [m].
+    own : bool
+        Whether the node of the middle cell takes part.
+
+    Returns
+    -------
+    (n,) float64
+        Height [m]; NaN where none of the cells has a node.
+    """
+    rows, columns = grid.shape
+    wide = np.pad(grid, 1, constant_values=-1)
+    corner = np.floor(xyz[:, :2].min(axis=0) / cell_m)
+    middle = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + corner + 0.5
+    base = float(xyz[:, 2].min())
+    sums = np.zeros((9, rows, columns))
+    for i, j in ((i, j) for i in range(3) for j in range(3) if own or (i, j) != (1, 1)):
+        node = wide[i : i + rows, j : j + columns]
+        x, y = np.moveaxis(xyz[node, :2] - middle * cell_m, 2, 0)
+        z = xyz[node, 2] - base
+        sums += np.where(
+            node >= 0, [np.ones_like(z), x, y, z, x * x, x * y, y * y, x * z, y * z], 0
+        )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x, y, z, xx, xy, yy, xz, yz = sums[1:] / sums[0]
+    xx, yy, xy = xx - x * x + _DAMPING_M2, yy - y * y + _DAMPING_M2, xy - x * y
+    xz, yz = xz - x * z, yz - y * z
+    scale = xx * yy - xy * xy
+    east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+    column, row, _ = _places(xyz, cell_m)
+    dx, dy = (xyz[:, :2] - middle[row, column] * cell_m).T
+    at = row, column
+    found: Float = base + z[at] + east[at] * (dx - x[at]) + north[at] * (dy - y[at])
+    return found
+
+
+def spread_below(off: Float, x: Float, y: Float, most_m: float) -> Float:
+    """Spread of points below the surface, by blocks.
+
+    Parameters
+    ----------
+    off : (n,) float64
+        Heights above the surface [m].
+    x, y : (n,) float64
+        Places [m].
+    most_m : float
+        Points farther below are noise and do not count [m].
+
+    Returns
+    -------
+    (block rows, block columns) float64
+        Standard deviation in each block of :data:`BLOCK_M`, of it and those around [m]; 0 where
+        there is no point below.
+    """
+    column, row, shape = _places(np.column_stack([x, y]), BLOCK_M)
+    low = (off < 0.0) & (off > -most_m)
+    key = row[low] * shape[1] + column[low]
+    total, count = (
+        _around(np.bincount(key, weights=w, minlength=shape[0] * shape[1]).reshape(shape))
+        for w in (-off[low], None)
+    )
+    spread: Float = _HALF_NORMAL * total / np.maximum(count, 1.0)
+    return spread
+
+
+def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float:
+    """Spread of nodes below the planes through those around, by blocks.
+
+    Ranging noise and rough ground scatter nodes to both sides of the surface, plants only
+    upwards: the lower side tells the spread of the ground.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    nodes : (m,) int64
+        Those of the grid.
+    grid : (rows, columns) int64
+        A node for each cell, or -1.
+    cell_m : float
+        Edge of a cell [m].
+
+    Returns
+    -------
+    (block rows, block columns) float64
+        Standard deviation in each block of :data:`BLOCK_M`, of it and those around [m].
+    """
+    off = np.zeros(len(xyz))
+    off[nodes] = xyz[nodes, 2] - plane_heights(xyz, grid, cell_m, own=False)[nodes]
+    return spread_below(off, xyz[:, 0], xyz[:, 1], np.inf)
+
+
+def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
+    """Chosen nodes that are on no object: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    chosen : (n,) bool
+        Nodes that the surface is made of; at least one.
+    cell_m : float
+        Edge of the cells that the opening runs on [m].
+    """
+    raised = _raised(xyz, xyz[:, 2], chosen, cell_m)
+    level = chosen & ~raised
+    if not level.any():
+        return chosen
+    x, y = xyz[:, 0], xyz[:, 1]
+    trend = fit_trend(xyz[level], x, y)
+    above = xyz[:, 2] - trend_at(trend, x, y)
+    raised &= _raised(xyz, above, chosen, cell_m) | ~_steep(trend, x, y)
+    grid = lowest_nodes(xyz, chosen & ~raised, cell_m)
+    ground = np.zeros(len(xyz), dtype=np.bool_)
+    ground[grid[grid >= 0]] = True
+    return ground
+
+
+def _raised(xyz: Float, height: Float, chosen: Mask, cell_m: float) -> Mask:
+    """Nodes in cells that the opening of some heights cuts off."""
+    grid = lowest_nodes(xyz, chosen, cell_m)
+    surface = nearest_filled(_heights(grid, height))
+    objects = object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M)
+    column, row, _ = _places(xyz, cell_m)
+    raised: Mask = objects[row, column]
+    return raised
+
+
+def _steep(trend: Trend, x: Float, y: Float) -> Mask:
+    """Places where a trend rises by more than :data:`_STEEP`."""
+    squared = sum(np.gradient(trend.height, TREND_M, axis=axis) ** 2 for axis in (0, 1))
+    steepness = Trend(np.sqrt(np.asarray(squared)), trend.left, trend.bottom)
+    steep: Mask = trend_at(steepness, x, y) > _STEEP
+    return steep
+
+
+def nearest_filled(surface: Float) -> Float:
+    """Surface whose gaps take the height of the nearest cell: walls stay steep.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Heights [m]; NaN in gaps, not everywhere.
+    """
+    nearest = ndimage.distance_transform_edt(
+        np.isnan(surface), return_distances=False, return_indices=True
+    )
+    filled: Float = surface[tuple(nearest)]
+    return filled
+
+
+def terrain(xyz: Float, ground: Mask, cell_m: float = CELL_M) -> Float:
+    """Heights of a grid around all nodes through the ground nodes: (rows, columns) [m].
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    ground : (n,) bool
+        Those of the ground; at least one.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    return fill_gaps(_heights(lowest_nodes(xyz, ground, cell_m), xyz[:, 2]))

@@ -1,0 +1,144 @@
+"""Simple morphological filter [Pingel, Clarke & McBride 2013].
+
+| source | here |
+|---|---|
+| ZImin, grid of lowest heights | the caller's: layer means, which low noise does not pull down |
+| low outliers, opening of the inverted grid, slope 500 % | :func:`low_outliers` |
+| inpainting of empty cells | :func:`fill_gaps` |
+| progressive opening, threshold slope x radius | :func:`object_cells` |
+| disk of radius k | an octagon of radius k (:mod:`~spl_batch.airborne.ground.morphology`) |
+
+Deviations: gaps are filled by a TIN through their rims rather than by a partial
+differential equation, which differs only inside the gap; an octagon costs what its
+radius is, not its area.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.airborne.ground.morphology import opening
+from spl_batch.numerics.triangulation.tin import interpolate, triangulate
+
+_LOW_SLOPE = 5.0
+"""Slope of the opening that finds low outliers: 500 % in the source [rise/run]."""
+
+_JITTER_CELLS = 1e-5
+"""Twice the largest step aside of a grid node in a triangulation [cells]."""
+
+Grid = NDArray[np.float64]
+
+
+def object_cells(
+    surface: Grid, cell_m: float, slope: float, window_m: float, *, step_m: float = np.inf
+) -> NDArray[np.bool_]:
+    """Cells that stand above the progressively opened surface.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Lowest heights without gaps [m].
+    cell_m : float
+        Edge of a cell [m].
+    slope : float
+        Tolerated slope [rise/run].
+    window_m : float
+        Largest radius of the window [m].
+    step_m : float
+        A larger fall from one window to the next is an object's at any radius [m]; the
+        source has no such limit, and keeps halls that are low for their width.
+
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    objects = np.zeros(surface.shape, dtype=np.bool_)
+    last = surface
+    for radius in range(1, int(np.ceil(window_m / cell_m)) + 1):
+        opened = opening(last, radius)
+        objects |= last - opened > min(slope * radius * cell_m, step_m)
+        last = opened
+    return objects
+
+
+def low_outliers(surface: Grid, cell_m: float) -> NDArray[np.bool_]:
+    """Cells that lie in a pit: objects of the inverted surface.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Lowest heights without gaps [m].
+    cell_m : float
+        Edge of a cell [m].
+
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    return object_cells(-surface, cell_m, _LOW_SLOPE, cell_m)
+
+
+def fill_gaps(surface: Grid) -> Grid:
+    """Surface without gaps: a TIN through the rims of its gaps, level beyond its hull.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+        Heights [m]; NaN in gaps, not everywhere.
+
+    Returns
+    -------
+    (rows, columns) float64
+    """
+    gaps = np.isnan(surface)
+    if not gaps.any():
+        return surface
+    nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
+    filled: Grid = surface[tuple(nearest)]
+    rim = ~gaps & ndimage.binary_dilation(gaps, structure=np.ones((3, 3), dtype=np.bool_))
+    row, column = np.nonzero(rim)
+    place = np.column_stack([column, row]) + _jitter(surface[rim])
+    tin = triangulate(np.column_stack([place, surface[rim]]))
+    if tin is None:
+        return filled
+    row, column = np.nonzero(gaps)
+    inside = interpolate(tin, column.astype(np.float64), row.astype(np.float64))
+    filled[gaps] = np.where(np.isnan(inside), filled[gaps], inside)
+    return filled
+
+
+def _jitter(height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Small steps aside that heights alone decide: (n, 2) [cells].
+
+    Four corners of a square have two Delaunay triangulations; which one Qhull takes may
+    depend on points far away. Steps aside leave one, in whatever cutout a place is seen.
+    """
+    turns = height[:, None] * np.array([1e3 * np.sqrt(2.0), 1e3 * np.sqrt(3.0)])
+    steps: NDArray[np.float64] = _JITTER_CELLS * (turns - np.floor(turns) - 0.5)
+    return steps
+
+
+def provisional_terrain(lowest: Grid, cell_m: float, slope: float, window_m: float) -> Grid:
+    """Terrain model from which points are judged.
+
+    Parameters
+    ----------
+    lowest : (rows, columns) float64
+        Lowest heights [m]; NaN where there are none, not everywhere.
+    cell_m : float
+        Edge of a cell [m].
+    slope : float
+        Tolerated slope [rise/run].
+    window_m : float
+        Largest radius of the window [m].
+
+    Returns
+    -------
+    (rows, columns) float64
+    """
+    surface = fill_gaps(lowest)
+    low = low_outliers(surface, cell_m)
+    cleaned = fill_gaps(np.where(low, np.nan, surface)) if not low.all() else surface
+    objects = object_cells(cleaned, cell_m, slope, window_m)
+    bare = np.where(objects | low | np.isnan(lowest), np.nan, surface)
+    return fill_gaps(bare) if not np.isnan(bare).all() else cleaned

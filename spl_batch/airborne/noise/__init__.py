@@ -1,0 +1,1 @@
+"""Background noise: density along flightlines, in voxels, at points."""

@@ -1,0 +1,195 @@
+"""Where the range gate lies along the beams of a flightline.
+
+Source: [W17] 5.2.1 ("data from all the beamlets are truncated with the same range gate");
+how to find it is not said there. Here it is read off the extreme returns of absolute
+windows of intervals, moved out by one mean spacing of the noise (the expected shortfall
+of an extreme of a uniform sample).
+
+A gate may be constant in slant range, may follow the surface (a receiver that tracks the
+ground), or the delivered points may be cut at a height. Each is tried; the one that
+explains the same returns with the shortest gate is taken.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY
+from spl_batch.errors import Remark
+
+WINDOW_INTERVALS: Final = 64
+"""Intervals whose extremes are read together [count]."""
+
+GATE_MIN_M: Final = 60.0
+"""Shorter gates have to be stated; what looks like one is a scene without noise [m]."""
+
+GATE_ASSUMED_M: Final = 300.0
+"""Gate where neither the workflow nor the points say one [m]."""
+
+Kind = Literal["range", "height"]
+Basis = Literal["stated", "estimated", "assumed"]
+
+
+class Gate(NamedTuple):
+    """Gate of each interval.
+
+    Parameters
+    ----------
+    kind : str
+        "range": ``near`` and ``far`` are slant ranges; "height": they are the upper and
+        the lower height.
+    near, far : (m,) float64
+        Edges [m].
+    length_m : float
+        Median slant length [m].
+    warnings : tuple of Remark
+        What the report has to say.
+    basis : str
+        Where its length comes from: ``stated``, ``estimated`` from the returns, or ``assumed``.
+    """
+
+    kind: Kind
+    near: NDArray[np.float64]
+    far: NDArray[np.float64]
+    length_m: float
+    warnings: tuple[Remark, ...]
+    basis: Basis
+
+
+class _Edges(NamedTuple):
+    """Edges in one of the three representations, increasing along the beam.
+
+    ``scale`` is what a metre of slant range is worth in it; ``extent`` is slant.
+    """
+
+    name: str
+    scale: float
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    extent: float
+    supported: bool
+
+
+def fit_gate(
+    interval: NDArray[np.int64],
+    summary: NDArray[np.float64],
+    outside: NDArray[np.int32],
+    buffer_m: float,
+    gate_m: float | None,
+) -> Gate:
+    """Gate of each interval from the merged statistics of a flightline.
+
+    Parameters
+    ----------
+    interval : (m,) int64
+        Interval numbers, ascending; m >= 1.
+    summary, outside
+        As in :func:`~spl_batch.airborne.noise.line_statistics.observe`.
+    buffer_m : float
+        Largest buffer of the ladder [m].
+    gate_m : float or None
+        Slant length of the gate where it is known [m].
+    """
+    starts = np.flatnonzero(np.diff(interval // WINDOW_INTERVALS, prepend=interval[0] - 10**6))
+    column = dict(zip(SUMMARY, summary.T, strict=True))
+    tilt = float(np.mean(column["cosine"]))
+    half = buffer_m * BUFFER_LADDER[3]
+    noise = np.add.reduceat(outside[:, :, 3].sum(axis=1), starts)
+    candidates = [
+        _edges(("range", 1.0), starts, noise, half, (column["range_min"], column["range_max"])),
+        _edges(("height", tilt), starts, noise, half, (-column["z_max"], -column["z_min"])),
+        _edges(("surface", 1.0), starts, noise, half, (column["behind_min"], column["behind_max"])),
+    ]
+    # Equal within what chance does to an extreme: the physical one, slant range, wins.
+    best = candidates[0]
+    for other in candidates[1:]:
+        if other.extent < best.extent - max(2.0, 0.02 * best.extent):
+            best = other
+    size = np.diff(np.append(starts, len(interval)))
+    filled = _length_m(best, best.low, best.high, size)
+    if gate_m is None:
+        # Points whose noise somebody has removed fill no gate: their extent is the scene's,
+        # and taking it for a gate would call trees noise.
+        seen = best.supported and filled >= GATE_MIN_M
+    else:
+        seen = best.supported and _differ(filled, gate_m)
+    low, high = (best.low, best.high) if seen else _of_length(best, gate_m or GATE_ASSUMED_M)
+    length = _length_m(best, low, high, size)
+    basis = _basis(length, gate_m, seen=seen)
+    warnings = tuple(_remarks(length, gate_m, basis))
+    low, high = np.repeat(low, size), np.repeat(high, size)
+    if best.name == "height":
+        return Gate("height", -low, -high, length, warnings, basis)
+    if best.name == "surface":
+        low, high = low + column["signal_range"], high + column["signal_range"]
+    return Gate("range", low, high, length, warnings, basis)
+
+
+def _edges(
+    named: tuple[str, float],
+    starts: NDArray[np.int64],
+    noise: NDArray[np.int64],
+    half_m: float,
+    extremes: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> _Edges:
+    """Edges of each window; windows with little noise borrow from the flightline."""
+    low = np.minimum.reduceat(extremes[0], starts)
+    high = np.maximum.reduceat(extremes[1], starts)
+    extent = high - low
+    # Noise per metre, from the returns farther than half_m from the signal.
+    density = noise / np.maximum(extent - 2 * half_m, 0.2 * np.maximum(extent, 1.0))
+    shortfall = 1.0 / np.maximum(density, 1e-9)
+    supported = (noise >= 20) & (shortfall < 0.1 * extent)
+    if not supported.any():
+        slant = float(np.median(extent)) / named[1]
+        return _Edges(*named, low, high, slant, supported=False)
+    low, high = low - shortfall, high + shortfall
+    low[~supported] = np.median(low[supported])
+    high[~supported] = np.median(high[supported])
+    slant = float(np.median((high - low)[supported])) / named[1]
+    return _Edges(*named, low, high, slant, supported=True)
+
+
+def _length_m(
+    edges: _Edges, low: NDArray[np.float64], high: NDArray[np.float64], size: NDArray[np.int64]
+) -> float:
+    """Median slant length over intervals, of which each window has ``size`` [m]."""
+    return float(np.median(np.repeat(high - low, size))) / edges.scale
+
+
+def _differ(length_m: float, stated_m: float) -> bool:
+    return abs(length_m - stated_m) > 0.1 * stated_m
+
+
+def _of_length(edges: _Edges, gate_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Edges of a gate of this length, longer where nothing but returns tells of edges."""
+    middle = 0.5 * (edges.low + edges.high)
+    extent = edges.high - edges.low
+    half = np.maximum(0.5 * gate_m * edges.scale, 0.0 if edges.supported else 0.5 * extent)
+    return middle - half, middle + half
+
+
+def _basis(length_m: float, stated_m: float | None, *, seen: bool) -> Basis:
+    """Where the length comes from that everything else uses."""
+    if stated_m is None:
+        return "estimated" if seen else "assumed"
+    return "stated" if math.isclose(length_m, stated_m, rel_tol=1e-6) else "estimated"
+
+
+def _remarks(length_m: float, stated_m: float | None, basis: Basis) -> Iterator[Remark]:
+    """What to say of a gate, by the one length that everything else uses."""
+    if basis == "assumed":
+        text = (
+            "too few returns lie away from the surface to show the range gate, so "
+            f"{length_m:.0f} m is assumed; state acquisition.gate_m"
+        )
+        yield Remark(text, length_m)
+    elif stated_m is not None and _differ(length_m, stated_m):
+        text = (
+            f"the returns fill a gate of {length_m:.0f} m, not the {stated_m:.0f} m stated; "
+            f"{length_m:.0f} m is used"
+        )
+        yield Remark(text, abs(length_m - stated_m))

@@ -1,0 +1,136 @@
+"""First pass of the line noise density: statistics that stretches add up to.
+
+Source: [W17] 5.2.1. Everything is keyed on absolute interval numbers,
+``shot // interval_shots``, or is an integer count, so that parts merge in any order.
+
+Deviations: the peak is sought in pieces of an interval as short as its returns allow
+(relief), in a sliding window instead of the source's 1 m bins; several buffers are
+counted side by side, because how much the gate leaves is known only at the end; a
+return that follows another of its own beamlet within :data:`FOLLOWER_M` may be its
+afterpulse and is not counted (the length that returns blind is taken off the exposure).
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.shot_runs import blind_behind, lag_behind, run_starts
+from spl_batch.airborne.noise.noise_intervals import observe_intervals
+from spl_batch.airborne.settings import NoiseSettings
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
+
+BUFFER_LADDER: Final = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
+"""Buffers that are counted, as shares of ``noise.buffer_m``."""
+
+FOLLOWER_M: Final = 5.0
+"""Reach of afterpulses; [W17] ch. 7 finds nearly all within 2-3 m [m]."""
+
+PROFILE_BINS: Final = 2048
+"""1 m bins of the histogram of heights below the signal."""
+
+SUMMARY: Final = (
+    "signal_z", "signal_range", "cosine", "signal_sd", "range_min", "range_max",
+    "z_min", "z_max", "behind_min", "behind_max",
+)  # fmt: skip
+"""Columns of ``summary``, all in metres but the cosine."""
+
+_BY_INTERVAL: Final = (
+    "interval", "summary", "outside", "blinded", "returns", "beamlets", "shots", "first", "last",
+)  # fmt: skip
+
+
+def observe(
+    table: PointTable, beams: BeamTable, settings: NoiseSettings
+) -> dict[str, NDArray[Any]]:
+    """Statistics of one stretch.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by (gps_time, channel, ...).
+    beams : BeamTable
+        Their beams; rows without a known beam take no part.
+    settings : NoiseSettings
+        Interval, buffer and peak window.
+
+    Returns
+    -------
+    dict
+        ``interval`` (m,) int64; ``summary`` (m, 10) float64, see :data:`SUMMARY`;
+        ``outside`` (m, 2, b) int32, noise returns above and below each buffer, and
+        ``blinded`` (m, 2, b) float64 [m], the length in which none would have counted;
+        ``returns``, ``beamlets``, ``shots`` (m,) int64 seen; ``first``, ``last`` (m,) int64, shots
+        within the interval; ``by_channel`` (2, b, 256), ``seen_channel`` (256,) and
+        ``profile`` (:data:`PROFILE_BINS`,) int64.
+    """
+    rows = rows_of(beams.known)
+    table = table.take(rows)
+    range_m, cosine = beams.range_m[rows], -beams.direction[rows, 2]
+    shot, time, channel = table["shot"], table["gps_time"], table["channel"]
+    interval = np.floor_divide(shot, settings.interval_shots)
+    offset = shot - interval * settings.interval_shots
+    beamlet = run_starts(time, channel)
+    starts = run_starts(interval)
+    m, b = len(starts) - 1, len(BUFFER_LADDER)
+    lag = np.empty(len(table), dtype=np.float32)
+    blind = np.empty(len(table), dtype=np.float64)
+    lag_behind(beamlet, range_m, 0.0, FOLLOWER_M, lag)
+    blind_behind(beamlet, range_m, FOLLOWER_M, blind)
+    out: dict[str, NDArray[Any]] = {
+        "interval": interval[starts[:-1]],
+        "summary": np.zeros((m, len(SUMMARY))),
+        "outside": np.zeros((m, 2, b), dtype=np.int32),
+        "blinded": np.zeros((m, 2, b)),
+        "returns": np.diff(starts),
+        "by_channel": np.zeros((2, b, 256), dtype=np.int64),
+        "profile": np.zeros(PROFILE_BINS, dtype=np.int64),
+        "seen_channel": np.bincount(channel[beamlet[:-1]], minlength=256).astype(np.int64),
+        "beamlets": _runs_per_interval(beamlet, starts),
+        "shots": _runs_per_interval(run_starts(time), starts),
+        "first": offset[starts[:-1]],
+        "last": offset[starts[1:] - 1] if m else offset[:0],
+    }
+    # Sorted all at once: numpy does it with vector instructions, a kernel without.
+    order = lexicographic_order([np.repeat(np.arange(m), out["returns"]), table["z"]])
+    observe_intervals(
+        starts, table["z"] * QUANTUM_M, order, range_m, np.maximum(cosine, 0.1), offset, channel,
+        lag == 0, blind, settings.buffer_m * np.array(BUFFER_LADDER), settings.interval_shots,
+        settings.peak_m, out["summary"], out["outside"], out["blinded"], out["by_channel"],
+        out["profile"],
+    )  # fmt: skip
+    return out
+
+
+def _runs_per_interval(runs: NDArray[np.int64], starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Runs that begin in each interval; none spans two: (m,) int64."""
+    count: NDArray[np.int64] = np.diff(np.searchsorted(runs, starts)).astype(np.int64)
+    return count
+
+
+def merge(
+    parts: Sequence[dict[str, NDArray[Any]]],
+) -> dict[str, NDArray[Any]]:
+    """Join the statistics of a flightline's stretches, in any order.
+
+    Parameters
+    ----------
+    parts : sequence of dict
+        At least one result of :func:`observe` or of :func:`merge`; no interval in two.
+
+    Raises
+    ------
+    ValueError
+        If an interval is in two parts: a stretch was not cut between intervals.
+    """
+    interval = np.concatenate([p["interval"] for p in parts])
+    order = np.argsort(interval, kind="stable")
+    if np.any(np.diff(interval[order]) == 0):
+        raise ValueError("stretches of a flightline share an interval of shots")
+    merged = {k: np.concatenate([p[k] for p in parts])[order] for k in _BY_INTERVAL}
+    for name in ("by_channel", "seen_channel", "profile"):
+        merged[name] = np.sum([p[name] for p in parts], axis=0)
+    return merged

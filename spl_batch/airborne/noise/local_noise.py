@@ -1,0 +1,146 @@
+"""Expected background of the part of a voxel that is listened to, for testing points there.
+
+Domain: space. A deviation from [W18] Eq. 2, whose density is the mean of a whole voxel. A voxel
+that a gate's end, the edge of a flightline or the edge of a delivery cuts is partly silent. Its
+mean is too small for the points in it, which all lie on one side. So the density is found for each
+flightline on squares, 2.5 m wide in voxels of 10 m, and the flightlines add up:
+
+- The noise in a sphere over the beamlets that cross it is what one beamlet stands for. Over each
+  square the density is that times the beamlets there (``VoxelPart.squares``).
+- A count is believed as far as its Poisson error allows: first against the squares around it, then
+  against the mean of the voxel's squares that beamlets cross. Gaps of up to two squares between
+  those are closed, since few beamlets leave gaps without an edge.
+- A layer in which the gate ends counts as if it were listened to all through, up to the end
+  (:mod:`~spl_batch.airborne.noise.gate_ends`).
+
+Between the centres of squares, and of layers in which no gate ends, the density is linear. Beams
+lean, and the edges and ridges of the scan with them; so it follows them from layer to layer.
+``benchmarks/airborne/filter/null_edges.py`` prints the share along edges of surveys,
+``benchmarks/airborne/filter/null_calibration.py`` along sharp ones.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.noise.beamlet_counts import (
+    blurred,
+    joined,
+    of_spheres,
+    over_squares,
+    ratio,
+    unpack,
+)
+from spl_batch.airborne.noise.gate_ends import without_ends
+from spl_batch.airborne.noise.noise_interpolation import add_between
+
+DOMAIN: Final = "space"
+
+MARGIN_VOXELS: Final = 2
+"""Voxels on each side of a point's that its density depends on."""
+
+PRIOR: Final = 20.0
+"""Beamlets that the squares around are worth against a square's own, and the voxel's mean against
+both: chance leaves an error of at most 11 %, where as many tell [count]."""
+
+BLUR: Final = 4.0
+"""Weight of a square's own count against a neighbour's along an axis, where counts are blurred."""
+
+SURE: Final = 4.0
+"""Squares whose number of beamlets is as sure as a blurred one."""
+
+RIDGE: Final = 2.0
+"""Times that what a blur takes off a ridge is given back: blurring and linear interpolation both
+flatten the ridges that turning scans make along the edges of swaths."""
+
+LEAST: Final = 0.15
+"""Part of the density that is left at the edge of a flightline, within a square of it."""
+
+
+class Listened(NamedTuple):
+    """What one flightline listens to, ready to be asked at points.
+
+    Parameters
+    ----------
+    density : (4 nx, 4 ny, nz) float32
+        Noise over each square, as if the gate ended in no voxel [1/m3].
+    side : (nx, ny, nz) int8
+        1 in voxels that hold the gate's upper end, -1 the lower one, 0 others.
+    end : (nx, ny, nz) float32
+        Height of that end over the voxel's centre [voxels].
+    """
+
+    density: NDArray[np.float32]
+    side: NDArray[np.int8]
+    end: NDArray[np.float32]
+
+
+def listened(
+    amount: NDArray[np.int64], counts: NDArray[np.integer[Any]], voxel_m: float
+) -> Listened | None:
+    """What one flightline listens to; None where it does not come near.
+
+    Parameters
+    ----------
+    amount : (nx, ny, nz) int64
+        Sum of ``VoxelPart.amount`` of its stretches, :data:`MARGIN_VOXELS` wider on each
+        side than the voxels that will be asked for.
+    counts : (nx, ny, nz, 16) integer
+        Sum of ``VoxelPart.squares``.
+    voxel_m : float
+        Edge of a voxel [m].
+    """
+    if not counts.any():
+        return None
+    beamlets = unpack(counts)
+    covered = joined(np.logical_and, joined(np.logical_or, beamlets > 0))
+    gate = without_ends(amount, beamlets, voxel_m)
+    density = _believed(beamlets, covered)
+    density *= over_squares(gate.each)
+    return Listened(density, gate.side, gate.end)
+
+
+def around(
+    lines: Sequence[Listened],
+    voxel: tuple[NDArray[np.int64], ...],
+    square: tuple[NDArray[np.int64], ...],
+    offset: tuple[NDArray[np.float64], ...],
+) -> NDArray[np.float64]:
+    """Noise of all flightlines together at points: (n,) [1/m3].
+
+    Parameters
+    ----------
+    lines : sequence of Listened
+        All that come near.
+    voxel : three of (n,) int64
+        Index of each point's voxel.
+    square : two of (n,) int64
+        Index of its square: :data:`~spl_batch.airborne.noise.beamlet_counts.SQUARES` along each
+        edge of a voxel.
+    offset : three of (n,) float64
+        From the centre of the square, in squares, and of the voxel, in voxels [-0.5..0.5].
+    """
+    total = np.zeros(len(offset[0]))
+    for line in lines:
+        add_between(line.density, line.side, line.end, voxel, square, offset, LEAST, total)
+    return total
+
+
+def _believed(beamlets: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Beamlets over squares as far as chance lets their own counts tell; 0 beside covered ones."""
+    prior, inside = np.float32(PRIOR), covered.astype(np.float32)
+    area: NDArray[np.float32] = np.maximum(blurred(inside, BLUR), np.float32(1.0))
+    around: NDArray[np.float32] = inside * blurred(beamlets, BLUR) / area
+    ridge = around - blurred(around, BLUR) / area
+    own = beamlets / (beamlets + prior)
+    number = around + own * (beamlets - around + np.float32(RIDGE) * ridge)
+    np.maximum(number, np.float32(0.5) * around, out=number)
+    known = np.float32(SURE) * number
+    mean = over_squares(ratio(of_spheres(beamlets), of_spheres(covered)))
+    mean *= prior
+    mean += known * number
+    mean *= inside
+    mean /= known + prior
+    return mean

@@ -1,0 +1,323 @@
+"""Lengths of beamlets inside the spheres of a voxel lattice [W17 Eq. 5.2, 6.1; W18 Eq. 1].
+
+Every beamlet is reckoned relative to the voxel that holds its own return, so its chords
+come out the same to the last bit whatever else is deposited along with it.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.simd import LANES
+
+STEEP: Final = 0.7
+"""Vertical part of a direction from which a beam crosses a voxel's height in one square."""
+
+MOST: Final = 65535
+"""Beamlets at which the count of a square stops."""
+
+
+@njit(nogil=True, cache=True)
+def chord_length(
+    px: float, py: float, pz: float,
+    ux: float, uy: float, uz: float,
+    near: float, far: float, radius: float,
+) -> float:  # fmt: skip
+    """Length of a piece of a line inside a sphere around zero.
+
+    Parameters
+    ----------
+    px, py, pz : float
+        Point of the line, relative to the sphere's centre.
+    ux, uy, uz : float
+        Unit vector along the line.
+    near, far : float
+        Ends of the piece, along the line from the point.
+    radius : float
+        Radius of the sphere.
+    """
+    middle = -(px * ux + py * uy + pz * uz)
+    square = radius * radius - (px * px + py * py + pz * pz - middle * middle)
+    if square <= 0.0:
+        return 0.0
+    half = math.sqrt(square)
+    return max(0.0, min(middle + half, far) - max(middle - half, near))
+
+
+@njit(nogil=True, cache=True)
+def cover(
+    voxel: NDArray[np.int64],
+    point: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: float,
+    far: float,
+    edge: float,
+    radius: float,
+    squares: NDArray[np.uint16],
+) -> None:
+    """Count a beamlet in the squares that it crosses half-way up each layer that it listens in.
+
+    A square is a quarter of a voxel's edge wide. A layer is as high as its spheres: all that
+    adds to their amount counts, however little. Beams nearer to the horizontal than
+    :data:`STEEP` cross too many squares to tell by one; they count in the whole voxel.
+
+    Parameters
+    ----------
+    voxel, point, direction, near, far, edge, radius
+        As :func:`deposit_beamlet` takes them.
+    squares : (nx, ny, nz, 16) uint16
+        Beamlets in square (x, y) of a voxel at ``x * 4 + y``, at most :data:`MOST`.
+    """
+    along = direction[2]
+    if abs(along) < STEEP:
+        cover_whole(voxel, point, direction, near, far, edge, squares)
+        return
+    ends = (point[2] + near * along, point[2] + far * along)
+    half = 0.5 * edge
+    first = math.ceil((min(ends) - radius) / edge)
+    for layer in range(first, math.floor((max(ends) + radius) / edge) + 1):
+        t = (layer * edge - point[2]) / along
+        x = math.floor((point[0] + t * direction[0] + half) * (4.0 / edge))
+        y = math.floor((point[1] + t * direction[1] + half) * (4.0 / edge))
+        _count(squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer], x % 4 * 4 + y % 4)
+
+
+@njit(nogil=True, cache=True)
+def _count(counts, at):  # type: ignore[no-untyped-def]
+    if counts[at] < MOST:
+        counts[at] += np.uint16(1)
+
+
+@njit(nogil=True, cache=True)
+def cover_whole(
+    voxel: NDArray[np.int64],
+    point: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: float,
+    far: float,
+    edge: float,
+    squares: NDArray[np.uint16],
+) -> None:
+    """Count a beamlet in all squares of the voxels it passes; arguments as of :func:`cover`."""
+    steps = math.ceil((far - near) / (0.25 * edge))
+    index = np.full(3, -1, dtype=np.int64)
+    for k in range(steps + 1):
+        t = near + (far - near) * k / max(steps, 1)
+        same = True
+        for axis in range(3):
+            at = voxel[axis] + math.floor((point[axis] + t * direction[axis]) / edge + 0.5)
+            same &= at == index[axis]
+            index[axis] = at
+        if not same:
+            for square in range(16):
+                _count(squares[index[0], index[1], index[2]], square)
+
+
+@njit(nogil=True, cache=True)
+def deposit_beamlet(
+    voxel: NDArray[np.int64],
+    point: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: float,
+    far: float,
+    weight: float,
+    edge: float,
+    radius: float,
+    ordinal: int,
+    amount: NDArray[np.int64],
+    shots: NDArray[np.int64],
+    beamlets: NDArray[np.int64],
+    last_shot: NDArray[np.int64],
+    squares: NDArray[np.uint16],
+) -> None:
+    """Add one beamlet's chords to every sphere that it crosses.
+
+    Only spheres near the line are looked at: layer by layer along the axis that the line
+    follows most, those whose centre lies within ``radius / |u|`` of the line's place there.
+
+    Parameters
+    ----------
+    voxel : (3,) int64
+        Voxel of the return, relative to the corner of ``amount``.
+    point : (3,) float64
+        The return, relative to that voxel's centre [m].
+    direction : (3,) float64
+        Unit vector along the beam.
+    near, far : float
+        Ends of the gate along the beam, from the return [m].
+    weight : float
+        Fixed-point amount per metre of chord.
+    edge, radius : float
+        Edge of a voxel and radius of its sphere [m].
+    ordinal : int
+        Number of the beamlet's shot.
+    amount : (nx, ny, nz) int64
+        Added to.
+    shots, beamlets, last_shot : (nx, ny, nz) int64, or empty
+        Added to where not empty: shots and beamlets that touch each sphere.
+    squares : (nx, ny, nz, 16) uint16, or empty
+        Beamlets that cross each square, see :func:`cover`.
+    """
+    if squares.size:
+        cover(voxel, point, direction, near, far, edge, radius, squares)
+    axis = 2
+    for k in range(2):
+        if abs(direction[k]) > abs(direction[axis]):
+            axis = k
+    p, q = (axis + 1) % 3, (axis + 2) % 3
+    along = direction[axis]
+    reach = radius / abs(along)
+    ends = (point[axis] + near * along, point[axis] + far * along)
+    index = np.empty(3, dtype=np.int64)
+    for layer in range(
+        math.ceil((min(ends) - radius) / edge), math.floor((max(ends) + radius) / edge) + 1
+    ):
+        t = (layer * edge - point[axis]) / along
+        at_p, at_q = point[p] + t * direction[p], point[q] + t * direction[q]
+        index[axis] = voxel[axis] + layer
+        for i in range(math.ceil((at_p - reach) / edge), math.floor((at_p + reach) / edge) + 1):
+            index[p] = voxel[p] + i
+            for j in range(math.ceil((at_q - reach) / edge), math.floor((at_q + reach) / edge) + 1):
+                index[q] = voxel[q] + j
+                chord = chord_length(
+                    at_p - i * edge, at_q - j * edge, 0.0,
+                    direction[p], direction[q], along, near - t, far - t, radius,
+                )  # fmt: skip
+                if chord > 0.0:
+                    x, y, z = index[0], index[1], index[2]
+                    amount[x, y, z] += int(np.rint(weight * chord))
+                    if beamlets.size:
+                        beamlets[x, y, z] += 1
+                        if last_shot[x, y, z] != ordinal:
+                            last_shot[x, y, z] = ordinal
+                            shots[x, y, z] += 1
+
+
+@njit(nogil=True, cache=True)
+def steepness(edge: float, radius: float) -> float:
+    """Vertical part of a direction from which :func:`deposit_steep` measures every sphere.
+
+    ``sqrt(2) edge`` times the vertical part is the least distance at which a line sees the centres
+    of two spheres across from each other. A little more than ``2 radius`` leaves room for rounding.
+    """
+    return max(STEEP, 1.000001 * math.sqrt(2.0) * radius / edge)
+
+
+@njit(nogil=True, cache=True)
+def deposit_steep(
+    rows: NDArray[np.int64],
+    voxel: NDArray[np.int64],
+    point: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    edge: float,
+    radius: float,
+    amount: NDArray[np.int64],
+    squares: NDArray[np.uint16],
+) -> None:
+    """What :func:`deposit_beamlet` adds, to the last bit, for steep beams and with squares.
+
+    Of the spheres of a layer a line this steep can touch the four around it. Two of them that lie
+    across from each other are farther apart, seen along the line, than their radii together: of
+    each such pair it touches one at most, the one that it runs deeper in. Those two are measured
+    in each layer, without a branch, so that the compiler makes vector instructions of the loop;
+    what is nothing is added as zero. The loop goes on to a multiple of :data:`LANES`: layers left
+    over would be reckoned one by one, which took longer than all others together.
+
+    Parameters
+    ----------
+    rows : (s,) int64
+        Beamlets whose direction is nearest to the vertical axis, by at least :func:`steepness`.
+    voxel, point, direction, near, far, weight, edge, radius, amount, squares
+        As :func:`deposit_beamlets` takes them. The box reaches a voxel beyond all that a beam
+        touches.
+    """
+    _, ny, nz = amount.shape
+    amounts, counts = amount.reshape(-1), squares.reshape(-1)
+    room = nz + LANES
+    square, sphere = np.empty(room, np.uint64), np.empty((2, room), np.uint64)
+    adds = np.empty((2, room), np.int64)
+    half, per_edge, per_square = 0.5 * edge, 1.0 / edge, 4.0 / edge
+    for each in rows:
+        row = np.uint64(each)
+        ux, uy, along = direction[row, 0], direction[row, 1], direction[row, 2]
+        px, py, pz = point[row, 0], point[row, 1], point[row, 2]
+        i0, j0, k0 = voxel[row, 0], voxel[row, 1], voxel[row, 2]
+        # Named here: what stands in an array is read again after each store into another one.
+        start, stop, per_m = near[row], far[row], weight[row]
+        low, high = pz + start * along, pz + stop * along
+        if low > high:
+            low, high = high, low
+        first = math.ceil((low - radius) / edge)
+        layers = math.floor((high + radius) / edge) + 1 - first
+        for layer in range((layers + LANES - 1) // LANES * LANES):
+            t = ((first + layer) * edge - pz) / along
+            x, y = px + t * ux, py + t * uy
+            k = k0 + first + layer
+            i, j = np.floor((x + half) * per_square), np.floor((y + half) * per_square)
+            a, b = np.int64(i), np.int64(j)
+            at = ((i0 + (a >> 2)) * ny + j0 + (b >> 2)) * nz + k
+            square[layer] = at * 16 + (a & 3) * 4 + (b & 3)
+            i, j = np.floor(x * per_edge), np.floor(y * per_edge)
+            at = ((i0 + np.int64(i)) * ny + j0 + np.int64(j)) * nz + k
+            # Spheres (0, 0) and (1, 1) of the four, then (0, 1) and (1, 0).
+            for side in range(2):
+                dx, dy = x - i * edge, y - (j + side) * edge
+                middle = -(dx * ux + dy * uy)
+                rest = radius * radius - (dx * dx + dy * dy - middle * middle)
+                dx, dy = x - (i + 1) * edge, y - (j + (1 - side)) * edge
+                opposite = -(dx * ux + dy * uy)
+                left = radius * radius - (dx * dx + dy * dy - opposite * opposite)
+                turn = left > rest
+                middle = opposite if turn else middle
+                reach = math.sqrt(max(left if turn else rest, 0.0))
+                begin, end = middle - reach, middle + reach
+                begin = max(begin, start - t)
+                end = min(end, stop - t)
+                adds[side, layer] = np.int64(np.rint(per_m * max(end - begin, 0.0)))
+                sphere[side, layer] = at + (ny * nz + (1 - side) * nz if turn else side * nz)
+        for layer in range(layers):
+            amounts[sphere[0, layer]] += adds[0, layer]
+            amounts[sphere[1, layer]] += adds[1, layer]
+        for layer in range(layers):
+            _count(counts, square[layer])
+
+
+@njit(nogil=True, cache=True)
+def deposit_beamlets(
+    voxel: NDArray[np.int64],
+    point: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    edge: float,
+    radius: float,
+    ordinal: NDArray[np.int64],
+    amount: NDArray[np.int64],
+    shots: NDArray[np.int64],
+    beamlets: NDArray[np.int64],
+    squares: NDArray[np.uint16],
+) -> None:
+    """Add every beamlet; rows as the arguments of :func:`deposit_beamlet`."""
+    steep = np.zeros(len(weight), np.bool_)
+    least = steepness(edge, radius)
+    if squares.size and not beamlets.size:
+        for i in range(len(weight)):
+            across = max(abs(direction[i, 0]), abs(direction[i, 1]))
+            steep[i] = abs(direction[i, 2]) >= max(across, least)
+        deposit_steep(
+            np.flatnonzero(steep), voxel, point, direction, near, far, weight, edge, radius,
+            amount, squares,
+        )  # fmt: skip
+    last_shot = np.full(beamlets.shape, -1, dtype=np.int64)
+    for row in np.flatnonzero(~steep):
+        deposit_beamlet(
+            voxel[row], point[row], direction[row], near[row], far[row], weight[row], edge, radius,
+            ordinal[row], amount, shots, beamlets, last_shot, squares,
+        )  # fmt: skip

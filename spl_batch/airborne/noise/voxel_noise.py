@@ -1,0 +1,278 @@
+"""Expected background per voxel: the voxel-spherical model.
+
+Sources: [W17] Eq. 5.2-5.3, 6.1-6.2; [W18] Eq. 1-2.
+
+| symbol | name |
+|---|---|
+| r | :func:`sphere_radius_m` |
+| l_i | chord, :func:`~spl_batch.airborne.noise.voxel_chords.chord_length` |
+| n_u, n | ``VoxelPart.shots``, ``VoxelPart.beamlets`` |
+
+Deviations: silent beamlets are absent from the points; the published gamma counts a shot
+whose footprint merely touches the sphere as a whole one. By default the beamlets that are
+seen stand in for the silent ones of a few shots around them: what those shots listened to
+is shared out equally among them, so that a channel that is seen more often deposits no
+more. A beamlet counts once, however many returns it has; chords end at the gate. Where
+channels are not told apart, each return is a beamlet of its shot.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.rays import in_voxels, reach
+from spl_batch.airborne.beams.shot_runs import run_starts, share_out
+from spl_batch.airborne.noise.line_model import LineModel
+from spl_batch.airborne.noise.line_noise import gate_of, line_density
+from spl_batch.airborne.noise.voxel_chords import deposit_beamlets
+from spl_batch.airborne.settings import NoiseSettings
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tables import VOXEL_FIXED_POINT, BeamTable, PointTable, VoxelPart, rows_of
+from spl_batch.lattice.tiles import far_apart, quanta
+
+DOMAIN: Final = "time"
+
+FAR_Q: Final = 1_000_000
+"""Empty columns or rows of more than this divide a stretch's voxels into boxes [quanta]."""
+
+UNEVEN: Final = 1.15
+"""Densities of a voxel and one above or below it that differ by less have no gate's end between."""
+
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "shot")
+COLUMNS_ADDED: Final = ()
+
+
+def sphere_radius_m(voxel_m: float) -> float:
+    """Radius of the sphere with the volume of a voxel [m]: 6.2035 m for 10 m."""
+    return voxel_m * float(np.cbrt(3.0 / (4.0 * np.pi)))
+
+
+def deposit(
+    table: PointTable, beams: BeamTable, model: LineModel, settings: NoiseSettings
+) -> VoxelPart:
+    """One stretch's share of the noise expected in each voxel.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by (gps_time, channel, ...).
+    beams : BeamTable
+        Their beams; rows without a known beam deposit nothing.
+    model : LineModel
+        Noise of the flightline.
+    settings : NoiseSettings
+        Voxel and correction.
+
+    Returns
+    -------
+    VoxelPart
+        With ``shots`` and ``beamlets`` where the correction is "published", else with
+        ``squares``.
+    """
+    parts = deposit_apart(table, beams, model, settings, far_q=None)
+    if parts:
+        return parts[0]
+    empty = np.zeros((0, 0, 0), dtype=np.int64)
+    if settings.correction == "published":
+        return VoxelPart((0, 0, 0), empty, empty, empty)
+    return VoxelPart((0, 0, 0), empty, squares=np.zeros((0, 0, 0, 16), dtype=np.uint16))
+
+
+def deposit_apart(
+    table: PointTable,
+    beams: BeamTable,
+    model: LineModel,
+    settings: NoiseSettings,
+    far_q: int | None = FAR_Q,
+) -> list[VoxelPart]:
+    """The same as a box of voxels for each place of the stretch.
+
+    A single stray point would stretch one box over all that lies between.
+
+    Parameters
+    ----------
+    table, beams, model, settings
+        As in :func:`deposit`.
+    far_q : int, optional
+        Empty columns or rows of more than this divide a stretch [quanta]; without it all is one.
+
+    Returns
+    -------
+    list of VoxelPart
+        From west to east and south to north; none where no beamlet is known.
+    """
+    published = settings.correction == "published"
+    known = rows_of(beams.known)
+    table, beams = table.select(COLUMNS_NEEDED).take(known), beams.take(known)
+    if model.beamlets > 1:
+        rows = run_starts(table["gps_time"], table["channel"])[:-1]
+        table, beams = table.take(rows), beams.take(rows)
+    near, far = gate_of(table, beams, model)
+    usable = far > near
+    if not usable.all():
+        table, beams, near, far = table.take(usable), beams.take(usable), near[usable], far[usable]
+    near, far = near - beams.range_m, far - beams.range_m
+    if len(table) == 0:
+        return []
+    per_m = line_density(table, model) if published else seen_density(table, model)
+    places = np.column_stack((table["x"], table["y"]))
+    if far_q is None or (np.ptp(places, axis=0) <= far_q).all():
+        return [_in_one_box(table, beams, (near, far, per_m), settings)]
+    return [
+        _in_one_box(
+            table.take(rows), beams.take(rows), (near[rows], far[rows], per_m[rows]), settings
+        )
+        for rows in map(np.sort, far_apart(places, far_q))
+    ]
+
+
+def _in_one_box(
+    table: PointTable,
+    beams: BeamTable,
+    listened: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.floating[Any]]],
+    settings: NoiseSettings,
+) -> VoxelPart:
+    """What beamlets deposit in the voxels around all of them.
+
+    ``listened``: first and last place along each beamlet, from its point [m], and noise [1/m].
+    """
+    published = settings.correction == "published"
+    near, far, per_m = listened
+    edge = quanta(settings.voxel_m)
+    place = (table["x"], table["y"], table["z"])
+    direction = beams.direction
+    radius = sphere_radius_m(settings.voxel_m)
+    corner, shape = _box(*reach(place, QUANTUM_M, direction, near, far), settings.voxel_m)
+    voxel, relative = np.empty((len(table), 3), np.int64), np.empty((len(table), 3))
+    in_voxels(place, edge, corner, 0.5 * QUANTUM_M, voxel, relative)
+    amount = np.zeros(shape, dtype=np.int64)
+    counted = np.zeros((2, *(shape if published else (0, 0, 0))), dtype=np.int64)
+    squares = np.zeros((0, 0, 0, 16) if published else (*shape, 16), dtype=np.uint16)
+    shot = table["shot"]
+    if published:
+        shot = np.cumsum(np.diff(table["gps_time"], prepend=-np.inf) != 0)
+    deposit_beamlets(
+        voxel, relative, direction, near, far,
+        per_m.astype(np.float64) * VOXEL_FIXED_POINT, settings.voxel_m, radius, shot,
+        amount, counted[0], counted[1], squares,
+    )  # fmt: skip
+    first = (int(corner[0]), int(corner[1]), int(corner[2]))
+    if published:
+        return VoxelPart(first, amount, counted[0], counted[1])
+    return VoxelPart(first, amount, squares=squares)
+
+
+def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
+    """Noise per metre that each seen beamlet stands for, silent ones included.
+
+    Parameters
+    ----------
+    table : PointTable
+        One row per seen beamlet, in time order; needs ``shot``.
+    model : LineModel
+        Noise of the flightline.
+
+    Returns
+    -------
+    (n,) float64
+        Mean rate times beamlets fired over beamlets seen, within ``model.seen_shots``
+        shots [1/m].
+    """
+    shot = table["shot"]
+    row = model.row(shot)
+    fired, seen = np.empty((2, len(shot)), np.int64)
+    share_out(
+        shot, table["gps_time"], model.seen_shots, model.interval_shots, row,
+        model.first, model.last, fired, seen,
+    )  # fmt: skip
+    fired *= model.beamlets
+    density: NDArray[np.float64] = model.rate.take(row)
+    density *= fired
+    density /= seen
+    return density
+
+
+def _box(
+    low: NDArray[np.float64], high: NDArray[np.float64], voxel_m: float
+) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+    """Voxels that beamlets within a box can touch: first index and number along each axis."""
+    radius = sphere_radius_m(voxel_m)
+    # One voxel more on each side: candidates are looked at before they are measured.
+    corner = np.floor((low - 2 * radius) / voxel_m).astype(np.int64) - 1
+    stop = np.floor((high + 2 * radius) / voxel_m).astype(np.int64) + 2
+    size = stop - corner
+    return corner, (int(size[0]), int(size[1]), int(size[2]))
+
+
+def density(
+    amount: NDArray[np.int64],
+    settings: NoiseSettings,
+    *,
+    shots: NDArray[np.int64] | None = None,
+    beamlets: NDArray[np.int64] | None = None,
+    beamlets_per_shot: int = 100,
+) -> NDArray[np.float64]:
+    """Expected noise density of voxels from the sum of all parts [W18 Eq. 2].
+
+    Parameters
+    ----------
+    amount : ndarray of int64
+        Sum of ``VoxelPart.amount`` over all stretches of all flightlines.
+    settings : NoiseSettings
+        Voxel and correction.
+    shots, beamlets : ndarray of int64, optional
+        Sums of the other two; needed where the correction is "published".
+    beamlets_per_shot : int
+        The 100 of gamma = 100 n_u / n.
+
+    Returns
+    -------
+    ndarray of float64
+        Noise points per cubic metre, shaped like ``amount``.
+
+    Raises
+    ------
+    ValueError
+        If the published correction lacks its sums.
+    """
+    per_m3: NDArray[np.float64] = amount / (VOXEL_FIXED_POINT * settings.voxel_m**3)
+    if settings.correction == "seen":
+        return per_m3
+    if shots is None or beamlets is None:
+        raise ValueError("the published correction needs the sums of shots and of beamlets")
+    gamma = beamlets_per_shot * shots / np.maximum(beamlets, 1)
+    return per_m3 * gamma
+
+
+def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density of the part of each voxel that is listened to, for testing points in it, roughly.
+
+    For points that no flightline is known to cover, and for the published correction; others get
+    that of :mod:`~spl_batch.airborne.noise.local_noise`. A voxel that the end of a gate cuts holds
+    noise
+    and silence; its mean is too small for the points, which all lie on one side. Along the beams
+    the density changes nowhere else, so the largest of a voxel and its two vertical neighbours
+    stands for it. Differences below :data:`UNEVEN` are the beams' spread and chance, which are no
+    reason to expect more noise.
+
+    Parameters
+    ----------
+    per_m3 : (i, j, k) float64
+        Mean density of voxels, k upwards [1/m3].
+
+    Returns
+    -------
+    (i, j, k) float64
+        [1/m3]; a deviation from [W18] Eq. 2.
+    """
+    largest = tallest(per_m3)
+    return np.where(largest > UNEVEN * per_m3, largest, per_m3)
+
+
+def tallest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest of each voxel and those above and below: (i, j, k) float64, k upwards."""
+    out = values.copy()
+    np.maximum(out[:, :, 1:], values[:, :, :-1], out=out[:, :, 1:])
+    np.maximum(out[:, :, :-1], values[:, :, 1:], out=out[:, :, :-1])
+    return out

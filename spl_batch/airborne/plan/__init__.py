@@ -1,0 +1,1 @@
+"""Plan of an airborne survey: stretches, tiles, blocks, ground cells, tasks, cost."""

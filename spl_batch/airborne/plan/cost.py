@@ -1,0 +1,184 @@
+"""What a run will do and cost: stretches, tiles, blocks, tasks, disk, memory, time."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan import reference_tasks
+from spl_batch.airborne.plan.block_layout import CORE_COST
+from spl_batch.airborne.plan.block_size import choose_sizes, count_blocks
+from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.halo import halo_m
+from spl_batch.airborne.plan.inputs.survey_inputs import Source
+from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import Need, needs
+from spl_batch.airborne.products.product_table import PRODUCTS
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.tasks.index import parts_of
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.plan.budget import Cost, measured_rates
+from spl_batch.lattice import density
+from spl_batch.lattice.density import Box, Piece
+from spl_batch.lattice.tiles import Bounds
+
+STORE_BYTES_PER_POINT: Final = 60
+"""Working store, all of it [byte]."""
+
+DELIVERED_BYTES_PER_POINT: Final = 12
+"""Classified LAZ [byte]."""
+
+REFERENCE_BYTES_PER_POINT: Final = 35
+"""A point of the reference in the working store while its file is cut into squares [byte]."""
+
+MUCH_READ: Final = 1.35
+"""Points that blocks read, over those of the survey, from which on a plan looks for a memory limit
+with which they read less."""
+
+RATES_POINTS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
+    {
+        "index": 2.2e6,
+        "shots": 4.0e6,
+        "shuffle": 1.4e6,
+        "denoise": 0.44e6,
+        "ground": 2.0e6,
+        "surfaces": 1.7e6,
+        "deliver": 7.0e6,
+        "report": 0.5e6,
+    }
+)
+"""Points per second and worker until a store has measured its own, those of ``denoise`` without the
+halos that blocks read, those of ``report`` of the reference; ``benchmarks/airborne/end_to_end.py``,
+two workers, 53 % noise, and a little less."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurveyCost(Cost):
+    """What a run on an airborne survey will do, and what it is expected to cost.
+
+    Parameters
+    ----------
+    stretches, tiles, blocks, cells : int
+        Stretches of flightlines, tiles, denoise blocks and ground cells [count].
+    block_tiles : int
+        Tiles along the longest side of a block [count].
+    block_reads : float
+        Points that all blocks read, halos included, over those of the survey.
+    roomier : tuple of (int, float), optional
+        Where blocks read much: a memory limit of twice or four times the bytes with which they
+        read less than :data:`MUCH_READ`, and what they read then.
+    halo_m : float
+        Halo of a block, the sum of the reaches of the filter's steps [m].
+    """
+
+    stretches: int
+    tiles: int
+    blocks: int
+    cells: int
+    block_tiles: int
+    block_reads: float
+    roomier: tuple[int, float] | None
+    halo_m: float
+
+
+def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
+    """Cost of a survey whose files spread their points evenly over their bounding boxes.
+
+    Parameters
+    ----------
+    survey : Survey
+        Inputs and limits.
+    context : Context, optional
+        Where measured rates may lie.
+    """
+    workflow, sources = survey.workflow, survey.inputs.sources
+    points = sum(s.facts.n_points for s in sources)
+    boxes = [_box(source) for source in sources]
+    pieces = list(density.from_boxes(boxes, survey.tile_q))
+    limits = workflow, survey.memory_bytes
+    sizes = survey.remembered if workflow.tiling.block_tiles is None else None
+    sizes = sizes or choose_sizes(pieces, *limits, survey.workers)
+    blocks = count_blocks(pieces, *limits, sizes)
+    tiles = sum(piece.units(survey.tile_q) for piece in pieces)
+    cells = _ground_cells(boxes, workflow)
+    stretches = sum(-(-s.facts.n_points // survey.stretch_points) for s in sources)
+    heaviest = _heaviest(survey, pieces, boxes)
+    typical = {
+        **RATES_POINTS_PER_S,
+        "denoise": RATES_POINTS_PER_S["denoise"] * CORE_COST / (CORE_COST - 1 + blocks.read),
+    }
+    rates, measured = measured_rates(typical, context)
+    compared = sum(facts.n_points for facts in survey.inputs.reference)
+    work = {stage: compared if stage == "report" else points for stage in rates}
+    delivered = len(sources) + (tiles if workflow.outputs.tiles != "none" else 0)
+    # every file is indexed, a large one by parts, and most likely is a flightline; each stretch is
+    # gathered and scattered; without a trajectory flightlines have a heading and a path, and
+    # stretches are observed after that
+    tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered
+    tasks += len(PRODUCTS)
+    tasks += sum(parts_of(source.facts.n_points) for source in sources)
+    tasks += len(survey.inputs.reference) + reference_tasks.squares(survey)
+    if survey.filtering:
+        tasks += 1 if survey.inputs.trajectory else 2 * len(sources) + stretches
+    return SurveyCost(
+        points=points,
+        stretches=stretches,
+        tiles=tiles,
+        blocks=blocks.blocks,
+        cells=cells,
+        block_tiles=blocks.tiles,
+        block_reads=blocks.read,
+        roomier=_roomier(survey, pieces) if blocks.read > MUCH_READ else None,
+        halo_m=halo_m(workflow),
+        tasks=tasks,
+        disk_bytes=points * (STORE_BYTES_PER_POINT + DELIVERED_BYTES_PER_POINT)
+        + compared * REFERENCE_BYTES_PER_POINT,
+        memory_bytes=heaviest.memory_bytes,
+        heaviest=heaviest.task,
+        remedy=heaviest.remedy,
+        stages_s={stage: work[stage] / rate for stage, rate in rates.items()},
+        workers=survey.workers,
+        measured=measured,
+    )
+
+
+def _roomier(survey: Survey, pieces: Sequence[Piece]) -> tuple[int, float] | None:
+    """A memory limit with which blocks read less, and what they read then."""
+    if survey.workflow.tiling.block_tiles is not None or survey.remembered is not None:
+        return None  # blocks stay as they are
+    for memory_bytes in (2 * survey.memory_bytes, 4 * survey.memory_bytes):
+        limits = survey.workflow, memory_bytes
+        sizes = choose_sizes(pieces, *limits, survey.workers)
+        read = count_blocks(pieces, *limits, sizes).read
+        if read <= MUCH_READ:
+            return memory_bytes, read
+    return None
+
+
+def _box(source: Source) -> Box:
+    """Bounding box of a file on the lattice."""
+    west, south = (math.floor(v * QUANTA_PER_M) for v in source.facts.mins_m[:2])
+    east, north = (math.floor(v * QUANTA_PER_M) + 1 for v in source.facts.maxs_m[:2])
+    return Box(Bounds(west, south, east, north), source.facts.n_points)
+
+
+def _ground_cells(boxes: Sequence[Box], workflow: Workflow) -> int:
+    """Ground cells that hold points [count]."""
+    cells = GroundCells.of_workflow((box.bounds for box in boxes), workflow)
+    kept = (box._replace(bounds=cells.kept(box.bounds)) for box in boxes)
+    return sum(piece.units(cells.edge) for piece in density.from_boxes(kept, cells.edge))
+
+
+def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> Need:
+    inputs = survey.inputs
+    found: Iterable[Need] = needs(
+        pieces,
+        survey.workflow,
+        survey.stretch_points,
+        points=sum(s.facts.n_points for s in inputs.sources),
+        boxes=boxes,
+        trajectory=inputs.trajectory,
+    )
+    return max(found, key=lambda need: need.memory_bytes)

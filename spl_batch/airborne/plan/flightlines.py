@@ -1,0 +1,211 @@
+"""Flightlines and stretches, from what the index stage found in each file."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spl_batch.airborne.plan.task_memory import STRETCH_POINTS, UNEVEN
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.tasks.return_rate import most_points
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.lattice.tables import ShotClock
+
+FALLBACK_PRF_HZ = 50_000.0
+"""Pulse rate where neither the workflow nor the data tell one [Hz]."""
+
+
+STEPS = 8
+"""Steps of a span of time in which parts of it are told apart [count]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flightline:
+    """One pass: a point source id, between two long pauses.
+
+    Parameters
+    ----------
+    name : str
+        Point source id and the second in which it begins.
+    psid : int
+        Point source id.
+    first_s, last_s : float
+        Times of its first and last return [s].
+    points : int
+        Returns with a valid time [count].
+    clock : ShotClock
+        Its absolute shot grid.
+    prf_basis : str
+        ``given``, ``estimated`` or ``assumed``.
+    sources : tuple of str
+        Keys of the files that hold it.
+    stretch_shots : int
+        Shots of a stretch [count].
+    """
+
+    name: str
+    psid: int
+    first_s: float
+    last_s: float
+    points: int
+    clock: ShotClock
+    prf_basis: str
+    sources: tuple[str, ...]
+    stretch_shots: int
+
+    def stretches(self) -> Iterable[tuple[str, int]]:
+        """Names and numbers of its stretches."""
+        first = self._shot(self.first_s) // self.stretch_shots
+        last = self._shot(self.last_s) // self.stretch_shots
+        for k in range(first, last + 1):
+            yield f"{self.name}/{k}", k
+
+    def window_s(self, k: int) -> tuple[float, float]:
+        """Time span that surely holds every shot of a stretch [s]."""
+        low, high = k * self.stretch_shots - 1, (k + 1) * self.stretch_shots + 1
+        return (
+            self.clock.t0_s + low / self.clock.prf_hz,
+            self.clock.t0_s + high / self.clock.prf_hz,
+        )
+
+    def _shot(self, time_s: float) -> int:
+        return round((time_s - self.clock.t0_s) * self.clock.prf_hz)
+
+
+def is_timeless(receipt: Receipt, workflow: Workflow) -> bool:
+    """Whether a file's points have no time to speak of: none, or all the same one."""
+    facts = receipt.facts
+    if not facts["points"]:
+        return False
+    if not facts["spans"]:
+        return True
+    a_shot = points_of_a_shot(workflow)
+    spans = [span for spans in facts["spans"].values() for span in spans]
+    return all(first == last and points > a_shot for first, last, points in spans)
+
+
+def points_of_a_shot(workflow: Workflow) -> int:
+    """Points that one shot may have: more than these of one time have none to speak of [count]."""
+    return workflow.sensor.beamlets * 8 if workflow.survey.channel_dimension else 64
+
+
+def find_flightlines(
+    receipts: Mapping[str, Receipt], workflow: Workflow, stretch_points: int = STRETCH_POINTS
+) -> list[Flightline]:
+    """Flightlines of a survey, by name.
+
+    Parameters
+    ----------
+    receipts : mapping of str to Receipt
+        Index receipts by source key.
+    workflow : Workflow
+        The settings.
+    stretch_points : int
+        Points that a stretch should hold on average [count]; none holds more than
+        :data:`~spl_batch.airborne.plan.task_memory.UNEVEN` times as many, however unevenly they lie
+        in time.
+    """
+    spans: dict[int, list[tuple[float, float, int, str]]] = {}
+    for key, receipt in sorted(receipts.items()):
+        if is_timeless(receipt, workflow):
+            continue
+        for psid, listed in receipt.facts["spans"].items():
+            spans.setdefault(int(psid), []).extend((a, b, n, key) for a, b, n in listed)
+    lines: list[Flightline] = []
+    for psid, listed in sorted(spans.items()):
+        lines.extend(
+            _flightline(psid, lift, receipts, workflow, stretch_points)
+            for lift in _lifts(sorted(listed), workflow.survey.gap_s)
+        )
+    return lines
+
+
+def _lifts(
+    spans: list[tuple[float, float, int, str]], gap_s: float
+) -> list[list[tuple[float, float, int, str]]]:
+    """Spans, sorted by start, put together where they lie no farther apart than the gap."""
+    lifts: list[list[tuple[float, float, int, str]]] = []
+    end = -math.inf
+    for span in spans:
+        if span[0] - end > gap_s:
+            lifts.append([])
+        lifts[-1].append(span)
+        end = max(end, span[1])
+    return lifts
+
+
+def _flightline(
+    psid: int,
+    lift: list[tuple[float, float, int, str]],
+    receipts: Mapping[str, Receipt],
+    workflow: Workflow,
+    stretch_points: int,
+) -> Flightline:
+    first, last = lift[0][0], max(span[1] for span in lift)
+    points = sum(span[2] for span in lift)
+    prf, basis = _prf(psid, lift, receipts, workflow)
+    clock = ShotClock(float(math.floor(first)), prf)
+    shots = max(round((last - first) * prf), 1)
+    interval = workflow.noise.interval_shots
+    wanted = shots * stretch_points / points / interval
+    stretch = interval * 2 ** max(math.floor(math.log2(max(wanted, 1.0))), 0)
+    rates = [(a, b, receipts[key].facts["fullest"][str(psid)]) for a, b, _, key in lift]
+    start, end = clock.shot(np.array([first, last])).tolist()
+    while stretch > interval and start // (stretch // 2) == end // (stretch // 2):
+        stretch //= 2  # one that holds all of it is the same, however much memory there is
+    while stretch > interval and fullest_span(rates, stretch / prf) > UNEVEN * stretch_points:
+        stretch //= 2
+    return Flightline(
+        f"{psid:05d}_{math.floor(first)}",
+        psid,
+        first,
+        last,
+        points,
+        clock,
+        basis,
+        tuple(sorted({span[3] for span in lift})),
+        stretch,
+    )
+
+
+def fullest_span(files: Sequence[tuple[float, float, Sequence[int]]], span_s: float) -> int:
+    """Points that a span of time holds at the most, whatever it begins with [count].
+
+    Parameters
+    ----------
+    files : sequence of (float, float, sequence of int)
+        Of each file of a flightline: first and last time [s], and
+        :meth:`~spl_batch.airborne.tasks.return_rate.Rate.fullest`.
+    span_s : float
+        Its length [s].
+    """
+    # Files that follow each other share a span: each is looked at with its own part of it,
+    # and that part is known to a step.
+    step = span_s / STEPS
+    edges = {edge for first, last, _ in files for edge in (first, last)}
+    starts = {edge - k * step for edge in edges for k in range(STEPS + 1)}
+    return max(
+        sum(
+            most_points(rate, min(min(last, start + span_s) - max(first, start) + step, span_s))
+            for first, last, rate in files
+            if first <= start + span_s + step and last >= start - step
+        )
+        for start in starts
+    )
+
+
+def _prf(
+    psid: int,
+    lift: list[tuple[float, float, int, str]],
+    receipts: Mapping[str, Receipt],
+    workflow: Workflow,
+) -> tuple[float, str]:
+    """Pulse rate: given, else what the file with most points of the line shows."""
+    if workflow.sensor.prf_hz is not None:
+        return workflow.sensor.prf_hz, "given"
+    for _, _, _, key in sorted(lift, key=lambda span: (-span[2], span[3])):
+        found = receipts[key].facts["prf_hz"].get(str(psid))
+        if found:
+            return float(found), "estimated"
+    return FALLBACK_PRF_HZ, "assumed"

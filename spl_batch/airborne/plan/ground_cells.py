@@ -1,0 +1,180 @@
+"""Ground cells: squares of an absolute grid, of which those at a survey's edge own a strip more.
+
+A TIN is known where its surroundings are, so each square is read with a buffer. Where a survey
+enters a column or a row of squares by no more than that buffer, the next one reads all of it
+anyway, and owns it too: alone a strip costs as much as the buffer along it.
+
+What the survey reaches is told by the bounding boxes of its files, so that tiles and blocks are
+free to lie as they like.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+
+from spl_batch.airborne.plan.space_units import Unit, unit_within
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.lattice.density import Box, Peak, largest
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, grow, quanta
+
+MOST_ACROSS: Final = 500
+"""Raster cells along a square up to which strips are joined [count]: rasters of a joined cell are
+made for whole squares, nine of them where a survey is one square with strips all round."""
+
+
+def strip_q(workflow: Workflow) -> int:
+    """Width up to which a strip belongs to the cell beside it [quanta]."""
+    across = quanta(workflow.ground.cell_m) // quanta(workflow.products.cell_m)
+    return quanta(workflow.ground.buffer_m) if across <= MOST_ACROSS else 0
+
+
+class GroundCells(NamedTuple):
+    """Ground cells of a survey.
+
+    Parameters
+    ----------
+    edge : int
+        Edge of a square [quanta].
+    low, high : CellId
+        First and last column and row of squares that are cells by themselves.
+    reached : Bounds
+        What all cells own together, whole squares [quanta].
+    """
+
+    edge: int
+    low: CellId
+    high: CellId
+    reached: Bounds
+
+    @classmethod
+    def of_boxes(cls, boxes: Iterable[Sequence[int]], edge: int, strip: int) -> Self:
+        """Cells of a survey.
+
+        Parameters
+        ----------
+        boxes : iterable of (xmin, ymin, xmax, ymax)
+            Bounding boxes of its files, half-open [quanta].
+        edge, strip : int
+            Edge of a square, and width up to which a strip is joined [quanta].
+        """
+        corners = list(zip(*boxes, strict=True)) or [(0,), (0,), (1,), (1,)]
+        columns = _axis(min(corners[0]), max(corners[2]), edge, strip)
+        rows = _axis(min(corners[1]), max(corners[3]), edge, strip)
+        west, east, low_i, high_i = columns
+        south, north, low_j, high_j = rows
+        reached = Bounds(west * edge, south * edge, (east + 1) * edge, (north + 1) * edge)
+        return cls(edge, CellId(low_i, low_j), CellId(high_i, high_j), reached)
+
+    @classmethod
+    def of_workflow(cls, boxes: Iterable[Sequence[int]], workflow: Workflow) -> Self:
+        """Cells of a survey, as its workflow says; see :meth:`of_boxes`."""
+        return cls.of_boxes(boxes, quanta(workflow.ground.cell_m), strip_q(workflow))
+
+    @property
+    def alone(self) -> Bounds:
+        """Squares that are cells by themselves [quanta]."""
+        east, north = self.high.i + 1, self.high.j + 1
+        corners = self.low.i, self.low.j, east, north
+        return Bounds(*(corner * self.edge for corner in corners))
+
+    def keeper(self, square: CellId) -> CellId:
+        """Cell that owns a square of the grid."""
+        return CellId(
+            min(max(square.i, self.low.i), self.high.i), min(max(square.j, self.low.j), self.high.j)
+        )
+
+    def core(self, cell: CellId) -> Bounds:
+        """What a cell owns, whole squares [quanta]."""
+        alone = cell_bounds(cell, self.edge)
+        return Bounds(
+            alone.xmin if cell.i > self.low.i else self.reached.xmin,
+            alone.ymin if cell.j > self.low.j else self.reached.ymin,
+            alone.xmax if cell.i < self.high.i else self.reached.xmax,
+            alone.ymax if cell.j < self.high.j else self.reached.ymax,
+        )
+
+    def squares(self, cell: CellId) -> Iterator[CellId]:
+        """Squares that a cell owns, row by row."""
+        return cells_touching(self.core(cell), self.edge)
+
+    def kept(self, region: Bounds) -> Bounds:
+        """The same region without strips: it shares area with the cells that own its squares."""
+        alone = self.alone
+        return Bounds(
+            min(max(region.xmin, alone.xmin), alone.xmax - 1),
+            min(max(region.ymin, alone.ymin), alone.ymax - 1),
+            max(min(region.xmax, alone.xmax), alone.xmin + 1),
+            max(min(region.ymax, alone.ymax), alone.ymin + 1),
+        )
+
+    def fullest_joined(self, boxes: Sequence[Box], reach: int) -> Peak:
+        """The cell with a strip that reads most, of points that spread evenly over boxes.
+
+        Parameters
+        ----------
+        boxes : sequence of Box
+            Bounding boxes of files and their points.
+        reach : int
+            What a cell reads around its core [quanta].
+        """
+        bounds = np.array([box.bounds for box in boxes], np.float64).reshape(-1, 4)
+        points = np.array([box.points for box in boxes])
+        sides = np.maximum(bounds[:, 2:] - bounds[:, :2], 1.0)
+        found = []
+        for cell in self._rim():
+            core = self.core(cell)
+            near = np.array(grow(core, reach), np.float64)
+            shared = np.minimum(bounds[:, 2:], near[2:]) - np.maximum(bounds[:, :2], near[:2])
+            parts = (np.maximum(shared, 0.0) / sides).prod(axis=1)
+            found.append(Peak(float(parts @ points), core))
+        return largest(found)
+
+    def _rim(self) -> Iterator[CellId]:
+        """Cells that own more than their square."""
+        first, last = self.low, self.high
+        for j in range(first.j, last.j + 1):
+            outer = j in {first.j, last.j}
+            for i in range(first.i, last.i + 1) if outer else sorted({first.i, last.i}):
+                if self.core(CellId(i, j)) != cell_bounds(CellId(i, j), self.edge):
+                    yield CellId(i, j)
+
+    def units(self, counts: Mapping[CellId, int], tile_q: int, halo_q: int) -> Iterator[Unit]:
+        """Cells that share area with a tile, with what they read; in their order.
+
+        Parameters
+        ----------
+        counts : mapping of CellId to int
+            Points by tile.
+        tile_q, halo_q : int
+            Edge of a tile, and what a cell reads around its core [quanta].
+        """
+        touched = {cell for tile in counts for cell in self._of_tile(tile, tile_q)}
+        for cell in sorted(touched):
+            yield unit_within(self.core(cell), counts, tile_q, halo_q, (str(cell), cell))
+
+    def owners(
+        self, tiles: Iterable[CellId], tile_q: int, done: Mapping[str, Receipt]
+    ) -> dict[CellId, list[str]]:
+        """Finished cells that may hold labels of each tile, by tile."""
+        return {
+            tile: [str(cell) for cell in self._of_tile(tile, tile_q) if str(cell) in done]
+            for tile in tiles
+        }
+
+    def _of_tile(self, tile: CellId, tile_q: int) -> Iterable[CellId]:
+        """Cells that share area with a tile, each once."""
+        squares = cells_touching(cell_bounds(tile, tile_q), self.edge)
+        return dict.fromkeys(map(self.keeper, squares))
+
+
+def _axis(first: int, past: int, edge: int, strip: int) -> tuple[int, int, int, int]:
+    """First and last column that a survey reaches, and those that are cells by themselves."""
+    west, east = first // edge, (past - 1) // edge
+    low, high = west, east
+    if low < high and (low + 1) * edge - first <= strip:
+        low += 1
+    if low < high and past - high * edge <= strip:
+        high -= 1
+    return west, east, low, high

@@ -1,0 +1,20 @@
+"""Halo of each unit: how far beyond what it owns a block or a ground cell reads.
+
+A chain of neighbourhood steps is exact at a seam only with the sum of their reaches. Each step
+says its own reach; tasks carry the halo in their arguments.
+"""
+
+from spl_batch.airborne.filter import denoise
+from spl_batch.airborne.products import surface_rasters
+from spl_batch.airborne.products.reflectance import reflectance
+from spl_batch.airborne.settings.workflow import Workflow
+
+
+def halo_m(workflow: Workflow) -> float:
+    """Halo of a denoise block: the sum of the reaches of the filter's steps [m]."""
+    return denoise.reach_m(workflow.filter)
+
+
+def surface_reach_m(workflow: Workflow) -> float:
+    """Margin that a ground cell's rasters read [m]."""
+    return max(surface_rasters.reach_m(workflow.products), reflectance.reach_m(workflow.products))

@@ -1,0 +1,62 @@
+"""Which dimension seems to hold the beamlet numbers where the workflow names none."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Final
+
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.errors import named
+from spl_batch.formats.las.number_dimensions import Numbers
+
+POINTS_A_BEAMLET: Final = 20
+"""Points of a beamlet, on average, from which on all that work have some [count]."""
+
+BEAMLETS_MIN: Final = 10
+"""With fewer beamlets many a dimension holds as many different numbers by accident [count]."""
+
+LIVE_SHARE: Final = 0.95
+"""Share of the beamlets that must be seen; a few channels may be dead."""
+
+UNEVEN: Final = 5.0
+"""A beamlet has at most so many times the mean number of returns; intensities are less even."""
+
+
+def are_beamlets(numbers: Numbers, sensor: Sensor) -> bool:
+    """Whether a dimension holds the numbers of all beamlets, counted from 0 or from 1."""
+    beamlets = sensor.beamlets
+    enough = beamlets >= BEAMLETS_MIN and numbers.points >= POINTS_A_BEAMLET * beamlets
+    within = numbers.high < beamlets or (numbers.low >= 1 and numbers.high == beamlets)
+    all_of_them = numbers.different >= LIVE_SHARE * beamlets
+    even = numbers.most * numbers.different <= UNEVEN * numbers.points
+    return enough and within and all_of_them and even
+
+
+def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor) -> tuple[str, ...]:
+    """Propose the dimension that holds the beamlet numbers of most files, in one sentence.
+
+    Parameters
+    ----------
+    files : mapping of str to mapping of str to Numbers
+        What each dimension of each file holds, by their names.
+    sensor : Sensor
+        The instrument.
+    """
+    like = {
+        name: {key: one for key, one in held.items() if are_beamlets(one, sensor)}
+        for name, held in sorted(files.items())
+    }
+    votes = Counter(key for held in like.values() for key in held)
+    if not votes:
+        return ()
+    chosen = max(votes, key=lambda key: (votes[key], key == "user_data", key))
+    ranges: dict[str, list[str]] = {}
+    for name, held in like.items():
+        if chosen in held:
+            ranges.setdefault(f"{held[chosen].low} to {held[chosen].high}", []).append(name)
+    listed = " and ".join(f"{span} in {named(names, 3)}" for span, names in ranges.items())
+    text = (
+        f"survey.channel_dimension is not set, but {chosen} holds {listed}, as the "
+        f"{sensor.beamlets} beamlets of {sensor.name} are numbered; without it each shot counts "
+        f"as one beamlet: write `channel_dimension: {chosen}` under survey"
+    )
+    return (text,)

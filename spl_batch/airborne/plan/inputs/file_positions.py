@@ -1,0 +1,150 @@
+"""Whether the files of a survey lie where files of one survey can lie, as far as headers tell."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.errors import InputError, grouped, named
+from spl_batch.formats.crs import LIKE_DEGREES, look_like_degrees
+from spl_batch.formats.las.reader import LasFacts
+
+FAR_M: Final = 10_000.0
+"""Gap up to which parts belong to a survey however short its files are [m]: groups of flightlines
+and sample plots lie some kilometres apart."""
+
+LONGEST_M: Final = 300_000.0
+"""Extent of a file beyond which some of its points lie astray, however many it holds [m]."""
+
+FEWEST_PER_M: Final = 1.0
+"""Points per metre of a long file below which some of them lie astray [1/m]."""
+
+THINNEST: Final = 1e-3
+"""The same for points over the bounding box, as a share of the other files' median."""
+
+TOLD: Final = 3
+"""Parts, or files, that get a sentence of their own [count]."""
+
+
+def without_degrees(
+    files: Sequence[LasFacts], stated: str | None
+) -> tuple[list[LasFacts], list[InputError]]:
+    """Take out files that carry no CRS and whose coordinates look like degrees.
+
+    Parameters
+    ----------
+    files : sequence of LasFacts
+        Headers of a survey.
+    stated : str, optional
+        CRS that its workflow states; with it every file is taken at the user's word.
+
+    Returns
+    -------
+    list of LasFacts
+        The others.
+    list of InputError
+        One for each that looks like degrees.
+    """
+    silent = [f for f in files if stated is None and f.crs is None and f.n_points]
+    alike = [facts for facts in silent if look_like_degrees(facts.mins_m, facts.maxs_m)]
+    corners = [corner[:2] for facts in alike for corner in (facts.mins_m, facts.maxs_m)]
+    found = {f.path for f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)}
+    text = f"{LIKE_DEGREES}, or set survey.crs"
+    bad = [InputError(str(facts.path), text) for facts in alike if facts.path in found]
+    return [facts for facts in files if facts.path not in found], bad
+
+
+def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
+    """Sentences on points far from the rest of a survey, the farthest first.
+
+    Two kinds: a file whose own points span more than a flight does, and files that lie
+    farther from all others than any file is long.
+
+    Parameters
+    ----------
+    files : sequence of (str, LasFacts)
+        Name and header of each file.
+    """
+    held = [(name, facts) for name, facts in files if facts.n_points]
+    if not held:
+        return
+    boxes = np.array([(*facts.mins_m[:2], *facts.maxs_m[:2]) for _, facts in held])
+    points = np.array([facts.n_points for _, facts in held], np.float64)
+    wide = _too_wide(boxes, points)
+    length_m = _sides(boxes).max(axis=1)
+    for k in sorted(np.flatnonzero(wide).tolist(), key=lambda k: -length_m[k])[:TOLD]:
+        yield (
+            f"{held[k][0]}: its {grouped(points[k])} points span {grouped(length_m[k] / 1000)} km; "
+            "some of them must lie astray: check its CRS and coordinates"
+        )
+    more = int(np.count_nonzero(wide)) - TOLD
+    if more > 0:
+        yield f"{grouped(more)} more files span too much for their points: check them as well"
+    rest = np.flatnonzero(~wide)
+    yield from _distant([held[k][0] for k in rest.tolist()], boxes[rest], points[rest])
+
+
+def _too_wide(boxes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Files whose boxes are so large for their points that some must lie far from the others."""
+    sides = np.maximum(_sides(boxes), 1.0)
+    length, per_m2 = sides.max(axis=1), points / sides.prod(axis=1)
+    wide = (length > LONGEST_M) | (points < FEWEST_PER_M * length)
+    if len(boxes) > 2:  # of two, the other may be the odd one
+        wide |= per_m2 < THINNEST * float(np.median(per_m2))
+    found: NDArray[np.bool_] = wide & (length > FAR_M)
+    return found
+
+
+def _distant(
+    names: Sequence[str], boxes: NDArray[np.float64], points: NDArray[np.float64]
+) -> Iterator[str]:
+    """Parts of a survey that lie farther from the main one than files are long."""
+    if not len(boxes):
+        return
+    longest_m = float(_sides(boxes).max())
+    parts = _parts(boxes, max(longest_m, FAR_M))
+    main = max(parts, key=lambda part: (points[part].sum(), len(part), -part[0]))
+    others = [part for part in parts if part is not main]
+    away = [min(float(_gaps(boxes[main], boxes[k]).min()) for k in part) for part in others]
+    ranked = sorted(zip(away, others, strict=True), key=lambda found: -found[0])
+    for gap_m, part in ranked[:TOLD]:
+        yield (
+            f"{named([names[k] for k in part], 3)}: {grouped(gap_m / 1000)} km from the rest of "
+            f"the survey ({named([names[k] for k in main], 1)}), farther than its files are long "
+            f"({grouped(math.ceil(longest_m))} m): check "
+            f"{'its' if len(part) == 1 else 'their'} CRS and coordinates"
+        )
+    if len(ranked) > TOLD:
+        yield f"{grouped(len(ranked) - TOLD)} more parts of the survey lie as far apart"
+
+
+def _sides(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    sides: NDArray[np.float64] = boxes[:, 2:] - boxes[:, :2]
+    return sides
+
+
+def _gaps(boxes: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Straight distance of each box from another, 0 where they touch [m]."""
+    apart = np.maximum(boxes[:, :2] - other[2:], other[:2] - boxes[:, 2:])
+    gaps: NDArray[np.float64] = np.hypot(*np.maximum(apart, 0.0).T)
+    return gaps
+
+
+def _parts(boxes: NDArray[np.float64], gap_m: float) -> list[list[int]]:
+    """Places of the boxes that are joined over gaps of no more than this, part by part."""
+    left = set(range(len(boxes)))
+    parts = []
+    while left:
+        front = [min(left)]
+        left.discard(front[0])
+        part = []
+        while front:
+            k = front.pop()
+            part.append(k)
+            near = set(np.flatnonzero(_gaps(boxes, boxes[k]) <= gap_m).tolist()) & left
+            left -= near
+            front += sorted(near)
+        parts.append(sorted(part))
+    return parts

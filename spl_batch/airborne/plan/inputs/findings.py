@@ -1,0 +1,240 @@
+"""What phases bring to light about the inputs of an airborne survey, in words."""
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from statistics import median
+from typing import Final
+
+import numpy as np
+
+from spl_batch.airborne.beams.geometry import Ahead
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
+from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
+from spl_batch.airborne.plan.inputs.first_look import holds_few
+from spl_batch.airborne.plan.phases import PHASES
+from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
+from spl_batch.airborne.plan.task_memory import stretch_bytes
+from spl_batch.engine.plan.worker_memory import enough_mib
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.errors import Said, WorkflowError, grouped, named, shared, told_together
+from spl_batch.formats.las.number_dimensions import Numbers
+
+PAIRS_NAMED: Final = 5
+"""Pairs of files with the same returns that are named; of tiles that overlap there are thousands
+[count]."""
+
+PRF_APART: Final = 0.05
+"""A stated pulse rate may differ by this part from the one that gps_time tells."""
+
+
+_TIMELESS: Final = (
+    "no usable gps_time (none, not finite, or the same for every point); such points are delivered "
+    "unfiltered and are used for nothing else"
+)
+
+
+def judge_index(survey: Survey, failures: Iterable[Receipt]) -> Iterator[str]:
+    """Stop where no input is usable; say which ones have no time."""
+    usable = survey.of("index_file")
+    if not usable or not any(r.points for r in usable.values()):
+        reasons = [*told_together(survey.inputs.bad), *(r.reason for r in failures)]
+        raise WorkflowError("no input is usable: " + ("; ".join(reasons) or "they hold no points"))
+    _check_channels(survey)
+    yield from channels_not_named(survey)
+    timeless = timeless_sources(survey)
+    yield from shared((Said(source.name, _TIMELESS) for source in timeless), "files")
+    guessed = [line.name for line in survey.flightlines if line.prf_basis == "assumed"]
+    if guessed:
+        yield (
+            f"{named(guessed)}: gps_time does not tell the pulse rate, so "
+            f"{FALLBACK_PRF_HZ:.0f} Hz is assumed; state acquisition.prf_hz"
+        )
+    yield from _contradicted_rates(survey)
+    if survey.filtering and not survey.flightlines:
+        raise WorkflowError(
+            f"{named([source.name for source in timeless])}: no point has a usable gps_time, so "
+            "there are no shots to filter by; set filter.method: none and afterpulse.enabled: "
+            "false for ground and surfaces"
+        )
+
+
+def stretches_anew(survey: Survey) -> Iterator[str]:
+    """Which flightlines this run cuts anew for want of memory, and what helps."""
+    before = survey.remembered_stretch
+    if before is None or not survey.cut_anew:
+        return
+    enough_bytes = max(enough_mib(stretch_bytes(before)) * 2**20, survey.block_memory_bytes or 0)
+    yield _cut_smaller(
+        survey,
+        f"{grouped(len(survey.cut_anew))} of {grouped(len(survey.flightlines))} flightlines are "
+        "cut into shorter stretches than in earlier runs, and what depends on them is done again",
+        enough_bytes,
+    )
+
+
+def blocks_anew(survey: Survey, context: Context) -> Iterator[str]:
+    """Which finished blocks this run cuts anew for want of memory, and what helps."""
+    then = survey.with_memory_of_blocks()
+    if then is None:
+        return
+    phase = next(phase for phase in PHASES if phase.kind == "denoise")
+    deque(Worklist(phase, then, context).look(), maxlen=0)
+    finished = set(then.of("denoise"))
+    if lost := finished - {unit.name for unit in survey.blocks()}:
+        yield _cut_smaller(
+            survey,
+            f"{grouped(len(lost))} of {grouped(len(finished))} finished blocks are cut smaller "
+            "and done again",
+            then.memory_bytes,
+        )
+
+
+def _cut_smaller(survey: Survey, what: str, enough_bytes: int) -> str:
+    """What less memory than earlier runs had does, and with how much it does not."""
+    return (
+        f"a worker has {grouped(survey.memory_bytes / 2**20)} MiB, less than in earlier runs: "
+        f"{what}; with --memory {math.ceil(enough_bytes / 2**20)}MiB they are used as they are"
+    )
+
+
+def channels_not_named(survey: Survey) -> tuple[str, ...]:
+    """Propose the dimension that holds beamlet numbers, where none is named."""
+    if survey.workflow.survey.channel_dimension is not None or not survey.filtering:
+        return ()
+    held = {
+        str(receipt.facts["name"]): {k: Numbers(*v) for k, v in receipt.facts["numbers"].items()}
+        for receipt in survey.of("index_file").values()
+    }
+    return unnamed_channels(held, survey.workflow.sensor)
+
+
+def _check_channels(survey: Survey) -> None:
+    """Stop where the dimension that was named cannot hold beamlet numbers."""
+    name, sensor = survey.workflow.survey.channel_dimension, survey.workflow.sensor
+    indexed = survey.of("index_file").values()
+    points = sum(r.facts["points"] for r in indexed)
+    if name is None or not survey.filtering:
+        return
+    seen = 0
+    for receipt in indexed:
+        seen |= int(receipt.facts["channels_seen"], 16)
+    if not holds_few(seen.bit_count(), points, sensor):
+        return
+    listed = ", ".join(str(k) for k in range(256) if seen >> k & 1)
+    files = named([r.facts["name"] for r in indexed], 3)
+    raise WorkflowError(
+        f"survey.channel_dimension: {name} holds only {listed} in {grouped(points)} points "
+        f"({files}), and a {sensor.name} has {sensor.beamlets} beamlets; name the dimension that "
+        "holds their numbers, or leave the key out: a shot is one beamlet then"
+    )
+
+
+def copies(survey: Survey) -> Iterator[str]:
+    """Say which files hold returns that others hold too."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for receipt in survey.of("gather").values():
+        for copy, kept, count in receipt.facts.get("copies", ()):
+            counts[copy, kept] += count
+    names = {str(source.key): source.name for source in survey.inputs.sources}
+    most = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
+    for (copy, kept), count in most[:PAIRS_NAMED]:
+        yield (
+            f"{names[copy]}: {grouped(count)} of its returns are in {names[kept]} too, at the "
+            "same time and place; each counts once, and its copy is delivered as not assessed; "
+            "leave out one of the files, or cut their overlap off"
+        )
+    if others := most[PAIRS_NAMED:]:
+        yield (
+            f"{grouped(len(others))} more pairs of files have returns in common, up to "
+            f"{grouped(others[0][1])} of a pair and "
+            f"{grouped(sum(count for _, count in others))} in all"
+        )
+
+
+def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:
+    """Flightlines whose sensor is not above what it sees, as with times that are off.
+
+    Leap seconds that the trajectory's times lack, where these explain it; else by how many
+    seconds the times seem late [s]. A place is seen ahead first and astern later, so that one
+    stretch of a small survey may lie on one side: what counts is the mean over all returns.
+    """
+    looks: dict[str, list[tuple[Ahead, int]]] = {}
+    leaps: dict[str, int] = {}
+    for name, receipt in survey.of("gather").items():
+        line = name.split("/", maxsplit=1)[0]
+        if "ahead" in receipt.facts:
+            looks.setdefault(line, []).append((Ahead(*receipt.facts["ahead"]), receipt.points))
+        if receipt.facts.get("leap_s"):
+            leaps[line] = int(receipt.facts["leap_s"])
+    off: dict[str, float] = {}
+    for line, stretches in looks.items():
+        means, returns = zip(*stretches, strict=True)
+        whole = Ahead(*map(float, np.average(means, axis=0, weights=returns)))
+        if not whole.is_above and line not in leaps:
+            off[line] = whole.ahead_m / whole.speed_m_s
+    return leaps, off
+
+
+def looks_ahead(survey: Survey) -> Iterator[str]:
+    """Say where the trajectory's times are off, and by how much."""
+    leaps, off = times_off(survey)
+    for leap in sorted(set(leaps.values())):
+        said = "early, as UTC is" if leap > 0 else "late, as GPS time is for UTC"
+        yield (
+            f"{named([line for line in leaps if leaps[line] == leap])}: the trajectory's times are "
+            f"{abs(leap)} s {said}: with {abs(leap)} s {'added' if leap > 0 else 'subtracted'} the "
+            "sensor is above its returns. In this run noise and reflectance are computed along "
+            "wrong beams, or returns stay unfiltered; correct gps_time in survey.trajectory and "
+            "run again"
+        )
+    for side, late in (("behind", "early"), ("ahead of", "late")):
+        those = [line for line, seconds in off.items() if (seconds < 0) == (late == "early")]
+        if those:
+            yield (
+                f"{named(those)}: the returns lie {side} the sensor on average, so the "
+                f"trajectory's times seem about {abs(median(off[line] for line in those)):.1f} s "
+                f"{late}, and noise and reflectance are computed along wrong beams; correct its "
+                "times. If the files hold only a part of each scan, ignore this"
+            )
+
+
+def _contradicted_rates(survey: Survey) -> Iterator[str]:
+    """Say where gps_time tells another pulse rate than the one that is stated."""
+    told = survey.of("index_file")
+    wrong: dict[str, float] = {}
+    for line in survey.flightlines:
+        seen = [told[key].facts["prf_hz"].get(str(line.psid)) for key in line.sources]
+        far = [hz for hz in seen if hz and abs(hz / line.clock.prf_hz - 1.0) > PRF_APART]
+        if line.prf_basis == "given" and far and len(far) == sum(map(bool, seen)):
+            wrong[line.name] = float(far[0])
+    if wrong:
+        yield (
+            f"{named([*wrong])}: gps_time tells a pulse rate of about "
+            f"{min(wrong.values()):.0f} Hz, not the {survey.workflow.sensor.prf_hz:.0f} Hz stated, "
+            "and noise is computed with the stated one; leave prf_hz out of acquisition and "
+            "sensor, and the rate from gps_time is used"
+        )
+
+
+def beams_without_trajectory(survey: Survey) -> str:
+    """What beams are taken from where there is no trajectory."""
+    paths = survey.of("sensor_path")
+    found = [name for name, receipt in paths.items() if receipt.facts["found"]]
+    headings = survey.of("heading")
+    left = [headings[name] for name in paths if name not in found and name in headings]
+    angled = sum(r.facts["heading_rad"] is not None for r in left)
+    counts = {
+        "taken from where lines of sight meet": len(found),
+        "taken from scan_angle and the flight direction": angled,
+        "taken as vertical": len(paths) - len(found) - angled,
+    }
+    (how, most), *rest = [(how, count) for how, count in counts.items() if count]
+    if rest:
+        said = ", ".join(f"{how} on {count}" for how, count in rest)
+        return f"no trajectory: beams {how} on {most} of {len(paths)} flightlines, {said}"
+    if most > 1:
+        return f"no trajectory: beams {how} on all {most} flightlines"
+    return f"no trajectory: beams {how} on the only flightline"

@@ -1,0 +1,311 @@
+"""Which files a workflow names, and what is wrong with all of them at once; headers only."""
+
+import difflib
+import glob
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pyproj import CRS
+
+from spl_batch.airborne.plan.inputs.file_positions import far_positions, without_degrees
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
+from spl_batch.errors import InputError, Said, WorkflowError, named, shared
+from spl_batch.formats.crs import (
+    LIKE_DEGREES,
+    crs_problems,
+    horizontal,
+    look_like_degrees,
+    parse_crs,
+    same_crs,
+)
+from spl_batch.formats.files.atomic import checksum
+from spl_batch.formats.las.reader import LasFacts, inspect
+
+MAX_POINTS = 2**32 - 1
+"""Points that one file may hold [count]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """An input file that can be used.
+
+    Parameters
+    ----------
+    path : Path
+        Where it lies.
+    name : str
+        What it is called in messages: relative to the workflow where it can be.
+    delivered : str
+        Name of its classified twin below ``laz/``.
+    key : int
+        What it is called in the store: depends on the name alone, so that another file
+        in the survey renames nothing.
+    facts : LasFacts
+        Its header.
+    """
+
+    path: Path
+    name: str
+    delivered: str
+    key: int
+    facts: LasFacts
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Everything that a workflow names, checked.
+
+    Parameters
+    ----------
+    sources : tuple of Source
+        Point files that can be used, by name.
+    bad : tuple of InputError
+        Point files that cannot.
+    trajectory : tuple of Path
+        Files that exist.
+    reference : tuple of LasFacts
+        Files of reference points.
+    crs : CRS or None
+        The survey's CRS.
+    warnings : tuple of str
+        What a user should know before the work starts.
+    polygons : tuple of (str, str)
+        Key and checksum of each polygon file, or of all the files that it is made of.
+    """
+
+    sources: tuple[Source, ...]
+    bad: tuple[InputError, ...]
+    trajectory: tuple[Path, ...]
+    reference: tuple[LasFacts, ...]
+    crs: CRS | None
+    warnings: tuple[str, ...]
+    polygons: tuple[tuple[str, str], ...] = ()
+
+
+def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
+    """Find and check every file of a workflow.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        The settings.
+    base : Path
+        Folder that relative paths start from.
+    output : Path
+        Folder of the results.
+
+    Raises
+    ------
+    WorkflowError
+        If the request as a whole is wrong; one line with every fault.
+    """
+    faults: list[str] = []
+    paths = expand(workflow.survey.flightlines, base, "survey.flightlines", faults)
+    trajectory = expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
+    reference_names = workflow.reference.points if workflow.reference else None
+    reference = expand(reference_names, base, "reference.points", faults)
+    for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
+        if name is not None and not (base / name).exists():
+            faults.append(f"{key}: {base / name} does not exist")
+    refuse_own(paths, output, "survey.flightlines", faults)
+    if faults:
+        raise WorkflowError("; ".join(faults))
+    good, bad = _inspect(paths)
+    good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
+    crs, good, mismatched = _survey_crs(workflow, good)
+    warnings = [*workflow.remarks()]
+    said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
+    warnings += shared(said, "files")
+    warnings += far_positions([(name_below(facts.path, base), facts) for facts in good])
+    if crs is None and good:
+        warnings.append(
+            "no input file carries a CRS and survey.crs is not set: rasters will have none"
+        )
+    names = _delivered_names([f.path for f in good], base)
+    sources = tuple(
+        Source(f.path, name_below(f.path, base), name, source_key(name), f)
+        for f, name in zip(good, names, strict=True)
+    )
+    check_keys(sources)
+    return Inputs(
+        tuple(sorted(sources, key=lambda s: s.name)),
+        (*bad, *without_channel, *mismatched),
+        trajectory,
+        _checked_reference(reference, workflow, crs, mismatched),
+        crs,
+        tuple(warnings),
+        tuple(_polygon_checksums(workflow, base)),
+    )
+
+
+def _polygon_checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
+    for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
+        if name is not None:
+            path = base / name
+            # A shapefile's corners, table and CRS lie in files of the same stem.
+            parts = path.parent.glob(f"{glob.escape(path.stem)}.*")
+            whole = sorted(parts) if path.suffix.lower() == ".shp" else [path]
+            yield key, " ".join(checksum(part) for part in whole)
+
+
+def source_args(source: Source) -> dict[str, str]:
+    """A file as the arguments of a task name it."""
+    return {"source": str(source.key), "path": str(source.path)}
+
+
+def _inspect(paths: Iterable[Path]) -> tuple[list[LasFacts], list[InputError]]:
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for path in paths:
+        try:
+            facts = inspect(path)
+        except InputError as error:
+            bad.append(error)
+            continue
+        if facts.n_points > MAX_POINTS:
+            text = f"{facts.n_points} points; split files over {MAX_POINTS}"
+            bad.append(InputError(str(path), text))
+        else:
+            good.append(facts)
+    return good, bad
+
+
+def _with_channel(
+    files: Sequence[LasFacts], dimension: str | None
+) -> tuple[list[LasFacts], list[InputError]]:
+    """Files that have the dimension with the beamlet number, and those that lack it.
+
+    Where all lack it the key is wrong, not the files.
+    """
+    if dimension is None:
+        return list(files), []
+    lacking = [facts for facts in files if dimension not in facts.dimensions]
+    if not lacking:
+        return list(files), []
+    if len(lacking) == len(files):
+        there = list(dict.fromkeys(name for facts in files for name in facts.dimensions))
+        near = difflib.get_close_matches(dimension, there, n=1, cutoff=0.7)
+        remedy = f"the nearest is {near[0]!r}" if near else f"there are {', '.join(there)}"
+        paths = named([facts.path for facts in files], 3)
+        raise WorkflowError(
+            f"survey.channel_dimension: no dimension {dimension!r} in {paths}; {remedy}"
+        )
+    text = (
+        f"no dimension {dimension!r} (survey.channel_dimension), which other files have; "
+        "add it, or process the file apart"
+    )
+    bad = [InputError(str(facts.path), text) for facts in lacking]
+    return [facts for facts in files if dimension in facts.dimensions], bad
+
+
+def _survey_crs(
+    workflow: Workflow, files: Sequence[LasFacts]
+) -> tuple[CRS | None, list[LasFacts], list[InputError]]:
+    """CRS of the survey: the setting, else what most points say; files that differ are bad."""
+    stated = workflow.survey.crs
+    given = None if stated is None else parse_crs(stated, "survey.crs")
+    good: list[LasFacts] = []
+    bad: list[InputError] = []
+    for facts in (_without_wrong_crs(f, given) for f in files):
+        crs = facts.crs or given
+        problems = _crs_problems(facts, crs)
+        if problems:
+            bad.append(InputError(str(facts.path), problems))
+        else:
+            good.append(facts)
+    good, in_degrees = without_degrees(good, stated)
+    bad += in_degrees
+    if given is None:
+        votes: Counter[str] = Counter()
+        for facts in good:
+            if facts.crs is not None and facts.n_points:
+                votes[horizontal(facts.crs).to_wkt()] += facts.n_points
+        given = CRS.from_wkt(votes.most_common(1)[0][0]) if votes else None
+    if given is None:
+        return None, good, bad
+    agreeing: list[LasFacts] = []
+    for facts in good:
+        if facts.crs is None or not facts.n_points or same_crs(facts.crs, given):
+            agreeing.append(facts)
+        else:
+            text = f"CRS {facts.crs.name!r} is not the survey's {given.name!r}; reproject the file"
+            if stated is not None:
+                text += ", or leave out survey.crs, which is for files that carry none"
+            bad.append(InputError(str(facts.path), text))
+    return horizontal(given), agreeing, bad
+
+
+def _without_wrong_crs(facts: LasFacts, given: CRS | None) -> LasFacts:
+    """Header without its CRS where that is geocentric over projected coordinates.
+
+    Such a record is a mistake of the writer's; the user's word, if there is one, stands.
+    """
+    if given is None or facts.crs is None or not facts.crs.is_geocentric:
+        return facts
+    text = f"its CRS record is geocentric; survey.crs {given.name!r} is taken instead"
+    return replace(facts, crs=None, warnings=(*facts.warnings, text))
+
+
+def _crs_problems(facts: LasFacts, crs: CRS | None) -> list[str]:
+    if crs is None or not facts.n_points:
+        return []
+    return list(crs_problems(crs, facts.mins_m, facts.maxs_m))
+
+
+def _checked_reference(
+    paths: Iterable[Path], workflow: Workflow, crs: CRS | None, others: Sequence[InputError]
+) -> tuple[LasFacts, ...]:
+    """Facts of reference files, all of which are in the survey's CRS.
+
+    Where files of the survey are in another one themselves, any of them may be the wrong one.
+    """
+    stated = workflow.reference.crs if workflow.reference else None
+    given = None if stated is None else parse_crs(stated, "reference.crs")
+    faults: list[Said] = []
+    usable: list[LasFacts] = []
+    for path in paths:
+        try:
+            usable.append(inspect(path))
+        except InputError as error:
+            faults.append(Said(error.path, "; ".join(error.faults)))
+            continue
+        last = usable[-1]
+        found = last.crs or given
+        if found is None and last.n_points and look_like_degrees(last.mins_m, last.maxs_m):
+            faults.append(Said(str(path), f"{LIKE_DEGREES}, or set reference.crs"))
+        if crs is not None and found is not None and not same_crs(found, crs):
+            remedy = "reproject it"
+            if others:
+                remedy = (
+                    f"nor is that of {named([error.path for error in others], 3)}: most points are "
+                    "in the survey's, reproject what is wrong"
+                )
+            text = f"CRS {found.name!r} is not the survey's {crs.name!r}; {remedy}"
+            faults.append(Said(str(path), text))
+    if faults:
+        told = (f"reference.points: {text}" for text in shared(faults, "files"))
+        raise WorkflowError("; ".join(told))
+    return tuple(usable)
+
+
+def _delivered_names(paths: Sequence[Path], base: Path) -> list[str]:
+    """Relative names of the outputs: from the workflow's folder, else from a common one."""
+    if not paths:
+        return []
+    root = base
+    if not all(path.is_relative_to(base) for path in paths):
+        parents = [path.parent for path in paths]
+        root = next(
+            p
+            for p in (parents[0], *parents[0].parents)
+            if all(q.is_relative_to(p) for q in parents)
+        )
+    relative = [path.relative_to(root).as_posix() for path in paths]
+    stems = [name.rsplit(".", 1)[0].removesuffix(".copc") for name in relative]
+    twice = {stem for stem, n in Counter(stems).items() if n > 1}
+    return [
+        f"{name if stem in twice else stem}.laz" for name, stem in zip(relative, stems, strict=True)
+    ]

@@ -1,0 +1,252 @@
+"""The chain as a list of phases; each turns what is finished into the next tasks.
+
+A phase looks only at receipts of the phases before it. What failed there is left out:
+its points stay unlabelled, the rest goes on.
+"""
+
+from collections.abc import Iterator, Mapping
+
+from spl_batch.airborne.plan import reference_tasks, space_tasks
+from spl_batch.airborne.plan.flightlines import Flightline
+from spl_batch.airborne.plan.inputs.survey_inputs import source_args
+from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.tasks.index import POSITIONS_S, part_range, parts_of
+from spl_batch.engine.tasks.input_changes import stamp_if_there
+from spl_batch.engine.tasks.ledger import Phase
+from spl_batch.engine.tasks.task import Task
+
+RANGE_POINTS = 2_000_000
+"""Points of a piece of a file without times [count]."""
+
+POSITIONS_MARGIN_S = 30.0
+"""More than the longest gap of a trajectory that is interpolated over, and leap seconds [s]."""
+
+
+def _index_part(survey: Survey) -> Iterator[Task]:
+    for source in survey.inputs.sources:
+        n_points, stamp = source.facts.n_points, stamp_if_there(source.path)
+        for part in range(parts_of(n_points)):
+            args = {**source_args(source), "stamp": stamp, "part": part}
+            start, stop = part_range(n_points, part)
+            yield Task("index_part", f"{source.key}/{part}", args, (), stop - start)
+
+
+def _index(survey: Survey) -> Iterator[Task]:
+    done = survey.of("index_part")
+    for source in survey.inputs.sources:
+        parts = [f"{source.key}/{part}" for part in range(parts_of(source.facts.n_points))]
+        if not all(part in done for part in parts):
+            continue
+        facts = [done[part].facts for part in parts]
+        now = stamp_if_there(source.path)
+        # A file that has changed since some part of it was read is not the one that it was, and
+        # none that can be joined of parts.
+        then = [fact["stamp"] for fact in facts if fact["stamp"] != now]
+        args = {
+            **source_args(source),
+            "name": source.name,
+            "stamp": then[0] if then else now,
+            "parts": len(parts),
+            "again": [k for k, fact in enumerate(facts) if "fault" in fact],
+        }
+        needs = tuple(("index_part", part) for part in parts)
+        points = 0 if parts else source.facts.n_points
+        yield Task("index_file", str(source.key), args, needs, points)
+
+
+def _trajectory(survey: Survey) -> Iterator[Task]:
+    lines = survey.flightlines
+    if not survey.inputs.trajectory or not lines:
+        return
+    facts = [r.facts for r in survey.of("index_file").values() if r.facts["bounds"]]
+    low = [min(f["bounds"][a] for f in facts) / 1000 for a in range(3)]
+    high = [max(f["bounds"][a + 3] for f in facts) / 1000 for a in range(3)]
+    args = {
+        "paths": [str(p) for p in survey.inputs.trajectory],
+        "stamps": [stamp_if_there(path) for path in survey.inputs.trajectory],
+        "time_span_s": [min(x.first_s for x in lines), max(x.last_s for x in lines)],
+        "bounds_m": [*low, *high],
+    }
+    yield Task("trajectory", "all", args)
+
+
+def _heading(survey: Survey) -> Iterator[Task]:
+    if survey.inputs.trajectory:
+        return
+    for line in survey.flightlines:
+        args = {
+            "psid": line.psid,
+            "sources": list(line.sources),
+            "seconds": [int(line.first_s // 1), int(line.last_s // 1)],
+        }
+        yield Task("heading", line.name, args, tuple(("index_file", k) for k in line.sources))
+
+
+def _gather(survey: Survey) -> Iterator[Task]:
+    positions = _positions(survey)
+    for line in survey.flightlines:
+        stretches = list(line.stretches())
+        for name, k in stretches:
+            args = {
+                **_stretch_args(survey, line, name, k),
+                "positions": _near(positions, line, k),
+            }
+            yield Task("gather", name, args, _files(line), line.points // len(stretches))
+
+
+def _gather_range(survey: Survey) -> Iterator[Task]:
+    if survey.filtering:
+        return
+    for source in survey.inputs.sources:
+        key = str(source.key)
+        if key not in survey.of("index_file"):
+            continue
+        for start in range(0, source.facts.n_points, RANGE_POINTS):
+            stop = min(start + RANGE_POINTS, source.facts.n_points)
+            name = f"file_{key}/{start}"
+            args = {**source_args(source), "stretch": name, "start": start, "stop": stop}
+            yield Task("gather_range", name, args, (("index_file", key),), stop - start)
+
+
+def _gathered(survey: Survey, line: Flightline) -> list[tuple[str, int]]:
+    """Names and numbers of the stretches of a flightline that hold points."""
+    gathered = survey.of("gather")
+    return [(n, k) for n, k in line.stretches() if n in gathered and gathered[n].facts["points"]]
+
+
+def _sensor_path(survey: Survey) -> Iterator[Task]:
+    if survey.inputs.trajectory:
+        return
+    for line in survey.flightlines:
+        names = [name for name, _ in _gathered(survey, line)]
+        if names:
+            args = {
+                "line": line.name,
+                "stretches": names,
+                "points": line.points,
+                "span_s": [line.first_s, line.last_s],
+            }
+            needs = tuple(("gather", n) for n in names)
+            yield Task("sensor_path", line.name, args, needs)
+
+
+def _observe(survey: Survey) -> Iterator[Task]:
+    if survey.inputs.trajectory:
+        return
+    for line in survey.flightlines:
+        for name, k in _gathered(survey, line):
+            args = _stretch_args(survey, line, name, k)
+            needs = (*_files(line), ("gather", name), *_path_needs(survey, line))
+            yield Task("observe", name, args, needs, survey.of("gather")[name].points)
+
+
+def _fit(survey: Survey) -> Iterator[Task]:
+    observing = "gather" if survey.inputs.trajectory else "observe"
+    for line in survey.flightlines:
+        names = [n for n, _ in _gathered(survey, line) if n in survey.of(observing)]
+        if names:
+            args = {
+                **_line_args(survey, line),
+                "stretches": names,
+                "points": line.points,
+                "span_s": [line.first_s, line.last_s],
+                "prf_basis": line.prf_basis,
+            }
+            yield Task("fit_line", line.name, args, tuple((observing, n) for n in names))
+
+
+def _scatter(survey: Survey) -> Iterator[Task]:
+    filtering = survey.workflow.filter
+    # Only that one filter reads what shots say: the others share the points as they are.
+    dcc = filtering.dcc.model_dump() if filtering.method == "dcc" else None
+    positions = _positions(survey)
+    for line in survey.flightlines:
+        if line.name not in survey.of("fit_line"):
+            continue
+        for name, k in _gathered(survey, line):
+            args = {**_stretch_args(survey, line, name, k), "timeless": False}
+            args["dcc"] = dcc
+            args["positions"] = _near(positions, line, k)
+            args["polygons"] = list(survey.inputs.polygons)
+            needs = (*_files(line), ("gather", name), ("fit_line", line.name))
+            needs += _path_needs(survey, line)
+            yield Task("scatter", name, args, needs, survey.of("gather")[name].points)
+    for name, receipt in sorted(survey.of("gather_range").items()):
+        args = {"stretch": name, "timeless": True, "polygons": list(survey.inputs.polygons)}
+        yield Task("scatter", name, args, (("gather_range", name),), receipt.points)
+
+
+PHASES = (
+    Phase("index_part", _index_part),
+    Phase("index_file", _index),
+    Phase("trajectory", _trajectory),
+    Phase("heading", _heading),
+    Phase("gather", _gather),
+    Phase("gather_range", _gather_range, beside=True),
+    Phase("sensor_path", _sensor_path),
+    Phase("observe", _observe),
+    Phase("fit_line", _fit),
+    Phase("scatter", _scatter),
+    Phase("build_tile", space_tasks.build),
+    Phase("denoise", space_tasks.denoise),
+    Phase("ground", space_tasks.ground),
+    Phase("surface", space_tasks.surface),
+    Phase("deliver_file", space_tasks.deliver),
+    Phase("deliver_tile", space_tasks.deliver_tiles, beside=True),
+    Phase("mosaic", space_tasks.mosaic, beside=True),
+    Phase("reference", reference_tasks.reference, beside=True),
+    Phase("accuracy", reference_tasks.accuracy),
+)
+"""Every phase of a run, in order."""
+
+
+def _line_args(survey: Survey, line: Flightline) -> dict[str, object]:
+    heading = survey.of("heading").get(line.name)
+    path = survey.of("sensor_path").get(line.name)
+    return {
+        "line": line.name,
+        "psid": line.psid,
+        "t0_s": line.clock.t0_s,
+        "prf_hz": line.clock.prf_hz,
+        "beamlets": survey.beamlets,
+        "trajectory": bool(survey.of("trajectory")),
+        "sensor_path": bool(path and path.facts["found"]),
+        "heading_rad": heading.facts["heading_rad"] if heading else None,
+    }
+
+
+def _stretch_args(survey: Survey, line: Flightline, name: str, k: int) -> dict[str, object]:
+    """Where the points of a stretch are, and what is known of its flightline."""
+    low_s, high_s = line.window_s(k)
+    held = survey.pieces[line.psid].within(max(low_s, line.first_s), min(high_s, line.last_s))
+    return {
+        **_line_args(survey, line),
+        "stretch": name,
+        "sources": held,
+        "shots": [k * line.stretch_shots, (k + 1) * line.stretch_shots],
+        "window_s": [low_s, high_s],
+        "span_s": [line.first_s, line.last_s],
+    }
+
+
+def _files(line: Flightline) -> tuple[tuple[str, str], ...]:
+    """Tasks that have read the files of a flightline."""
+    return tuple(("index_file", key) for key in line.sources)
+
+
+def _positions(survey: Survey) -> Mapping[str, str]:
+    """Hashes of the trajectory by span: a night that is added leaves those of others alone."""
+    receipt = survey.of("trajectory").get("all")
+    return receipt.facts["positions"] if receipt else {}
+
+
+def _near(positions: Mapping[str, str], line: Flightline, k: int) -> list[str]:
+    """Hashes of the positions that beams of a stretch are interpolated from."""
+    low_s, high_s = line.window_s(k)
+    first = int((max(low_s, line.first_s) - POSITIONS_MARGIN_S) // POSITIONS_S)
+    last = int((min(high_s, line.last_s) + POSITIONS_MARGIN_S) // POSITIONS_S)
+    return [positions.get(str(span), "") for span in range(first, last + 1)]
+
+
+def _path_needs(survey: Survey, line: Flightline) -> tuple[tuple[str, str], ...]:
+    return (("sensor_path", line.name),) if line.name in survey.of("sensor_path") else ()

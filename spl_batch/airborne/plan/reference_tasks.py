@@ -1,0 +1,95 @@
+"""Reference points: files that are cut into squares, and squares that are compared."""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
+from spl_batch.engine.plan.input_files import source_key
+from spl_batch.engine.tasks.input_changes import stamp_if_there
+from spl_batch.engine.tasks.task import Task
+from spl_batch.lattice.tiles import quanta
+
+SQUARE_POINTS: Final = 1_000_000
+"""Points that a square holds on average, at most, where no two files overlap [count]."""
+
+MARGIN_M: Final = 4.0
+"""What stands within 2 m of a point, above ground that is again within 2 m of it [m]."""
+
+MARGIN_CELLS: Final = 2
+"""Raster cells whose tops tell whether their neighbour is a roof's edge [count]."""
+
+COMPARED: Final = ("dtm", "dsm", "chm")
+"""Rasters that are looked at; nothing is compared without the first two."""
+
+
+def reference(survey: Survey) -> Iterator[Task]:
+    """Reference files, each to be cut into squares."""
+    if not survey.of("surface"):
+        return
+    edge, margin = _lattice(survey)
+    for facts in survey.inputs.reference:
+        name = str(source_key(str(facts.path)))
+        args = {
+            "file": name,
+            "path": str(facts.path),
+            "stamp": stamp_if_there(facts.path),
+            "edge": edge,
+            "margin": margin,
+        }
+        yield Task("reference", name, args, (), facts.n_points)
+
+
+def accuracy(survey: Survey) -> Iterator[Task]:
+    """Squares that hold reference points."""
+    if not {"dtm", "dsm"} <= survey.of("mosaic").keys():
+        return
+    files: dict[str, list[str]] = {}
+    points: dict[str, int] = {}
+    for name, receipt in sorted(survey.of("reference").items()):
+        for square, count in receipt.facts["squares"].items():
+            files.setdefault(square, []).append(name)
+            points[square] = points.get(square, 0) + count
+    made = survey.of("mosaic")
+    rasters = [
+        name for product in COMPARED for name in sorted(made) if name.partition("_")[0] == product
+    ]
+    edge, _ = _lattice(survey)
+    for square in sorted(files):
+        args = {"square": square, "edge": edge, "files": files[square], "rasters": rasters}
+        needs = [*(("reference", name) for name in files[square])]
+        needs += [("mosaic", name) for name in rasters]
+        refused = refusal("accuracy", points[square], survey.memory_bytes)
+        yield Task("accuracy", square, args, tuple(needs), points[square], refused)
+
+
+def squares(survey: Survey) -> int:
+    """Squares that the headers of reference files reach, by which they are compared [count]."""
+    edge, _ = _lattice(survey)
+    boxes = [facts for facts in survey.inputs.reference if facts.n_points]
+    low, high = (
+        np.array([[quanta(v) // edge for v in corner[:2]] for corner in corners]).reshape(-1, 2)
+        for corners in ([f.mins_m for f in boxes], [f.maxs_m for f in boxes])
+    )
+    return int((high - low + 1).prod(axis=1).sum())
+
+
+def _lattice(survey: Survey) -> tuple[int, int]:
+    """Edge of a square, and of what it reads around itself [quanta].
+
+    The edge is a power of two of raster cells: a file more seldom changes it.
+    """
+    cell = quanta(survey.workflow.products.cell_m)
+    margin = max(quanta(MARGIN_M), MARGIN_CELLS * cell)
+    boxes = [(f.mins_m, f.maxs_m, f.n_points) for f in survey.inputs.reference if f.n_points]
+    area_m2 = sum((high[0] - low[0]) * (high[1] - low[1]) for low, high, _ in boxes)
+    points = sum(n for _, _, n in boxes)
+    held = min(SQUARE_POINTS, points_within("accuracy", survey.memory_bytes) // UNEVEN)
+    wanted = quanta(math.sqrt(area_m2 * held / max(points, 1)))
+    edge = cell
+    while edge <= 2 * margin or 2 * edge <= wanted:
+        edge *= 2
+    return edge, margin

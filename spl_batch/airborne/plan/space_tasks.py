@@ -1,0 +1,255 @@
+"""Tasks of the space domain: tiles, blocks, ground cells, and what is delivered of them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
+from spl_batch.airborne.plan.block_size import Holders
+from spl_batch.airborne.plan.halo import surface_reach_m
+from spl_batch.airborne.plan.inputs.survey_inputs import source_args
+from spl_batch.airborne.plan.space_units import Unit, fired_index, voxel_index
+from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
+from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.airborne.products.product_table import products
+from spl_batch.engine.tasks.task import Task
+from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
+
+
+class _Pieces(NamedTuple):
+    """Which row group of which stretch holds points of which tile: p pieces.
+
+    Parameters
+    ----------
+    stretches : list of str
+        Names of the stretches, sorted.
+    tiles : list of CellId
+        The tiles, in the order in which they were met.
+    tile, stretch, group, points : (p,) int32
+        Places in those lists, row group, and its points [count].
+    """
+
+    stretches: list[str]
+    tiles: list[CellId]
+    tile: NDArray[np.int32]
+    stretch: NDArray[np.int32]
+    group: NDArray[np.int32]
+    points: NDArray[np.int32]
+
+
+def build(survey: Survey) -> Iterator[Task]:
+    """Tiles that hold points, each from the stretches that have some of them."""
+    pieces = _pieces(survey)
+    order = np.argsort(pieces.tile, kind="stable")  # stretches stay in the order of names
+    starts = np.searchsorted(pieces.tile[order], np.arange(len(pieces.tiles) + 1))
+    for k in sorted(range(len(pieces.tiles)), key=pieces.tiles.__getitem__):
+        mine, name = order[starts[k] : starts[k + 1]], str(pieces.tiles[k])
+        stretches = [pieces.stretches[s] for s in pieces.stretch[mine].tolist()]
+        listed = list(zip(stretches, pieces.group[mine].tolist(), strict=True))
+        points = int(pieces.points[mine].sum(dtype=np.int64))
+        yield Task(
+            "build_tile",
+            name,
+            {"tile": name, "pieces": listed},
+            tuple(("scatter", stretch) for stretch in stretches),
+            points,
+            refusal("build_tile", points, survey.memory_bytes),
+        )
+
+
+def _pieces(survey: Survey) -> _Pieces:
+    scattered = survey.of("scatter")
+    stretches = sorted(scattered)
+    known: dict[str, int] = {}
+    rows = []
+    for number, stretch in enumerate(stretches):
+        tiles = scattered[stretch].facts["tiles"]
+        of_stretch = np.empty((4, len(tiles)), np.int32)
+        of_stretch[0] = [known.setdefault(tile, len(known)) for tile in tiles]
+        of_stretch[1] = number
+        of_stretch[2:] = np.array(list(tiles.values()), np.int32).reshape(-1, 2).T
+        rows.append(of_stretch)
+    columns = np.concatenate(rows, axis=1) if rows else np.empty((4, 0), np.int32)
+    return _Pieces(stretches, [parse_cell(tile) for tile in known], *columns)
+
+
+def denoise(survey: Survey) -> Iterator[Task]:
+    """Blocks of tiles, with the stretches whose noise reaches them."""
+    voxel_q = quanta(survey.workflow.noise.voxel_m)
+    stretch_of: dict[str, str] = {}
+    voxels: dict[str, Sequence[int]] = {}
+    for stretch, receipt in survey.of("scatter").items():
+        boxes = dict(receipt.facts.get("voxels_apart", {}))
+        boxes |= {stretch: receipt.facts["voxels"]} if "voxels" in receipt.facts else {}
+        voxels |= boxes
+        stretch_of |= dict.fromkeys(boxes, stretch)
+    index = voxel_index(voxels, voxel_q)
+    # what a density depends on, whatever the halo of the points
+    margin = survey.halo_q + MARGIN_VOXELS * voxel_q
+    for block in survey.blocks():
+        parts = index.overlapping(grow(block.core, margin))
+        args = {
+            "block": block.name,
+            "core": list(block.core),
+            "tiles": [str(t) for t in block.tiles],
+            "halo": survey.halo_q,
+            "voxels": parts,
+            "beamlets": survey.beamlets,
+        }
+        needs = (
+            *_tile_needs(block),
+            *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
+        )
+        yield _task("denoise", block, args, needs, survey)
+
+
+def ground(survey: Survey) -> Iterator[Task]:
+    """Ground cells with their buffers."""
+    halo = quanta(survey.workflow.ground.buffer_m)
+    holders = survey.holders()
+    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
+        noise = holders.of(cell.tiles)
+        args = {**_cell_args(cell), "halo": halo, "noise": _named("noise", noise)}
+        needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
+        yield _task("ground", cell, args, needs, survey)
+
+
+def surface(survey: Survey) -> Iterator[Task]:
+    """Ground cells whose ground is found, with what their rasters read around them."""
+    halo = quanta(surface_reach_m(survey.workflow))
+    index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
+    holders = survey.holders()
+    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
+        if str(cell.cell) not in survey.of("ground"):
+            continue
+        noise = holders.of(cell.tiles)
+        ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q, survey.of("ground"))
+        parts = None if index is None else index.overlapping(grow(cell.core, halo))
+        args = {
+            **_cell_args(cell),
+            "halo": halo,
+            "noise": _named("noise", noise),
+            "ground": _named("ground", ground_of),
+            "polygons": list(survey.inputs.polygons),
+            "fired": parts,
+        }
+        labels = (*_label_needs("denoise", noise), *_label_needs("ground", ground_of))
+        needs = (*_tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
+        yield _task("surface", cell, args, needs, survey)
+
+
+def knows_reflectance(survey: Survey) -> bool:
+    """Whether the intensity raster is made of detections, and not of the input's values."""
+    workflow = survey.workflow
+    if workflow.filter.method == "none" or workflow.products.intensity != "detection":
+        return False
+    return any(box[2] > box[0] for box in _boxes(survey, "fired").values())
+
+
+def deliver(survey: Survey) -> Iterator[Task]:
+    """Input files, each with the tiles that hold its points."""
+    tiles_of: dict[str, list[CellId]] = {}
+    for tile in survey.counts:
+        for source in survey.of("build_tile")[str(tile)].facts["sources"]:
+            tiles_of.setdefault(source, []).append(tile)
+    holders = survey.holders()
+    for source in survey.inputs.sources:
+        key = str(source.key)
+        receipt = survey.of("index_file").get(key)
+        if receipt is None:
+            continue
+        labels = _label_units(survey, tiles_of.get(key, []), holders)
+        args = {
+            **source_args(source),
+            "delivered": source.delivered,
+            "points": receipt.points,
+            "parts": len(receipt.facts["parts"]),
+            "hash": receipt.facts["hash"],
+            "tiles": {str(tile): units_of for tile, units_of in labels.items()},
+        }
+        yield Task("deliver_file", key, args, _delivery_needs(labels), receipt.points)
+
+
+def deliver_tiles(survey: Survey) -> Iterator[Task]:
+    """Tiles, where they are delivered."""
+    if survey.workflow.outputs.tiles == "none":
+        return
+    holders = survey.holders()
+    for tile, count in survey.counts.items():
+        labels = _label_units(survey, [tile], holders)
+        args = {"tile": str(tile), "units": labels[tile]}
+        yield Task("deliver_tile", str(tile), args, _delivery_needs(labels), count)
+
+
+def mosaic(survey: Survey) -> Iterator[Task]:
+    """Rasters of each piece of the survey."""
+    for number, (cells, bounds) in enumerate(mosaic_parts(survey), start=1):
+        keepers = dict.fromkeys(map(survey.ground_cells.keeper, cells))
+        needs = tuple(("surface", str(cell)) for cell in keepers)
+        for product in products(reflectance=knows_reflectance(survey)):
+            name = product.name if number == 1 else f"{product.name}_{number}"
+            args = {
+                "product": product.name,
+                "name": name,
+                "cells": cell_runs(cells),
+                "bounds": list(bounds),
+                "delivered": product.delivered,
+                "meaning": product.meaning,
+                "unit": product.unit,
+            }
+            yield Task("mosaic", name, args, needs)
+
+
+def _task(
+    kind: str,
+    unit: Unit,
+    args: Mapping[str, object],
+    needs: tuple[tuple[str, str], ...],
+    survey: Survey,
+) -> Task:
+    refused = refusal(kind, unit.held, survey.memory_bytes)
+    return Task(kind, unit.name, args, needs, unit.points, refused)
+
+
+def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
+    """What the stretches say of a place, by name."""
+    scattered = ((name, r.facts) for name, r in survey.of("scatter").items())
+    return {name: facts[fact] for name, facts in scattered if fact in facts}
+
+
+def _cell_args(cell: Unit) -> dict[str, object]:
+    return {
+        "cell": str(cell.cell),
+        "core": list(cell.core),
+        "tiles": [str(t) for t in cell.tiles],
+    }
+
+
+def _named(kind: str, listed: Mapping[CellId, list[str]]) -> dict[str, list[list[str]]]:
+    return {str(tile): [[kind, name] for name in names] for tile, names in listed.items()}
+
+
+def _tile_needs(unit: Unit) -> tuple[tuple[str, str], ...]:
+    return tuple(("build_tile", str(t)) for t in unit.tiles)
+
+
+def _label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[str, str], ...]:
+    return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
+
+
+def _label_units(
+    survey: Survey, tiles: list[CellId], holders: Holders
+) -> dict[CellId, dict[str, list[str]]]:
+    """Finished units that hold the delivered labels of each tile, by tile and label."""
+    noise = holders.of(tiles)
+    classes = survey.ground_cells.owners(tiles, survey.tile_q, survey.of("surface"))
+    return {t: {"noise": noise[t], "classes": classes[t]} for t in tiles}
+
+
+def _delivery_needs(labels: Mapping[CellId, dict[str, list[str]]]) -> tuple[tuple[str, str], ...]:
+    built = tuple(("build_tile", str(tile)) for tile in labels)
+    noise = {tile: units_of["noise"] for tile, units_of in labels.items()}
+    classes = {tile: units_of["classes"] for tile, units_of in labels.items()}
+    return (*built, *_label_needs("denoise", noise), *_label_needs("surface", classes))

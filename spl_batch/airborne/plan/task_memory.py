@@ -1,0 +1,216 @@
+"""What tasks hold in memory, and which of them cannot fit into a worker.
+
+A task's need is that of a worker that has compiled its kernels and the points that the
+task holds at once times the bytes of each; `benchmarks/engine/memory.py` measures them.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.plan.halo import halo_m, surface_reach_m
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.tasks.delivery import PASS_POINTS
+from spl_batch.airborne.tasks.index import CHUNK_POINTS
+from spl_batch.constants import QUANTUM_M
+from spl_batch.engine.plan.worker_memory import (
+    USABLE_SHARE,
+    WORKER_BASE_BYTES,
+    enough_mib,
+    usable_bytes,
+)
+from spl_batch.errors import grouped
+from spl_batch.formats.trajectory.merge import WAITING_RECORDS
+from spl_batch.lattice.density import Box, Peak, Piece, largest
+from spl_batch.lattice.tiles import quanta
+
+BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
+    {
+        "index_file": 300,
+        "gather": 380,
+        "gather_range": 300,
+        "observe": 380,
+        "scatter": 540,
+        "build_tile": 280,
+        "denoise": 125,
+        "ground": 125,
+        "surface": 175,
+        "deliver_tile": 280,
+        "accuracy": 300,
+    }
+)
+"""Peak memory of a task by each of the points that it holds at once [byte]."""
+
+BYTES_PER_LABEL: Final = 12
+"""Labels of a point of the file that is delivered [byte]."""
+
+BYTES_PER_RECORD: Final = 200
+"""A trajectory's record that waits for its place in time [byte]."""
+
+RECORD_BYTES: Final[Mapping[str, int]] = MappingProxyType(
+    {".out": 136, ".sbet": 136, ".parquet": 20, ".pq": 20}
+)
+"""Size of a trajectory's record on disk, at the least [byte]."""
+
+CSV_RECORD_BYTES: Final = 30
+"""The same where a record is a line of text [byte]."""
+
+STRETCH_POINTS: Final = 2_000_000
+"""Points that a stretch holds on average, where memory allows [count]."""
+
+LEAST_STRETCH_POINTS: Final = 125_000
+"""The same in the smallest worker [count]."""
+
+UNEVEN: Final = 2
+"""A stretch is a span of time: where much returns, it holds more than the average, up to this."""
+
+
+class Need(NamedTuple):
+    """Memory of a task.
+
+    Parameters
+    ----------
+    task : str
+        What it is, and where.
+    memory_bytes : int
+        Its worker included [byte].
+    remedy : str
+        How to make it lighter, beside more memory.
+    """
+
+    task: str
+    memory_bytes: int
+    remedy: str
+
+
+def task_bytes(kind: str, points: float) -> int:
+    """Memory of a task that holds so many points, its worker included [byte]."""
+    return WORKER_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
+
+
+def stretch_bytes(points: int) -> int:
+    """Memory of a task on the fullest stretch, where they hold so many points on average [byte]."""
+    return task_bytes("scatter", UNEVEN * points)
+
+
+def points_within(kind: str, limit: int) -> int:
+    """Points that a task can hold within a worker's memory limit [count]."""
+    return max(usable_bytes(limit) - WORKER_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
+
+
+def stretch_points(limit: int) -> int:
+    """Points that a stretch should hold on average under a memory limit [count].
+
+    Halved as long as a full one does not fit, so that a run that is continued with a
+    little more memory finds its stretches again.
+    """
+    points = STRETCH_POINTS
+    while points > LEAST_STRETCH_POINTS and UNEVEN * points > points_within("scatter", limit):
+        points //= 2
+    return points
+
+
+def needs(
+    pieces: Sequence[Piece],
+    workflow: Workflow,
+    stretch_points: int,
+    *,
+    points: int,
+    boxes: Sequence[Box] = (),
+    trajectory: Iterable[Path] = (),
+) -> list[Need]:
+    """Memory of the heaviest task of each kind.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Where the points lie.
+    workflow : Workflow
+        The settings.
+    stretch_points : int
+        Points that a stretch holds on average [count].
+    points : int
+        Points of the survey [count].
+    boxes : sequence of Box
+        Bounding boxes of its files: ground cells at its edge own what is left over there.
+    trajectory : iterable of Path
+        Trajectory files.
+    """
+    tile_q, cell_q = quanta(workflow.tiling.tile_m), quanta(workflow.ground.cell_m)
+    block = (workflow.tiling.block_tiles or 1) * tile_q
+    reaches = {
+        "build_tile": (tile_q, 0.0),
+        "denoise": (block, halo_m(workflow)),
+        "ground": (cell_q, workflow.ground.buffer_m),
+        "surface": (cell_q, surface_reach_m(workflow)),
+    }
+    cells = GroundCells.of_workflow((box.bounds for box in boxes), workflow)
+    found = []
+    for kind, (edge, reach) in reaches.items():
+        peak = largest(piece.peak(edge, quanta(reach)) for piece in pieces)
+        if kind in {"ground", "surface"}:
+            peak = largest([peak, cells.fullest_joined(boxes, quanta(reach))])
+        found.append(Need(_place(kind, peak), task_bytes(kind, peak.points), REMEDIES[kind]))
+    tile = largest(piece.peak(tile_q, 0) for piece in pieces).points
+    stretch = min(points, UNEVEN * stretch_points)
+    labels = min(points, PASS_POINTS) * BYTES_PER_LABEL
+    chunk = min(points, CHUNK_POINTS)
+    records = sum(_records(path) for path in trajectory)
+    return [
+        *found,
+        Need("reading a file", task_bytes("index_file", chunk), ""),
+        Need("a stretch of a flightline", task_bytes("scatter", stretch), ""),
+        Need("a file's labels", task_bytes("deliver_tile", tile) + labels, "lower tiling.tile_m"),
+        Need(
+            f"a trajectory of about {grouped(records)} records",
+            WORKER_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
+            "",
+        ),
+    ]
+
+
+REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "build_tile": "lower tiling.tile_m",
+        "denoise": "lower tiling.tile_m",
+        "ground": "lower ground.cell_m or ground.buffer_m",
+        "surface": "lower ground.cell_m or products.void_max_m",
+        "accuracy": "cut the reference into files that fill their bounding boxes evenly",
+    }
+)
+"""What makes a task lighter, by its kind."""
+
+NAMES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "build_tile": "a tile",
+        "denoise": "a denoise block",
+        "ground": "a ground cell",
+        "surface": "a surface cell",
+        "accuracy": "a square of the reference",
+    }
+)
+"""What a kind of task is called, in words."""
+
+
+def refusal(kind: str, points: float, limit: int) -> str:
+    """Why a task cannot be started, and what helps; empty if it can."""
+    needed = task_bytes(kind, points)
+    if needed <= usable_bytes(limit):
+        return ""
+    return (
+        f"{NAMES[kind]} with {grouped(points)} points in reach needs about "
+        f"{grouped(needed / 2**20)} MiB, more than {100 * USABLE_SHARE:.0f} % of --memory "
+        f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or {REMEDIES[kind]}"
+    )
+
+
+def _place(kind: str, peak: Peak) -> str:
+    x, y = (sum(ends) / 2 * QUANTUM_M for ends in (peak.core[::2], peak.core[1::2]))
+    return f"{NAMES[kind]} around x {x:.0f}, y {y:.0f} with {grouped(peak.points)} points in reach"
+
+
+def _records(path: Path) -> int:
+    size = RECORD_BYTES.get(path.suffix.lower(), CSV_RECORD_BYTES)
+    return path.stat().st_size // size

@@ -1,0 +1,144 @@
+"""Compile kernels before they are needed, a share on each worker.
+
+numba compiles a kernel when it is first called, and keeps the code on disk. In the first run on
+a machine all workers would compile the same at the same time, each of them everything.
+``signatures.json`` lists the kernels that the airborne chain calls, with the types of their
+arguments; ``python -m benchmarks.airborne.signatures`` writes it.
+"""
+
+import importlib
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from typing import Any, Final
+
+from numba import types
+from numba.core.dispatcher import Dispatcher
+
+_ARRAY: Final = re.compile(r"(readonly )?array\((\w+), (\d)d, ([ACF])\)")
+
+
+def signatures() -> dict[str, list[str]]:
+    """Types of the arguments of each kernel, by module and name."""
+    text = (files("spl_batch.airborne") / "signatures.json").read_text(encoding="utf-8")
+    found: dict[str, list[str]] = json.loads(text)
+    return found
+
+
+def _tell_nobody(_done: int, _of: int) -> None:
+    """Listen to no progress."""
+
+
+def compile_share(share: int, shares: int, tell: Callable[[int, int], None] = _tell_nobody) -> int:
+    """Compile some of the kernels, or load what is compiled.
+
+    Parameters
+    ----------
+    share, shares : int
+        Which part of all, from 0, and of how many.
+    tell : callable
+        Told how many kernels of this share are compiled, those that they call among them, and how
+        many it has [count].
+
+    Returns
+    -------
+    int
+        Kernels that were compiled and not loaded [count].
+    """
+    compiled, listed = 0, signatures()
+    # Those that call few others first: each step is short then, and what is told moves evenly.
+    names = divided(listed, shares)[share][::-1]
+    needed = [set(_called(find(name))) for name in names]
+    ready: set[str] = set()
+    whole = len(ready.union(*needed))
+    for name, kernels in zip(names, needed, strict=True):
+        tell(len(ready), whole)
+        ready |= kernels
+        kernel = find(name)
+        for text in listed[name]:
+            before = sum(kernel.stats.cache_misses.values())
+            kernel.compile(tuple(parse(text, kernel)))
+            compiled += sum(kernel.stats.cache_misses.values()) - before
+    tell(whole, whole)
+    return compiled
+
+
+def divided(names: Mapping[str, Any], shares: int) -> list[list[str]]:
+    """Kernels in shares of about equal cost; those that call the same ones are kept together.
+
+    Parameters
+    ----------
+    names : mapping of str
+        Kernels by module and name.
+    shares : int
+        Their number.
+    """
+    called = {name: frozenset(_called(find(name))) for name in names}
+    loads: list[set[str]] = [set() for _ in range(shares)]
+    found: list[list[str]] = [[] for _ in range(shares)]
+    for name in sorted(called, key=lambda name: (-len(called[name]), name)):
+        added = [len(called[name] - load) for load in loads]
+        best = min(range(shares), key=lambda k: len(loads[k]) + 2 * added[k])
+        loads[best] |= called[name]
+        found[best].append(name)
+    return found
+
+
+def find(name: str) -> Dispatcher:
+    """Kernel by ``module:name``, as ``signatures.json`` names it."""
+    module, _, function = name.partition(":")
+    kernel: Dispatcher = getattr(importlib.import_module(module), function)
+    return kernel
+
+
+def parse(text: str, kernel: Dispatcher) -> Iterator[types.Type]:
+    """Types as numba writes them, separated by ``"; "``.
+
+    Parameters
+    ----------
+    text : str
+        The types.
+    kernel : Dispatcher
+        Whose arguments they are: its module knows the named tuples.
+    """
+    return (_parse(part, kernel.py_func.__globals__) for part in text.split("; "))
+
+
+def _parse(text: str, known: Mapping[str, Any]) -> types.Type:
+    if array := _ARRAY.fullmatch(text):
+        layout: Any = array[4]
+        return types.Array(_scalar(array[2]), int(array[3]), layout, readonly=bool(array[1]))
+    if "(" not in text:
+        return _scalar(text)
+    name, inside = text[:-1].split("(", 1)
+    parts = [_parse(part, known) for part in _split(inside)]
+    made: types.Type = types.BaseTuple.from_types(  # type: ignore[no-untyped-call]
+        parts, None if name.endswith("Tuple") else known[name]
+    )
+    return made
+
+
+def _scalar(name: str) -> types.Type:
+    found: types.Type = getattr(types, name)
+    return found
+
+
+def _split(text: str) -> Sequence[str]:
+    """Members of a tuple; ``"int64 x 2"`` are two."""
+    if many := re.fullmatch(r"(.*) x (\d+)", text):
+        return [many[1]] * int(many[2])
+    return re.split(r", (?![^(]*\))", text)
+
+
+def _called(kernel: Dispatcher) -> Iterator[str]:
+    """Kernels that one calls, and those that they call, itself among them."""
+    waiting, seen = [kernel], set()
+    while waiting:
+        function = waiting.pop().py_func
+        name = f"{function.__module__}.{function.__name__}"
+        if name not in seen:
+            seen.add(name)
+            yield name
+            values = map(function.__globals__.get, function.__code__.co_names)
+            waiting.extend(v for v in values if isinstance(v, Dispatcher))

@@ -1,0 +1,1 @@
+"""Raster products and classes of points."""

@@ -1,0 +1,147 @@
+"""Area that the returns of a ground cell cover, whatever the raster cells are.
+
+Squares of a fixed absolute grid that hold a return count, and gaps between them no wider than
+twice ``products.void_max_m``: the rule of :mod:`~spl_batch.airborne.products.flown_cells`, which
+says where
+``density.tif`` has a value. A raster cell at the edge of a survey counts as a whole there, so
+that coarse cells would cover more than fine ones. Around sparse returns a rim of half their mean
+spacing counts too.
+
+Each square belongs to one ground cell, so that areas add up.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from spl_batch.airborne.products.flown_cells import about_ground, close
+from spl_batch.airborne.settings import ProductSettings
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta, shared
+
+DOMAIN: Final = "space"
+"""Needs every flightline of a place."""
+
+SQUARE_Q: Final = 250
+"""Edge of a square [quanta]: at the edge of a plot of 20 m half a square is 1 % of its width."""
+
+SQUARE_M2: Final = (SQUARE_Q * QUANTUM_M) ** 2
+"""Area of a square [m2]."""
+
+COARSE: Final = 4
+"""Squares along those that tell soon that all of a cell is covered [count]."""
+
+WIDEST_RIM: Final = 20
+"""Half the mean spacing of returns, up to which they stand for what lies around [squares]."""
+
+ENOUGH: Final = 100_000
+"""Points that are looked at for that, evenly among more of them [count]."""
+
+Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
+"""Which places, by easting and northing [quanta], count."""
+
+
+def footprint(
+    table: PointTable, cell: Bounds, settings: ProductSettings, within: Within | None = None
+) -> int:
+    """Squares of :data:`SQUARE_M2` of a ground cell that its returns cover [count].
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of the cell and of twice ``settings.void_max_m`` around it, in any order, with
+        ``x, y, z, ground``.
+    cell : Bounds
+        The ground cell [quanta].
+    settings : ProductSettings
+        The widest void.
+    within : callable, optional
+        Takes the centres of squares; those that it refuses do not count.
+    """
+    wide = _squares(grow(cell, quanta(2 * settings.void_max_m)))
+    core = _squares(cell)
+    # the margin is that of two discs; a square's own width is taken off them
+    reach = quanta(settings.void_max_m) // SQUARE_Q - 1
+    if _covers_all(table, wide, reach // COARSE - 2):
+        covered = np.ones((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
+    else:
+        covered = _covered(table, wide, core, reach)
+    if within is not None:
+        row, column = np.nonzero(covered)
+        half = SQUARE_Q // 2
+        east, north = (core.xmin + column) * SQUARE_Q + half, (core.ymin + row) * SQUARE_Q + half
+        return int(np.count_nonzero(within(east, north)))
+    return int(np.count_nonzero(covered))
+
+
+def _squares(region: Bounds) -> Bounds:
+    """Columns and rows of squares whose south-western corner a region owns."""
+    return Bounds(*(-(-side // SQUARE_Q) for side in region))
+
+
+def _quanta(squares: Bounds) -> Bounds:
+    return Bounds(*(side * SQUARE_Q for side in squares))
+
+
+def _held(column: NDArray[np.int64], row: NDArray[np.int64], frame: Bounds) -> NDArray[np.bool_]:
+    """Squares of a frame that hold points, from the south."""
+    held = np.zeros((frame.ymax - frame.ymin, frame.xmax - frame.xmin), np.bool_)
+    held[row - frame.ymin, column - frame.xmin] = True
+    return held
+
+
+def _covers_all(table: PointTable, wide: Bounds, reach: int) -> bool:
+    """Whether some of the ground already tells that no place is far from all points."""
+    some = table.select(("x", "y", "ground")).take(slice(None, None, len(table) // ENOUGH + 1))
+    some = some.take((some["ground"] == 1) & inside(some["x"], some["y"], _quanta(wide)))
+    if reach < 1 or not len(some):
+        return False
+    edge = SQUARE_Q * COARSE
+    frame = Bounds(
+        wide.xmin // COARSE, wide.ymin // COARSE, -(-wide.xmax // COARSE), -(-wide.ymax // COARSE)
+    )
+    held = _held(some["x"] // edge, some["y"] // edge, frame)
+    return bool((distance_transform_edt(~held) <= reach).all())
+
+
+def _covered(table: PointTable, wide: Bounds, core: Bounds, reach: int) -> NDArray[np.bool_]:
+    """Squares of the core that points cover, as far as points reach."""
+    covered = np.zeros((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
+    there = about_ground(table, _quanta(wide))
+    column, row = (table[axis][there] // SQUARE_Q for axis in "xy")
+    if not len(column):
+        return covered
+    hull = Bounds(int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1)
+    # farther out than a disc nothing is covered
+    around = shared(grow(hull, reach + 2), wide)
+    closed = _with_rim(close(_held(column, row, around), reach), len(column))
+    mine = shared(around, core)
+    if mine.area_m2 > 0:
+        covered[_place(mine, core)] = closed[_place(mine, around)]
+    return covered
+
+
+def _with_rim(closed: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:
+    """Squares with those that lie less than half the mean spacing from one.
+
+    Sparse returns end inside the place that they stand for; a held square reaches half its width
+    beyond its returns already.
+    """
+    spacing = np.sqrt(np.count_nonzero(closed) / points)
+    rim = min(spacing / 2 - 0.5, WIDEST_RIM)
+    if rim < 1:
+        return closed
+    near: NDArray[np.bool_] = distance_transform_edt(~closed) <= rim
+    return near
+
+
+def _place(part: Bounds, frame: Bounds) -> tuple[slice, slice]:
+    """Rows and columns of a part of a frame."""
+    return (
+        slice(part.ymin - frame.ymin, part.ymax - frame.ymin),
+        slice(part.xmin - frame.xmin, part.xmax - frame.xmin),
+    )

@@ -1,0 +1,1 @@
+"""Reflectance from how many of the fired beamlets were seen."""

@@ -1,0 +1,244 @@
+"""Fired beamlets against a surface: which were seen, and where the silent ones ended."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.products.reflectance.beamlet_matching import (
+    CELL_BITS,
+    SILENT,
+    Blocks,
+    aim_at,
+)
+from spl_batch.constants import QUANTUM_M
+from spl_batch.numerics.compiled import njit
+
+COARSE = 8
+"""Cells along one side of the coarse squares that bound heights [count]."""
+
+U_COARSE = np.uint64(COARSE)
+
+STEP_CELLS = 0.5
+"""Step of a ray over the ground [cells]."""
+
+MAX_STEPS = 400
+"""Longest walk of a ray [count]."""
+
+COSINE_MIN = 0.2
+"""Incidence is not corrected for beyond this [1]."""
+
+
+class Grid(NamedTuple):
+    """Square cells from a south-west corner, to which all places are relative.
+
+    Parameters
+    ----------
+    cell_m : float
+        Edge [m].
+    height : (rows, cols) float64
+        Surface of each cell [m]; NaN where there is none.
+    slope : (rows, cols, 2) float64
+        Its gradient to the east and to the north.
+    low, high : (r, c) float64
+        Bounds of the heights in and around each square of ``COARSE`` cells [m].
+    """
+
+    cell_m: float
+    height: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+@njit(nogil=True, cache=True)
+def trace(
+    height: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    cell_m: float,
+    level: float,
+    aim: NDArray[np.float64],
+    pattern: NDArray[np.float64],
+    wanted: NDArray[np.int64],
+    cell: NDArray[np.int64],
+) -> None:
+    """Cells where the silent beamlets of a shot meet the surface.
+
+    The arrays of a surface are looked into by this function alone: what is called for each
+    beamlet would count references to them up and down, a third of the time.
+
+    Parameters
+    ----------
+    height, low, high, cell_m
+        Of a :class:`Grid`.
+    level : float
+        A height near the surface, from which the walk's bounds are looked up [m].
+    aim : (9,) float64
+        Sensor [m], dx/dz and dy/dz of the array's middle, and their change with the place in it.
+    pattern : (c, 2) float64
+        Place of each channel in the array; NaN for those that there are not.
+    wanted : (c,) int64
+        First returns of the beamlets; those that are :data:`SILENT` are traced.
+    cell : (c,) int64, written
+        ``row * cols + col`` of the cell; -1 where none is met, or the beamlet not traced.
+    """
+    rows, cols = height.shape
+    per_m = 1.0 / cell_m
+    for c in range(len(wanted)):
+        cell[c] = -1
+        gx, gy = pattern[c, 0], pattern[c, 1]
+        if wanted[c] != SILENT or np.isnan(gx):
+            continue
+        # Column and row at height z are x0 + x1 * z and y0 + y1 * z, in cells.
+        x1 = (aim[3] + aim[5] * gx + aim[7] * gy) * per_m
+        y1 = (aim[4] + aim[6] * gx + aim[8] * gy) * per_m
+        x0, y0 = aim[0] * per_m - x1 * aim[2], aim[1] * per_m - y1 * aim[2]
+        z, end = level, np.inf
+        for _ in range(2):
+            x, y = x0 + x1 * z, y0 + y1 * z
+            if x < 0.0 or y < 0.0 or x >= cols or y >= rows:
+                break
+            i, j = np.uint64(x) // U_COARSE, np.uint64(y) // U_COARSE
+            if np.isnan(high[j, i]):
+                break
+            z, end = high[j, i], min(end, low[j, i])
+        over = max(abs(x1), abs(y1))
+        step = STEP_CELLS / over if over > 1e-6 else np.inf
+        for _ in range(MAX_STEPS):
+            x, y = x0 + x1 * z, y0 + y1 * z
+            if 0.0 <= x < cols and 0.0 <= y < rows and z <= height[np.uint64(y), np.uint64(x)]:
+                cell[c] = np.int64(y) * cols + np.int64(x)
+                break
+            if z <= end:
+                break
+            z = max(z - step, end)
+
+
+@njit(nogil=True, cache=True)
+def exposure(
+    slope: tuple[float, float],
+    z: float,
+    height: float,
+    lean: tuple[float, float],
+    constant: float,
+    extinction: float,
+    terms: Any,
+) -> float:
+    """Photo-electrons per reflectance that a beamlet brings from a cell [W17 Eq. 2.1].
+
+    Parameters
+    ----------
+    slope : (float, float)
+        Of the cell that is met.
+    z, height
+        At which height, and that of the sensor [m].
+    lean : (float, float)
+        Of the beamlet: dx/dz, dy/dz.
+    constant : float
+        Of instrument and channel [m2].
+    extinction : float
+        Of the air [1/m].
+    terms : (bool, bool)
+        Whether range, and whether incidence is allowed for.
+    """
+    length = math.sqrt(1.0 + lean[0] * lean[0] + lean[1] * lean[1])
+    amount = constant
+    if terms[0]:
+        range_m = (height - z) * length
+        amount *= math.exp(-2.0 * extinction * range_m) / (range_m * range_m)
+    if terms[1]:
+        sx, sy = slope
+        cosine = (1.0 - sx * lean[0] - sy * lean[1]) / (length * math.sqrt(1 + sx * sx + sy * sy))
+        amount *= max(cosine, COSINE_MIN)
+    return amount
+
+
+@njit(nogil=True, cache=True)
+def expose_cells(
+    shots: tuple[NDArray[np.int64], NDArray[np.float64]],
+    blocks: Blocks,
+    top: NDArray[np.int64],
+    grid: Grid,
+    core: tuple[int, int, int, int],
+    level: float,
+    extinction: float,
+    terms: tuple[bool, bool],
+    fixed: float,
+    silent: NDArray[np.int64],
+    fired: NDArray[np.int64],
+    seen_cell: NDArray[np.int64],
+    seen_amount: NDArray[np.float64],
+) -> int:
+    """Share out every fired beamlet to the cell of its first return, or where it ended.
+
+    Parameters
+    ----------
+    shots : ((k,) int64, (k,) float64)
+        Block of each shot, and its time within that.
+    blocks : Blocks
+        Shots fired.
+    top : (k, c) int64
+        From :func:`match_points`.
+    grid : Grid
+        The surface.
+    core : (int, int, int, int)
+        First and past-the-last row, first and past-the-last column of the cells wanted.
+    level : float
+        A height near the surface [m].
+    extinction : float
+        Of the air [1/m].
+    terms : (bool, bool)
+        Whether range, and whether incidence is allowed for.
+    fixed : float
+        Steps of ``silent`` per photo-electron and reflectance.
+    silent : (rows, cols) int64
+        Sum over silent beamlets, fixed point; added to.
+    fired : (rows, cols) int64
+        Beamlets of each cell; added to.
+    seen_cell : (s,) int64
+        Filled with the cell of each seen beamlet.
+    seen_amount : (s,) float64
+        Filled with its photo-electrons per reflectance.
+
+    Returns
+    -------
+    int
+        Number of seen beamlets; rows and columns of the outputs are those of ``core``.
+    """
+    aim, ends = np.empty(9), np.empty(top.shape[1], np.int64)
+    r0, r1, c0, c1 = core
+    # Taken out of their tuples once: each look into one counts references up and down.
+    height, low, high, cell_m = grid.height, grid.low, grid.high, grid.cell_m
+    slope, brightness, pattern = grid.slope, blocks.exposure, blocks.pattern
+    cols = np.int64(height.shape[1])
+    count = 0
+    for s in range(len(top)):
+        b = shots[0][s]
+        aim_at(blocks, b, shots[1][s], aim)
+        trace(height, low, high, cell_m, level, aim, pattern[b], top[s], ends)
+        for c in range(top.shape[1]):
+            constant = brightness[b, c]
+            gx, gy = pattern[b, c, 0], pattern[b, c, 1]
+            if constant <= 0.0 or np.isnan(gx):
+                continue
+            first = top[s, c]
+            cell = first & np.int64(CELL_BITS) if first != SILENT else ends[c]
+            if cell < 0:
+                continue
+            row, col = cell // cols, cell % cols
+            if row < r0 or row >= r1 or col < c0 or col >= c1:
+                continue
+            z = (first >> np.int64(32)) * QUANTUM_M if first != SILENT else height[row, col]
+            lean = aim[3] + aim[5] * gx + aim[7] * gy, aim[4] + aim[6] * gx + aim[8] * gy
+            steep = slope[row, col, 0], slope[row, col, 1]
+            amount = exposure(steep, z, aim[2], lean, constant, extinction, terms)
+            fired[row - r0, col - c0] += 1
+            if first != SILENT:
+                seen_cell[count] = (row - r0) * (c1 - c0) + col - c0
+                seen_amount[count] = amount
+                count += 1
+            else:
+                silent[row - r0, col - c0] += np.int64(np.rint(amount * fixed))
+    return count

@@ -1,0 +1,301 @@
+"""Where every fired beamlet pointed, silent ones and silent shots included.
+
+Source: [W17] Eq. 2.8-2.15 for the geometry (a rigid array behind a scanner), 8.2.2 for its
+use. A delivery holds detections only; but each detection, noise too, lies on the axis of
+its beamlet, so that a block of a few shots shows the path of the array and its turn
+exactly, and where it points in the shots and channels between them.
+
+Blocks lie on the absolute grid of shots: parts of the intervals of the noise model, at
+most :data:`BLOCK_SHOTS` long. A block looks at no other, so a part does not depend on
+where its flightline is cut. Which shots were fired, and how sensitive a channel is, the
+line model says.
+
+Deviations: the place of a channel in the array is that of Eq. 2.9 where the returns agree
+with it; else it is learnt from the block's own returns, and a channel that has none there
+counts as not fired. A block that neither describes is left out.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.link_budget import signal_constant
+from spl_batch.airborne.beams.rays import meet_planes
+from spl_batch.airborne.noise.line_model import LineModel
+from spl_batch.airborne.products.reflectance.shot_pattern import (
+    TERMS,
+    learn_pattern,
+    misfit,
+    motion,
+    normal_equations,
+)
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tables import BeamTable, PointTable, ShotClock
+
+DOMAIN: Final = "time"
+COLUMNS_NEEDED: Final = ("z", "channel", "shot")
+COLUMNS_ADDED: Final = ()
+
+BLOCK_SHOTS: Final = 60
+"""Longest block: within 2 ms a scan of 25 Hz turns by 18 degrees, a cubic to millimetres."""
+
+MISFIT_MAX_M: Final = 0.3
+"""Spread about the fit, on the ground, beyond which it is not believed [m]."""
+
+LEARNING_ROUNDS: Final = 4
+"""Rounds in which an unknown array and its turn are fitted in alternation [count]."""
+
+_RIDGE: Final = 1e-7
+"""Weight of "zero" for coefficients that a block's few shots do not determine."""
+
+
+_BY_BLOCK: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
+    {
+        **dict.fromkeys(("first", "last", "middle", "half"), ()),
+        "anchor": (3,),
+        "coefficient": (TERMS, 2),
+        "origin": (2, 3),
+    }
+)
+"""What a part has for each block, and its shape; on disk one table, which is read at once."""
+
+_NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped")
+"""What it has once."""
+
+
+@dataclass(frozen=True, slots=True)
+class FiredPart:
+    """Beamlets fired during one stretch.
+
+    Parameters
+    ----------
+    first, last : (m,) int64
+        First and last shot fired of each block.
+    middle, half : (m,) float64
+        A shot's time within its block is ``(shot - middle) / half``.
+    anchor : (m, 3) float64
+        Place on the reference plane that the fit is relative to, and its height [m].
+    coefficient : (m, TERMS, 2) float64
+        Where the beamlets meet that plane, see
+        :mod:`~spl_batch.airborne.products.reflectance.shot_pattern` [m].
+    origin : (m, 2, 3) float64
+        Sensor relative to the anchor at the middle, and its motion per unit of time [m].
+    pattern : (m, c, 2) float64
+        Place of each channel in the array; NaN where not known.
+    gain : (c,) float64
+        Sensitivity of each channel, median of the live ones one; 0 is dead.
+    constant_m2 : float
+        Photo-electrons of a beamlet per reflectance, times square of range [m2].
+    t0_s, prf_hz : float
+        Clock of the shots.
+    dropped : int
+        Blocks with returns that no fit describes.
+    """
+
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    middle: NDArray[np.float64]
+    half: NDArray[np.float64]
+    anchor: NDArray[np.float64]
+    coefficient: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    pattern: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    constant_m2: float
+    t0_s: float
+    prf_hz: float
+    dropped: int
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Few arrays, of numbers only, as an npz file holds them; of equal patterns one is kept."""
+        m, channels, axes = self.pattern.shape
+        rows = np.ascontiguousarray(self.pattern).reshape(m, channels * axes)
+        whole = rows.view(np.dtype((np.void, rows.shape[1] * rows.itemsize))).ravel()
+        _, first, which = np.unique(whole, return_index=True, return_inverse=True)
+        # Whole numbers below 2**53 are exact.
+        columns = [
+            np.reshape(getattr(self, name), (m, math.prod(shape)))
+            for name, shape in _BY_BLOCK.items()
+        ]
+        return {
+            "blocks": np.column_stack([which, *columns]),
+            "pattern": self.pattern[first],
+            "gain": self.gain,
+            "numbers": np.array([float(getattr(self, name)) for name in _NUMBERS]),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "FiredPart":
+        """Part that :meth:`to_arrays` gave."""
+        widths = [math.prod(shape) for shape in _BY_BLOCK.values()]
+        which, *columns = np.split(arrays["blocks"], np.cumsum([1, *widths[:-1]]), axis=1)
+        content: dict[str, Any] = {
+            name: np.ascontiguousarray(column).reshape(len(which), *shape)
+            for (name, shape), column in zip(_BY_BLOCK.items(), columns, strict=True)
+        }
+        numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
+        content |= {name: content[name].astype(np.int64) for name in ("first", "last")}
+        content["pattern"] = arrays["pattern"][which.ravel().astype(np.intp)]
+        return cls(
+            **{**content, **numbers, "gain": arrays["gain"], "dropped": int(numbers["dropped"])}
+        )
+
+    def reach(self) -> list[int]:
+        """Rectangle that the beamlets can meet near their reference planes [m]."""
+        if not len(self.first):
+            return [0, 0, 0, 0]
+        a = self.coefficient
+        spread = np.abs(a[:, 1:]).sum(axis=1)
+        centre = self.anchor[:, :2] + a[:, 0]
+        low, high = np.floor((centre - spread).min(axis=0)), np.ceil((centre + spread).max(axis=0))
+        return [int(low[0]), int(low[1]), int(high[0]), int(high[1])]
+
+
+def aim(
+    table: PointTable, beams: BeamTable, model: LineModel, sensor: Sensor, clock: ShotClock
+) -> FiredPart:
+    """Beamlets fired during a stretch.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by (gps_time, channel, ...).
+    beams : BeamTable
+        Their beams from true sensor positions; rows without a known beam take no part.
+    model : LineModel
+        Which shots were fired, and the gain of each channel.
+    sensor : Sensor
+        Array and link budget [W17 Eq. 2.1].
+    clock : ShotClock
+        Of the flightline.
+
+    Returns
+    -------
+    FiredPart
+    """
+    table = table.select(COLUMNS_NEEDED)
+    origin, direction = beams.origin_m, beams.direction
+    usable = beams.known & (direction[:, 2] < -0.1)
+    if not usable.all():
+        table, origin, direction = table.take(usable), origin[usable], direction[usable]
+    start, first, last = _blocks(table["shot"], model)
+    size = np.diff(start)
+    place, anchor = np.empty((len(table), 2)), np.empty((len(size), 3))
+    meet_planes(start, table["z"], QUANTUM_M, origin, direction, place, anchor)
+    middle: NDArray[np.float64] = (first + last).astype(np.float64) / 2
+    half = np.maximum(0.5 * (last - first), 0.5)
+    tau = (table["shot"] - np.repeat(middle, size)) / np.repeat(half, size)
+    channels = int(max(table["channel"].max(initial=0), sensor.beamlets)) + 1
+    data = (start, tau, table["channel"], place)
+    pattern = np.repeat(_grid(sensor, channels)[None], len(size), axis=0)
+    coefficient, rms = _fit(data, pattern)
+    wrong = np.flatnonzero(~(rms <= MISFIT_MAX_M))
+    if len(wrong):
+        learnt = _learn(_only(data, wrong), channels)
+        pattern[wrong], coefficient[wrong], rms[wrong] = learnt
+    good = rms <= MISFIT_MAX_M
+    moving = np.empty((len(size), 2, 3))
+    motion(start, tau, origin, anchor, moving)
+    return FiredPart(
+        first[good], last[good], middle[good], half[good], anchor[good], coefficient[good],
+        moving[good], pattern[good], _sensitivity(model, channels), link_constant(sensor),
+        clock.t0_s, clock.prf_hz, int(np.count_nonzero(~good)),
+    )  # fmt: skip
+
+
+def link_constant(sensor: Sensor) -> float:
+    """Photo-electrons of a beamlet per reflectance, times square of range [m2; W17 Eq. 2.1]."""
+    return signal_constant(
+        sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency,
+        sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
+        sensor.wavelength_nm,
+        sensor.aperture_m,
+    )
+
+
+def _blocks(
+    shot: NDArray[np.int64], model: LineModel
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Blocks with returns: first rows (m + 1,), first and last shot fired (m,) each."""
+    length = model.interval_shots
+    parts = -(-length // BLOCK_SHOTS)
+    interval = np.floor_divide(shot, length)
+    part = (shot - interval * length) * parts // length
+    block = interval * parts + part
+    start = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
+    row = model.row(shot[start])
+    base = interval[start] * length
+    # part = offset * parts // length, solved for the first and the last offset
+    low = -(-part[start] * length // parts)
+    high = -(-(part[start] + 1) * length // parts) - 1
+    first = base + np.maximum(low, model.first[row])
+    last = base + np.minimum(high, model.last[row])
+    return np.append(start, len(shot)).astype(np.int64), first, last
+
+
+def _grid(sensor: Sensor, channels: int) -> NDArray[np.float64]:
+    """Place of each channel in the array, -1 to 1 [W17 Eq. 2.9]; NaN for others: (c, 2)."""
+    columns = sensor.array_columns
+    place = np.full((channels, 2), np.nan)
+    used = np.arange(1, min(columns * columns, channels - 1) + 1)
+    scale = max((columns - 1) / 2, 0.5)
+    for axis, number in enumerate(np.divmod(used - 1, columns)):
+        place[used, axis] = (number - (columns - 1) / 2) / scale
+    return place
+
+
+def _fit(
+    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    pattern: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Coefficients of each block, and the root mean square distance from them [m]."""
+    m = len(data[0]) - 1
+    matrix, right = np.empty((m, TERMS, TERMS)), np.empty((m, TERMS, 2))
+    normal_equations(*data, pattern, matrix, right)
+    diagonal = np.arange(TERMS)
+    matrix[:, diagonal, diagonal] += _RIDGE * np.maximum(np.diff(data[0]), 1)[:, None]
+    coefficient: NDArray[np.float64] = np.linalg.solve(matrix, right).astype(np.float64)
+    rms = np.empty(m)
+    misfit(*data, pattern, coefficient, rms)
+    return coefficient, rms
+
+
+def _learn(
+    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    channels: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Array, coefficients and misfit of blocks whose channels are numbered otherwise."""
+    pattern = np.zeros((len(data[0]) - 1, channels, 2))
+    coefficient, rms = _fit(data, pattern)
+    for _ in range(LEARNING_ROUNDS):
+        learn_pattern(*data, coefficient, pattern)
+        scale = np.nanmax(np.abs(pattern), axis=(1, 2), initial=0.0, keepdims=True)
+        pattern /= np.where(scale > 0, scale, 1.0)
+        coefficient, rms = _fit(data, pattern)
+    return pattern, coefficient, rms
+
+
+def _only(
+    data: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]],
+    blocks: NDArray[np.intp],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]:
+    """Rows of some blocks."""
+    start, tau, channel, place = data
+    rows = np.concatenate([np.arange(start[b], start[b + 1]) for b in blocks])
+    size = np.diff(start)[blocks]
+    begin = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+    return begin, tau[rows], channel[rows], place[rows]
+
+
+def _sensitivity(model: LineModel, channels: int) -> NDArray[np.float64]:
+    """Gain of each channel relative to the ordinary one: (c,) float64."""
+    gain = model.gain[:channels].copy()
+    gain[0] = 0.0
+    live = gain[gain > 0]
+    return gain / np.median(live) if len(live) else gain

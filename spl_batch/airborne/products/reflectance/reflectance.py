@@ -1,0 +1,247 @@
+r"""Reflectance from how often beamlets were seen.
+
+Source: [W17] 8.2.2 with Eq. 2.1 and 2.7. A single-photon channel tells one photo-electron
+from none, not how many: brightness is in the share of beamlets that were seen. A beamlet
+that expects :math:`k \rho` photo-electrons is seen with :math:`p = 1 - e^{-k \rho}`, where
+
+.. math:: k = C \, g \, \cos\alpha \, e^{-2 \beta R} / R^2
+
+====================  ==========================================================
+symbol                name
+====================  ==========================================================
+:math:`C`             ``FiredPart.constant_m2``
+:math:`g`             ``FiredPart.gain``: dead channels count as not fired
+:math:`\alpha`        incidence on the slope of the cell, ``first_surface.slopes``
+:math:`\beta`         ``products.extinction_per_m``
+:math:`R`             range
+:math:`\rho`          result
+====================  ==========================================================
+
+Each fired beamlet belongs to one raster cell: that of its first signal return, or, when
+silent, that where its ray meets the surface of the first returns. Overlap is in the number
+of beamlets, then; unequal ones are put together by likelihood, which for equal ones is the
+source's :math:`n = -\ln(1 - p)`.
+
+Deviations. The source proposes a regression of point density on intensities of another
+sensor; the link budget makes that unnecessary, and the result absolute as far as the
+sensor's constants are. Half a silent beamlet is added to each cell: without it the
+estimate is too high by :math:`p / (2 N (1 - p))` photo-electrons, with it the first order
+vanishes. Afterpulses and background are no first returns. Background in front of the
+surface blinds a channel for the dead time only, and is neglected; so is a share of light
+that passes a crown. Water, wires and leaves have no incidence: the number is what a
+Lambertian surface in their place would have. It may exceed one, by that or by chance where
+nearly all were seen, and is not cut: means over cells would be too dark.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.products.reflectance.beamlet_matching import (
+    CELL_BITS,
+    SILENT,
+    Blocks,
+    match_points,
+    shots_near,
+)
+from spl_batch.airborne.products.reflectance.detection_rate import most_likely, sort_by_cell
+from spl_batch.airborne.products.reflectance.exposed_cells import COARSE, expose_cells
+from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
+from spl_batch.airborne.products.reflectance.first_surface import first_surface
+from spl_batch.airborne.settings import ProductSettings
+from spl_batch.constants import NODATA, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+
+DOMAIN: Final = "space"
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
+
+FIRED_MIN: Final = 5
+"""Cells that fewer beamlets were fired at hold nothing [count]."""
+
+FIXED_POINT: Final = 2.0**32
+"""Steps of a sum per photo-electron and reflectance."""
+
+
+class Terms(NamedTuple):
+    """What of the link budget is allowed for; all of it, but to show what each term does."""
+
+    range: bool = True
+    incidence: bool = True
+
+
+ALL_TERMS: Final = Terms()
+"""The whole link budget."""
+
+
+class Detections(NamedTuple):
+    """What was fired at each raster cell, south row first, and what of it was seen.
+
+    Parameters
+    ----------
+    reflectance : (rows, cols) float64
+        NaN where fewer than :data:`FIRED_MIN` beamlets were fired.
+    fired, seen : (rows, cols) int64
+        Beamlets.
+    """
+
+    reflectance: NDArray[np.float64]
+    fired: NDArray[np.int64]
+    seen: NDArray[np.int64]
+
+
+def raster(
+    table: PointTable, parts: Sequence[FiredPart], cell: Bounds, settings: ProductSettings
+) -> NDArray[np.float32]:
+    """Reflectance of a ground cell, north up; nodata where too little was fired.
+
+    Parameters
+    ----------
+    table, parts, cell, settings
+        As in :func:`detections`.
+    """
+    values = detections(table, parts, cell, settings).reflectance[::-1]
+    return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values), dtype=np.float32)
+
+
+def detections(
+    table: PointTable,
+    parts: Sequence[FiredPart],
+    cell: Bounds,
+    settings: ProductSettings,
+    terms: Terms = ALL_TERMS,
+) -> Detections:
+    """Reflectance of a ground cell and what it rests on.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of the cell and of a fixed margin, in any order, with :data:`COLUMNS_NEEDED`.
+    parts : sequence of FiredPart
+        Stretches that may have fired at it, in any order.
+    cell : Bounds
+        The ground cell [quanta].
+    settings : ProductSettings
+        Cell size, void, extinction.
+    terms : Terms
+        What is allowed for.
+
+    Returns
+    -------
+    Detections
+    """
+    size = quanta(settings.cell_m)
+    margin = _margin_cells(settings)
+    wide = grow(cell, margin * size)
+    signal = np.flatnonzero(
+        (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], wide)
+    )
+    shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
+    fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+    nothing = Detections(np.full(shape, np.nan), fired, fired.copy())
+    parts = [p for p in parts if len(p.first)]
+    z = table["z"][signal]
+    if not len(z) or not parts:
+        return nothing
+    blocks = _join(parts, wide)
+    level, depth = _middle_m(z), float((z.max() * QUANTUM_M) - (z.min() * QUANTUM_M))
+    shots = int(blocks.offset[-1] + blocks.last[-1] - blocks.first[-1] + 1)
+    number, block = np.empty(shots, np.int64), np.empty(shots, np.int64)
+    tau = np.empty(shots)
+    edges = (np.array(cell) - [wide.xmin, wide.ymin, wide.xmin, wide.ymin]) * QUANTUM_M
+    near = shots_near(blocks, level, depth, tuple(edges.tolist()), number, block, tau)
+    top = np.empty((near, blocks.pattern.shape[1]), dtype=np.int64)
+    longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
+    cells = shape[0] + 2 * margin, shape[1] + 2 * margin
+    match_points(
+        table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]), signal,
+        (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number, top,
+    )  # fmt: skip
+    first = top[top != SILENT]
+    grid = first_surface(first & CELL_BITS, (first >> 32).astype(np.int32), cells, settings)
+    seen_cell = np.empty(len(first), dtype=np.int64)
+    amount = np.empty(len(first))
+    inner = (margin, margin + shape[0], margin, margin + shape[1])
+    count = expose_cells(
+        (block[:near], tau[:near]), blocks, top, grid, inner,
+        level, settings.extinction_per_m, (terms.range, terms.incidence), FIXED_POINT, silent,
+        fired, seen_cell, amount,
+    )  # fmt: skip
+    return _estimate(seen_cell[:count], amount[:count], silent, fired)
+
+
+def _estimate(
+    cell: NDArray[np.int64],
+    amount: NDArray[np.float64],
+    silent: NDArray[np.int64],
+    fired: NDArray[np.int64],
+) -> Detections:
+    """Most likely reflectance of each cell."""
+    seen = np.bincount(cell, minlength=fired.size)
+    start = np.concatenate([[0], np.cumsum(seen)]).astype(np.int64)
+    # Beamlets come by time and channel, however the points came: the same sums always.
+    in_order = np.empty(len(amount))
+    sort_by_cell(cell, amount, start, in_order)
+    amount = in_order
+    total = np.concatenate([[0], np.cumsum(np.rint(amount * FIXED_POINT).astype(np.int64))])
+    mean = (total[start[1:]] - total[start[:-1]] + silent.ravel()) / np.maximum(fired.ravel(), 1)
+    rho = np.empty(fired.size)
+    most_likely(start, amount, (silent.ravel() + 0.5 * mean) / FIXED_POINT, rho)
+    rho = np.where(fired.ravel() >= FIRED_MIN, rho, np.nan)
+    return Detections(rho.reshape(fired.shape), fired, seen.reshape(fired.shape).astype(np.int64))
+
+
+def _margin_cells(settings: ProductSettings) -> int:
+    """Raster cells around a ground cell that are looked at; a multiple of the coarse squares."""
+    cells = -(-quanta(settings.void_max_m) // quanta(settings.cell_m))
+    return -(-cells // COARSE) * COARSE
+
+
+def reach_m(settings: ProductSettings) -> float:
+    """Width of the margin that :func:`detections` reads around a ground cell [m]."""
+    return _margin_cells(settings) * quanta(settings.cell_m) * QUANTUM_M
+
+
+def _join(parts: Sequence[FiredPart], wide: Bounds) -> Blocks:
+    """Blocks of several stretches by time, relative to a corner."""
+    size = [len(p.first) for p in parts]
+    channels = max(p.pattern.shape[1] for p in parts)
+    first, last = (np.concatenate([getattr(p, k) for p in parts]) for k in ("first", "last"))
+    t0_s = np.repeat([p.t0_s for p in parts], size)
+    prf_hz = np.repeat([p.prf_hz for p in parts], size)
+    begin_s = t0_s + (first - 0.5) / prf_hz
+    pattern = np.concatenate([_widen(p.pattern, channels, np.nan) for p in parts])
+    bright = np.concatenate(
+        [np.repeat(_widen(p.gain[None] * p.constant_m2, channels, 0.0), len(p.first), 0)
+         for p in parts]
+    )  # fmt: skip
+    anchor = np.concatenate([p.anchor for p in parts])
+    anchor = anchor - np.array([wide.xmin * QUANTUM_M, wide.ymin * QUANTUM_M, 0.0])
+    order = np.lexsort((anchor[:, 1], anchor[:, 0], first, begin_s))
+    shots = (last - first + 1)[order]
+    return Blocks(
+        begin_s[order], t0_s[order], prf_hz[order], first[order], last[order],
+        np.concatenate([p.middle for p in parts])[order],
+        np.concatenate([p.half for p in parts])[order],
+        anchor[order],
+        np.concatenate([p.coefficient for p in parts])[order],
+        np.concatenate([p.origin for p in parts])[order],
+        pattern[order], bright[order], np.cumsum(shots) - shots,
+    )  # fmt: skip
+
+
+def _widen(values: NDArray[np.float64], channels: int, fill: float) -> NDArray[np.float64]:
+    """The same for more channels, along the second axis."""
+    missing = [(0, 0)] * values.ndim
+    missing[1] = (0, channels - values.shape[1])
+    wider: NDArray[np.float64] = np.pad(values, missing, constant_values=fill)
+    return wider
+
+
+def _middle_m(z: NDArray[np.int32]) -> float:
+    """Median height of at least one point [m]."""
+    half = len(z) // 2
+    middle = np.partition(z, (max(half - 1, 0), half))[half - 1 + len(z) % 2 : half + 1]
+    return float(np.mean(middle * QUANTUM_M))

@@ -1,0 +1,258 @@
+r"""Least-squares fit of where the beamlets of a few shots point.
+
+Within a few milliseconds the place where a beamlet meets a reference plane is a smooth
+function of the shot and an affine one of the beamlet's place in the array, which turns:
+
+.. math:: p = \sum_{k<4} a_k \tau^k + (b_0 + b_1 \tau) g_x + (c_0 + c_1 \tau) g_y
+
+with :math:`\tau` from -1 to 1 over the block of shots and :math:`g` the place in the array.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.simd import load, spread, store
+
+TERMS = 8
+"""Coefficients of each coordinate: as many as there are lanes."""
+
+_TOGETHER = 32
+"""Returns whose terms are reckoned before they are added up [count]."""
+
+
+@njit(nogil=True, cache=True)
+def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
+    """Value of each term.
+
+    Parameters
+    ----------
+    tau : float
+        Time within the block, -1 to 1.
+    gx, gy : float
+        Place in the array.
+    out : (TERMS,) float64
+        Filled.
+    """
+    out[0] = 1.0
+    out[1] = tau
+    out[2] = tau * tau
+    out[3] = tau * tau * tau
+    out[4] = gx
+    out[5] = gx * tau
+    out[6] = gy
+    out[7] = gy * tau
+
+
+@njit(nogil=True, cache=True)
+def normal_equations(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    pattern: NDArray[np.float64],
+    matrix: NDArray[np.float64],
+    right: NDArray[np.float64],
+) -> None:
+    """Sums that the coefficients of each block follow from.
+
+    Parameters
+    ----------
+    start : (m + 1,) int64
+        First row of each block, and the number of rows.
+    tau : (n,) float64
+        Time of each row within its block, -1 to 1.
+    channel : (n,) uint8
+        Beamlet of each row.
+    place : (n, 2) float64
+        Where it meets the reference plane, relative to the block's anchor [m].
+    pattern : (m, c, 2) float64
+        Place of each channel in the array; rows of a channel without one (NaN) are left out.
+    matrix : (m, TERMS, TERMS) float64
+        Filled.
+    right : (m, TERMS, 2) float64
+        Filled.
+    """
+    term, right_of, zero = np.empty((_TOGETHER, TERMS)), np.empty((_TOGETHER, 2)), np.uint64(0)
+    for b in range(len(start) - 1):
+        # A register for each row of the matrix: what stands in arrays is stored after each return.
+        a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = x = y = spread(0.0)
+        for begin in range(start[b], start[b + 1], _TOGETHER):
+            # What has just been stored number by number cannot be loaded at once yet.
+            count = 0
+            for row in range(begin, min(begin + _TOGETHER, start[b + 1])):
+                gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
+                basis(tau[row], gx, gy, term[count])
+                right_of[count, 0], right_of[count, 1] = place[row, 0], place[row, 1]
+                count += not np.isnan(gx)
+            for k in range(count):
+                terms = load(term, (np.uint64(k), zero))
+                a0 = a0 + terms
+                a1 = a1 + spread(term[k, 1]) * terms
+                a2 = a2 + spread(term[k, 2]) * terms
+                a3 = a3 + spread(term[k, 3]) * terms
+                a4 = a4 + spread(term[k, 4]) * terms
+                a5 = a5 + spread(term[k, 5]) * terms
+                a6 = a6 + spread(term[k, 6]) * terms
+                a7 = a7 + spread(term[k, 7]) * terms
+                x = x + spread(right_of[k, 0]) * terms
+                y = y + spread(right_of[k, 1]) * terms
+        for i, line in enumerate((a0, a1, a2, a3, a4, a5, a6, a7)):
+            store(matrix, (np.uint64(b), np.uint64(i), zero), line)
+        store(term, (zero, zero), x)
+        store(term, (np.uint64(1), zero), y)
+        for i in range(TERMS):
+            right[b, i, 0], right[b, i, 1] = term[0, i], term[1, i]
+
+
+@njit(nogil=True, cache=True)
+def predict(
+    coefficient: NDArray[np.float64],
+    tau: float,
+    gx: float,
+    gy: float,
+    term: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Where a beamlet meets the reference plane, relative to the block's anchor [m].
+
+    Parameters
+    ----------
+    coefficient : (TERMS, 2) float64
+        Of the block.
+    tau, gx, gy : float
+        As in :func:`basis`.
+    term : (TERMS,) float64
+        Room.
+    """
+    basis(tau, gx, gy, term)
+    x = y = 0.0
+    for i in range(TERMS):
+        x += coefficient[i, 0] * term[i]
+        y += coefficient[i, 1] * term[i]
+    return x, y
+
+
+@njit(nogil=True, cache=True)
+def misfit(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    pattern: NDArray[np.float64],
+    coefficient: NDArray[np.float64],
+    rms: NDArray[np.float64],
+) -> None:
+    """Root mean square distance of the rows of each block from its fit.
+
+    Parameters
+    ----------
+    start, tau, channel, place, pattern
+        As in :func:`normal_equations`.
+    coefficient : (m, TERMS, 2) float64
+        Fit of each block.
+    rms : (m,) float64
+        Filled; NaN for a block without rows [m].
+    """
+    term = np.empty(TERMS)
+    for b in range(len(start) - 1):
+        total, count = 0.0, 0
+        for row in range(start[b], start[b + 1]):
+            gx, gy = pattern[b, channel[row], 0], pattern[b, channel[row], 1]
+            if np.isnan(gx):
+                continue
+            x, y = predict(coefficient[b], tau[row], gx, gy, term)
+            total += (place[row, 0] - x) ** 2 + (place[row, 1] - y) ** 2
+            count += 1
+        rms[b] = np.sqrt(total / count) if count else np.nan
+
+
+@njit(nogil=True, cache=True)
+def learn_pattern(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    channel: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    coefficient: NDArray[np.float64],
+    pattern: NDArray[np.float64],
+) -> None:
+    """Mean place of each channel in the array, given how the array turns.
+
+    Parameters
+    ----------
+    start, tau, channel, place
+        As in :func:`normal_equations`.
+    coefficient : (m, TERMS, 2) float64
+        Fit of each block; one whose array is a point takes the ground's own axes.
+    pattern : (m, c, 2) float64
+        Filled; NaN for a channel without rows in the block.
+    """
+    channels = pattern.shape[1]
+    count = np.empty(channels)
+    for b in range(len(start) - 1):
+        count[:] = 0.0
+        pattern[b] = 0.0
+        a = coefficient[b]
+        for row in range(start[b], start[b + 1]):
+            t = tau[row]
+            x = place[row, 0] - (a[0, 0] + t * (a[1, 0] + t * (a[2, 0] + t * a[3, 0])))
+            y = place[row, 1] - (a[0, 1] + t * (a[1, 1] + t * (a[2, 1] + t * a[3, 1])))
+            xx, xy = a[4, 0] + t * a[5, 0], a[6, 0] + t * a[7, 0]
+            yx, yy = a[4, 1] + t * a[5, 1], a[6, 1] + t * a[7, 1]
+            turn = xx * yy - xy * yx
+            if turn != 0.0:
+                x, y = (yy * x - xy * y) / turn, (xx * y - yx * x) / turn
+            c = channel[row]
+            pattern[b, c, 0] += x
+            pattern[b, c, 1] += y
+            count[c] += 1.0
+        for c in range(channels):
+            if count[c] > 0.0:
+                pattern[b, c, 0] /= count[c]
+                pattern[b, c, 1] /= count[c]
+            else:
+                pattern[b, c] = np.nan
+
+
+@njit(nogil=True, cache=True)
+def motion(
+    start: NDArray[np.int64],
+    tau: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    anchor: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Straight lines that the sensor flies during the blocks, by least squares.
+
+    Parameters
+    ----------
+    start : (m + 1,) int64
+        First row of each block, none empty, and the number of rows.
+    tau : (n,) float64
+        Time of each row within its block, -1 to 1.
+    origin : (n, 3) float64
+        Sensor [m].
+    anchor : (m, 3) float64
+        Place that the block's numbers are relative to [m].
+    out : (m, 2, 3) float64
+        Filled with the sensor at the middle of each block, from its anchor, and its motion [m]; it
+        rests where all rows are of one time.
+    """
+    mean = np.empty(3)
+    for b in range(len(start) - 1):
+        rows = range(start[b], start[b + 1])
+        mean_t, mean[:] = 0.0, 0.0
+        for row in rows:
+            mean_t += tau[row]
+            for axis in range(3):
+                mean[axis] += origin[row, axis] - anchor[b, axis]
+        mean_t /= len(rows)
+        mean /= len(rows)
+        spread, out[b] = 0.0, 0.0
+        for row in rows:
+            t = tau[row] - mean_t
+            spread += t * t
+            for axis in range(3):
+                out[b, 1, axis] += t * (origin[row, axis] - anchor[b, axis] - mean[axis])
+        for axis in range(3):
+            out[b, 1, axis] = out[b, 1, axis] / spread if spread > 0.0 else 0.0
+            out[b, 0, axis] = mean[axis] - mean_t * out[b, 1, axis]

@@ -1,0 +1,49 @@
+"""The quickstart: simulate a small airborne survey and run the whole chain on it."""
+
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+
+from spl_batch.engine.store.simulated_folders import mark_quickstart, quickstarted
+from spl_batch.engine.verbs.conclusion import RunResult
+from spl_batch.engine.verbs.running import run
+from spl_batch.engine.verbs.simulation import simulate
+from spl_batch.engine.watch.events import Listener, ignore
+
+
+def quickstart(
+    output: Path | str = "spl-quickstart",
+    *,
+    workers: int = 2,
+    memory: str | int | None = None,
+    progress: Callable[[float], None] | None = None,
+    listener: Listener = ignore,
+) -> RunResult:
+    """Simulate a small survey and run the whole chain on it.
+
+    Parameters
+    ----------
+    output : Path or str
+        Folder; the survey that an earlier quickstart made there is used again.
+    workers : int
+        Worker processes [count].
+    memory : str or int, optional
+        Memory limit of a worker [byte]; a share of the machine's unless told.
+    progress : callable, optional
+        Told the share of the simulation that is done, 0..1.
+    listener : callable
+        Told what happens in the run.
+
+    Raises
+    ------
+    WorkflowError
+        If the folder holds anything that no quickstart made.
+    """
+    folder = Path(output)
+    workflow = folder / "workflow.yaml"
+    if not quickstarted(folder):
+        preset = resources.files("spl_batch.airborne.simulate").joinpath("presets/quickstart.yaml")
+        with resources.as_file(preset) as scene:
+            simulate(scene, folder, progress=progress)
+        mark_quickstart(folder)
+    return run(workflow, workers=workers, memory=memory, listener=listener)

@@ -1,0 +1,309 @@
+"""Airborne single-photon lidar: the receiver that the project began with."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Final
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.noise.line_noise import RAISE_INTERVAL
+from spl_batch.airborne.plan.block_size import (
+    remember_sizes,
+    remember_stretch,
+    remembered_sizes,
+    remembered_stretch,
+)
+from spl_batch.airborne.plan.cost import SurveyCost, estimate
+from spl_batch.airborne.plan.halo import surface_reach_m
+from spl_batch.airborne.plan.inputs.findings import (
+    beams_without_trajectory,
+    blocks_anew,
+    channels_not_named,
+    copies,
+    judge_index,
+    looks_ahead,
+    stretches_anew,
+    times_off,
+)
+from spl_batch.airborne.plan.inputs.first_look import first_look
+from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
+from spl_batch.airborne.plan.phases import PHASES
+from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
+from spl_batch.airborne.plan.task_memory import REMEDIES
+from spl_batch.airborne.precompile import compile_share
+from spl_batch.airborne.products.product_table import NAMES, PRODUCTS
+from spl_batch.airborne.report.model import Report
+from spl_batch.airborne.report.verdicts import screen_summary
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.store.raster_cells import create_raster_store
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.flow.executor import Work
+from spl_batch.engine.report.run_record import Receipts, RunFacts
+from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.store.working_store import Store, read_receipts
+from spl_batch.engine.tasks.ledger import Phase
+from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.errors import WorkflowError, grouped
+from spl_batch.formats.las.reader import promised_points
+from spl_batch.lattice.tiles import quanta
+
+_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "index_file": "file",
+        "build_tile": "tile",
+        "gather": "stretch",
+        "gather_range": "stretch",
+        "scatter": "stretch",
+        "fit_line": "flightline",
+        "denoise": "block",
+        "ground": "ground cell",
+        "surface": "ground cell",
+        "accuracy": "square of the reference",
+    }
+)
+
+
+FEW_PIECES: Final = 2
+"""Further pieces of a survey whose rasters the console names [count]."""
+
+
+class Imaging(Receiver[Survey, Context]):
+    """Flightlines to classified clouds, terrain and surface rasters."""
+
+    workflow: ClassVar[type[BaseWorkflow]] = Workflow
+    noun: ClassVar[str] = "airborne survey"
+    phases: ClassVar[Sequence[Phase]] = PHASES
+    words: ClassVar[Mapping[str, str]] = _WORDS
+    remedies: ClassVar[Mapping[str, str]] = REMEDIES
+    essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
+    delivered: ClassVar[tuple[str, ...]] = (
+        *("laz/**/*", "tiles/*"),
+        *(f"{p.name}{piece}.tif" for p in PRODUCTS if p.delivered for piece in ("", "_[0-9]*")),
+    )
+
+    @property
+    def compiles(self) -> Work:
+        """Compiles a share of the kernels."""
+        return compile_share
+
+    def prepare(
+        self, workflow: Workflow, place: Place, limits: Limits
+    ) -> Prepared[Survey, Context]:
+        """Find and check every file of a workflow, from headers alone."""
+        _check_cells(workflow, place.workflow)
+        inputs = gather_inputs(workflow, place.base, place.output)
+        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
+        context = Context(workflow, place.base, place.output, crs_wkt, code_version(workflow.kind))
+        survey = Survey(inputs, workflow, limits.memory_bytes, limits.workers)
+        _recall(survey, context.store)
+        return Prepared(self, survey, context)
+
+    def cost(self, prepared: Prepared[Survey, Context]) -> SurveyCost:
+        """What a run is expected to cost."""
+        return estimate(prepared.ledger, prepared.context)
+
+    def plan_rows(
+        self, prepared: Prepared[Survey, Context], cost: SurveyCost
+    ) -> list[tuple[str, str]]:
+        """Label and value of what a plan tells beside disk, memory and time."""
+        settings = prepared.ledger.workflow
+        area_km2 = cost.tiles * settings.tiling.tile_m**2 / 1e6
+        blocks = (
+            f"about {grouped(cost.blocks)} of up to {cost.block_tiles} x {cost.block_tiles} tiles; "
+            f"with their halos they read {cost.block_reads:.2f} times the points"
+        )
+        if cost.roomier is not None:
+            memory_bytes, read = cost.roomier
+            blocks += f", {read:.2f} times with --memory {memory_bytes / 2**30:g}GiB"
+        halo = (
+            f"{cost.halo_m:g} m around a block; around a ground cell "
+            f"{settings.ground.buffer_m:g} m for the ground, "
+            f"{surface_reach_m(settings):g} m for its rasters"
+        )
+        return [
+            ("area", f"{grouped(area_km2, 3)} km2 of tiles"),
+            ("stretches", f"{grouped(cost.stretches)} of flightlines"),
+            ("tiles", grouped(cost.tiles)),
+            ("blocks", blocks),
+            ("ground cells", grouped(cost.cells)),
+            ("halo", halo),
+        ]
+
+    def first_look(
+        self, prepared: Prepared[Survey, Context]
+    ) -> tuple[Sequence[str], Sequence[str]]:
+        """What both ends of the files tell of their times and channels, and of the trajectory's."""
+        survey = prepared.ledger
+        faults, odd = first_look(survey.inputs, survey.workflow, prepared.context.base)
+        return faults, (*odd, *stretches_anew(survey), *blocks_anew(survey, prepared.context))
+
+    def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
+        """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.
+
+        What is remembered is read again: the run may have begun with emptying the store. It
+        stands until tasks that are cut otherwise are finished, so that a look with less memory
+        costs nothing.
+        """
+        survey, store = prepared.ledger, prepared.context.store
+        workflow = survey.workflow
+        if phase.kind == "index_part":
+            _recall(survey, store)
+        if phase.kind == "gather" and survey.filtering and survey.remembered_stretch is None:
+            remember_stretch(store, survey.stretch_points)
+        if phase.kind == "denoise" and survey.remembered is None:
+            _remember_blocks(survey, store)
+        if phase.kind == "surface":
+            create_raster_store(
+                prepared.context.rasters,
+                NAMES,
+                ground_cell=quanta(workflow.ground.cell_m),
+                raster_cell=quanta(workflow.products.cell_m),
+            )
+
+    def after(
+        self, phase: Phase, prepared: Prepared[Survey, Context], failed: Sequence[Receipt]
+    ) -> Iterable[str]:
+        """Warn of what a phase has brought to light, or stop."""
+        survey, store = prepared.ledger, prepared.context.store
+        if phase.kind == "index_file":
+            yield from judge_index(survey, [r for r in failed if r.kind.startswith("index_")])
+        if phase.kind == "denoise" and survey.has_other_blocks():
+            _remember_blocks(survey, store)
+        if phase.kind == "gather":
+            if survey.has_other_stretches():
+                remember_stretch(store, survey.stretch_points)
+            yield from copies(survey)
+            yield from looks_ahead(survey)
+        if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
+            failures = [r.reason for r in failed if r.kind == "trajectory"]
+            if failures:
+                raise WorkflowError(f"survey.trajectory: {failures[-1]}")
+        if phase.kind == "sensor_path" and survey.of("sensor_path"):
+            yield beams_without_trajectory(survey)
+        if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
+            yield (
+                "the survey lies in pieces far apart: each has rasters of its own "
+                "(dtm.tif, dtm_2.tif, ...), the piece with most points comes first"
+            )
+
+    def targets(self, task: Task, workflow: Workflow) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        if task.kind == "deliver_file":
+            return [f"laz/{task.args['delivered']}"]
+        if task.kind == "deliver_tile":
+            copc = ".copc" if workflow.outputs.tiles == "copc" else ""
+            return [f"tiles/{task.name}{copc}.laz"]
+        if task.kind == "mosaic" and task.args["delivered"]:
+            return [f"{task.name}.tif"]
+        return []
+
+    def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[str]:
+        """How much of earlier runs is done again for want of memory."""
+        survey = prepared.ledger
+        if phase.kind == "index_file":
+            return stretches_anew(survey)
+        return blocks_anew(survey, prepared.context) if phase.kind == "build_tile" else ()
+
+    def follows(
+        self, phase: Phase, prepared: Prepared[Survey, Context]
+    ) -> Callable[[str, str], bool]:
+        """Along wrong beams no gate is what it seems; shots without beamlets hold few of them."""
+        if phase.kind != "fit_line":
+            return super().follows(phase, prepared)
+        leaps, off = times_off(prepared.ledger)
+        one_beamlet = bool(channels_not_named(prepared.ledger))
+
+        def told(name: str, text: str) -> bool:
+            return name in leaps or name in off or (one_beamlet and text.endswith(RAISE_INTERVAL))
+
+        return told
+
+    def edge_m(self, kind: str, ledger: Survey) -> float:
+        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
+        if kind in {"build_tile", "denoise", "deliver_tile"}:
+            return ledger.tile_q / QUANTA_PER_M
+        return ledger.cell_q / QUANTA_PER_M if kind in {"ground", "surface"} else 0.0
+
+    def reference(self, ledger: Survey) -> list[str]:
+        """Files that the results are compared with."""
+        return [str(facts.path) for facts in ledger.inputs.reference]
+
+    def not_read(self, ledger: Survey) -> int:
+        """Points that the headers of files promise which could not be read to their end [count]."""
+        indexed, inputs = ledger.of("index_file"), ledger.inputs
+        lost = sum(s.facts.n_points for s in inputs.sources if str(s.key) not in indexed)
+        return lost + sum(promised_points(Path(path)) for path in {bad.path for bad in inputs.bad})
+
+    def load_report(self) -> None:
+        """Import what a report is drawn with."""
+        import spl_batch.airborne.report.summarise  # noqa: F401, PLC0415 - a plan draws nothing
+
+    def report(self, done: Receipts, context: Context, facts: RunFacts) -> Report:
+        """Write ``report.json`` and ``report.html``."""
+        from spl_batch.airborne.report.summarise import summarise  # noqa: PLC0415 - a plan draws nothing
+
+        return summarise(done, context, facts)
+
+    def screen(self, report: Report) -> list[tuple[str, str]]:
+        """Label and value of each number that the console shows after a run."""
+        return screen_summary(report)
+
+    def results(self, output: Path) -> list[tuple[str, list[Path]]]:
+        """What a user looks at first."""
+        return [
+            ("report", [output / "report.html"]),
+            (
+                "rasters",
+                [output / "dtm.tif", output / "dsm.tif", *_of_further_pieces(output)],
+            ),
+            ("clouds", [output / "laz"]),
+        ]
+
+
+def _of_further_pieces(output: Path) -> list[Path]:
+    """Terrain of the other pieces of a survey, of few; their folder where there are more."""
+    found = sorted(output.glob("dtm_*.tif"))
+    return found if len(found) <= FEW_PIECES else [output]
+
+
+RECEIVER: Final[Receiver[Any, Any]] = Imaging()
+"""The one there is."""
+
+
+def _recall(survey: Survey, store: Store) -> None:
+    """How earlier runs have cut what they have finished; what has led to nothing does not bind."""
+    gathered, denoised = (
+        any(not receipt.failed for receipt in read_receipts(store, kind))
+        for kind in ("gather", "denoise")
+    )
+    survey.remembered_stretch = remembered_stretch(store) if gathered else None
+    survey.remembered = remembered_sizes(store, survey.workflow) if denoised else None
+
+
+def _remember_blocks(survey: Survey, store: Store) -> None:
+    if survey.workflow.tiling.block_tiles is None:
+        remember_sizes(store, survey.workflow, survey.block_sizes)
+
+
+def _check_cells(workflow: Workflow, path: Path) -> None:
+    """Edges are whole millimetres, and raster cells fill a ground cell."""
+    edges = {
+        "tiling.tile_m": workflow.tiling.tile_m,
+        "ground.cell_m": workflow.ground.cell_m,
+        "products.cell_m": workflow.products.cell_m,
+        "noise.voxel_m": workflow.noise.voxel_m,
+    }
+    faults = [
+        f"{key}: {edge:g} is not a whole number of millimetres"
+        for key, edge in edges.items()
+        if quanta(edge) < 1 or abs(edge * QUANTA_PER_M - quanta(edge)) > 1e-6
+    ]
+    if not faults and quanta(workflow.ground.cell_m) % quanta(workflow.products.cell_m):
+        faults.append(
+            f"ground.cell_m ({workflow.ground.cell_m:g}) must be a whole multiple of "
+            f"products.cell_m ({workflow.products.cell_m:g})"
+        )
+    if faults:
+        raise WorkflowError(f"{path}: {'; '.join(faults)}")

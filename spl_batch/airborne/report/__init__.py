@@ -1,0 +1,1 @@
+"""Report of an airborne survey: model, sentences, pictures, page."""

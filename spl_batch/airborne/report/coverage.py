@@ -1,0 +1,71 @@
+"""Area and density of a survey for the report, from what its ground cells have counted."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.footprint import SQUARE_M2
+from spl_batch.airborne.report.model import Density
+from spl_batch.airborne.tasks.coverage import _CELLS, _SQUARES, _VOIDS
+from spl_batch.engine.report.run_record import Receipts
+
+
+def area_km2(done: Receipts) -> float | None:
+    """Area that the returns of all pieces of a survey cover [km2]; None where nobody counted.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    """
+    facts = _facts(done)
+    return None if facts is None else sum(f[_SQUARES] for f in facts) * SQUARE_M2 / 1e6
+
+
+def density(done: Receipts, context: Context, ground: int) -> Density:
+    """How densely returns cover all pieces of a survey.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    ground : int
+        Ground points [count].
+    """
+    facts, area = _facts(done), area_km2(done)
+    if facts is None or not area:
+        return Density()
+    cells: Counter[int] = Counter()
+    for found in facts:
+        cells.update({int(returns): n for returns, n in found[_CELLS].items()})
+    if not cells:
+        return Density()
+    cell_m2, area_m2 = context.workflow.products.cell_m**2, area * 1e6
+    returns = sum(held * n for held, n in cells.items())
+    return Density(
+        mean_per_m2=returns / area_m2,
+        median_per_m2=_quantile(cells, 0.5) / cell_m2,
+        p05_per_m2=_quantile(cells, 0.05) / cell_m2,
+        # Without signal no ground was looked for.
+        ground_per_m2=ground / area_m2 if returns else None,
+        void_share=sum(f[_VOIDS] for f in facts) / cells.total(),
+    )
+
+
+def _facts(done: Receipts) -> list[Mapping[str, Any]] | None:
+    """What ground cells have counted; None where one is of a version that did not, or none is."""
+    found = [receipt.facts for receipt in done.get("surface", {}).values()]
+    return found if found and all(_SQUARES in facts for facts in found) else None
+
+
+def _quantile(cells: Mapping[int, int], share: float) -> int:
+    """Smallest value that so many cells do not exceed."""
+    values = sorted(cells)
+    below: Iterable[int] = np.cumsum([cells[value] for value in values])
+    wanted = share * sum(cells.values())
+    return next(value for value, n in zip(values, below, strict=True) if n >= wanted)

@@ -1,0 +1,188 @@
+"""What a report says: one frozen model, from which ``schemas/report.schema.json`` is made.
+
+Nothing here draws or formats; ``report.json`` is this model, as it stands. Every number
+is finite or null: a statistic of nothing is null, never NaN, so that any JSON reader
+takes the file.
+"""
+
+from typing import Literal
+
+from pydantic import Field
+
+from spl_batch.engine.report.parts import (
+    SCHEMA_VERSION,
+    Count,
+    Failure,
+    Number,
+    Part,
+    Performance,
+    Provenance,
+    Statistics,
+)
+
+Basis = Literal["given", "sensor", "estimated", "assumed", "none"]
+"""Where a number comes from."""
+
+
+class Flightline(Part):
+    """One pass, and what was found out about it."""
+
+    id: str = Field(description="Point source id, with the lift where there are several.")
+    points: Count = Field(description="Returns [count].")
+    shots: Count | None = Field(None, description="Shots fired, silent ones included [count].")
+    start_s: Number = Field(None, description="First GPS time, as the files have it [s].")
+    end_s: Number = Field(None, description="Last GPS time, as the files have it [s].")
+    prf_hz: Number = Field(None, description="Pulse repetition frequency [Hz].")
+    prf_basis: Basis = Field(
+        "none",
+        description="Where the pulse repetition frequency comes from: given in the workflow, the "
+        "sensor preset's, estimated from gps_time, or assumed as nothing tells it.",
+    )
+    gate_m: Number = Field(
+        None,
+        description="Median slant length of the range gate; what the returns fill where that is "
+        "not the length stated [m].",
+    )
+    gate_basis: Basis = Field(
+        "none",
+        description="Where the length of the range gate comes from: given in the workflow, the "
+        "sensor preset's, estimated from the returns, or assumed as nothing tells it.",
+    )
+    beam_basis: Literal["trajectory", "intersection", "scan_angle", "vertical", "none"] = Field(
+        "none",
+        description="What the beam directions were taken from; intersection: the sensor is "
+        "where lines through several returns of one beamlet meet.",
+    )
+    seen_fraction: Number = Field(
+        None, description="Beamlets with at least one return / beamlets fired, 0..1."
+    )
+    noise_per_m: Number = Field(
+        None, description="Mean noise returns per metre of beamlet, over the flightline [1/m]."
+    )
+
+
+class Piece(Part):
+    """One of several parts of a survey that lie far apart."""
+
+    extent_m: tuple[Number, Number, Number, Number] = Field(
+        description="West, east, south, north of what was found there [m]."
+    )
+    rasters: tuple[str, ...] = Field(description="Rasters that hold it, beside the report.")
+
+
+class Survey(Part):
+    """What was processed."""
+
+    name: str = Field(description="Title of the report.")
+    crs: str | None = Field(None, description="CRS of everything delivered, e.g. EPSG:32615.")
+    crs_name: str | None = Field(None, description="Its name in words.")
+    sensor: str | None = Field(None, description="Name of the instrument.")
+    area_km2: Number = Field(
+        None,
+        description="Area that the returns of all pieces cover, gaps of up to twice "
+        "products.void_max_m included; the raster cell does not change it [km2].",
+    )
+    extent_m: tuple[Number, Number, Number, Number] | None = Field(
+        None, description="West, east, south, north [m]."
+    )
+    cell_m: Number = Field(None, description="Edge of a raster cell [m].")
+    pieces: tuple[Piece, ...] = Field(
+        (), description="Parts that lie far apart, the largest first; none where it is one."
+    )
+    flightlines: tuple[Flightline, ...] = ()
+
+
+class Counts(Part):
+    """Where every point went."""
+
+    points_in: Count = Field(description="Points in the input files [count].")
+    points_out: Count = Field(description="Points in the delivered files [count].")
+    signal: Count = Field(0, description="noise_class 0 [count].")
+    background: Count = Field(0, description="noise_class 1: solar and dark noise [count].")
+    afterpulse: Count = Field(0, description="noise_class 2 [count].")
+    not_assessed: Count = Field(0, description="noise_class 255 [count].")
+    ground: Count = Field(0, description="Classification 2 [count].")
+    building: Count = Field(0, description="Classification 6 [count].")
+    water: Count = Field(0, description="Classification 9 [count].")
+    withheld: Count = Field(0, description="Withheld by the vendor, carried along [count].")
+    vendor_flagged: Count = Field(
+        0, description="Class 7 or 18 in the input, carried along [count]."
+    )
+    no_beam: Count = Field(0, description="No valid time or no trajectory there [count].")
+    outside_aoi: Count = Field(0, description="Outside the area of interest [count].")
+    not_read: Count = Field(
+        0, description="Points that the headers of unreadable files promise [count]."
+    )
+
+
+class Accuracy(Part):
+    """Comparison with reference linear-mode lidar, by class of surface; ``all`` is overall."""
+
+    dtm: dict[str, Statistics] = Field({}, description="Terrain model minus reference ground.")
+    dsm: dict[str, Statistics] = Field({}, description="Surface model minus reference surface.")
+    reference_points: Count | None = Field(None, description="Reference points read [count].")
+    bias_m: Number = Field(None, description="Median difference between the sensors [m].")
+    bias_removed: bool = Field(
+        False, description="Whether the bias was subtracted before the statistics."
+    )
+
+
+class Density(Part):
+    """How densely the ground is covered by signal."""
+
+    mean_per_m2: Number = Field(
+        None, description="Signal returns over the area that is covered [1/m2]."
+    )
+    median_per_m2: Number = Field(
+        None, description="Median of density.tif where it was flown [1/m2]."
+    )
+    p05_per_m2: Number = Field(
+        None, description="5th percentile of density.tif where it was flown [1/m2]."
+    )
+    ground_per_m2: Number = Field(
+        None,
+        description="Ground points over the area that is covered; null where no return counts as "
+        "signal [1/m2].",
+    )
+    void_share: Number = Field(
+        None, description="Share of the DTM cells that were flown that have no height, 0..1."
+    )
+
+
+class Noise(Part):
+    """What was expected of the background noise, and how it was told apart."""
+
+    method: str = Field("none", description="Noise filter.")
+    test: str | None = Field(None, description="Decision rule of the filter.")
+    alpha: Number = Field(None, description="Share of pure noise that the test lets through.")
+    mean_per_m3: Number = Field(None, description="Mean expected noise density [1/m3].")
+    p05_per_m3: Number = Field(None, description="5th percentile of it [1/m3].")
+    p95_per_m3: Number = Field(None, description="95th percentile of it [1/m3].")
+    kept_by_chance: Number = Field(
+        None,
+        description="Background returns that the test is expected to have kept away from surfaces, "
+        "by alpha; by test tail at most; null where the filter fixes no share [count].",
+    )
+    kept_within_signal: Number = Field(
+        None,
+        description="Background returns expected in the cubes of 1.2 m that hold kept returns, "
+        "where nothing tells them apart: kept as well, and not in kept_by_chance [count].",
+    )
+    dsm_support: Count | None = Field(
+        None, description="Returns nearby that a highest return needs to set a DSM cell [count]."
+    )
+
+
+class Report(Part):
+    """Everything that ``report.json`` holds and ``report.html`` shows."""
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    survey: Survey
+    counts: Counts
+    accuracy: Accuracy | None = Field(None, description="Null without reference points.")
+    density: Density = Density()
+    noise: Noise = Noise()
+    performance: Performance = Performance()
+    failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
+    warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")
+    provenance: Provenance

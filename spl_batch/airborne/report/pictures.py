@@ -1,0 +1,293 @@
+"""The pictures of a report: from plain arrays to PNG with title and caption.
+
+Each array is optional. A picture that cannot be drawn stays in the set, without an image
+and with the sentence that says why, so that a reader never wonders whether something
+was forgotten.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from spl_batch.airborne.report.locator_map import Extent, draw_locator
+from spl_batch.airborne.report.model import Report
+from spl_batch.airborne.report.plots import Profile, draw_histogram, draw_profile
+from spl_batch.airborne.report.verdicts import photon_counting, terrain_statistics
+from spl_batch.engine.report import style
+from spl_batch.engine.report.maps import Raster, draw_ramp, draw_relief, nice, reduce_raster, spread
+from spl_batch.engine.report.number_format import centimetres
+from spl_batch.engine.report.parts import Statistics
+from spl_batch.engine.report.picture import Picture
+
+__all__ = ["PictureInputs", "Profile", "Raster", "make_pictures"]
+
+
+@dataclass(frozen=True, slots=True)
+class PictureInputs:
+    """Plain arrays that the pictures are drawn from; ``None`` where there are none.
+
+    Rasters larger than a picture may be given reduced, as an overview.
+
+    Parameters
+    ----------
+    dtm, dsm, chm : Raster, optional
+        Heights of terrain and surface, and canopy height [m].
+    density : Raster, optional
+        Signal returns [1/m2].
+    difference : Raster, optional
+        DTM minus reference [m].
+    noise_density : Raster, optional
+        Expected background noise near the surface [1/m3].
+    differences_m : (n,) float, optional
+        Single differences, DTM minus reference; all or an even sample [m].
+    profile : Profile, optional
+        A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
+    others : sequence of PictureInputs
+        DTM and DSM of the survey's other pieces, the largest first.
+    """
+
+    dtm: Raster | None = None
+    dsm: Raster | None = None
+    chm: Raster | None = None
+    density: Raster | None = None
+    difference: Raster | None = None
+    noise_density: Raster | None = None
+    differences_m: NDArray[Any] | None = None
+    profile: Profile | None = None
+    others: Sequence["PictureInputs"] = ()
+
+
+NO_REFERENCE: Final = "Without reference points there is nothing to compare with."
+NO_RASTER: Final = "The raster holds no value."
+
+
+def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
+    """Draw everything that there is data for.
+
+    Parameters
+    ----------
+    inputs : PictureInputs
+        Arrays.
+    report : Report
+        Statistics that titles quote, so that page and pictures never disagree.
+
+    Returns
+    -------
+    dict of str to Picture
+        Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density,
+        density``, in the order in which a reader wants them; of a survey in pieces ``locator``
+        as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
+    """
+    inputs, photons = _with_line(inputs), photon_counting(report)
+    terrain = terrain_statistics(report)
+    overall = None if report.accuracy is None else report.accuracy.dtm.get("all")
+    if overall is None and terrain is not None:
+        overall = terrain[1]
+    made = {
+        "dtm": _relief(inputs, "dtm", photons=photons),
+        "dsm": _relief(inputs, "dsm", photons=photons),
+        "chm": _canopy(inputs.chm),
+        "difference": _difference(inputs.difference, overall),
+        "histogram": _histogram(inputs.differences_m, overall),
+        "profile": _profile(inputs.profile, photons=photons),
+        "noise_density": _noise(inputs.noise_density),
+        "density": _density(inputs.density, photons=photons),
+    }
+    if report.survey.pieces:
+        made["locator"] = _locator([piece.extent_m for piece in report.survey.pieces])
+    for number, other in enumerate(inputs.others, start=2):
+        for key in RELIEF_TEXT:
+            made[f"{key}_{number}"] = _relief(other, key, photons=photons, piece=number)
+    return made
+
+
+def _with_line(inputs: PictureInputs) -> PictureInputs:
+    """The same, with the profile's line on the maps of heights."""
+    if inputs.profile is None or inputs.profile.line_m is None:
+        return inputs
+    lined = {
+        name: replace(raster, line_m=inputs.profile.line_m)
+        for name in ("dtm", "dsm", "chm")
+        if (raster := getattr(inputs, name)) is not None
+    }
+    return replace(inputs, **lined)
+
+
+def _locator(extents: Sequence[Extent]) -> Picture:
+    title = "Where the pieces lie"
+    return _finished(
+        draw_locator(extents),
+        title,
+        "Each box is a piece, with its number in the table below; a piece too small to be seen is "
+        "a dot. Coordinates are those of the upper left and the lower right corner [m].",
+    )
+
+
+def _finished(drawn: Figure, title: str, caption: str) -> Picture:
+    png, width, height = style.to_png(drawn)
+    return Picture(title, caption, f"{title}. {caption}", png, width, height)
+
+
+def _or_missing(
+    raster: Raster | None, title: str, missing: str, draw: Callable[[Raster], Picture]
+) -> Picture:
+    if raster is None:
+        return Picture(title, missing)
+    if not raster.any_value:
+        return Picture(title, NO_RASTER)
+    return draw(raster)
+
+
+RELIEF_TEXT: Final[Mapping[str, tuple[str, str]]] = {
+    "dtm": (
+        "Terrain (DTM)",
+        (
+            "Bare ground. Buildings and trees should have gone without a trace: look for bumps "
+            "under them and for pits{pits}. Grey is nodata."
+        ),
+    ),
+    "dsm": (
+        "Surface (DSM)",
+        (
+            "Highest surface. Look for lone spikes{spikes}, and for crisp roof edges. Same colours "
+            "as the terrain."
+        ),
+    ),
+}
+
+
+def _relief(inputs: PictureInputs, key: str, *, photons: bool, piece: int = 1) -> Picture:
+    title, caption = RELIEF_TEXT[key]
+    if piece > 1:
+        title += f", piece {piece}"
+    caption = caption.format(
+        pits=", which would be afterpulses taken for ground" if photons else "",
+        spikes=", which would be noise taken for signal" if photons else "",
+    )
+    if getattr(inputs, key) is not None and getattr(inputs, key).line_m is not None:
+        caption += " The line is the profile's."
+    # One ramp for both, so that terrain and surface can be compared by colour.
+    both = [r for r in (inputs.dtm, inputs.dsm) if r is not None and r.any_value]
+    ends = [spread(reduce_raster(r).values, 0.5, 99.5) for r in both]
+    limits = (min(e[0] for e in ends), max(e[1] for e in ends)) if ends else None
+    return _or_missing(
+        getattr(inputs, key),
+        title,
+        "This raster was not made.",
+        lambda raster: _finished(draw_relief(raster, title, "height [m]", limits), title, caption),
+    )
+
+
+def _canopy(raster: Raster | None) -> Picture:
+    title = "Heights above ground (CHM)"
+
+    def draw(given: Raster) -> Picture:
+        top = max(spread(reduce_raster(given).values, 1, 99.5)[1], 1.0)
+        drawn = draw_ramp(
+            given, title, "height above ground [m]", ramp=style.CANOPY, limits=(0.0, top)
+        )
+        return _finished(
+            drawn,
+            title,
+            "Surface minus terrain. Open ground is near zero; roofs are even, trees are rough.",
+        )
+
+    return _or_missing(raster, title, "This raster was not made.", draw)
+
+
+def _difference(raster: Raster | None, statistics: Statistics | None) -> Picture:
+    title = "Terrain minus reference"
+
+    def draw(given: Raster) -> Picture:
+        size = spread(100 * abs(reduce_raster(given).values), 0, 95)[1]
+        reach = max(nice(size * 1.6), 2.0)
+        heading = title
+        if statistics is not None and statistics.rmse is not None:
+            heading = f"{title}, all surfaces: RMSE {centimetres(statistics.rmse)}"
+        scaled = Raster(100 * given.masked(), given.extent_m)
+        limits = (-reach, reach)
+        unit = "DTM minus reference [cm]"
+        drawn = draw_ramp(
+            scaled, heading, unit, ramp=style.DIFFERENCE, limits=limits, extend="both"
+        )
+        return _finished(
+            drawn,
+            title,
+            "Blue is too low, red too high, white is right. Patches that follow buildings or "
+            "trees point to the ground filter, stripes that follow the flight to the alignment "
+            "of flightlines, an even tint to a bias between the two sensors.",
+        )
+
+    return _or_missing(raster, title, NO_REFERENCE, draw)
+
+
+def _histogram(values: NDArray[Any] | None, statistics: Statistics | None) -> Picture:
+    title = "Distribution of the differences"
+    if values is None:
+        return Picture(title, NO_REFERENCE)
+    if not np.isfinite(values).any():
+        return Picture(title, "No difference could be formed.")
+    return _finished(
+        draw_histogram(values, statistics),
+        title,
+        "A narrow peak at zero is what one wants. NMAD describes the peak and RMSE the whole: "
+        "where RMSE is much larger, a few gross errors make it so.",
+    )
+
+
+def _profile(profile: Profile | None, *, photons: bool) -> Picture:
+    title = "Vertical profile, before and after" if photons else "Vertical profile"
+    if profile is None or len(profile.along_m) == 0:
+        return Picture(title, "No strip of the survey holds points to show.")
+    return _finished(
+        draw_profile(profile),
+        title,
+        "The same strip twice. Above, every recorded return; below, what each was taken for. "
+        + (
+            "Look for wires, roof edges and crowns that are signal, and for an empty sky. Noise "
+            "far above and below the scene is cut off here."
+            if photons
+            else "Look for roofs, crowns and wires that were taken for ground."
+        ),
+    )
+
+
+def _noise(raster: Raster | None) -> Picture:
+    title = "Expected background noise"
+
+    def draw(given: Raster) -> Picture:
+        top = spread(reduce_raster(given).values, 1, 99)[1]
+        drawn = draw_ramp(
+            given, title, "noise returns per cubic metre", ramp=style.SKY, limits=(0.0, top)
+        )
+        return _finished(
+            drawn,
+            title,
+            "Solar and dark noise near the surface, from the rates of all beamlets that cross a "
+            "place. It steps where flightlines overlap, and grows over bright ground.",
+        )
+
+    return _or_missing(raster, title, "No noise model was made for this run.", draw)
+
+
+def _density(raster: Raster | None, *, photons: bool) -> Picture:
+    title = "Point density"
+
+    def draw(given: Raster) -> Picture:
+        top = spread(reduce_raster(given).values, 1, 98)[1]
+        unit = f"{'signal returns' if photons else 'points'} per square metre"
+        drawn = draw_ramp(given, title, unit, ramp=style.DENSITY, limits=(0.0, top))
+        return _finished(
+            drawn,
+            title,
+            "Signal. Look for gaps between flightlines; the arcs are the track of the circular "
+            "scan."
+            if photons
+            else "All points that take part. Look for gaps between flightlines.",
+        )
+
+    return _or_missing(raster, title, "This raster was not made.", draw)

@@ -1,0 +1,120 @@
+"""Vertical strips that a report shows: where they lie, and their points."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.report.plots import Profile
+from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.formats.rasters.parts import Part
+from spl_batch.lattice.tables import TILE_COLUMNS
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, overlap, quanta
+
+LENGTH_M = 100.0
+WIDTH_M = 3.0
+
+_TALLEST_M = 30.0
+"""Heights count up to this: one mast is no reason [m]."""
+
+_COVER_M = 1.0
+"""What a cell with a surface counts for besides: a picture shows no empty place [m]."""
+
+
+def cut_profile(
+    height: Part | None, done: Mapping[str, Mapping[str, Receipt]], context: Context
+) -> Profile | None:
+    """Strip along the easting where most stands on the ground; None without points.
+
+    Parameters
+    ----------
+    height : Part or None
+        Overview of the CHM, which tells where to cut.
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    """
+    if height is None:
+        return None
+    return read_strip(tallest_strip(height), done, context)
+
+
+def read_strip(
+    strip: Bounds, done: Mapping[str, Mapping[str, Receipt]], context: Context
+) -> Profile | None:
+    """Points of a strip with what a run took them for; None without points.
+
+    Parameters
+    ----------
+    strip : Bounds
+        Where; the profile runs along its easting [quanta].
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    """
+    tile_q = quanta(context.workflow.tiling.tile_m)
+    built = done.get("build_tile", {})
+    tiles = [t for t in cells_touching(strip, tile_q) if str(t) in built]
+    labels = {
+        "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
+        "classification": label_holders(tiles, tile_q, "classes", done.get("surface", {})),
+    }
+    table, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels)
+    if not len(table):
+        return None
+    middle_m = (strip.ymin + strip.ymax) / 2 * QUANTUM_M
+    return Profile(
+        (table["x"] - strip.xmin) * QUANTUM_M,
+        table["z"] * QUANTUM_M,
+        table["noise_class"],
+        table["classification"],
+        (strip.ymax - strip.ymin) * QUANTUM_M,
+        (strip.xmin * QUANTUM_M, middle_m, strip.xmax * QUANTUM_M, middle_m),
+    )
+
+
+def tallest_strip(height: Part) -> Bounds:
+    """Covered strip with the largest sum of heights above ground; the first of equals."""
+    known = height.values > NODATA
+    capped = np.minimum(height.values.astype(np.float64), _TALLEST_M)
+    values = np.where(known, capped + _COVER_M, 0.0)
+    length = min(max(round(LENGTH_M / height.cell_m), 1), values.shape[1])
+    total = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
+    score = total[:, length:] - total[:, :-length]
+    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    west = quanta(height.left_m + float(column) * height.cell_m)
+    middle = quanta(height.top_m - (float(row) + 0.5) * height.cell_m)
+    half = quanta(WIDTH_M / 2)
+    return Bounds(west, middle - half, west + quanta(LENGTH_M), middle + half)
+
+
+def label_holders(
+    tiles: list[CellId],
+    tile_q: int,
+    folder: str,
+    units: Mapping[str, Receipt],
+) -> dict[CellId, list[tuple[str, str]]]:
+    """Label files that may hold each tile's points, by tile.
+
+    Parameters
+    ----------
+    tiles : list of CellId
+        Tiles.
+    tile_q : int
+        Edge of a tile [quanta].
+    folder : str
+        Kind of the labels, as the store names it.
+    units : mapping of str to Receipt
+        Finished units that gave them, by name.
+    """
+    holders: dict[CellId, list[tuple[str, str]]] = {t: [] for t in tiles}
+    for name, receipt in units.items():
+        core = Bounds(*receipt.facts["core"])
+        for tile in tiles:
+            if overlap(cell_bounds(tile, tile_q), core):
+                holders[tile].append((folder, name))
+    return holders

@@ -1,0 +1,312 @@
+"""Stage ``report``: what all receipts say together, as one report with its pictures."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.filter.kept_noise import PARTS
+from spl_batch.airborne.report.coverage import area_km2, density
+from spl_batch.airborne.report.model import (
+    Accuracy,
+    Basis,
+    Counts,
+    Flightline,
+    Noise,
+    Report,
+    Survey,
+)
+from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
+from spl_batch.airborne.report.profile_strips import cut_profile
+from spl_batch.airborne.report.survey_files import write_report
+from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
+from spl_batch.airborne.report.verdicts import mostly_unfiltered
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.airborne.tasks.accuracy import Comparison, compared, not_compared
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.engine.report.maps import Raster
+from spl_batch.engine.report.number_format import as_ascii
+from spl_batch.engine.report.parts import InputFile, Provenance, Statistics
+from spl_batch.engine.report.run_record import (
+    Receipts,
+    RunFacts,
+    input_file,
+    performance,
+    provenance,
+    remember,
+)
+from spl_batch.errors import Said, grouped, shared
+from spl_batch.formats.rasters.parts import Part, read_overview
+
+
+def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
+    """Write ``report.json`` and ``report.html``.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    """
+    found, counts = compared(done, context), _counts(done, facts)
+    report = Report(
+        survey=_survey(done, context),
+        counts=counts,
+        accuracy=_accuracy(found),
+        density=density(done, context, counts.ground),
+        noise=_noise(done, context, counts.background),
+        performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
+        failures=tuple(facts.failures),
+        warnings=(
+            *_unfiltered(counts, context),
+            *facts.notes,
+            *_uncovered(done),
+            *not_compared(done, context, facts),
+        ),
+        provenance=_provenance(done, context, facts.reference),
+    )
+    write_report(context.output, report, make_pictures(_pictures(done, context, found), report))
+    remember(done, context, facts)
+    return report
+
+
+def _survey(done: Receipts, context: Context) -> Survey:
+    workflow, crs = context.workflow, context.crs
+    boxes = [r.facts["bounds"] for r in done["index_file"].values() if r.facts["bounds"]]
+    low = [min(b[a] for b in boxes) * QUANTUM_M for a in (0, 1)]
+    high = [max(b[a] for b in boxes) * QUANTUM_M for a in (3, 4)]
+    authority = crs.to_authority() if crs is not None else None
+    return Survey(
+        name=workflow.survey.name,
+        crs=":".join(authority) if authority else (crs.name if crs is not None else None),
+        crs_name=crs.name if crs is not None else None,
+        sensor=workflow.sensor.name if _photons(context) else None,
+        area_km2=area_km2(done),
+        extent_m=(low[0], high[0], low[1], high[1]),
+        cell_m=workflow.products.cell_m,
+        pieces=in_words(find_pieces(done, context)),
+        flightlines=tuple(_flightlines(done, context)),
+    )
+
+
+def _flightlines(done: Receipts, context: Context) -> Iterable[Flightline]:
+    workflow = context.workflow
+    for name, receipt in done.get("fit_line", {}).items():
+        facts = receipt.facts
+        yield Flightline(
+            id=name,
+            points=facts["points"],
+            shots=_shots(facts["span_s"], facts["prf_hz"]),
+            start_s=facts["span_s"][0],
+            end_s=facts["span_s"][1],
+            prf_hz=facts["prf_hz"],
+            prf_basis=_basis(workflow, "prf_hz", facts["prf_basis"]),
+            gate_m=facts["gate_m"],
+            gate_basis=_basis(workflow, "gate_m", facts["gate_basis"]),
+            beam_basis=facts["basis"],
+            seen_fraction=facts["seen_fraction"],
+            noise_per_m=facts["noise_per_m"],
+        )
+
+
+def _basis(workflow: Workflow, key: str, found: str) -> Basis:
+    """Where a number of a flightline comes from; a preset states it for every survey."""
+    if found in {"estimated", "assumed"}:
+        return cast("Basis", found)
+    from_preset = getattr(workflow.acquisition, key) is None and isinstance(
+        workflow.survey.sensor, str
+    )
+    return "sensor" if from_preset else "given"
+
+
+def _shots(span_s: Sequence[float], prf_hz: float | None) -> int | None:
+    """Shots from the first to the last that returned anything [count]."""
+    return None if prf_hz is None else round((span_s[1] - span_s[0]) * prf_hz) + 1
+
+
+def _counts(done: Receipts, facts: RunFacts) -> Counts:
+    index = [r.facts for r in done["index_file"].values()]
+    tiles = [r.facts for r in done.get("build_tile", {}).values()]
+    delivered = [r.facts for r in done.get("deliver_file", {}).values()]
+    noise = {k: sum(f["noise_class"].get(k, 0) for f in delivered) for k in ("0", "1", "2", "255")}
+    classes = {k: sum(f["classes"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
+    return Counts(
+        points_in=sum(f["points"] for f in index),
+        points_out=sum(f["points"] for f in delivered),
+        signal=noise["0"],
+        background=noise["1"],
+        afterpulse=noise["2"],
+        not_assessed=noise["255"],
+        ground=classes["2"],
+        building=classes["6"],
+        water=classes["9"],
+        withheld=sum(f["withheld"] for f in index),
+        vendor_flagged=sum(f["vendor_noise"] for f in index),
+        no_beam=sum(f["no_beam"] for f in tiles) + sum(f["timeless"] for f in index),
+        outside_aoi=sum(f["outside_aoi"] for f in tiles),
+        not_read=facts.not_read,
+    )
+
+
+def _accuracy(found: Comparison | None) -> Accuracy | None:
+    if found is None:
+        return None
+    said = found.statistics
+    removed = bool(said["bias_removed_m"])
+    return Accuracy(
+        dtm={k: Statistics(**v) for k, v in said["dtm"].items()},
+        dsm={k: Statistics(**v) for k, v in said["dsm"].items()},
+        reference_points=found.points,
+        bias_m=said["vertical_bias_m"],
+        bias_removed=removed,
+    )
+
+
+def _noise(done: Receipts, context: Context, removed: int) -> Noise:
+    settings = context.workflow.filter
+    mean, low, high = _noise_levels(done, context)
+    return Noise(
+        method=settings.method,
+        test=settings.test if settings.method == "vsaes" else None,
+        alpha=settings.alpha if settings.method == "vsaes" else None,
+        mean_per_m3=mean,
+        p05_per_m3=low,
+        p95_per_m3=high,
+        kept_by_chance=_kept_by_chance(settings, removed),
+        kept_within_signal=_kept_within_signal(done, settings),
+        dsm_support=context.workflow.products.dsm_support,
+    )
+
+
+def _noise_levels(
+    done: Receipts, context: Context
+) -> tuple[float, float, float] | tuple[None, None, None]:
+    """Mean, 5th and 95th percentile of the expected noise over all pieces [1/m3]."""
+    names = sorted(n for n in done.get("mosaic", {}) if n.partition("_")[0] == "noise")
+    found = (_overview(context.store.local / f"{name}.tif") for name in names)
+    parts = [(p.values[p.values > NODATA], p.cell_m**2) for p in found if p is not None]
+    values = np.concatenate([np.empty(0, np.float32), *(held for held, _ in parts)])
+    if not len(values):
+        return None, None, None
+    # a large piece is seen in coarser cells
+    weights = np.concatenate([np.full(len(held), area_m2) for held, area_m2 in parts])
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) / weights.sum()
+    low, high = (float(values[order[np.searchsorted(below, end)]]) for end in (0.05, 0.95))
+    return float(np.average(values, weights=weights)), low, high
+
+
+def _kept_by_chance(settings: FilterSettings, removed: int) -> float | None:
+    """Background that a test at alpha is expected to have let through [count]."""
+    if settings.method != "vsaes" or settings.test == "published":
+        return None
+    return removed * settings.alpha / (1 - settings.alpha)
+
+
+def _kept_within_signal(done: Receipts, settings: FilterSettings) -> float | None:
+    """Background that lies among what any filter by neighbours keeps [count]."""
+    if settings.method == "none":
+        return None
+    found = [receipt.facts for receipt in done.get("surface", {}).values()]
+    if any("kept_noise" not in facts for facts in found):  # of a run before it was counted
+        return None
+    return sum(int(facts["kept_noise"]) for facts in found) / PARTS
+
+
+def _unfiltered(counts: Counts, context: Context) -> list[str]:
+    """That most of a survey was not filtered, if so; as any text of the log, in plain spaces."""
+    said = mostly_unfiltered(counts, context.workflow.filter.method)
+    return [as_ascii(said)] if said else []
+
+
+def _uncovered(done: Receipts) -> Iterable[str]:
+    """One sentence for each flightline that the trajectory does not cover."""
+    spans: dict[str, tuple[int, float, float]] = {}
+    for name, receipt in done.get("gather", {}).items():
+        if receipt.facts["uncovered"]:
+            first, last = receipt.facts["uncovered_span_s"]
+            line = name.split("/", maxsplit=1)[0]
+            n, low, high = spans.get(line, (0, first, last))
+            spans[line] = (n + receipt.facts["uncovered"], min(low, first), max(high, last))
+    said = (
+        Said(
+            line,
+            f"the trajectory does not cover {grouped(n)} returns between gps_time {low:.3f} and "
+            f"{high:.3f}; they are delivered unfiltered",
+            n,
+        )
+        for line, (n, low, high) in spans.items()
+    )
+    return shared(said, "flightlines", "flightline")
+
+
+def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> Provenance:
+    inputs = [
+        InputFile(
+            path=r.facts["name"],
+            size=r.facts["size"],
+            hash=f"blake2b:{r.facts['hash']}",
+            points=r.facts["points"],
+        )
+        for r in done["index_file"].values()
+    ]
+    for receipt in done.get("trajectory", {}).values():
+        inputs.extend(
+            input_file(Path(item["path"]), "trajectory", item["hash"])
+            for item in receipt.facts["inputs"]
+        )
+    inputs.extend(input_file(Path(path), "reference") for path in reference)
+    for role in ("aoi", "water"):
+        name = getattr(context.workflow, role)
+        if name is not None:
+            inputs.append(input_file(context.resolve(name), role))
+    return provenance(context, inputs)
+
+
+def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
+    pieces = find_pieces(done, context)
+    bounds = pieces[0].bounds_m if len(pieces) > 1 else None
+    folder = context.output
+    parts = {n: _overview(folder / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm", "density")}
+    rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
+    noise = _overview(context.store.local / "noise.tif", bounds)
+    difference = None
+    if found is not None:
+        d = found.difference
+        difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
+        difference = difference if bounds is None else cropped(difference, bounds)
+    return PictureInputs(
+        **rasters,
+        noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
+        difference=difference,
+        differences_m=None if found is None else found.differences_m,
+        profile=cut_profile(parts["chm"], done, context),
+        others=[
+            PictureInputs(
+                dtm=_raster(folder / f"dtm{piece.suffix}.tif", piece.bounds_m),
+                dsm=_raster(folder / f"dsm{piece.suffix}.tif", piece.bounds_m),
+            )
+            for piece in pieces[1:PICTURED]
+        ],
+    )
+
+
+def _raster(path: Path, bounds_m: tuple[float, float, float, float]) -> Raster | None:
+    part = _overview(path, bounds_m)
+    return None if part is None else Raster(part.values, part.extent_m)
+
+
+def _photons(context: Context) -> bool:
+    """Whether noise or afterpulses are looked for."""
+    workflow = context.workflow
+    return workflow.filter.method != "none" or workflow.afterpulse.enabled
+
+
+def _overview(path: Path, bounds_m: tuple[float, float, float, float] | None = None) -> Part | None:
+    return read_overview(path, bounds_m=bounds_m) if path.exists() else None

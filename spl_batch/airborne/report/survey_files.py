@@ -1,0 +1,48 @@
+"""Report of an airborne survey on disk: written as JSON and page, read back from JSON."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from spl_batch.airborne.report.model import Report
+
+if TYPE_CHECKING:  # matplotlib is loaded only where one draws
+    from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.write import write_both
+
+
+def read_report(path: Path) -> Report:
+    """Report from ``report.json``.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    pydantic.ValidationError
+        If it is no report of this version.
+    """
+    return Report.model_validate_json(path.read_text(encoding="utf-8"))
+
+
+def write_report(out: Path, report: Report, pictures: Mapping[str, "Picture"]) -> None:
+    """Write both files of the report into a folder.
+
+    Parameters
+    ----------
+    out : Path
+        Folder; made where it is missing.
+    report : Report
+        What is said.
+    pictures : mapping of str to Picture
+        What is shown; any may be missing.
+
+    Raises
+    ------
+    StoppedError
+        If the disk is full; an earlier report is then left as it was.
+    WorkflowError
+        If the folder cannot be written.
+    """
+    from spl_batch.airborne.report.survey_page import render  # noqa: PLC0415
+
+    write_both(out, report, render(report, pictures))

@@ -1,0 +1,205 @@
+"""The page of an airborne survey: what its report shows beside what all reports have."""
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Final
+
+from spl_batch.airborne.report.model import Counts, Report, Survey
+from spl_batch.airborne.report.verdicts import (
+    noise_removed,
+    photon_counting,
+    terrain_statistics,
+    verdicts,
+)
+from spl_batch.airborne.settings import FilterSettings
+from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report.page import Front, render_page
+from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.verdict import speed_remark
+
+SECTIONS: Final = (
+    ("accuracy", "Accuracy"),
+    ("surfaces", "Surfaces"),
+    ("noise", "Noise"),
+    ("survey", "Survey"),
+)
+"""Anchor and name of each section of its own."""
+
+OF_PHOTONS: Final = ("noise", "survey")
+"""Sections that linear-mode lidar has nothing to say in."""
+
+PHOTON_KEYS: Final = (
+    *(f"filter.{key}" for key in FilterSettings.model_fields if key != "method"),
+    *("afterpulse", "acquisition", "noise", "survey.sensor"),
+)
+"""Parameters of single-photon lidar alone: nothing reads them where no filter runs."""
+
+HOW: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "vsaes": (
+            "Around each return an ellipsoid is fitted to its neighbours, so that it follows a "
+            "wire, a roof or the ground; the return is signal when background alone would hardly "
+            "give as many neighbours."
+        ),
+        "aes": (
+            "As many returns as background is expected, those with fewest neighbours for it, are "
+            "removed first; then those around which an ellipsoid fitted to the neighbours holds "
+            "far fewer returns than a sphere."
+        ),
+        "dcc": (
+            "Each shot is then judged by itself: its fullest long range bin and the two beside it "
+            "are taken for signal, what lies in the others tells its background, and of the short "
+            "bins those are signal that hold more returns than that background explains."
+        ),
+        "voxel": (
+            "This filter makes no use of that: space is cut into flat voxels, and all returns of a "
+            "voxel are signal when it holds at least the mean number of those around it that are "
+            "not empty."
+        ),
+        "multilevel": (
+            "This filter makes no use of that: returns are signal near the fullest height of "
+            "a place, where their voxel and the 26 around it hold a fixed number of them, first of "
+            "large voxels and then of small ones."
+        ),
+        "cylinder": (
+            "This filter makes no use of that: a return is signal when a fixed number of others "
+            "lie in an upright cylinder around it, however dense the background is there."
+        ),
+    }
+)
+"""What each noise filter does, for a reader of the report."""
+
+
+def render(report: Report, pictures: Mapping[str, Picture]) -> str:
+    """The page of an airborne survey.
+
+    Parameters
+    ----------
+    report : Report
+        What is shown.
+    pictures : mapping of str to Picture
+        As :func:`~spl_batch.airborne.report.pictures.make_pictures` gives them; any may be missing.
+
+    Returns
+    -------
+    str
+        HTML without any reference to another file; the same input gives the same text.
+    """
+    photons = photon_counting(report)
+    return render_page(
+        "survey_page.html.j2",
+        report,
+        Front(
+            title=report.survey.name,
+            kicker="Single-photon lidar" if photons else "Linear-mode lidar",
+            facts=tuple(_facts(report.survey, photons=photons)),
+            sections=tuple(s for s in SECTIONS if photons or s[0] not in OF_PHOTONS),
+            verdicts=tuple(verdicts(report)),
+            cards=tuple(_cards(report)),
+            unused=() if photons else PHOTON_KEYS,
+        ),
+        package=__package__,
+        pictures=pictures,
+        photons=photons,
+        pieces=_shown_pieces(pictures),
+        shares=_shares(report.counts),
+        set_aside=_set_aside(report.counts),
+        kept_noise_share=_kept_noise_share(report),
+        how=HOW,
+    )
+
+
+def _facts(survey: Survey, *, photons: bool) -> Iterator[str]:
+    """What stands below the title."""
+    if survey.area_km2 is not None:
+        yield f"{text.significant(survey.area_km2)} km\N{SUPERSCRIPT TWO}"
+    if survey.pieces:
+        yield f"{len(survey.pieces)} pieces"
+    if survey.flightlines:
+        n = len(survey.flightlines)
+        yield f"{n} flightline{'s' * (n != 1)}"
+    if survey.sensor and photons:
+        yield survey.sensor
+    if survey.crs:
+        words = survey.crs_name and survey.crs_name != survey.crs
+        yield f"{survey.crs} ({survey.crs_name})" if words else survey.crs
+    else:
+        yield "no CRS"
+
+
+def _cards(report: Report) -> list[tuple[str, str, str]]:
+    """Label, value and remark of each key number."""
+    counts, work, density = report.counts, report.performance, report.density
+    whole, photons = counts.points_in, photon_counting(report)
+    terrain = terrain_statistics(report)
+    cards = []
+    if terrain is not None:
+        name, statistics = terrain
+        remark = f"on {text.surface_name(name)}, mean {text.centimetres(statistics.mean)}"
+        cards.append(("DTM RMSE", text.centimetres(statistics.rmse), remark))
+    cards.append(
+        ("Points in", text.large(counts.points_in), f"{text.number(counts.points_out)} out")
+    )
+    if photons:
+        background, afterpulse = (
+            text.percent(n / whole if whole else None)
+            for n in (counts.background, counts.afterpulse)
+        )
+        cards += [
+            ("Signal", text.large(counts.signal), text.of_all(counts.signal, whole)),
+            (
+                "Noise",
+                text.percent(noise_removed(report)),
+                f"of all points: background {background}, afterpulses {afterpulse}",
+            ),
+        ]
+    cards += [
+        ("Ground", text.large(counts.ground), text.of_all(counts.ground, whole)),
+        (
+            "Signal density" if photons else "Density",
+            f"{text.significant(density.mean_per_m2)} /m\N{SUPERSCRIPT TWO}",
+            (
+                f"median {text.significant(density.median_per_m2)}, "
+                f"ground {text.significant(density.ground_per_m2)}"
+            ),
+        ),
+        ("Time", text.duration(work.wall_s), speed_remark(work)),
+    ]
+    return cards
+
+
+def _shares(counts: Counts) -> list[tuple[str, str, int, float]]:
+    """Key, label, count and share of each noise class, for the bar."""
+    parts = (
+        ("signal", "signal", counts.signal),
+        ("background", "background noise", counts.background),
+        ("afterpulse", "afterpulses", counts.afterpulse),
+        ("aside", "not assessed", counts.not_assessed),
+    )
+    whole = sum(count for _, _, count in parts)
+    return [(key, label, n, n / whole) for key, label, n in parts if n] if whole else []
+
+
+def _set_aside(counts: Counts) -> list[tuple[str, int]]:
+    """Points that took no part, or not in full, by reason."""
+    reasons = (
+        ("withheld by the vendor", counts.withheld),
+        ("flagged as noise by the vendor", counts.vendor_flagged),
+        ("without a valid time or trajectory", counts.no_beam),
+        ("outside the area of interest", counts.outside_aoi),
+        ("in files that could not be read", counts.not_read),
+    )
+    return [(reason, count) for reason, count in reasons if count]
+
+
+def _kept_noise_share(report: Report) -> float | None:
+    """Share of the signal that is expected to be background, 0..1."""
+    noise, signal = report.noise, report.counts.signal
+    if noise.kept_by_chance is None or noise.kept_within_signal is None or not signal:
+        return None
+    return (noise.kept_by_chance + noise.kept_within_signal) / signal
+
+
+def _shown_pieces(pictures: Mapping[str, Picture]) -> list[int]:
+    """Numbers of the pieces beside the first that there are pictures of."""
+    return sorted(int(key.removeprefix("dtm_")) for key in pictures if key.startswith("dtm_"))

@@ -1,0 +1,199 @@
+"""The few numbers and sentences that a reader wants first, for the console and the page."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from spl_batch.airborne.report.model import Counts, Report
+from spl_batch.engine.report.number_format import (
+    as_ascii,
+    centimetres,
+    number,
+    of_all,
+    percent,
+    significant,
+    surface_name,
+)
+from spl_batch.engine.report.parts import Statistics
+from spl_batch.engine.report.verdict import Tone, Verdict, ending_rows, failure_verdict
+
+USGS_LIMITS: Final = ((0.05, "QL0"), (0.10, "QL1 and QL2"), (0.20, "QL3"))
+"""Largest vertical RMSE of each quality level, non-vegetated [m]; USGS Lidar Base
+Specification, table of absolute vertical accuracy. Pulse density is judged apart."""
+
+OPEN_SURFACES: Final = ("open_ground", "open", "bare_ground", "ground", "all")
+"""Classes that the terrain verdict is taken from; the first one that is there."""
+
+_NO_REFERENCE: Final = "no reference was given"
+
+
+def verdicts(report: Report) -> list[Verdict]:
+    """Sentences that say whether the result can be used.
+
+    Returns
+    -------
+    list of Verdict
+        Always three: accuracy, conservation of points, failures; bad news before the others.
+    """
+    found = [
+        _accuracy_verdict(report),
+        _conservation_verdict(report),
+        failure_verdict(report.failures, report.warnings),
+    ]
+    return sorted(found, key=lambda verdict: verdict.tone != "bad")
+
+
+def terrain_statistics(report: Report) -> tuple[str, Statistics] | None:
+    """Name and statistics of the surface that terrain accuracy is judged on."""
+    classes = {} if report.accuracy is None else report.accuracy.dtm
+    for name in OPEN_SURFACES:
+        if name in classes and classes[name].rmse is not None:
+            return name, classes[name]
+    return None
+
+
+def noise_removed(report: Report) -> float | None:
+    """Background and afterpulses as a share of all points, 0..1.
+
+    Every share of a report is of all points, so that those of the classes add up.
+    """
+    counts = report.counts
+    removed = counts.background + counts.afterpulse
+    return removed / counts.points_in if counts.points_in else None
+
+
+def photon_counting(report: Report) -> bool:
+    """Whether noise or afterpulses were looked for, as single-photon lidar needs it.
+
+    Without either, points went straight to ground and surfaces: linear-mode lidar, of which a
+    report has nothing to say about shots, beamlets and detectors.
+    """
+    afterpulse = report.provenance.parameters.get("afterpulse")
+    off = isinstance(afterpulse, Mapping) and afterpulse.get("enabled") is False
+    return report.noise.method != "none" or not off
+
+
+def terrain_accuracy(report: Report) -> str | None:
+    """RMSE of the terrain and the surfaces it is over: those judged, and all of them."""
+    terrain = terrain_statistics(report)
+    if terrain is None or report.accuracy is None:
+        return None
+    name, statistics = terrain
+    said = f"RMSE {centimetres(statistics.rmse)} on {surface_name(name)}"
+    overall = report.accuracy.dtm.get("all")
+    if name == "all" or overall is None or overall.rmse is None:
+        return said
+    return f"{said} ({centimetres(overall.rmse)} on all surfaces)"
+
+
+def mostly_unfiltered(counts: Counts, method: str) -> str:
+    """Sentence for a survey of which more than half could not be filtered; empty for others.
+
+    Parameters
+    ----------
+    counts : Counts
+        Where every point went.
+    method : str
+        Noise filter.
+    """
+    if method == "none" or 2 * counts.no_beam <= counts.points_in:
+        return ""
+    return (
+        f"{percent(counts.no_beam / counts.points_in)} of the points have no usable time or no "
+        "trajectory there and stay unfiltered, noise among them: the warnings say which, and why; "
+        "mend the times or the trajectory and run again"
+    )
+
+
+def screen_summary(report: Report) -> list[tuple[str, str]]:
+    """Label and value of each number that the console shows after a run."""
+    counts, work = report.counts, report.performance
+    not_read = f", about {number(counts.not_read)} not read" if counts.not_read else ""
+    classes = [("ground", counts.ground)]
+    if photon_counting(report):
+        noise = [("background noise", counts.background), ("afterpulses", counts.afterpulse)]
+        classes = [("signal", counts.signal), *noise, *classes]
+    rows = [
+        ("points", f"{number(counts.points_in)} in, {number(counts.points_out)} out{not_read}"),
+        *((label, _with_share(count, counts.points_in)) for label, count in classes),
+    ]
+    if counts.not_assessed:
+        rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
+    if unfiltered := mostly_unfiltered(counts, report.noise.method):
+        rows.append(("attention", unfiltered))
+    if report.density.mean_per_m2 is not None:
+        ground = report.density.ground_per_m2
+        of_it = "" if ground is None else f", {significant(ground)} of it ground"
+        what = "signal density" if photon_counting(report) else "density"
+        rows.append((what, f"{significant(report.density.mean_per_m2)} per m2{of_it}"))
+    accuracy = terrain_accuracy(report)
+    if accuracy is None:
+        told = any(warning.endswith("`spl-batch run` computes it") for warning in report.warnings)
+        remedy = "; `spl-batch run` does it" if told else ""
+        rows.append(("accuracy", _without_accuracy(report) + remedy))
+    else:
+        rows.append(("DTM accuracy", accuracy))
+    return [(label, as_ascii(value)) for label, value in rows] + ending_rows(
+        work, report.failures, report.warnings
+    )
+
+
+def _accuracy_verdict(report: Report) -> Verdict:
+    terrain = terrain_statistics(report)
+    if terrain is None:
+        why = _without_accuracy(report)
+        tone: Tone = "neutral" if why == _NO_REFERENCE else "attention"
+        return Verdict(tone, f"{why[0].upper()}{why[1:]}: accuracy is not known.")
+    rmse = terrain[1].rmse or 0.0
+    opening = f"DTM {terrain_accuracy(report)}, against linear-mode lidar and not check points: "
+    for limit, level in USGS_LIMITS:
+        if rmse <= limit:
+            return Verdict(
+                "good",
+                f"{opening}within the {centimetres(limit)} that USGS {level} allows at check "
+                "points.",
+            )
+    least = centimetres(USGS_LIMITS[-1][0])
+    return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows at check points.")
+
+
+def _without_accuracy(report: Report) -> str:
+    """Why accuracy is not known."""
+    if report.accuracy is not None:
+        return "the reference covers no terrain"
+    if _reference_given(report):
+        return "the rasters were not compared with the reference"
+    return _NO_REFERENCE
+
+
+def _reference_given(report: Report) -> bool:
+    return report.provenance.parameters.get("reference") is not None
+
+
+def _conservation_verdict(report: Report) -> Verdict:
+    counts = report.counts
+    if counts.points_in == 0:
+        return Verdict("bad", "No points were read.")
+    if counts.points_in == counts.points_out:
+        return _all_delivered(report)
+    gap = counts.points_in - counts.points_out
+    change = f"{number(abs(gap))} points {'fewer' if gap > 0 else 'more'} out than in"
+    return Verdict("bad", f"{change}: do not use the clouds before this is explained.")
+
+
+def _all_delivered(report: Report) -> Verdict:
+    """What there is to say where as many points come out as were read."""
+    counts, points = report.counts, number(report.counts.points_in)
+    if counts.not_assessed == counts.points_in and report.noise.method != "none":
+        text = f"{points} points are delivered, and none was assessed: the warnings say why."
+        return Verdict("bad", text)
+    if unfiltered := mostly_unfiltered(counts, report.noise.method):
+        return Verdict("bad", f"Every point is delivered, {points} in and out, but {unfiltered}.")
+    if counts.not_read:
+        missing = f"about {number(counts.not_read)} in files that cannot be read are not"
+        text = f"Every point that could be read is delivered, {points} in and out; {missing}."
+        return Verdict("attention", text)
+    return Verdict("good", f"Every point is delivered: {points} in and out.")
+
+
+def _with_share(part: int, whole: int) -> str:
+    return f"{number(part)} ({of_all(part, whole)})"

@@ -1,0 +1,49 @@
+"""The sections of the workflow file, each default written here and nowhere else.
+
+Each key has its unit in its name or in its description.
+"""
+
+from spl_batch.airborne.settings.filters import (
+    AesSettings,
+    CylinderSettings,
+    DccSettings,
+    FilterSettings,
+    MultilevelSettings,
+    VoxelSettings,
+    WireSettings,
+)
+from spl_batch.airborne.settings.noise import AfterpulseSettings, NoiseSettings
+from spl_batch.airborne.settings.surfaces import (
+    GroundSettings,
+    ProductSettings,
+    PtdSettings,
+    SmrfSettings,
+)
+from spl_batch.airborne.settings.survey import (
+    AcquisitionSettings,
+    OutputSettings,
+    ReferenceSettings,
+    SurveySettings,
+    TilingSettings,
+)
+
+__all__ = [
+    "AcquisitionSettings",
+    "AesSettings",
+    "AfterpulseSettings",
+    "CylinderSettings",
+    "DccSettings",
+    "FilterSettings",
+    "GroundSettings",
+    "MultilevelSettings",
+    "NoiseSettings",
+    "OutputSettings",
+    "ProductSettings",
+    "PtdSettings",
+    "ReferenceSettings",
+    "SmrfSettings",
+    "SurveySettings",
+    "TilingSettings",
+    "VoxelSettings",
+    "WireSettings",
+]

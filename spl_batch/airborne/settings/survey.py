@@ -1,0 +1,88 @@
+"""What was flown, how it is cut into work, and what is written."""
+
+from typing import Final, Literal
+
+from pydantic import Field, field_validator
+
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.engine.settings.base import Positive, Section, StoreSettings
+
+PRF_HZ: Final = (1e3, 1e6)
+"""Pulse rates of airborne lidars lie well within; a slip of kHz or MHz does not [Hz]."""
+
+
+def _in_hertz(prf_hz: float | None) -> None:
+    """Refuse a pulse rate in another unit."""
+    if prf_hz is not None and not PRF_HZ[0] <= prf_hz <= PRF_HZ[1]:
+        raise ValueError(
+            f"{prf_hz:g} Hz is no pulse rate of an airborne lidar, which lies from "
+            f"{PRF_HZ[0]:g} to {PRF_HZ[1]:g} Hz; write hertz, 30 kHz is 30000"
+        )
+
+
+class SurveySettings(Section):
+    """What was flown and where its files are."""
+
+    name: str = Field("survey", description="Title of the report.")
+    crs: str | None = Field(None, description="CRS for LAS files that carry none, e.g. EPSG:32615.")
+    flightlines: str | tuple[str, ...] = Field(
+        description="LAS, LAZ or COPC files: a path or glob, or several, relative to this file."
+    )
+    trajectory: str | tuple[str, ...] | None = Field(
+        None, description="CSV (gps_time,x,y,z), Parquet or SBET; a path or glob, or several."
+    )
+    trajectory_crs: str | None = Field(
+        None,
+        description="CRS of the trajectory; SBET defaults to EPSG:4979, others to the survey's.",
+    )
+    sensor: str | Sensor = Field("spl100", description="A preset's name, or a mapping.")
+    channel_dimension: str | None = Field(
+        None, description="LAS dimension with the beamlet number; without it a shot is one beamlet."
+    )
+    gap_s: Positive = Field(60.0, description="A pause that starts another lift [s].")
+
+    @field_validator("sensor")
+    @classmethod
+    def _prf_in_hertz(cls, sensor: str | Sensor) -> str | Sensor:
+        if isinstance(sensor, Sensor):
+            _in_hertz(sensor.prf_hz)
+        return sensor
+
+
+class ReferenceSettings(Section):
+    """Linear-mode lidar that the results are compared with."""
+
+    points: str | tuple[str, ...] = Field(description="LAS/LAZ with ground class 2, building 6.")
+    crs: str | None = Field(None, description="CRS for reference files that carry none.")
+    remove_bias: bool = Field(
+        False, description="Subtract the median difference before the statistics."
+    )
+
+
+class TilingSettings(Section):
+    """How space is cut for storage and work; results never depend on it."""
+
+    tile_m: Positive = Field(100.0, description="Edge of a storage tile [m].")
+    block_tiles: int | None = Field(
+        None, ge=1, description="Tiles along one side of a work block; by default as memory allows."
+    )
+
+
+class AcquisitionSettings(Section):
+    """What the instrument did; estimated from the data and reported where missing."""
+
+    prf_hz: Positive | None = Field(None, description="Pulse repetition frequency [Hz].")
+    gate_m: Positive | None = Field(None, description="Slant length of the range gate [m].")
+
+    @field_validator("prf_hz")
+    @classmethod
+    def _prf_in_hertz(cls, prf_hz: float | None) -> float | None:
+        _in_hertz(prf_hz)
+        return prf_hz
+
+
+class OutputSettings(StoreSettings):
+    """What is written beside the classified clouds."""
+
+    diagnostics: bool = Field(False, description="Extra bytes noise_density and p_value.")
+    tiles: Literal["none", "laz", "copc"] = Field("none", description="Points by tile as well.")

@@ -1,0 +1,192 @@
+"""How bright and how noisy: the link budget of a scene, solved where the scene asks."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from spl_batch.airborne.beams.link_budget import (
+    rate_per_m,
+    signal_constant,
+    solar_rate_hz,
+    transmission_above,
+)
+from spl_batch.airborne.simulate.detector import Receiver
+from spl_batch.airborne.simulate.flight import Chunk, Pass
+from spl_batch.airborne.simulate.scene.layout import Layout
+from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays, lit_share
+from spl_batch.airborne.simulate.scene.scene_file import Scene
+from spl_batch.airborne.simulate.shots import Optics
+from spl_batch.airborne.simulate.wedge_scan import pixel_offsets
+from spl_batch.errors import WorkflowError
+
+
+class Noise(NamedTuple):
+    """Background of a channel of gain 1, per metre of slant range [1/m]."""
+
+    solar_per_m: float
+    dark_per_m: float
+
+    def at(self, sky: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Background where the sky is this bright: (n,) float64 [1/m]."""
+        return self.solar_per_m * sky + self.dark_per_m
+
+
+def channel_gain(scene: Scene) -> NDArray[np.float64]:
+    """Sensitivity of each channel relative to a normal one: (c,) float64."""
+    acquisition, count = scene.acquisition, scene.instrument.beamlets
+    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(2,)))
+    gain = 1 + acquisition.gain_spread * np.clip(rng.standard_normal(count), -3, 3)
+    for channel, factor in acquisition.weak_channels.items():
+        gain[channel - 1] *= factor
+    for channel in acquisition.dead_channels:
+        gain[channel - 1] = 0.0
+    return gain
+
+
+def make_optics(scene: Scene) -> Optics:
+    """Instrument and air of a scene as numbers for the kernels."""
+    sensor = scene.instrument
+    px, py = pixel_offsets(
+        sensor.array_columns,
+        sensor.beamlet_pitch_urad * 1e-6,
+        math.radians(sensor.array_rotation_deg),
+    )
+    efficiency = sensor.hologram_efficiency * sensor.quantum_efficiency * sensor.receiver_efficiency
+    return Optics(
+        px,
+        py,
+        channel_gain(scene),
+        math.radians(sensor.half_cone_deg),
+        # the full divergence is to 1/e2 of the intensity: four standard deviations
+        sensor.beam_divergence_urad * 1e-6 / 4,
+        sensor.range_sigma_m,
+        signal_constant(
+            efficiency,
+            sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
+            sensor.wavelength_nm,
+            sensor.aperture_m,
+        ),
+        scene.sky.extinction_per_m,
+    )
+
+
+def make_receiver(scene: Scene) -> Receiver:
+    """Dead time and afterpulses of a scene's instrument, as range."""
+    sensor = scene.instrument
+    return Receiver(
+        sensor.dead_m,
+        sensor.afterpulse_probability,
+        sensor.afterpulse_scale_m,
+        sensor.afterpulse_lag_max_m,
+    )
+
+
+def physical_noise(scene: Scene) -> Noise:
+    """Background by Eq. 2.2-2.5 at the scene's mean altitude and reflectance."""
+    sensor, sky = scene.instrument, scene.sky
+    altitude = float(np.mean([f.altitude_agl_m for f in scene.flights]))
+    atmosphere, surface = solar_rate_hz(
+        efficiency=sensor.quantum_efficiency * sensor.receiver_efficiency,
+        wavelength_nm=sensor.wavelength_nm,
+        aperture_m=sensor.aperture_m,
+        fov_rad=sensor.pixel_fov_urad * 1e-6,
+        bandwidth_nm=sensor.filter_bandwidth_nm,
+        irradiance_w_m2_nm=sky.irradiance_w_m2_nm,
+        zenith_rad=math.radians(sky.zenith_deg),
+        off_nadir_rad=math.radians(sensor.half_cone_deg),
+        altitude_m=altitude,
+        scale_height_m=sky.scale_height_m,
+        transmission=transmission_above(sky.extinction_per_m, altitude, sky.scale_height_m),
+        reflectance=scene.terrain.reflectance,
+    )
+    return Noise(rate_per_m(atmosphere + surface), rate_per_m(sensor.dark_rate_hz))
+
+
+def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> Noise:
+    """Background that gives the density the scene asks for.
+
+    A beamlet puts ``rate / cos(off-nadir)`` points into each metre of height; the sum over
+    the beamlets that hit the extent, divided by its area, is the density at the ground.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    passes : list of Pass
+        Its flightlines.
+    pieces : list of list of Chunk
+        Their shots.
+    """
+    noise = physical_noise(scene)
+    if scene.sky.background_per_m3 is None:
+        return noise
+    gain = float(channel_gain(scene).sum())
+    total = 0.0
+    for run, chunk_list in zip(passes, pieces, strict=True):
+        for piece in chunk_list:
+            secant = piece.ground_range_m / run.flight.altitude_agl_m
+            rate = noise.at(run.sky(run.time_of(piece.shot)))
+            total += gain * float((rate * secant)[piece.inside].sum())
+    density = total / (scene.extent_m[0] * scene.extent_m[1])
+    if density <= 0:
+        raise WorkflowError("sky: background_per_m3 needs some sunlight or dark current to scale")
+    factor = scene.sky.background_per_m3 / density
+    return Noise(noise.solar_per_m * factor, noise.dark_per_m * factor)
+
+
+def tune_wires(
+    scene: Scene, layout: Layout, optics: Optics, passes: list[Pass], pieces: list[list[Chunk]]
+) -> SceneArrays:
+    """Arrays whose wires send back what ``returns_per_m`` asks for.
+
+    The beamlets that pass one metre of wire, at all distances from its axis, are integrated
+    over; the reflectance that solves it may exceed 1, which no wire does: it stands for a
+    brighter laser.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    layout : Layout
+        Where its wires are.
+    optics : Optics
+        Instrument and air.
+    passes, pieces
+        Flightlines and their shots.
+    """
+    wire = layout.arrays.wire.copy()
+    area = scene.extent_m[0] * scene.extent_m[1]
+    inside = sum(int(p.inside.sum()) for chunk_list in pieces for p in chunk_list)
+    density = inside / area / len(passes)
+    ranges = np.concatenate([p.ground_range_m for chunk_list in pieces for p in chunk_list])
+    for k, wires in enumerate(scene.wires):
+        if wires.returns_per_m is None:
+            continue
+        range_m = float(ranges.mean()) - wires.height_m
+        sigma = optics.sigma_rad * range_m
+        full = optics.signal_m2 / range_m**2 * math.exp(-2 * optics.extinction_per_m * range_m)
+        reach = wires.diameter_m / 2 + 5 * sigma
+        offset = np.linspace(-reach, reach, 401)
+        share = np.array([lit_share(abs(e), wires.diameter_m / 2, sigma) for e in offset])
+        shares = full * np.outer(optics.gain, share)
+
+        def missing(
+            log_rho: float,
+            shares: NDArray[np.float64] = shares,
+            offset: NDArray[np.float64] = offset,
+            asked: float = wires.returns_per_m,
+        ) -> float:
+            seen = -np.expm1(-shares * math.exp(log_rho)).sum(axis=0)
+            return density * float(np.trapezoid(seen, offset)) - asked
+
+        if missing(math.log(1e4)) < 0:
+            raise WorkflowError(
+                f"wires.{k}.returns_per_m: {wires.returns_per_m} is more than "
+                "beamlets pass a metre of wire; fly slower or ask for less"
+            )
+        rho = math.exp(float(brentq(missing, math.log(1e-6), math.log(1e4))))
+        wire[[line == k for line in layout.wire_line], 9] = rho
+    return layout.arrays._replace(wire=wire)

@@ -1,0 +1,238 @@
+"""What comes with the flightlines: trajectory, reference cloud, truth, workflow."""
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any, cast
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from spl_batch.airborne.simulate.file_writers import (
+    las_header,
+    raster_rows,
+    sbet_records,
+    write_points,
+    write_polygons,
+    write_text,
+    write_trajectory_csv,
+)
+from spl_batch.airborne.simulate.flight import Pass
+from spl_batch.airborne.simulate.linear_mode import linear_returns, surface_heights
+from spl_batch.airborne.simulate.scene.layout import Layout, footprints
+from spl_batch.airborne.simulate.scene.ray_trace import (
+    KIND_GROUND,
+    KIND_ROOF,
+    KIND_WATER,
+    SceneArrays,
+)
+from spl_batch.airborne.simulate.scene.scene_file import Scene
+from spl_batch.airborne.simulate.shots import NoiseGrid, empty_layers
+from spl_batch.airborne.simulate.true_reflectance import mean_reflectance
+from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_UNCLASSIFIED, CLASS_WATER
+from spl_batch.formats.files.atomic import replacing
+
+TRAJECTORY_HZ = 200.0
+"""Records per second of the trajectory [Hz]."""
+
+REFLECTANCE_SAMPLES = 4
+"""Places along one side of a cell whose reflectance is averaged [count]."""
+
+PULSES_AT_ONCE = 250_000
+"""Pulses of the reference that are simulated at once; they bound the memory [count]."""
+
+ROWS_AT_ONCE = 64
+"""Rows of the rasters that are made at once [count]."""
+
+LINEAR_SPOT_M = 0.1
+"""Spread of the reference's footprint [m]."""
+
+
+def deliver(
+    scene: Scene, arrays: SceneArrays, layout: Layout, passes: list[Pass], out: Path
+) -> Path:
+    """Write everything but the flightlines; the workflow's path.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    arrays, layout
+        What it became.
+    passes : list of Pass
+        Its flightlines.
+    out : Path
+        Folder of the survey.
+    """
+    _trajectory(scene, passes, out)
+    _reference(scene, arrays, out)
+    _rasters(scene, arrays, out)
+    origin = scene.origin_m[:2]
+    water = [
+        shapely.Polygon([(x + origin[0], y + origin[1]) for x, y in w.ring_m]) for w in scene.water
+    ]
+    if water:
+        write_polygons(out / "water.gpkg", water, scene.crs)
+    roofs = [[[x + origin[0], y + origin[1]] for x, y in shape.exterior.coords]
+             for shape in footprints(layout.buildings)]  # fmt: skip
+    truth = {
+        "scene": scene.model_dump(mode="json", by_alias=True),
+        "buildings": [b.model_dump(mode="json") for b in layout.buildings],
+        "building_outlines": roofs,
+        "crowns": layout.crowns,
+        "wires": [[float(v) for v in row] for row in arrays.wire],
+        "wire_columns": ["x", "y", "ux", "uy", "span", "a", "vertex", "offset", "radius", "rho"],
+    }
+    write_text(out / "truth" / "scene.json", truth)
+    return _workflow(scene, out, bool(water))
+
+
+def deliver_noise(scene: Scene, grid: NoiseGrid, out: Path) -> None:
+    """Write the expected background per cubic metre on the 10 m lattice.
+
+    Parameters
+    ----------
+    scene : Scene
+        Gives the origin.
+    grid : NoiseGrid
+        Expected background points of each voxel.
+    out : Path
+        Folder of the survey.
+    """
+    corner = np.rint((grid.corner + np.array([*scene.origin_m[:2], 0.0])) / grid.voxel_m).astype(
+        np.int64
+    )
+    density = (grid.amount / grid.voxel_m**3).astype(np.float32)
+    path = out / "truth" / "noise_density.npz"
+    # a file object: given a name, numpy would put .npz behind it
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, density=density, corner=corner, voxel_m=grid.voxel_m)
+
+
+def _trajectory(scene: Scene, passes: list[Pass], out: Path) -> None:
+    records, tables = [], []
+    for run in passes:
+        first = math.floor(run.start_s) - 1
+        last = math.ceil(run.middle_s + run.half_s) + 3
+        time_s = first + np.arange(round((last - first) * TRAJECTORY_HZ) + 1) / TRAJECTORY_HZ
+        xyz = run.position(time_s) + np.array([*scene.origin_m[:2], 0.0])
+        tables.append(np.column_stack([time_s, xyz]))
+        records.append(sbet_records(scene.crs, time_s, xyz, run.attitude(time_s)))
+    table = np.concatenate(tables)
+    write_trajectory_csv(out / "trajectory.csv", table[:, 0], table[:, 1:])
+    with replacing(out / "trajectory.sbet") as part:
+        np.concatenate(records).astype("<f8").tofile(part)
+
+
+def _reference(scene: Scene, arrays: SceneArrays, out: Path) -> None:
+    header = las_header(scene.crs, scene.origin_m, scene.acquisition.start_s)
+    write_points(out / "reference_lml.laz", header, _reference_pieces(scene, arrays, out))
+
+
+def _reference_pieces(
+    scene: Scene, arrays: SceneArrays, out: Path
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Points of the reference, of some pulses at a time.
+
+    One source of chance gives all places, then all returns, then all noise, so that what is
+    between them waits on disk: the points do not depend on how many are made at once.
+    """
+    seed = np.random.SeedSequence(scene.seed, spawn_key=(4,))
+    n = round(scene.reference.density_per_m2 * scene.extent_m[0] * scene.extent_m[1])
+    sizes = [min(PULSES_AT_ONCE, n - first) for first in range(0, n, PULSES_AT_ONCE)]
+    places, rng = np.random.default_rng(seed), np.random.default_rng(seed)
+    cast("np.random.PCG64", rng.bit_generator).advance(2 * n)
+    above = float(arrays.ground_z.max()) + 500.0
+    with TemporaryFile(dir=out) as returns:
+        for size in sizes:
+            z, kind = np.empty((size, 2)), np.zeros((size, 2), dtype=np.uint8)
+            xy = places.random((size, 2)) * scene.extent_m
+            linear_returns(rng, arrays, xy, above, LINEAR_SPOT_M, empty_layers(arrays), z, kind)
+            returns.write(z.tobytes() + kind.tobytes())
+        returns.seek(0)
+        places = np.random.default_rng(seed)
+        first = 0
+        for size in sizes:
+            z = np.frombuffer(returns.read(16 * size)).reshape(size, 2)
+            kind = np.frombuffer(returns.read(2 * size), dtype=np.uint8).reshape(size, 2)
+            xy = places.random((size, 2)) * scene.extent_m
+            noisy = z + scene.reference.noise_m * rng.standard_normal(z.shape)
+            yield _reference_points(scene, first, xy, noisy, kind)
+            first += size
+
+
+def _reference_points(
+    scene: Scene,
+    first: int,
+    xy: NDArray[np.float64],
+    z: NDArray[np.float64],
+    kind: NDArray[np.uint8],
+) -> dict[str, NDArray[Any]]:
+    """LAS dimensions of the returns of some pulses, of which this is the first."""
+    n = len(xy)
+    seen = np.isfinite(z)
+    returns = seen.sum(axis=1).astype(np.uint8)
+    number = np.column_stack([np.ones(n, dtype=np.uint8), returns])
+    classes = np.full(256, CLASS_UNCLASSIFIED, dtype=np.uint8)
+    classes[[KIND_GROUND, KIND_ROOF, KIND_WATER]] = CLASS_GROUND, CLASS_BUILDING, CLASS_WATER
+    time_s = scene.acquisition.start_s + np.arange(first, first + n) / 400_000.0
+    pulse = np.repeat(np.arange(n), 2).reshape(n, 2)[seen]
+    return {
+        "x": xy[pulse, 0] + scene.origin_m[0],
+        "y": xy[pulse, 1] + scene.origin_m[1],
+        "z": z[seen],
+        "gps_time": time_s[pulse],
+        "classification": classes[kind[seen]],
+        "return_number": number[seen],
+        "number_of_returns": returns[pulse],
+        "point_source_id": np.ones(len(pulse), dtype=np.uint16),
+    }
+
+
+def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
+    """True ground, surface and reflectance of 1 m cells on whole metres."""
+    west, south = (math.floor(v) for v in scene.origin_m[:2])
+    east, north = (
+        math.ceil(v + size) for v, size in zip(scene.origin_m, scene.extent_m, strict=False)
+    )
+    x = np.arange(west, east) + 0.5 - scene.origin_m[0]
+    y = np.arange(north, south, -1) - 0.5 - scene.origin_m[1]
+    corner = west - scene.origin_m[0], north - scene.origin_m[1]
+    place = (len(y), len(x)), float(west), float(north), scene.crs
+    with ExitStack() as open_files:
+        write = [
+            open_files.enter_context(raster_rows(out / "truth" / f"{name}.tif", *place))
+            for name in ("dtm", "dsm", "reflectance")
+        ]
+        for first in range(0, len(y), ROWS_AT_ONCE):
+            xs, ys = np.meshgrid(x, y[first : first + ROWS_AT_ONCE])
+            ground, surface, rho = (np.empty(xs.shape) for _ in range(3))
+            surface_heights(arrays, xs.ravel(), ys.ravel(), ground.ravel(), surface.ravel())
+            mean_reflectance(arrays, corner[0], corner[1] - first, 1.0, REFLECTANCE_SAMPLES, rho)
+            for values, to in zip((ground, surface, rho), write, strict=True):
+                to(first, values)
+
+
+def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - one caller
+    content: dict[str, Any] = {
+        "survey": {
+            "name": scene.name,
+            "flightlines": "flightlines/*.laz",
+            "trajectory": "trajectory.csv",
+            "sensor": scene.instrument.model_dump(mode="json")
+            if scene.sensor_overrides or not isinstance(scene.sensor, str)
+            else scene.sensor,
+            "channel_dimension": "channel",
+        },
+        "reference": {"points": "reference_lml.laz"},
+        "output": "out",
+        "acquisition": {"prf_hz": scene.acquisition.prf_hz, "gate_m": scene.acquisition.gate_m},
+    }
+    if water:
+        content["water"] = "water.gpkg"
+    path = out / "workflow.yaml"
+    write_text(path, content)
+    return path

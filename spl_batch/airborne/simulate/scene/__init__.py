@@ -1,0 +1,1 @@
+"""Scene of a simulated survey: terrain, objects, rays against them."""

@@ -1,0 +1,176 @@
+"""What one beam meets on its way down: semi-transparent layers, then one hard surface."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.simulate.scene.ray_trace import (
+    KIND_BOTTOM,
+    KIND_VEGETATION,
+    KIND_WATER,
+    KIND_WIRE,
+    SceneArrays,
+    bilinear,
+    clip_convex,
+    clip_crown,
+    hit_ground,
+    lit_share,
+    meet_wire,
+)
+from spl_batch.numerics.compiled import njit
+
+LAYER_FIELDS = 5
+"""Columns of a layer: enter, leave [m], share intercepted, reflectance, kind."""
+
+
+SURFACE_SHARE = 0.02
+"""Share of a beam that a clear water's surface turns back: Fresnel's, near the vertical."""
+
+
+@njit(nogil=True, cache=True)
+def nearest_node(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
+    """Row and column of the ground node nearest to a place."""
+    i = min(max(round((x - scene.grid[0]) / scene.grid[2]), 0), scene.ground_z.shape[1] - 1)
+    j = min(max(round((y - scene.grid[1]) / scene.grid[2]), 0), scene.ground_z.shape[0] - 1)
+    return j, i
+
+
+@njit(nogil=True, cache=True)
+def _add_water(
+    layers: NDArray[np.float64], n: int, pond: NDArray[np.float64], o: Any, d: Any, hard: float
+) -> int:
+    """Clear water over a bottom: a thin surface, then a column that only attenuates.
+
+    Rays go straight on and light is not slowed down: depths are apparent ones, as in files
+    whose maker has not corrected for refraction. Both ways are attenuated.
+    """
+    top = (pond[0] - o[2]) / d[2]
+    if top >= hard:
+        return n
+    rho = pond[2] / SURFACE_SHARE
+    n = _insert(layers, n, top, top, SURFACE_SHARE, rho, float(KIND_WATER))
+    share = 1.0 - math.exp(-2.0 * pond[1] * (hard - top))
+    return _insert(layers, n, top, hard, share, 0.0, float(KIND_WATER))
+
+
+@njit(nogil=True, cache=True)
+def cell_range(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
+    """First and last entry (exclusive) of the objects listed for a place."""
+    i = math.floor((x - scene.cell[0]) / scene.cell[2])
+    j = math.floor((y - scene.cell[1]) / scene.cell[2])
+    rows, columns = scene.cell_first.shape
+    if i < 0 or j < 0 or i >= columns - 1 or j >= rows:
+        return 0, 0
+    return scene.cell_first[j, i], scene.cell_first[j, i + 1]
+
+
+@njit(nogil=True, cache=True)
+def _add_turbid(
+    layers: NDArray[np.float64],
+    n: int,
+    span: tuple[float, float],
+    extinction: float,
+    rho: float,
+    kind: float,
+) -> int:
+    if span[1] <= span[0]:
+        return n
+    share = 1.0 - math.exp(-extinction * (span[1] - span[0]))
+    return _insert(layers, n, span[0], span[1], share, rho, kind)
+
+
+@njit(nogil=True, cache=True)
+def _insert(
+    layers: NDArray[np.float64],
+    n: int,
+    enter: float,
+    leave: float,
+    share: float,
+    rho: float,
+    kind: float,
+) -> int:
+    """Put a layer in its place by range; the number of layers afterwards."""
+    k = n
+    while k > 0 and layers[k - 1, 0] > enter:
+        layers[k] = layers[k - 1]
+        k -= 1
+    layers[k, 0] = enter
+    layers[k, 1] = leave
+    layers[k, 2] = share
+    layers[k, 3] = rho
+    layers[k, 4] = kind
+    return n + 1
+
+
+@njit(nogil=True, cache=True)
+def look(
+    scene: SceneArrays, o: Any, d: Any, axis: Any, sigma_rad: float, layers: NDArray[np.float64]
+) -> tuple[int, float, float, float, float]:
+    """Everything that a beam meets.
+
+    Parameters
+    ----------
+    scene : SceneArrays
+        The scene.
+    o, d : (3,) float64
+        Origin [m] and unit direction of the photon's path.
+    axis : (3,) float64
+        Unit direction of the beam's axis; wires take their share of the whole beam.
+    sigma_rad : float
+        Spread of the beam about its axis, one direction [rad].
+    layers : (k, 5) float64
+        Filled with enter, leave, intercepted share, reflectance and kind of each layer in
+        front of the hard surface, by range; must have a row for every object of any cell.
+
+    Returns
+    -------
+    n : int
+        Number of layers.
+    range_m, cosine, reflectance, kind : float
+        Of the hard surface behind them.
+    """
+    hard, cosine = hit_ground(scene.ground_z, scene.grid, o, d)
+    x, y = o[0] + hard * d[0], o[1] + hard * d[1]
+    rho = bilinear(scene.ground_rho, scene.grid, x, y)[0]
+    j, i = nearest_node(scene, x, y)
+    kind = float(scene.ground_kind[j, i])
+    first, last = cell_range(scene, x, y)
+    solids, crowns = len(scene.solid), len(scene.crown)
+    # Entries ascend, and opaque solids have the lowest numbers: `hard` is final before any
+    # layer is cut at it.
+    n = 0
+    for entry in range(first, last):
+        item = scene.cell_item[entry]
+        if item < solids:
+            enter, leave, face = clip_convex(scene.planes[item], scene.faces[item], o, d)
+            if leave <= enter or enter >= hard:
+                continue
+            row = scene.solid[item]
+            if row[0] > 0.0:
+                span = (enter, min(leave, hard))
+                n = _add_turbid(layers, n, span, row[0], row[1], row[2])
+            elif face >= 0:
+                normal = scene.planes[item, face]
+                hard = enter
+                cosine = -(normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2])
+                rho = row[1]
+                kind = row[2] if normal[2] > 0.1 else row[3]
+        elif item < solids + crowns:
+            crown = scene.crown[item - solids]
+            enter, leave = clip_crown(crown, o, d)
+            span = (enter, min(leave, hard))
+            n = _add_turbid(layers, n, span, crown[5], crown[6], float(KIND_VEGETATION))
+        else:
+            wire = scene.wire[item - solids - crowns]
+            at, distance = meet_wire(wire, o, axis)
+            sigma = sigma_rad * at
+            if distance < wire[8] + 4.0 * sigma:
+                share = lit_share(distance, wire[8], sigma)
+                n = _insert(layers, n, at, at, share, wire[9], float(KIND_WIRE))
+    while n > 0 and layers[n - 1, 0] >= hard:
+        n -= 1
+    if kind == KIND_BOTTOM:
+        n = _add_water(layers, n, scene.pond[scene.ground_pond[j, i]], o, d, hard)
+    return n, hard, cosine, rho, kind

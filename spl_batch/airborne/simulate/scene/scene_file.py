@@ -1,0 +1,240 @@
+"""The scene file: what stands on the ground, who flies over it, with which instrument.
+
+Places are metres east and north of the scene's origin. Defaults are written here and
+nowhere else; an unknown key is an error that names the nearest known one.
+"""
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from spl_batch.airborne.sensors.sensor import Sensor, load_preset
+from spl_batch.engine.settings.validation import validated
+from spl_batch.engine.settings.workflow_file import read_mapping
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Place = tuple[float, float]
+
+
+class Section(BaseModel):
+    """Base of every part of a scene: frozen, and strict about its keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Terrain(Section):
+    """Ground: smooth random relief, and how it reflects."""
+
+    relief_m: NotNegative = Field(15.0, description="Highest less lowest ground [m].")
+    wavelength_m: Positive = Field(120.0, description="Size of hills [m].")
+    roughness_m: NotNegative = Field(0.02, description="Spread of small bumps [m].")
+    reflectance: Share = Field(0.25, description="Mean reflectance of the ground.")
+    reflectance_variation: Share = Field(0.3, description="Relative spread of it.")
+    grid_m: Positive = Field(1.0, description="Node spacing of the ground [m].")
+
+
+class Building(Section):
+    """A box with a roof."""
+
+    centre_m: Place = Field(description="East and north of the origin [m].")
+    size_m: tuple[Positive, Positive] = Field(description="Length and width [m].")
+    heading_deg: float = Field(0.0, description="Of the length, clockwise from north [deg].")
+    eave_m: Positive = Field(6.0, description="Eaves above the highest ground beneath [m].")
+    roof: Literal["flat", "gable", "shed"] = Field("flat", description="Shape of the roof.")
+    pitch_deg: float = Field(25.0, ge=0, lt=80, description="Of a gable or shed [deg].")
+    reflectance: Share = Field(0.3, description="Of the roof.")
+
+
+class Buildings(Section):
+    """Buildings by list, by number, or both."""
+
+    count: int = Field(0, ge=0, description="Random buildings [count].")
+    items: tuple[Building, ...] = Field((), alias="list", description="Buildings one by one.")
+
+
+class Trees(Section):
+    """Crowns as turbid ellipsoids; light passes them by Beer-Lambert's law."""
+
+    cover: float = Field(0.0, ge=0, lt=0.9, description="Share of the area under crowns.")
+    height_m: tuple[Positive, Positive] = Field((8.0, 18.0), description="Lowest, highest [m].")
+    radius_m: tuple[Positive, Positive] = Field((2.0, 4.5), description="Smallest, largest [m].")
+    crown_share: float = Field(0.65, gt=0, le=1, description="Crown length / tree height.")
+    extinction_per_m: Positive = Field(0.35, description="Interception along a path [1/m].")
+    gaps: Share = Field(0.15, description="Share of a crown that lets light through.")
+    reflectance: Share = Field(0.3, description="Of leaves.")
+    understory: Share = Field(0.3, description="Share of trees with a shrub below.")
+
+
+class Wires(Section):
+    """A line of towers or poles, its conductors catenaries between them."""
+
+    kind: Literal["transmission", "distribution"] = "transmission"
+    points_m: tuple[Place, ...] = Field(min_length=2, description="Towers, east and north [m].")
+    height_m: Positive = Field(28.0, description="Of the attachment above ground [m].")
+    sag_m: Positive = Field(4.0, description="Of a conductor below its ends at mid-span [m].")
+    conductors: int = Field(3, ge=1, description="Conductors side by side [count].")
+    spacing_m: Positive = Field(4.0, description="Between neighbouring conductors [m].")
+    shield: bool = Field(True, description="A thinner wire 5 m above the middle.")
+    diameter_m: Positive = Field(0.03, description="Of a conductor [m].")
+    shield_diameter_m: Positive = Field(0.012, description="Of the shield wire [m].")
+    reflectance: Share = Field(0.4, description="Of the wire.")
+    returns_per_m: Positive | None = Field(
+        None, description="Expected returns per metre of conductor and flightline, instead."
+    )
+
+
+class Water(Section):
+    """A pond or lake: flat and dark, opaque or clear.
+
+    Clear water has a depth: light that passes its surface meets the bottom, attenuated on
+    both ways. Refraction and the lower speed of light in water are left out, so the depth is
+    the apparent one.
+    """
+
+    ring_m: tuple[Place, ...] = Field(min_length=3, description="Corners, east and north [m].")
+    reflectance: Share = Field(0.03, description="Of the surface.")
+    bank_slope: Positive = Field(0.3, description="Steepest ground beside it [rise/run].")
+    depth_m: NotNegative = Field(
+        0.0, description="Of clear water, reached at the bank's slope [m]; 0 is opaque."
+    )
+    attenuation_per_m: NotNegative = Field(
+        0.15, description="Diffuse attenuation of clear water, one way [1/m]."
+    )
+    bottom_reflectance: Share = Field(0.15, description="Of its bottom.")
+
+
+class Flight(Section):
+    """One pass, straight and level."""
+
+    heading_deg: float = Field(description="Clockwise from grid north [deg].")
+    altitude_agl_m: Positive = Field(2500.0, description="Above the scene's mean ground [m].")
+    speed_m_s: Positive = Field(85.0, description="Over ground [m/s].")
+    offset_m: float = Field(0.0, description="To starboard of the scene's centre [m].")
+    sky: Positive = Field(1.0, description="Sunlight relative to the scene's [1].")
+
+
+class Sky(Section):
+    """Sun and air [W17 Eq. 2.2-2.5]."""
+
+    background_per_m3: Positive | None = Field(
+        None,
+        description="Background returns per cubic metre at the ground, all flightlines "
+        "together; scales sun and dark current to it. Without it they follow from physics.",
+    )
+    irradiance_w_m2_nm: NotNegative = Field(1.84, description="Exoatmospheric [W/m2/nm].")
+    zenith_deg: float = Field(45.0, ge=0, lt=88, description="Of the sun [deg].")
+    extinction_per_m: NotNegative = Field(1.0e-4, description="Atmospheric, at ground [1/m].")
+    scale_height_m: Positive = Field(8000.0, description="Of the atmosphere [m].")
+    variation: float = Field(0.3, ge=0, lt=1, description="Relative swing along a flightline.")
+    period_s: Positive = Field(5.0, description="Of the swing [s].")
+
+
+class Acquisition(Section):
+    """How the instrument was run, and what is wrong with it."""
+
+    prf_hz: Positive = Field(60_000.0, description="Pulse repetition frequency [Hz].")
+    gate_m: Positive = Field(300.0, description="Slant length of the range gate [m].")
+    gate_above: float = Field(0.5, gt=0, lt=1, description="Share of the gate above ground.")
+    dead_channels: tuple[int, ...] = Field((), description="Channels that see nothing.")
+    weak_channels: dict[int, Share] = Field({}, description="Channel: relative sensitivity.")
+    gain_spread: float = Field(0.05, ge=0, lt=0.3, description="Of the channels' sensitivity.")
+    wobble_deg: NotNegative = Field(0.2, description="Swing of roll and pitch [deg].")
+    start_s: float = Field(371_000_000.0, description="Adjusted standard GPS time of take-off [s].")
+    turn_s: Positive = Field(240.0, description="From the middle of one line to the next [s].")
+    margin_m: NotNegative = Field(5.0, description="Shots this far outside are kept [m].")
+
+
+class Reference(Section):
+    """Linear-mode cloud to compare with."""
+
+    density_per_m2: Positive = Field(10.0, description="First returns [1/m2].")
+    noise_m: NotNegative = Field(0.03, description="Spread of heights [m].")
+
+
+class Scene(Section):
+    """A survey to be simulated."""
+
+    kind: Literal["imaging"] = Field("imaging", description="Airborne single-photon lidar.")
+    name: str = Field("scene", description="Title of the survey.")
+    crs: str = Field("EPSG:32615", description="Projected CRS in metres.")
+    origin_m: tuple[float, float, float] = Field(
+        (272_000.0, 3_290_000.0, 40.0), description="South-west corner; mean ground height [m]."
+    )
+    extent_m: tuple[Positive, Positive] = Field(description="East-west, north-south [m].")
+    seed: int = Field(1, ge=0, description="Everything random follows from it.")
+    terrain: Terrain = Terrain()
+    buildings: Buildings = Buildings()
+    trees: Trees = Trees()
+    wires: tuple[Wires, ...] = ()
+    water: tuple[Water, ...] = ()
+    flights: tuple[Flight, ...] = Field(min_length=1, description="Flightlines in flown order.")
+    sensor: str | Sensor = Field("spl100", description="A preset's name, or a mapping.")
+    sensor_overrides: dict[str, Any] = Field({}, description="Sensor keys that differ from it.")
+    sky: Sky = Sky()
+    acquisition: Acquisition = Acquisition()
+    reference: Reference = Reference()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Scene":
+        try:
+            crs = CRS.from_user_input(self.crs)
+        except CRSError:
+            raise ValueError(f"crs: {self.crs!r} is not a CRS that PROJ knows") from None
+        if not crs.is_projected or crs.axis_info[0].unit_conversion_factor != 1.0:
+            raise ValueError(f"crs: {self.crs!r} must be projected, in metres")
+        instrument = self.instrument
+        if instrument.array_columns**2 != instrument.beamlets:
+            raise ValueError("sensor: beamlets must be array_columns squared")
+        used = {*self.acquisition.dead_channels, *self.acquisition.weak_channels}
+        outside = sorted(c for c in used if not 1 <= c <= instrument.beamlets)
+        if outside:
+            raise ValueError(f"acquisition: channels are 1..{instrument.beamlets}, not {outside}")
+        return self
+
+    @cached_property
+    def instrument(self) -> Sensor:
+        """The sensor, overrides put in."""
+        base = load_preset(self.sensor) if isinstance(self.sensor, str) else self.sensor
+        return Sensor.model_validate({**base.model_dump(), **self.sensor_overrides})
+
+
+def parse_scene(content: Mapping[str, Any], where: str) -> Scene:
+    """Check a scene's content.
+
+    Parameters
+    ----------
+    content : mapping
+        Parsed YAML.
+    where : str
+        What messages call it: the file's path.
+
+    Raises
+    ------
+    WorkflowError
+        One line that lists every fault.
+    """
+    return validated(Scene, content, where)
+
+
+def load_scene(path: Path) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : Path
+        YAML file.
+
+    Raises
+    ------
+    WorkflowError
+        If the file cannot be read, is not YAML, or has a fault.
+    """
+    content = read_mapping(path, "a scene is a mapping with extent_m: and flights:")
+    return parse_scene(content, str(path))

@@ -1,0 +1,392 @@
+"""Shots of a flightline against a scene: what every beamlet of every shot records."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.simulate.detector import (
+    NO_PARENT,
+    Receiver,
+    add_background,
+    add_event,
+    poisson_count,
+    record,
+)
+from spl_batch.airborne.simulate.scene.beam_layers import LAYER_FIELDS, look
+from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
+from spl_batch.numerics.compiled import njit
+
+NOISE_SAMPLES = 6
+"""Places along the gate at which a beamlet adds to the true noise density."""
+
+
+class Optics(NamedTuple):
+    """Instrument and air, as numbers.
+
+    Parameters
+    ----------
+    pixel_x, pixel_y : (c,) float64
+        Angular place of each beamlet [rad], turned by alpha_R.
+    gain : (c,) float64
+        Sensitivity of each channel relative to the mean; 0 is dead.
+    half_cone_rad : float
+        Half cone angle [rad].
+    sigma_rad : float
+        Spread of a beamlet about its axis, one direction [rad].
+    range_sigma_m : float
+        Ranging spread [m].
+    signal_m2 : float
+        Instrument constant of Eq. 2.1 [m2].
+    extinction_per_m : float
+        Atmospheric extinction [1/m].
+    """
+
+    pixel_x: NDArray[np.float64]
+    pixel_y: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    half_cone_rad: float
+    sigma_rad: float
+    range_sigma_m: float
+    signal_m2: float
+    extinction_per_m: float
+
+
+class Shots(NamedTuple):
+    """Shots in time order; positions relative to the scene's origin.
+
+    Parameters
+    ----------
+    origin : (n, 3) float64
+        Sensor position [m].
+    turn : (n, 3, 3) float64
+        Body frame to local frame.
+    angle : (n,) float64
+        Scan angle [rad].
+    gate_start, gate_stop : (n,) float64
+        Range gate [m].
+    noise_per_m : (n,) float64
+        Background of a channel of gain 1 [1/m].
+    """
+
+    origin: NDArray[np.float64]
+    turn: NDArray[np.float64]
+    angle: NDArray[np.float64]
+    gate_start: NDArray[np.float64]
+    gate_stop: NDArray[np.float64]
+    noise_per_m: NDArray[np.float64]
+
+
+class Points(NamedTuple):
+    """Buffers for recorded returns; one row each, in shot, channel and range order.
+
+    Parameters
+    ----------
+    shot : (k,) int64
+        Row of the shot.
+    xyz : (k, 3) float64
+        Place along the beamlet's axis at the measured range [m].
+    channel, return_number, returns, kind, parent : (k,) uint8
+        Channel from 1, LAS return numbers, truth.
+    electrons : (k,) int64
+        Photo-electrons merged into the detection.
+    parent_row : (k,) int64
+        Row of an afterpulse's parent in these buffers; -1 for the rest.
+    """
+
+    shot: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    channel: NDArray[np.uint8]
+    return_number: NDArray[np.uint8]
+    returns: NDArray[np.uint8]
+    kind: NDArray[np.uint8]
+    parent: NDArray[np.uint8]
+    electrons: NDArray[np.int64]
+    parent_row: NDArray[np.int64]
+
+
+class NoiseGrid(NamedTuple):
+    """Voxels that collect the expected background.
+
+    Parameters
+    ----------
+    amount : (nx, ny, nz) float64
+        Expected background points [count].
+    corner : (3,) float64
+        Lower corner, relative to the scene's origin [m]; z is a height.
+    voxel_m : float
+        Edge [m].
+    """
+
+    amount: NDArray[np.float64]
+    corner: NDArray[np.float64]
+    voxel_m: float
+
+
+@njit(nogil=True, cache=True)
+def beam_direction(
+    turn: NDArray[np.float64],
+    angle: float,
+    half_cone: float,
+    px: float,
+    py: float,
+    out: NDArray[np.float64],
+) -> None:
+    """Unit vector of one beamlet in the local frame [W17 Eq. 2.11-2.15].
+
+    Parameters
+    ----------
+    turn : (3, 3) float64
+        Body frame to local frame.
+    angle, half_cone : float
+        Scan angle and half cone angle [rad].
+    px, py : float
+        Angular place of the beamlet in the array [rad].
+    out : (3,) float64
+        Filled.
+    """
+    ca, sa = math.cos(angle), math.sin(angle)
+    cone = math.sin(half_cone)
+    x = cone * sa + ca * px + sa * py
+    y = cone * ca - sa * px + ca * py
+    z = -math.cos(half_cone)
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    for k in range(3):
+        out[k] = (turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z) * scale
+
+
+@njit(nogil=True, cache=True)
+def _spread(rng: np.random.Generator, axis: Any, sigma: float, out: NDArray[np.float64]) -> None:
+    """Direction of a photon inside a beam that points mostly downwards."""
+    x = axis[0] + sigma * rng.standard_normal()
+    y = axis[1] + sigma * rng.standard_normal()
+    scale = 1.0 / math.sqrt(x * x + y * y + axis[2] * axis[2])
+    out[0], out[1], out[2] = x * scale, y * scale, axis[2] * scale
+
+
+@njit(nogil=True, cache=True)
+def add_signal(
+    rng: np.random.Generator,
+    scene: SceneArrays,
+    optics: Optics,
+    gain: float,
+    ray: Any,
+    layers: NDArray[np.float64],
+    ranges: NDArray[np.float64],
+    facts: NDArray[np.int64],
+    n: int,
+) -> int:
+    """Photo-electrons of the scene in one beamlet [W17 Eq. 2.1, 2.6; Beer-Lambert in crowns].
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of chance.
+    scene : SceneArrays
+        The scene.
+    optics : Optics
+        Instrument and air.
+    gain : float
+        Of the channel.
+    ray : tuple of (3,) float64
+        Origin [m], axis of the beamlet, room for the photons' direction.
+    layers : (k, 5) float64
+        Room for :func:`~spl_batch.airborne.simulate.scene.beam_layers.look`.
+    ranges, facts, n
+        Events so far, as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
+
+    Returns
+    -------
+    int
+        Number of events.
+    """
+    origin, axis, path = ray
+    _spread(rng, axis, optics.sigma_rad, path)
+    layer_count, hard, cosine, rho, kind = look(scene, origin, path, axis, optics.sigma_rad, layers)
+    full = optics.signal_m2 * gain / (hard * hard) * math.exp(-2 * optics.extinction_per_m * hard)
+    left = 1.0
+    for k in range(layer_count):
+        share = layers[k, 2]
+        for _ in range(poisson_count(rng, full * left * share * layers[k, 3])):
+            at = layers[k, 0]
+            if layers[k, 1] > at:
+                # depth of a Beer-Lambert photon, given that the layer stops it
+                depth = math.log(1.0 - rng.random() * share) / math.log(1.0 - share)
+                at += depth * (layers[k, 1] - at)
+            if at < hard:
+                at += optics.range_sigma_m * rng.standard_normal()
+                n = add_event(ranges, facts, n, at, int(layers[k, 4]), NO_PARENT, -1)
+        left *= 1.0 - share
+    for _ in range(poisson_count(rng, full * left * rho * cosine)):
+        at = hard + optics.range_sigma_m * rng.standard_normal()
+        n = add_event(ranges, facts, n, at, int(kind), NO_PARENT, -1)
+    return n
+
+
+@njit(nogil=True, cache=True)
+def _in_gate(ranges: NDArray[np.float64], facts: NDArray[np.int64], n: int, start: float) -> int:
+    """Drop events in front of the gate; the number that is left."""
+    first = 0
+    while first < n and ranges[first] < start:
+        first += 1
+    for k in range(first, n):
+        ranges[k - first] = ranges[k]
+        facts[k - first] = facts[k]
+    return n - first
+
+
+@njit(nogil=True, cache=True)
+def _deposit(
+    grid: NoiseGrid, origin: Any, axis: Any, start: float, stop: float, expected: float
+) -> None:
+    """Spread a beamlet's expected background over the voxels that it crosses."""
+    nx, ny, nz = grid.amount.shape
+    step = (stop - start) / NOISE_SAMPLES
+    # A start that wanders with the beamlet fills the gaps between the samples.
+    at = start + step * (abs(axis[0] * 1e6 + axis[1] * 1.618e6) % 1.0)
+    for _ in range(NOISE_SAMPLES):
+        i = math.floor((origin[0] + at * axis[0] - grid.corner[0]) / grid.voxel_m)
+        j = math.floor((origin[1] + at * axis[1] - grid.corner[1]) / grid.voxel_m)
+        k = math.floor((origin[2] + at * axis[2] - grid.corner[2]) / grid.voxel_m)
+        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+            grid.amount[i, j, k] += expected / NOISE_SAMPLES
+        at += step
+
+
+@njit(nogil=True, cache=True)
+def _store(
+    out: Points,
+    row: int,
+    events: Any,
+    count: int,
+    shot: int,
+    channel: int,
+    origin: Any,
+    axis: Any,
+) -> None:
+    """Write one beamlet's recorded events as points."""
+    ranges, facts, kept, electrons = events
+    for k in range(count):
+        at = ranges[kept[k]]
+        source = facts[kept[k], 2]
+        out.shot[row + k] = shot
+        for c in range(3):
+            out.xyz[row + k, c] = origin[c] + at * axis[c]
+        out.channel[row + k] = channel + 1
+        out.return_number[row + k] = min(k + 1, 15)
+        out.returns[row + k] = min(count, 15)
+        out.kind[row + k] = facts[kept[k], 0]
+        out.parent[row + k] = facts[kept[k], 1]
+        out.electrons[row + k] = electrons[k]
+        out.parent_row[row + k] = row + source if source >= 0 else -1
+
+
+@njit(nogil=True, cache=True)
+def fire(
+    rng: np.random.Generator,
+    scene: SceneArrays,
+    optics: Optics,
+    receiver: Receiver,
+    shots: Shots,
+    first: int,
+    events: Any,
+    layers: NDArray[np.float64],
+    grid: NoiseGrid,
+    out: Points,
+) -> tuple[int, int]:
+    """Simulate shots until they are done or the buffers might overflow.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of chance; consumed in the order of shots and channels.
+    scene, optics, receiver, shots
+        What is flown over what.
+    first : int
+        Row of the first shot to fire.
+    events : tuple
+        Room for one beamlet: ranges (m,) float64, facts (m, 3) int64, kept (m,) int64,
+        electrons (m,) int64.
+    layers : (k, 5) float64
+        Room for the layers of one beam.
+    grid : NoiseGrid
+        Collects the expected background.
+    out : Points
+        Buffers; must hold ``channels * m`` rows at least.
+
+    Returns
+    -------
+    next_shot, count : int
+        First shot that was not fired, and rows filled.
+    """
+    ranges, facts, kept, electrons = events
+    axis, path = np.empty(3), np.empty(3)
+    channels = len(optics.gain)
+    room, row = len(out.shot) - channels * len(ranges), 0
+    for shot in range(first, len(shots.angle)):
+        if row > room:
+            return shot, row
+        origin = shots.origin[shot]
+        start, stop = shots.gate_start[shot], shots.gate_stop[shot]
+        for c in range(channels):
+            gain = optics.gain[c]
+            if gain <= 0.0:
+                continue
+            beam_direction(
+                shots.turn[shot],
+                shots.angle[shot],
+                optics.half_cone_rad,
+                optics.pixel_x[c],
+                optics.pixel_y[c],
+                axis,
+            )
+            noise = gain * shots.noise_per_m[shot]
+            n = add_background(rng, ranges, facts, start, stop, noise)
+            ray = (origin, axis, path)
+            n = add_signal(rng, scene, optics, gain, ray, layers, ranges, facts, n)
+            n = _in_gate(ranges, facts, n, start)
+            count = record(rng, ranges, facts, n, stop, receiver, kept, electrons)
+            _deposit(grid, origin, axis, start, stop, noise * (stop - start))
+            _store(out, row, events, count, shot, c, origin, axis)
+            row += count
+    return len(shots.angle), row
+
+
+def first_rows(points: Points, count: int) -> Points:
+    """The rows of buffers that are filled."""
+    return Points(
+        points.shot[:count],
+        points.xyz[:count],
+        points.channel[:count],
+        points.return_number[:count],
+        points.returns[:count],
+        points.kind[:count],
+        points.parent[:count],
+        points.electrons[:count],
+        points.parent_row[:count],
+    )
+
+
+def event_room(background: float, signal: float, layers: int) -> int:
+    """Events that one beamlet must have room for, far beyond what chance makes likely.
+
+    Parameters
+    ----------
+    background, signal : float
+        Highest expected photo-electrons of background, and of one surface [count].
+    layers : int
+        Most layers that one beam can meet.
+    """
+    mean = background + signal
+    return int(2 * (mean + 12 * math.sqrt(mean + 1))) + 16 * (layers + 8)
+
+
+def layer_room(scene: SceneArrays) -> int:
+    """Most objects listed for one cell, one more, and a water's surface and column."""
+    return 3 + int(np.diff(scene.cell_first, axis=1).max(initial=0))
+
+
+def empty_layers(scene: SceneArrays) -> NDArray[np.float64]:
+    """Room for the layers of one beam."""
+    return np.empty((layer_room(scene), LAYER_FIELDS))

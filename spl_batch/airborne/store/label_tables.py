@@ -1,0 +1,342 @@
+"""Labels that a work unit gives to points of several tiles: Parquet, row groups by tile.
+
+A label names its point by tile and row in the tile's file, so units that are cut
+otherwise than the tiles (ground cells, blocks) need no join to find their points.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, nullcontext
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from spl_batch.engine.store.working_store import Store
+from spl_batch.formats.verified.parquet_npz import (
+    naming_damage,
+    ranges_of,
+    read_between,
+    read_groups,
+    read_table,
+    reading,
+    rows_between,
+    writing,
+)
+from spl_batch.lattice.row_order import in_order, lexicographic_order
+from spl_batch.lattice.tables import COLUMNS, PointTable, rows_of
+from spl_batch.lattice.tiles import Bounds, CellId
+
+DEFAULTS: dict[str, float] = {
+    "noise_class": 255,
+    "p_value": float("nan"),
+    "noise_density": float("nan"),
+    "wire": 0,
+    "ground": 0,
+    "classification": 255,
+}
+"""Label of a point that no unit has labelled."""
+
+
+GROUP_ROWS: Final = 65_536
+"""Most rows of a row group [count]: a halo is read from few."""
+
+OPEN_FILES: Final = 8
+"""Files of labels that are open at once [count]."""
+
+
+class Origin(NamedTuple):
+    """Where on disk the n points of a region lie.
+
+    Parameters
+    ----------
+    tiles : (t, 2) int32
+        Column and row of each tile.
+    owner : (n,) uint16 or uint32
+        Which of them holds each point.
+    row : (n,) uint32
+        Row of each point in its tile's file.
+    """
+
+    tiles: NDArray[np.int32]
+    owner: NDArray[np.unsignedinteger[Any]]
+    row: NDArray[np.uint32]
+
+    def of(self, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
+        """Tile (m, 2) and row (m,) of some points, given as (n,) bool."""
+        return self.tiles[self.owner[chosen]], self.row[chosen]
+
+
+def write_labels(
+    path: Path,
+    tiles: NDArray[np.int32],
+    rows: NDArray[np.uint32],
+    labels: Mapping[str, NDArray[Any]],
+) -> None:
+    """Write labels atomically, sorted by tile and row.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    tiles : (n, 2) int32
+        Column and row of each point's tile.
+    rows : (n,) uint32
+        Row in the tile's file.
+    labels : mapping of str to (n,) ndarray
+        Values by column name.
+    """
+    i, j = (np.ascontiguousarray(axis) for axis in tiles.T)
+    columns = {"tile_i": i, "tile_j": j, "row": rows}
+    columns |= {k: np.asarray(v, COLUMNS[k].dtype) for k, v in labels.items()}
+    keys = (j, i, rows)
+    if not in_order(keys):
+        order = lexicographic_order(keys)
+        columns = {name: values[order] for name, values in columns.items()}
+    cuts = _tile_starts(columns).tolist()
+    dtypes = {k: v.dtype for k, v in columns.items()}
+    sought = ("tile_i", "tile_j", "row")
+    with writing(path, dtypes, sought=sought) as writer:
+        for start, end in pairwise([0, *cuts, len(rows)]):
+            for first in range(start, max(end, start + 1), GROUP_ROWS):
+                last = min(first + GROUP_ROWS, end)
+                writer.write({k: v[first:last] for k, v in columns.items()})
+
+
+def _tile_starts(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
+    """Rows at which another tile's points begin."""
+    i, j = columns["tile_i"], columns["tile_j"]
+    return np.flatnonzero((i[1:] != i[:-1]) | (j[1:] != j[:-1])) + 1
+
+
+class _LabelFile:
+    """An open file of :func:`write_labels` that knows where its row groups belong."""
+
+    def __init__(self, file: pq.ParquetFile) -> None:
+        footer = file.metadata
+        self.file = file
+        i, j, self.rows = (
+            np.array(ranges_of(footer, name), np.int64).reshape(-1, 2)
+            for name in ("tile_i", "tile_j", "row")
+        )
+        self.tile = np.stack([i[:, 0], j[:, 0]], axis=1)
+        self.count = np.array([footer.row_group(g).num_rows for g in range(len(self.rows))])
+
+    def read(
+        self, tile: CellId, names: Sequence[str], rows: tuple[int, int]
+    ) -> dict[str, NDArray[Any]]:
+        """What :meth:`LabelFiles.read` gives."""
+        meets = (self.tile == tile).all(axis=1) & (self.count > 0)
+        meets &= (self.rows[:, 0] <= rows[1]) & (self.rows[:, 1] >= rows[0])
+        wanted = np.flatnonzero(meets)
+        low, high = self.rows[wanted].T
+        if np.any(high - low + 1 != self.count[wanted]):
+            return read_groups(self.file, ["row", *names], wanted.tolist())
+        # No row is left out: which they are need not be read.
+        held = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
+        row = np.concatenate(held) if held else np.arange(0)
+        return {"row": row, **read_groups(self.file, names, wanted.tolist())}
+
+
+class LabelFiles:
+    """Files of labels that are read tile by tile, a few of them open; a context manager.
+
+    Parameters
+    ----------
+    store : Store
+        The working store.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._open: dict[tuple[str, str], tuple[ExitStack, _LabelFile]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._open:
+            self._close_oldest()
+
+    def _close_oldest(self) -> None:
+        self._open.pop(next(iter(self._open)))[0].close()
+
+    def read(
+        self, unit: tuple[str, str], tile: CellId, names: Sequence[str], rows: tuple[int, int]
+    ) -> dict[str, NDArray[Any]]:
+        """Labels that a unit gave to points of a tile.
+
+        Parameters
+        ----------
+        unit : (str, str)
+            Its kind and name.
+        tile : CellId
+            The tile.
+        names : sequence of str
+            Labels to read.
+        rows : (int, int)
+            First and last row of the tile that are wanted; row groups are read whole.
+
+        Returns
+        -------
+        dict of str to (m,) ndarray
+            The labels, and ``row``: which rows of the tile they belong to, increasing.
+
+        Raises
+        ------
+        DamagedError
+            If the file is missing or damaged.
+        """
+        if unit not in self._open:
+            if len(self._open) >= OPEN_FILES:
+                self._close_oldest()
+            stack = ExitStack()
+            file = stack.enter_context(reading(self._store.labels(*unit)))
+            self._open[unit] = stack, _LabelFile(file)
+        with naming_damage(self._store.labels(*unit)):
+            return self._open[unit][1].read(tile, names, rows)
+
+
+def read_labelled_tile(
+    store: Store,
+    tile: CellId,
+    columns: Sequence[str],
+    labels: Mapping[str, Sequence[tuple[str, str]]],
+    files: LabelFiles | None = None,
+) -> PointTable:
+    """One tile's points with the labels that some units gave them.
+
+    Parameters
+    ----------
+    store : Store
+        The working store.
+    tile : CellId
+        The tile.
+    columns : sequence of str
+        Point columns to read.
+    labels : mapping of str to sequence of (str, str)
+        Label -> kind and name of the units that may hold it for this tile.
+    files : LabelFiles, optional
+        Of the same store, where more tiles are read.
+    """
+    table = read_table(store.tile(str(tile)), columns)
+    with LabelFiles(store) if files is None else nullcontext(files) as opened:
+        return table.with_columns(**_labels_of(opened, tile, np.arange(len(table)), labels))
+
+
+def _labels_of(
+    files: LabelFiles,
+    tile: CellId,
+    rows: NDArray[np.int64],
+    labels: Mapping[str, Sequence[tuple[str, str]]],
+) -> dict[str, NDArray[Any]]:
+    """Labels of some rows of a tile, which increase."""
+    filled = {name: np.full(len(rows), DEFAULTS[name], COLUMNS[name].dtype) for name in labels}
+    wanted: dict[tuple[str, str], list[str]] = {}
+    if not len(rows):
+        return filled
+    for name, units in labels.items():
+        for unit in units:
+            wanted.setdefault(unit, []).append(name)
+    for unit, names in wanted.items():
+        part = files.read(unit, tile, names, (int(rows[0]), int(rows[-1])))
+        mine, at = _met(rows, part["row"])
+        for name in names:
+            filled[name][mine] = part[name].take(at)
+    return filled
+
+
+def _met(
+    rows: NDArray[np.int64], held: NDArray[np.int64]
+) -> tuple[slice | NDArray[np.intp], NDArray[np.intp]]:
+    """Which of some rows are held, and where among those that are; both increase."""
+    if len(held) and held[-1] - held[0] + 1 == len(held):  # no row is left out
+        mine = slice(*np.searchsorted(rows, (held[0], held[-1] + 1)).tolist())
+        return mine, rows[mine] - int(held[0])
+    at = np.searchsorted(held, rows)
+    found = np.flatnonzero(held.take(at, mode="clip") == rows) if len(held) else at[:0]
+    return found, at[found]
+
+
+def read_region(
+    store: Store,
+    tiles: Sequence[CellId],
+    bounds: Bounds,
+    columns: Sequence[str],
+    labels: Mapping[str, Mapping[CellId, Sequence[tuple[str, str]]]],
+    *,
+    ordered: bool = True,
+) -> tuple[PointTable, Origin]:
+    """Points of a region with labels, in canonical order or as they lie.
+
+    Parameters
+    ----------
+    store : Store
+        The working store.
+    tiles : sequence of CellId
+        Tiles that overlap the region and hold points.
+    bounds : Bounds
+        The region.
+    columns : sequence of str
+        Point columns to read; ``x`` and ``y`` at least.
+    labels : mapping
+        Label -> tile -> units that may hold it.
+    ordered : bool
+        Whether to put points in canonical order; else they come tile by tile, in the order in
+        which :func:`write_labels` wants them, and each tile's are in canonical order.
+
+    Returns
+    -------
+    table : PointTable
+        The points.
+    origin : Origin
+        Where they lie.
+    """
+    names = [*columns, *labels]
+    held = sorted(tiles) if ordered else sorted(tiles, key=lambda tile: (tile.j, tile.i))
+    span = {"x": (bounds.xmin, bounds.xmax - 1)}
+    # A region is the largest thing that a worker holds. It is read into its place: many small
+    # parts would leave gaps in a worker's memory in which nothing else fits. What of the room
+    # is not needed is never touched.
+    room = sum(rows_between(store.tile(str(tile)), span) for tile in held)
+    joined = {name: np.empty(room, COLUMNS[name].dtype) for name in names}
+    joined["row"] = np.empty(room, np.uint32)
+    joined["owner"] = np.empty(room, np.min_scalar_type(len(held)))
+    end = 0
+    with LabelFiles(store) as files:
+        for k, tile in enumerate(held):
+            values, row = read_between(store.tile(str(tile)), columns, span)
+            chosen = _within(values["x"], values["y"], bounds)
+            row = row[chosen]
+            start, end = end, end + len(row)
+            for name in columns:
+                joined[name][start:end] = values.pop(name)[chosen]
+            joined["row"][start:end], joined["owner"][start:end] = row, k
+            of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
+            for name, found in _labels_of(files, tile, row, of_tile).items():
+                joined[name][start:end] = found
+    joined = {name: values[:end] for name, values in joined.items()}
+    if ordered:
+        # Tiles are in canonical order, and points of different ones differ in x or, where their
+        # tiles stand in one column, in y: a stable sort by x puts all in canonical order.
+        order = lexicographic_order([joined["x"]])
+        for name in joined:  # a column at a time
+            joined[name] = joined[name][order]
+    cells = np.array(held, dtype=np.int32).reshape(-1, 2)
+    origin = Origin(cells, joined.pop("owner"), joined.pop("row"))
+    return PointTable(joined), origin
+
+
+def _within(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.intp] | slice:
+    """Rows of a tile within bounds; a slice, which copies nothing, where they adjoin.
+
+    A tile lies in canonical order, so x increases.
+    """
+    first, end = np.searchsorted(x, (bounds.xmin, bounds.xmax)).tolist()
+    rows = rows_of((y[first:end] >= bounds.ymin) & (y[first:end] < bounds.ymax))
+    if isinstance(rows, slice):
+        return slice(first + rows.start, first + rows.stop)
+    found: NDArray[np.intp] = rows + first
+    return found

@@ -1,0 +1,1 @@
+"""Tasks of an airborne survey: read, call a step, crop to what is owned, write."""

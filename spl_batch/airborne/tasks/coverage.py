@@ -1,0 +1,57 @@
+"""What a survey covers and how densely: counted by each ground cell, added up for the report."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.footprint import footprint
+from spl_batch.constants import NODATA
+from spl_batch.formats.polygons import contains, read_polygons
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds
+
+_SQUARES: Final = "footprint"
+"""Fact of a ground cell: squares that returns cover [count]."""
+
+_CELLS: Final = "cells_by_returns"
+"""Fact of a ground cell: raster cells that were flown, by the signal returns in them [count]."""
+
+_VOIDS: Final = "voids"
+"""Fact of a ground cell: raster cells that were flown and have no terrain height [count]."""
+
+
+def covered(
+    table: PointTable, core: Bounds, arrays: Mapping[str, NDArray[np.float32]], context: Context
+) -> dict[str, Any]:
+    """Facts of a ground cell: whole numbers, so that sums do not depend on their order.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of the cell and around it that its rasters are made of.
+    core : Bounds
+        The cell [quanta].
+    arrays : mapping of str to (rows, cols) float32
+        Its rasters; ``dtm`` and ``density`` are looked at.
+    context : Context
+        The run.
+    """
+    within = None
+    if context.workflow.aoi is not None:
+        polygons = read_polygons(context.resolve(context.workflow.aoi), context.crs)
+
+        def within(east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.bool_]:
+            return contains(polygons, east, north)
+
+    products = context.workflow.products
+    flown = arrays["density"] != NODATA
+    returns = np.rint(arrays["density"][flown].astype(np.float64) * products.cell_m**2)
+    values, counts = np.unique(returns.astype(np.int64), return_counts=True)
+    return {
+        _SQUARES: footprint(table, core, products, within),
+        _CELLS: dict(zip(map(str, values.tolist()), counts.tolist(), strict=True)),
+        _VOIDS: int(np.count_nonzero(arrays["dtm"][flown] == NODATA)),
+    }

@@ -1,0 +1,191 @@
+"""Stage ``deliver``: labels back to the input files, mosaics, points by tile."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
+from spl_batch.airborne.store.raster_cells import frame, stored_blocks
+from spl_batch.airborne.tasks import index
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
+from spl_batch.errors import Remark
+from spl_batch.formats.las.frame import Extent
+from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.known_records import broken_records
+from spl_batch.formats.las.layers import GIVEN
+from spl_batch.formats.las.writer import Decoded, write_classified, write_points
+from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
+from spl_batch.lattice.tables import COLUMNS, PointTable
+from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
+
+PASS_POINTS = 32_000_000
+"""Points of a file whose labels are held in memory at once [count]."""
+
+KEEP_CLASS = 255
+"""Classification of a point that nothing labelled: the input's class stays."""
+
+
+class _FileLabels:
+    """Labels of one input file by position, a pass of it at a time."""
+
+    def __init__(self, args: Mapping[str, Any], context: Context, names: tuple[str, ...]) -> None:
+        self.args = args
+        self.context = context
+        self.names = names
+        self.start = self.stop = 0
+        self.values: dict[str, NDArray[Any]] = {}
+        self.counts = np.zeros(256, np.int64)
+        self.classes = np.zeros(256, np.int64)
+
+    def __call__(self, start: int, stop: int) -> Mapping[str, NDArray[Any]]:
+        """Labels of points ``[start, stop)``."""
+        if start < self.start or stop > self.stop:
+            self._load(start, max(stop, start + PASS_POINTS))
+        part = {k: v[start - self.start : stop - self.start] for k, v in self.values.items()}
+        self.counts += np.bincount(part["noise_class"], minlength=256)
+        self.classes += np.bincount(part["classification"], minlength=256)
+        return part
+
+    def _load(self, start: int, stop: int) -> None:
+        self.start, self.stop = start, min(stop, int(self.args["points"]))
+        n = self.stop - self.start
+        fill = {"noise_class": 255, "classification": KEEP_CLASS}
+        self.values = {
+            k: np.full(n, fill.get(k, np.nan), dtype=COLUMNS[k].dtype) for k in self.names
+        }
+        source = np.uint64(int(self.args["source"]))
+        for table in self._tiles():
+            mine = table.take(table["source"] == source)
+            place = mine["index"].astype(np.int64)
+            mine = mine.take((place >= self.start) & (place < self.stop))
+            at = mine["index"].astype(np.int64) - self.start
+            for name in self.names:
+                self.values[name][at] = mine[name]
+
+    def _tiles(self) -> Iterator[PointTable]:
+        store, columns = self.context.store, ("source", "index")
+        with LabelFiles(store) as files:
+            for tile, units in self.args["tiles"].items():
+                labels = {"classification": [("classes", u) for u in units["classes"]]}
+                for name in self.names:
+                    if name != "classification":
+                        labels[name] = [("noise", u) for u in units["noise"]]
+                yield read_labelled_tile(store, parse_cell(tile), columns, labels, files)
+
+
+def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write one input file again with its labels: every point once, in order."""
+    diagnostics = context.workflow.outputs.diagnostics
+    extra = ("noise_density", "p_value") if diagnostics else ()
+    labels = _FileLabels(args, context, ("noise_class", "classification", *extra))
+    target = context.output / "laz" / args["delivered"]
+    source = Path(args["path"])
+    stamp = as_indexed(args, context)
+    with unchanged(source, stamp):
+        written = write_classified(
+            source,
+            target,
+            labels=labels,
+            diagnostics=diagnostics,
+            crs=context.crs,
+            decoded=_decoded(args, context),
+        )
+    broken = broken_records(read_header(source))
+    facts = {
+        "name": args["delivered"],
+        "points": written,
+        "noise_class": _nonzero(labels.counts),
+        "classes": _nonzero(labels.classes),
+        "warnings": [Remark(f"{text}; left out of the delivered copy") for text in broken],
+    }
+    return Produced([target], facts, written)
+
+
+def _decoded(args: Mapping[str, Any], context: Context) -> Decoded | None:
+    """What the index keeps of a file whose layers can be copied."""
+    arrays = read_arrays(context.store.path("index", f"{args['source']}.npz"))
+    extent = Extent.from_arrays(arrays)
+    return Decoded(_Given(args, context), extent) if extent.n_points else None
+
+
+class _Given:
+    """What the index keeps of each record, some row groups at a time."""
+
+    def __init__(self, args: Mapping[str, Any], context: Context) -> None:
+        self.source, self.parts, self.store = args["source"], args["parts"], context.store
+        self.start = 0
+        self.values = np.empty(0, np.uint32)
+
+    def __call__(self, start: int, stop: int) -> NDArray[np.uint32]:
+        """Of records ``[start, stop)``."""
+        if start < self.start or stop > self.start + len(self.values):
+            first, last = start // index.CHUNK_POINTS, -(-stop // index.CHUNK_POINTS)
+            size = index.PART_CHUNKS if self.parts else last
+            pieces = [
+                self._read(part, range(max(first - part * size, 0), min(last - part * size, size)))
+                for part in range(first // size, -(-last // size))
+            ]
+            self.values, self.start = np.concatenate(pieces), first * index.CHUNK_POINTS
+        return self.values[start - self.start : stop - self.start]
+
+    def _read(self, part: int, groups: range) -> NDArray[np.uint32]:
+        """Row groups of a part, or of the whole file where it has none."""
+        name = index.part_name(self.source, part) if self.parts else self.source
+        return read_columns(self.store.path("given", f"{name}.parquet"), [GIVEN], groups)[GIVEN]
+
+
+def _nonzero(counts: NDArray[np.int64]) -> dict[str, int]:
+    return {str(k): int(v) for k, v in enumerate(counts) if v}
+
+
+def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write a tile's points with their labels."""
+    units = args["units"]
+    labels = {
+        "classification": [("classes", u) for u in units["classes"]],
+        "noise_class": [("noise", u) for u in units["noise"]],
+    }
+    columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
+    table = read_labelled_tile(context.store, parse_cell(args["tile"]), columns, labels)
+    unlabelled = table["classification"] == KEEP_CLASS
+    table = table.with_columns(
+        classification=np.where(unlabelled, table["input_class"], table["classification"])
+    )
+    copc = context.workflow.outputs.tiles == "copc"
+    target = context.output / "tiles" / f"{args['tile']}{'.copc' if copc else ''}.laz"
+    extra = {"noise_class": table["noise_class"]}
+    write_points(target, table, crs=context.crs, extra=extra, copc=copc)
+    return Produced([target], {"points": len(table)}, len(table))
+
+
+def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
+    """Join a product's raster cells into one cloud-optimised GeoTIFF."""
+    products = context.workflow.products
+    edge, pixel = quanta(context.workflow.ground.cell_m), quanta(products.cell_m)
+    bounds = Bounds(*args["bounds"])
+    shape, origin_xy_m = frame(bounds, pixel)
+    folder = context.output if args["delivered"] else context.store.local
+    target = folder / f"{args['name']}.tif"
+    write_cog(
+        target,
+        stored_blocks(
+            context.rasters,
+            args["product"],
+            bounds,
+            cells_of_runs(args["cells"]),
+            ground_cell=edge,
+        ),
+        shape=shape,
+        origin_xy_m=origin_xy_m,
+        cell_m=products.cell_m,
+        crs=context.crs_wkt or None,
+        description=args["meaning"],
+        unit=args["unit"],
+    )
+    return Produced([target], {"rows": shape[0], "columns": shape[1]})

@@ -1,0 +1,147 @@
+"""Noise expected at points: the sum of all stretches' shares of the voxels around them."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.noise import voxel_noise
+from spl_batch.airborne.noise.beamlet_counts import SQUARES
+from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, Listened, around, listened
+from spl_batch.airborne.settings import NoiseSettings
+from spl_batch.airborne.store.voxel_parts import add_voxels
+from spl_batch.engine.store.working_store import Store
+from spl_batch.lattice.tiles import cell_index, quanta
+
+AT_ONCE: Final = 1 << 18
+"""Points whose voxels are looked up at once [count]."""
+
+
+class Expected(NamedTuple):
+    """Noise density at points [1/m3].
+
+    Parameters
+    ----------
+    mean : (m,) float64
+        Of the whole voxel of each point that it was asked for.
+    local : (n,) float64
+        Of the part of it that is listened to: what points are tested with.
+    """
+
+    mean: NDArray[np.float64]
+    local: NDArray[np.float64]
+
+
+class _Box(NamedTuple):
+    """Voxels of points with those around: whether an edge lies here does not show in one."""
+
+    corner: tuple[int, int, int]
+    shape: tuple[int, int, int]
+    edge: int
+
+    def voxels(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.int64], ...]:
+        """Indices of some points' voxels."""
+        return tuple(
+            cell_index(axis.astype(np.int64, copy=False), self.edge) - first
+            for axis, first in zip(xyz, self.corner, strict=True)
+        )
+
+    def offsets(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.float64], ...]:
+        """From the centres of their squares, in squares, and voxels, in voxels [-0.5..0.5]."""
+        return tuple(
+            axis.astype(np.int64, copy=False) * parts % self.edge / self.edge - 0.5
+            for axis, parts in zip(xyz, (SQUARES, SQUARES, 1), strict=True)
+        )
+
+    def squares(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> tuple[NDArray[np.int64], ...]:
+        """Indices of their squares in a layer of voxels."""
+        return tuple(
+            (axis.astype(np.int64, copy=False) - first * self.edge) * SQUARES // self.edge
+            for axis, first in zip(xyz[:2], self.corner[:2], strict=True)
+        )
+
+
+def expected_noise(
+    xyz: Sequence[NDArray[np.integer[Any]]],
+    told: NDArray[np.bool_],
+    parts: Sequence[str],
+    beamlets: int,
+    store: Store,
+    settings: NoiseSettings,
+) -> Expected:
+    """Noise expected at points.
+
+    Parameters
+    ----------
+    xyz : three of (n,) integer
+        Absolute coordinates [quanta].
+    told : (n,) bool
+        Points whose voxels' mean is wanted.
+    parts : sequence of str
+        ``LINE/K`` of every stretch with voxels within two voxels of the points'.
+    beamlets : int
+        Beamlets of a shot, for the published correction.
+    store : Store
+        Holds the parts.
+    settings : NoiseSettings
+        Voxel and correction.
+    """
+    n = len(xyz[0])
+    if not n or not parts:
+        return Expected(np.zeros(np.count_nonzero(told)), np.zeros(n))
+    box = _box(xyz, quanta(settings.voxel_m))
+    published = settings.correction == "published"
+    names = ("amount", "shots", "beamlets") if published else ("amount",)
+    totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
+    heard: list[Listened] = []
+    for line in _by_line(parts):
+        sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
+        if not published:
+            sums["squares"] = np.zeros((*box.shape, SQUARES**2), dtype=np.uint32)
+        for part in line:
+            add_voxels(store.path("voxels", f"{part}.zarr"), box.corner, sums)
+        for name in names:
+            totals[name] += sums[name]
+        if not published:
+            found = listened(sums["amount"], sums["squares"], settings.voxel_m)
+            heard += [] if found is None else [found]
+    density = voxel_noise.density(
+        totals["amount"],
+        settings,
+        shots=totals.get("shots"),
+        beamlets=totals.get("beamlets"),
+        beamlets_per_shot=beamlets,
+    )
+    # published, or beside all that any beamlet crosses
+    within, mean, local = voxel_noise.within_gate(density), [], np.empty(n)
+    for some in _batches(n):
+        place = [axis[some] for axis in xyz]
+        voxel = box.voxels(place)
+        near = around(heard, voxel, box.squares(place), box.offsets(place))
+        none = np.flatnonzero(~(near > 0.0))
+        near[none] = within[tuple(axis[none] for axis in voxel)]
+        local[some] = near
+        chosen = np.flatnonzero(told[some])
+        mean.append(density[tuple(axis[chosen] for axis in voxel)])
+    return Expected(np.concatenate(mean), local)
+
+
+def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int) -> _Box:
+    ends = [np.array([axis.min(), axis.max()], dtype=np.int64) for axis in xyz]
+    low, high = zip(*(cell_index(pair, edge).tolist() for pair in ends), strict=True)
+    corner = tuple(i - MARGIN_VOXELS for i in low)
+    shape = tuple(i - c + 1 + MARGIN_VOXELS for i, c in zip(high, corner, strict=True))
+    return _Box((corner[0], corner[1], corner[2]), (shape[0], shape[1], shape[2]), edge)
+
+
+def _batches(n: int) -> Iterator[slice]:
+    return (slice(first, first + AT_ONCE) for first in range(0, n, AT_ONCE))
+
+
+def _by_line(parts: Sequence[str]) -> list[list[str]]:
+    """Names of stretches, a list for each flightline, in the order of names."""
+    lines: dict[str, list[str]] = {}
+    for part in sorted(parts):
+        lines.setdefault(part.rpartition("/")[0], []).append(part)
+    return list(lines.values())

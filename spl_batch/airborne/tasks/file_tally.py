@@ -1,0 +1,181 @@
+"""What is in an input file, counted chunk by chunk; counts of its parts add up to those of all."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.geometry import (
+    STEP_BINS,
+    estimate_prf,
+    merge_track,
+    observe_track,
+    ordered_times,
+    shot_steps,
+)
+from spl_batch.airborne.tasks.return_rate import Rate
+from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
+from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
+
+Track = dict[str, NDArray[np.int64]]
+
+_COUNTED: Final = ("points", "timeless", "withheld", "vendor_noise", "excluded")
+
+YEAR_S: Final = 365.25 * 86_400
+"""A time that is farther from the middle of a file's times is none of them [s]."""
+
+_TIMED: Final = ("gps_time", "point_source_id", "x", "y", "scan_angle")
+"""Columns that say when and whereto a flightline was flown."""
+
+
+class Tally:
+    """Running totals over the chunks of a file, or of a part of it.
+
+    Parameters
+    ----------
+    gap_s : float
+        A pause of more than this ends a span of time [s].
+    """
+
+    def __init__(self, gap_s: float) -> None:
+        self.gap_s = gap_s
+        self.counts: dict[str, int] = dict.fromkeys(_COUNTED, 0)
+        self.tracks: dict[int, Track] = {}
+        self._spans: dict[int, list[list[float]]] = {}
+        self._steps: dict[int, NDArray[np.int64]] = {}
+        self._rates: dict[int, Rate] = {}
+        self._low = np.full(3, np.iinfo(np.int64).max)
+        self._high = np.full(3, np.iinfo(np.int64).min)
+        self._channels: set[int] = set()
+
+    def add(self, table: PointTable) -> None:
+        """Count one chunk in."""
+        time = table["gps_time"]
+        valid = usable_times(time)
+        excluded = table.has(EXCLUDED)
+        self.counts["points"] += len(table)
+        self.counts["timeless"] += int(np.count_nonzero(~valid & ~excluded))
+        self.counts["withheld"] += int(np.count_nonzero(table.has(PointFlag.WITHHELD)))
+        self.counts["vendor_noise"] += int(np.count_nonzero(table.has(PointFlag.VENDOR_NOISE)))
+        self.counts["excluded"] += int(np.count_nonzero(excluded))
+        for axis, name in enumerate("xyz"):
+            self._low[axis] = min(self._low[axis], int(table[name].min()))
+            self._high[axis] = max(self._high[axis], int(table[name].max()))
+        self._channels.update(np.flatnonzero(np.bincount(table["channel"])).tolist())
+        self._add_times(table.select(_TIMED).take(rows_of(valid & ~excluded)))
+
+    def _add_times(self, table: PointTable) -> None:
+        time = table["gps_time"]
+        if not len(time):
+            return
+        line = table["point_source_id"]
+        for psid in np.flatnonzero(np.bincount(line)).tolist():
+            mine = table.take(rows_of(line == psid))
+            ordered = ordered_times(mine["gps_time"])
+            cuts = np.flatnonzero(np.diff(ordered) > self.gap_s) + 1
+            for piece in np.split(ordered, cuts):
+                self._spans.setdefault(psid, []).append(
+                    [float(piece[0]), float(piece[-1]), len(piece)]
+                )
+            self._rates.setdefault(psid, Rate()).add(ordered)
+            self._add_steps(psid, shot_steps(ordered))
+            self._add_track(psid, observe_track(mine))
+
+    def _add_steps(self, psid: int, steps: NDArray[np.int64]) -> None:
+        self._steps[psid] = self._steps[psid] + steps if psid in self._steps else steps
+
+    def _add_track(self, psid: int, track: Track) -> None:
+        earlier = [self.tracks[psid]] if psid in self.tracks else []
+        self.tracks[psid] = merge_track([*earlier, track])
+
+    @property
+    def standard(self) -> TimeStandard:
+        """How the times are counted, as :func:`~spl_batch.formats.gps_clock.time_standard` says."""
+        near, _ = self._near_and_astray()
+        return time_standard(np.array([span[:2] for spans in near.values() for span in spans]))
+
+    def _near_and_astray(self) -> tuple[dict[int, list[list[float]]], list[list[float]]]:
+        """Time spans of each flightline, and those that lie more than a year from the others."""
+        merged = {k: merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())}
+        spans = np.array([span for listed in merged.values() for span in listed]).reshape(-1, 3)
+        if not len(spans):
+            return {}, []
+        order = np.argsort(spans[:, 0], kind="stable")
+        total = np.cumsum(spans[order, 2])
+        middle = float(spans[order[np.searchsorted(total, total[-1] / 2)], 0])
+        near: dict[int, list[list[float]]] = {}
+        astray: list[list[float]] = []
+        for psid, listed in merged.items():
+            for span in listed:
+                far = max(span[0] - middle, middle - span[1]) > YEAR_S
+                (astray if far else near.setdefault(psid, [])).append(span)
+        return near, astray
+
+    def facts(self) -> dict[str, Any]:
+        """What later phases and the report read of it."""
+        near, astray = self._near_and_astray()
+        return {
+            **self.counts,
+            "timeless": self.counts["timeless"] + int(sum(points for *_, points in astray)),
+            "astray_s": [first for first, *_ in astray[:1]],
+            "bounds": [*self._low.tolist(), *self._high.tolist()]
+            if self.counts["points"]
+            else None,
+            "channels_seen": f"{sum(1 << channel for channel in self._channels):x}",
+            "spans": {str(psid): spans for psid, spans in near.items()},
+            "fullest": {str(k): v.fullest() for k, v in sorted(self._rates.items())},
+            "prf_hz": {str(k): estimate_prf(v) for k, v in sorted(self._steps.items())},
+        }
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """All of it as arrays by name, to be stored."""
+        arrays: dict[str, NDArray[Any]] = {
+            "counts": np.array(list(self.counts.values())),
+            "bounds": np.array([self._low, self._high]),
+            "channels": np.array(sorted(self._channels), np.int64),
+            "lines": np.array(sorted(self._rates), np.int64),
+        }
+        for psid, rate in self._rates.items():
+            arrays[f"{psid}/spans"] = np.array(self._spans[psid])
+            some = np.flatnonzero(self._steps[psid])
+            arrays[f"{psid}/steps"] = np.array([some, self._steps[psid][some]])
+            arrays[f"{psid}/rate"] = np.array(rate.counted())
+            arrays |= {f"{psid}/track/{k}": v for k, v in self.tracks[psid].items()}
+        return arrays
+
+    def join(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Add what the :meth:`to_arrays` of another part gave."""
+        for name, count in zip(_COUNTED, arrays["counts"].tolist(), strict=True):
+            self.counts[name] += count
+        self._low = np.minimum(self._low, arrays["bounds"][0])
+        self._high = np.maximum(self._high, arrays["bounds"][1])
+        self._channels.update(arrays["channels"].tolist())
+        for psid in arrays["lines"].tolist():
+            spans = arrays[f"{psid}/spans"].tolist()
+            self._spans.setdefault(psid, []).extend([a, b, int(n)] for a, b, n in spans)
+            self._rates.setdefault(psid, Rate()).join(*arrays[f"{psid}/rate"])
+            steps = np.zeros(STEP_BINS, np.int64)
+            steps[arrays[f"{psid}/steps"][0]] = arrays[f"{psid}/steps"][1]
+            self._add_steps(psid, steps)
+            prefix = f"{psid}/track/"
+            names = [name for name in arrays if name.startswith(prefix)]
+            self._add_track(psid, {k.removeprefix(prefix): arrays[k] for k in names})
+
+
+def spans_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
+    """First and last time of each flightline in what :meth:`Tally.to_arrays` gave [s]."""
+    spans = {psid: arrays[f"{psid}/spans"] for psid in arrays["lines"].tolist()}
+    return {str(k): [float(v[:, 0].min()), float(v[:, 1].max())] for k, v in spans.items()}
+
+
+def merge_spans(spans: list[list[float]], gap_s: float) -> list[list[float]]:
+    """Join time spans ``[first, last, points]`` that lie no farther apart than a gap [s]."""
+    merged: list[list[float]] = []
+    for first, last, points in sorted(spans):
+        if merged and first - merged[-1][1] <= gap_s:
+            merged[-1][1] = max(merged[-1][1], last)
+            merged[-1][2] += points
+        else:
+            merged.append([first, last, points])
+    return merged

@@ -1,0 +1,271 @@
+"""Stage ``index``: what is in each input file, its points by time; the trajectory in one piece."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.geometry import heading_from_track, merge_track
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.tasks.file_tally import Tally, spans_of
+from spl_batch.airborne.tasks.stretches import KEPT_COLUMNS, add_points
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.input_changes import unchanged
+from spl_batch.errors import InputError, Remark, grouped, named
+from spl_batch.formats.files.atomic import checksum
+from spl_batch.formats.gps_clock import bit_warning
+from spl_batch.formats.las.frame import Extent
+from spl_batch.formats.las.layers import GIVEN, given_of
+from spl_batch.formats.las.number_dimensions import Numbers
+from spl_batch.formats.las.reader import SAMPLE_POINTS, inspect, iter_points, read_ends
+from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
+from spl_batch.formats.trajectory.records import Records
+from spl_batch.formats.verified.parquet_npz import GroupWriter, read_arrays, write_arrays, writing
+from spl_batch.lattice.tables import COLUMNS
+
+POSITIONS_S = 64
+"""Span of the trajectory that has one hash [s]: what reads of it is done again if that changes."""
+
+CHUNK_POINTS = 1 << 18
+"""Points read at once from an input file [count]."""
+
+PART_CHUNKS = 8
+"""Chunks of a part of a large file: several workers index one file, a part each [count]."""
+
+
+def parts_of(points: int) -> int:
+    """Parts in which a file of so many points is indexed; 0 where it is in one go [count]."""
+    chunks = -(-points // CHUNK_POINTS)
+    return -(-chunks // PART_CHUNKS) if chunks > PART_CHUNKS else 0
+
+
+def part_range(points: int, part: int) -> tuple[int, int]:
+    """First point of a part of a file, and the one after its last."""
+    size = CHUNK_POINTS * PART_CHUNKS
+    return part * size, min((part + 1) * size, points)
+
+
+def part_name(source: str, part: int) -> str:
+    """What the files of the store that hold a part of an input are called."""
+    return f"{source}-{part}"
+
+
+def index_part(args: Mapping[str, Any], context: Context) -> Produced:
+    """Read a part of a large file: prove that it is readable, find what is in it, keep it.
+
+    What cannot be read is left to :func:`index_file`, which tries it again and fails as a whole.
+    """
+    path, facts = Path(args["path"]), {"stamp": args["stamp"]}
+    try:
+        with unchanged(path, args["stamp"]):
+            found = _read(args, context, args["part"])
+    except InputError as error:
+        return Produced((), {**facts, "fault": str(error)})
+    kept = _kept(args, context, args["part"])
+    write_arrays(kept, found.to_arrays())
+    return Produced([kept, *found.outputs], facts, found.tally.counts["points"])
+
+
+def index_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Read a file once from end to end: prove that it is readable, find what is in it, keep it.
+
+    Of a large one the parts are read already, except those in ``again``.
+    """
+    path = Path(args["path"])
+    with unchanged(path, args["stamp"]):
+        digest = checksum(path)
+        header = inspect(path)
+        found, spans = _joined(args, context) if args["parts"] else (_read(args, context, None), [])
+    tally = found.tally
+    index = context.store.path("index", f"{args['source']}.npz")
+    tracks = {f"{psid}/{k}": v for psid, t in sorted(tally.tracks.items()) for k, v in t.items()}
+    write_arrays(index, tracks | found.extent.to_arrays())
+    contradiction = bit_warning(tally.standard, adjusted_bit=header.adjusted_standard_bit)
+    known = tally.facts()
+    facts = {
+        "name": args["name"],
+        "path": str(path),
+        "hash": digest,
+        "size": args["stamp"][0],
+        **known,
+        "parts": spans,
+        "standard": tally.standard,
+        "numbers": _numbers(path, context),
+        # What the header alone tells, the plan has said.
+        "warnings": [*([Remark(contradiction)] if contradiction else []), *_without_time(known)],
+    }
+    inputs = {str(path): args["stamp"]}
+    return Produced([index, *found.outputs], facts, tally.counts["points"], inputs)
+
+
+def _without_time(known: Mapping[str, Any]) -> list[Remark]:
+    """That some points of a file have no usable time, if so and others have one."""
+    if not known["timeless"] or not known["spans"]:
+        return []
+    why = "not finite, or beyond 1e10 s"
+    if known["astray_s"]:
+        why = f"such as {known['astray_s'][0]:.6g} s, more than a year from most"
+    many = known["timeless"] > 1
+    text = (
+        f"{grouped(known['timeless'])} point{'s have' if many else ' has'} no usable gps_time "
+        f"({why}); delivered with noise_class 255, not assessed"
+    )
+    return [Remark(text, known["timeless"])]
+
+
+def _numbers(path: Path, context: Context) -> dict[str, Numbers]:
+    """Dimensions that may hold beamlet numbers, where the workflow names none."""
+    if context.workflow.survey.channel_dimension is not None:
+        return {}
+    return read_ends(path, None, SAMPLE_POINTS).numbers
+
+
+class _Found:
+    """What is known of a file, or of a part of it, and what is kept of its points.
+
+    Parameters
+    ----------
+    gap_s : float
+        A pause of more than this ends a span of time [s].
+    """
+
+    def __init__(self, gap_s: float) -> None:
+        self.tally = Tally(gap_s)
+        self.extent = Extent()
+        self.outputs: list[Path] = []
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """What is known as arrays by name, to be stored."""
+        return self.tally.to_arrays() | self.extent.to_arrays()
+
+
+def _read(args: Mapping[str, Any], context: Context, part: int | None) -> _Found:
+    """Read a file, or a part of it, and keep its points and what delivery needs of the records."""
+    path, settings = Path(args["path"]), context.workflow.survey
+    name = args["source"] if part is None else part_name(args["source"], part)
+    header = inspect(path)
+    start, stop = (0, header.n_points) if part is None else part_range(header.n_points, part)
+    found = _Found(settings.gap_s)
+    points = context.store.path("points", f"{name}.parquet")
+    given = context.store.path("given", f"{name}.parquet")
+    dtypes = {name: COLUMNS[name].dtype for name in KEPT_COLUMNS}
+    with ExitStack() as stack:
+        writer = stack.enter_context(writing(points, dtypes, sought=("gps_time",)))
+        found.outputs.append(points)
+        watch: Callable[[NDArray[Any]], None] | None = None
+        if header.layers_can_be_copied:
+            beside = stack.enter_context(writing(given, {GIVEN: np.uint32}))
+            found.outputs.append(given)
+            watch = partial(_watch, found.extent, beside)
+        for table in iter_points(
+            path,
+            channel_dimension=settings.channel_dimension,
+            source=int(args["source"]),
+            start=start,
+            stop=stop,
+            chunk=CHUNK_POINTS,
+            watch=watch,
+        ):
+            found.tally.add(table)
+            add_points(writer, table)
+    return found
+
+
+def _watch(extent: Extent, beside: GroupWriter, records: NDArray[Any]) -> None:
+    """Keep what delivery needs of records, in the order of the file."""
+    extent.add(records)
+    beside.write({GIVEN: given_of(records)})
+
+
+def _kept(args: Mapping[str, Any], context: Context, part: int) -> Path:
+    """Where a part leaves what it has found."""
+    return context.store.path("index", f"{part_name(args['source'], part)}.npz")
+
+
+def _joined(
+    args: Mapping[str, Any], context: Context
+) -> tuple[_Found, list[dict[str, list[float]]]]:
+    """All parts of a file together, and the first and last time of each flightline in each.
+
+    Those that could not be read before are read now; outputs are those of these parts.
+    """
+    whole, spans = _Found(context.workflow.survey.gap_s), []
+    for part in range(args["parts"]):
+        if part in args["again"]:
+            found = _read(args, context, part)
+            whole.outputs += found.outputs
+            arrays = found.to_arrays()
+        else:
+            arrays = read_arrays(_kept(args, context, part))
+        whole.tally.join(arrays)
+        whole.extent.join(Extent.from_arrays(arrays))
+        spans.append(spans_of(arrays))
+    return whole, spans
+
+
+def find_heading(args: Mapping[str, Any], context: Context) -> Produced:
+    """Flight direction of a flightline without a trajectory, from the drift of its points."""
+    parts = []
+    for source in args["sources"]:
+        arrays = read_arrays(context.store.path("index", f"{source}.npz"))
+        prefix = f"{args['psid']}/"
+        track = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+        low, high = args["seconds"]
+        within = (track["second"] >= low) & (track["second"] <= high)
+        parts.append({k: v if k == "angle" else v[within] for k, v in track.items()})
+    return Produced((), {"heading_rad": heading_from_track(merge_track(parts))})
+
+
+def gather_trajectory(args: Mapping[str, Any], context: Context) -> Produced:
+    """Bring the trajectory into the survey's CRS and the points' time, in one file."""
+    path, hashes = context.store.path("trajectory.parquet"), _Hashes()
+    with ExitStack() as stack:
+        for name, stamp in zip(args["paths"], args["stamps"], strict=True):
+            stack.enter_context(unchanged(Path(name), stamp))
+        found = stack.enter_context(
+            gathering(
+                [Path(p) for p in args["paths"]],
+                survey_crs=context.crs,
+                trajectory_crs=context.workflow.survey.trajectory_crs,
+                points=PointExtent(tuple(args["time_span_s"]), tuple(args["bounds_m"])),
+                folder=context.store.local,
+            )
+        )
+        write_trajectory(path, map(hashes.see, found))
+    facts = {
+        "name": named([Path(p).name for p in args["paths"]], 3),
+        "records": found.records,
+        "span_s": list(found.span_s),
+        "positions": hashes.found(),
+        "warnings": [Remark(text) for text in found.warnings],
+        "inputs": [{"path": p, "hash": checksum(Path(p))} for p in args["paths"]],
+    }
+    return Produced([path], facts)
+
+
+class _Hashes:
+    """Hash of the positions in each span of :data:`POSITIONS_S` that has some."""
+
+    def __init__(self) -> None:
+        self._open: dict[int, Any] = {}
+
+    def see(self, records: Records) -> Records:
+        """Add records that follow those before; they are given back."""
+        time, xyz = records
+        span = np.floor_divide(time, POSITIONS_S).astype(np.int64)
+        cuts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
+        rows = np.column_stack([time, xyz])
+        for a, b in pairwise(cuts):
+            digest = self._open.setdefault(int(span[a]), hashlib.blake2b(digest_size=8))
+            digest.update(rows[a:b].tobytes())
+        return records
+
+    def found(self) -> dict[str, str]:
+        """Hashes by the number of the span."""
+        return {str(span): digest.hexdigest() for span, digest in self._open.items()}

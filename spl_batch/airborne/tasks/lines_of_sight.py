@@ -1,0 +1,128 @@
+"""Beams of a stretch, and the sensor's path where the survey brings no trajectory.
+
+Without a trajectory a stretch leaves its best lines of sight; a flightline's path is the
+place where they meet, and only then can the stretches be observed.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from spl_batch.airborne.afterpulse import candidates
+from spl_batch.airborne.beams import geometry, sensor_path
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.noise import line_noise
+from spl_batch.airborne.tasks.stretches import read_stretch
+from spl_batch.engine.store.working_store import Store
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.formats.gps_clock import leap_seconds
+from spl_batch.formats.trajectory.positions import read_slice, write_trajectory
+from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
+from spl_batch.lattice.tables import BeamTable, PointTable, Trajectory
+
+
+def columns(args: Mapping[str, Any]) -> tuple[str, ...]:
+    """Columns that beams are found from, beyond those that points of a stretch always have."""
+    return () if args["heading_rad"] is None else ("scan_angle",)
+
+
+def beams(table: PointTable, store: Store, args: Mapping[str, Any]) -> BeamTable:
+    """Line of sight of each point of a stretch: by trajectory, found path, or scan angle.
+
+    Parameters
+    ----------
+    table : PointTable
+        At least one point of a stretch.
+    store : Store
+        Holds the positions.
+    args : mapping
+        ``line``, ``trajectory``, ``sensor_path`` and ``heading_rad`` of the task.
+    """
+    trajectory: Trajectory | None = None
+    if args["trajectory"] or args["sensor_path"]:
+        path = store.path("trajectory.parquet")
+        if not args["trajectory"]:
+            path = store.path("paths", f"{args['line']}.parquet")
+        time = table["gps_time"]
+        trajectory = read_slice(path, float(time.min()), float(time.max()))
+    return geometry.beams(table, trajectory, heading_rad=args["heading_rad"])
+
+
+def basis(args: Mapping[str, Any]) -> str:
+    """What :func:`beams` takes them from, as the report calls it."""
+    if args["trajectory"]:
+        return "trajectory"
+    if args["sensor_path"]:
+        return "intersection"
+    return "vertical" if args["heading_rad"] is None else "scan_angle"
+
+
+def find_path(args: Mapping[str, Any], context: Context) -> Produced:
+    """Path of the sensor over a flightline, from the lines of sight of its stretches."""
+    parts = [read_arrays(context.store.path("sights", f"{s}.npz")) for s in args["stretches"]]
+    first, last = args["span_s"]
+    found = sensor_path.find_path(sensor_path.merge(parts), (first, last))
+    facts = {
+        "found": found.trajectory is not None,
+        "lines": found.lines,
+        "error_mrad": None if found.error_rad is None else 1000.0 * found.error_rad,
+    }
+    if found.trajectory is None:
+        return Produced((), facts, args["points"])
+    path = context.store.path("paths", f"{args['line']}.parquet")
+    write_trajectory(path, [(found.trajectory.time_s, found.trajectory.xyz_m)])
+    return Produced([path], facts, args["points"])
+
+
+def collect(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
+    """Leave the best lines of sight of a gathered stretch; its beams are not known yet."""
+    lines = sensor_path.collect(table, args["beamlets"], context.workflow.noise.interval_shots)
+    path = context.store.path("sights", f"{args['stretch']}.npz")
+    write_arrays(path, lines)
+    return Produced([path], {"uncovered": 0}, len(table))
+
+
+def _leap(table: PointTable, store: Store) -> int | None:
+    """Whole leap seconds that, added to the trajectory's times, bring the sensor above its returns.
+
+    None where those of UTC do not, either way: then something else is wrong.
+    """
+    time = table["gps_time"]
+    first, last = float(time.min()), float(time.max())
+    leap = leap_seconds(first)
+    for added in (leap, -leap):
+        found = read_slice(store.path("trajectory.parquet"), first - added, last - added)
+        moved = Trajectory(found.time_s + added, found.xyz_m, found.max_gap_s)
+        known = geometry.beams(table, moved)
+        look = geometry.look_ahead(known, time) if np.mean(known.known) > 0.5 else None
+        if look is not None and look.is_above:
+            return added
+    return None
+
+
+def observe(args: Mapping[str, Any], context: Context) -> Produced:
+    """Noise statistics of a stretch that was gathered before its beams were known."""
+    table, _ = read_stretch(args, context, columns(args))
+    return observe_table(table, args, context)
+
+
+def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) -> Produced:
+    """Noise and afterpulses of a stretch, at least one point, with what its beams leave out."""
+    known = beams(table, context.store, args)
+    unknown = table["gps_time"][~known.known]
+    facts: dict[str, Any] = {
+        "uncovered": len(unknown),
+        "uncovered_span_s": [float(unknown.min()), float(unknown.max())] if len(unknown) else None,
+    }
+    ahead = geometry.look_ahead(known, table["gps_time"]) if args["trajectory"] else None
+    if ahead is not None:
+        facts["ahead"] = [round(value, 3) for value in ahead]
+    unknown_part = len(unknown) / len(table)
+    if args["trajectory"] and (unknown_part > 0.5 or (ahead is not None and not ahead.is_above)):
+        facts["leap_s"] = _leap(table, context.store)
+    observed = line_noise.observe(table, known, context.workflow.noise)
+    observed |= candidates.observe(table, known, context.workflow.sensor)
+    stats = context.store.path("observed", f"{args['stretch']}.npz")
+    write_arrays(stats, observed)
+    return Produced([stats], facts, int(np.count_nonzero(known.known)))

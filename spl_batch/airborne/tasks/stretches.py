@@ -1,0 +1,152 @@
+"""Points as the time domain reads them: each input file in time order, then stretch by stretch.
+
+Decoding LAZ costs several times what reading Parquet does. So the index, which decodes a file
+to prove that it can be, keeps what it finds, and a stretch is read from there as often as it is
+needed, with the columns that are.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from spl_batch.airborne.context import Context
+from spl_batch.formats.gps_clock import usable_times
+from spl_batch.formats.verified.parquet_npz import GroupWriter, group_ranges, read_table
+from spl_batch.lattice.row_order import in_order, lexicographic_order
+from spl_batch.lattice.tables import (
+    EXCLUDED,
+    SOURCE_COLUMNS,
+    PointTable,
+    ShotClock,
+    concat,
+    rows_of,
+)
+
+TIME_ORDER: Final = (
+    "gps_time",
+    "channel",
+    "return_number",
+    "x",
+    "y",
+    "z",
+    "source",
+    "index",
+)
+"""Sort keys of a stretch, first one first."""
+
+KEPT_COLUMNS: Final = tuple(name for name in SOURCE_COLUMNS if name != "source")
+"""Columns of an input in time order; the file's name tells the source."""
+
+RUN_POINTS: Final = 65_536
+"""Points of a row group of a file in time order [count]: a stretch reads two in vain at most."""
+
+MIXED_RUN_POINTS: Final = 16_384
+"""The same where a file is not in time order: a stretch reads two in vain of each chunk."""
+
+
+def add_points(writer: GroupWriter, table: PointTable) -> None:
+    """Keep a chunk of an input file in time order, but for what no computation looks at.
+
+    Parameters
+    ----------
+    writer : GroupWriter
+        Of the file's points; row groups are short, and their footers tell their times.
+    table : PointTable
+        The chunk, with all source columns.
+    """
+    time = table["gps_time"]
+    mixed = bool(np.any(time[1:] < time[:-1]))
+    table = _in_time_order(table.take(rows_of(usable_times(time) & ~table.has(EXCLUDED))))
+    step = MIXED_RUN_POINTS if mixed else RUN_POINTS
+    for start in range(0, len(table), step):
+        writer.write(table.take(slice(start, start + step)).columns)
+
+
+Copies = Counter[tuple[int, int]]
+"""Returns of a file that another one holds too, by the keys of both, the other one last [count]."""
+
+
+def read_stretch(
+    args: Mapping[str, Any], context: Context, names: Sequence[str]
+) -> tuple[PointTable, Copies]:
+    """Points of a stretch from every file that has some, in time order.
+
+    A return that several files hold, as where one is delivered twice or tiles overlap, comes once,
+    from the file with the least key: copies would vouch for each other.
+
+    Parameters
+    ----------
+    args : mapping
+        ``sources``, the names of files or of their parts, ``psid``, ``t0_s``, ``prf_hz``,
+        ``shots``, ``window_s`` and ``span_s``.
+    context : Context
+        The run.
+    names : sequence of str
+        Columns that are wanted; those of the order and ``shot`` come too.
+
+    Returns
+    -------
+    table : PointTable
+        The points.
+    copies : Counter
+        What is left out.
+    """
+    clock = ShotClock(args["t0_s"], args["prf_hz"])
+    columns = list(dict.fromkeys((*TIME_ORDER, *names)))
+    pieces = [
+        _of_stretch(piece, args, clock)
+        for name in args["sources"]
+        for piece in _pieces(name, args["window_s"], context, (*columns, "point_source_id"))
+    ]
+    table, copies = _once(_in_time_order(concat(pieces, [*columns, "shot"])))
+    # Kernels are compiled for arrays that can be written to, and what was read cannot.
+    writable = {k: np.require(v, None, ["C", "W"]) for k, v in table.columns.items()}
+    return PointTable(writable), copies
+
+
+def _once(table: PointTable) -> tuple[PointTable, Copies]:
+    """Points in time order without those that a file with a lower key holds too, and these."""
+    source = table["source"]
+    if not len(source) or source.min() == source.max():
+        return table, Counter()
+    same = np.ones(len(source) - 1, np.bool_)
+    for name in TIME_ORDER[: TIME_ORDER.index("source")]:
+        same &= table[name][1:] == table[name][:-1]
+    starts = np.flatnonzero(np.concatenate([[True], ~same]))
+    first = np.repeat(source[starts], np.diff(starts, append=len(source)))
+    again = source != first
+    pairs = zip(source[again].tolist(), first[again].tolist(), strict=True)
+    return (table.take(rows_of(~again)) if again.any() else table), Counter(pairs)
+
+
+def _pieces(
+    kept: str, window_s: tuple[float, float], context: Context, names: Sequence[str]
+) -> Iterator[PointTable]:
+    """Row groups of a file, or of a part of one, that can hold points of a time span."""
+    path = context.store.path("points", f"{kept}.parquet")
+    source = np.uint64(int(kept.partition("-")[0]))
+    ranges = np.array(group_ranges(path, "gps_time"), dtype=np.float64).reshape(-1, 2)
+    hits = np.flatnonzero((ranges[:, 0] <= window_s[1]) & (ranges[:, 1] >= window_s[0]))
+    columns = [name for name in names if name != "source"]
+    for run in np.split(hits, np.flatnonzero(np.diff(hits) > 1) + 1):
+        if len(run):
+            table = read_table(path, columns, run.tolist())
+            yield table.with_columns(source=np.full(len(table), source))
+
+
+def _of_stretch(table: PointTable, args: Mapping[str, Any], clock: ShotClock) -> PointTable:
+    """Rows of the stretch, with their shot numbers."""
+    first, last = args["span_s"]
+    time = table["gps_time"]
+    mine = (time >= first) & (time <= last) & (table["point_source_id"] == args["psid"])
+    table = table.take(rows_of(mine))
+    table = table.with_columns(shot=clock.shot(table["gps_time"]))
+    low, high = args["shots"]
+    return table.take(rows_of((table["shot"] >= low) & (table["shot"] < high)))
+
+
+def _in_time_order(table: PointTable) -> PointTable:
+    keys = [table[k] for k in TIME_ORDER]
+    return table if in_order(keys) else table.take(lexicographic_order(keys))

@@ -1,0 +1,258 @@
+"""Stages ``shots`` and ``shuffle``: whole shots of a flightline, stretch by stretch.
+
+A stretch is a run of whole shots on the flightline's absolute grid. Everything that is
+computed here is keyed on that grid, so where a flightline is cut does not matter.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse import afterpulse_law, candidates
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.filter.published import dcc
+from spl_batch.airborne.noise import line_noise, voxel_noise
+from spl_batch.airborne.products.reflectance import fired_beamlets
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.airborne.settings import DccSettings
+from spl_batch.airborne.store.voxel_parts import write_voxels
+from spl_batch.airborne.tasks import lines_of_sight
+from spl_batch.airborne.tasks.index import CHUNK_POINTS
+from spl_batch.airborne.tasks.stretches import read_stretch
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
+from spl_batch.formats.las.reader import iter_points
+from spl_batch.formats.polygons import contains, read_polygons
+from spl_batch.formats.verified.parquet_npz import (
+    read_arrays,
+    read_table,
+    write_arrays,
+    write_table,
+)
+from spl_batch.lattice.row_order import lexicographic_order
+from spl_batch.lattice.tables import (
+    EXCLUDED,
+    SOURCE_COLUMNS,
+    TILE_COLUMNS,
+    BeamTable,
+    PointFlag,
+    PointTable,
+    ShotClock,
+    canonical_order,
+    concat,
+    rows_of,
+)
+from spl_batch.lattice.tiles import cell_index, quanta
+
+GROUP_POINTS = 16_384
+"""Points of a row group of a tile [count]: a halo is read from few."""
+
+_POINT_COLUMNS = tuple(name for name in TILE_COLUMNS if name in SOURCE_COLUMNS)
+
+
+def gather(args: Mapping[str, Any], context: Context) -> Produced:
+    """Look at a stretch's points from every file that has some, and observe their noise."""
+    table, copies = read_stretch(args, context, lines_of_sight.columns(args))
+    again = [[str(copy), str(kept), count] for (copy, kept), count in sorted(copies.items())]
+    facts: dict[str, Any] = {"points": len(table), "uncovered": 0, "copies": again}
+    if not len(table):
+        return Produced((), facts)
+    look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
+    looked = look(table, args, context)
+    return Produced(looked.outputs, {**facts, **looked.facts}, len(table))
+
+
+def gather_range(args: Mapping[str, Any], context: Context) -> Produced:
+    """Collect a run of points of a file without times: no shots, no beams, no noise model."""
+    pieces = [
+        table.take(~table.has(EXCLUDED))
+        for table in _input_chunks(args, context, int(args["start"]), int(args["stop"]))
+    ]
+    table = concat(pieces, SOURCE_COLUMNS)
+    path = context.store.path("stretches", f"{args['stretch']}.parquet")
+    write_table(path, table)
+    return Produced([path], {"points": len(table), "uncovered": 0}, len(table))
+
+
+def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
+    """Line noise model of a flightline, from what its stretches observed."""
+    parts = [read_arrays(context.store.path("observed", f"{s}.npz")) for s in args["stretches"]]
+    model = line_noise.fit(line_noise.merge(parts), context.workflow.noise, _sensor(args, context))
+    path = context.store.path("lines", f"{args['line']}.npz")
+    law = afterpulse_law.fit(parts, model.mean_rate, _sensor(args, context))
+    write_arrays(path, {**model.to_arrays(), "afterpulse_law": np.array(law)})
+    seen = model.seen_fraction
+    facts = {
+        **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis")},
+        "name": str(args["line"]),
+        "basis": lines_of_sight.basis(args),
+        "gate_m": model.gate_m,
+        "gate_basis": model.gate_basis,
+        "noise_per_m": model.mean_rate,
+        "seen_fraction": float(seen.mean()) if len(seen) else None,
+        "afterpulses": {"probability": law.probability, "scale_m": law.scale_m},
+        "warnings": list(model.warnings),
+    }
+    return Produced([path], facts, args["points"])
+
+
+def scatter(args: Mapping[str, Any], context: Context) -> Produced:
+    """Line noise density, voxel deposits and afterpulses of a stretch; points by tile."""
+    if args["timeless"]:
+        path = context.store.path("stretches", f"{args['stretch']}.parquet")
+        table = read_table(path, SOURCE_COLUMNS)
+    else:
+        table, _ = read_stretch(args, context, (*_POINT_COLUMNS, *lines_of_sight.columns(args)))
+    outputs: list[Path] = []
+    facts: dict[str, Any] = {"tiles": {}}
+    zeros = np.zeros(len(table), np.float32)
+    table = table.with_columns(
+        line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros, afterpulse_share=zeros
+    )
+    if len(table) and not args["timeless"]:
+        table, parts = _assess(table, args, context, facts)
+        outputs.extend(parts)
+    table = _mark_places(table, context)
+    tile_q = quanta(context.workflow.tiling.tile_m)
+    i, j = cell_index(table["x"], tile_q), cell_index(table["y"], tile_q)
+    order = lexicographic_order((j, i))
+    table, i, j = table.take(order), i[order], j[order]
+    starts = [0, *(np.flatnonzero((np.diff(i) != 0) | (np.diff(j) != 0)) + 1).tolist()]
+    path = context.store.path("scatter", f"{args['stretch']}.parquet")
+    write_table(path, table.select(TILE_COLUMNS), group_starts=starts, sought=())
+    ends = [*starts[1:], len(table)]
+    if len(table):
+        facts["tiles"] = {
+            f"{i[a]}_{j[a]}": [group, b - a]
+            for group, (a, b) in enumerate(zip(starts, ends, strict=True))
+        }
+    return Produced([path, *outputs], facts, len(table))
+
+
+def build_tile(args: Mapping[str, Any], context: Context) -> Produced:
+    """Join a tile's points from the stretches, in canonical order."""
+    pieces = [
+        read_table(context.store.path("scatter", f"{stretch}.parquet"), TILE_COLUMNS, [group])
+        for stretch, group in args["pieces"]
+    ]
+    table = concat(pieces, TILE_COLUMNS)
+    table = table.take(canonical_order(table))
+    path = context.store.tile(args["tile"])
+    starts = np.arange(0, max(len(table), 1), GROUP_POINTS)
+    write_table(path, table, group_starts=starts.tolist(), sought=("x",))
+    facts = {
+        "points": len(table),
+        "z": [int(table["z"].min()), int(table["z"].max())] if len(table) else None,
+        "outside_aoi": int(np.count_nonzero(table.has(PointFlag.OUTSIDE_AOI))),
+        "no_beam": int(np.count_nonzero(table.has(PointFlag.NO_BEAM))),
+        "sources": sorted({str(s) for piece in pieces for s in _different(piece["source"])}),
+    }
+    return Produced([path], facts, len(table))
+
+
+def _different(values: NDArray[np.uint64]) -> list[int]:
+    """Different values; mostly there is one."""
+    if not len(values) or (values == values[0]).all():
+        return [int(value) for value in values[:1]]
+    found: list[int] = np.unique(values).tolist()
+    return found
+
+
+def _assess(
+    table: PointTable, args: Mapping[str, Any], context: Context, facts: dict[str, Any]
+) -> tuple[PointTable, list[Path]]:
+    """Add what the time domain knows about each point; write the parts of the stretch."""
+    workflow = context.workflow
+    beams = lines_of_sight.beams(table, context.store, args)
+    flags = np.where(beams.known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
+    table = table.with_columns(flags=flags)
+    known = rows_of(beams.known)
+    subset, beams = table.take(known), beams.take(known)
+    line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
+    model = line_noise.LineModel.from_arrays(line)
+    density = np.zeros(len(table), np.float32)
+    density[known] = line_noise.line_density(subset, model)
+    chance, rate, share = np.zeros((3, len(table)), np.float32)
+    if workflow.afterpulse.enabled:
+        law = afterpulse_law.AfterpulseLaw(*line["afterpulse_law"].tolist())
+        chance[known] = candidates.probability(
+            subset, beams, workflow.afterpulse, _sensor(args, context),
+            gate_m=model.gate_m, law=law,
+        )  # fmt: skip
+        rate[known] = afterpulse_law.rate(subset, beams, law)
+        share[known] = law.probability
+    if args["dcc"] is not None:
+        noise = dcc.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
+        flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
+        table = table.with_columns(flags=flags)
+    parts = voxel_noise.deposit_apart(subset, beams, model, workflow.noise)
+    # A stretch is one box of voxels, unless some of its points lie far from the rest.
+    names = [args["stretch"], *(f"{args['stretch']}.{k}" for k in range(1, len(parts)))]
+    paths = [context.store.path("voxels", f"{name}.zarr") for name in names[: len(parts)]]
+    for path, part in zip(paths, parts, strict=True):
+        write_voxels(path, part)
+    boxes = [part.box() for part in parts]
+    facts |= {"voxels": boxes[0]} if boxes else {}
+    facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
+    table = table.with_columns(
+        line_density=density, afterpulse=chance, afterpulse_rate=rate, afterpulse_share=share
+    )
+    return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
+
+
+def _write_fired(
+    table: PointTable,
+    beams: BeamTable,
+    model: line_noise.LineModel,
+    args: Mapping[str, Any],
+    context: Context,
+    facts: dict[str, Any],
+) -> list[Path]:
+    """Write where the beamlets pointed, if the sensor's positions and the channels tell."""
+    if not (args["trajectory"] or args["sensor_path"]) or args["beamlets"] < 2:
+        return []
+    clock = ShotClock(args["t0_s"], args["prf_hz"])
+    part = fired_beamlets.aim(table, beams, model, _sensor(args, context), clock)
+    facts["fired"] = part.reach()
+    facts["fired_blocks"] = [len(part.first), part.dropped]
+    path = context.store.path("fired", f"{args['stretch']}.npz")
+    write_arrays(path, part.to_arrays())
+    return [path]
+
+
+def _mark_places(table: PointTable, context: Context) -> PointTable:
+    """Set the flags that polygons decide."""
+    flags = table["flags"].copy()
+    workflow = context.workflow
+    for name, flag, within in (
+        (workflow.aoi, PointFlag.OUTSIDE_AOI, False),
+        (workflow.water, PointFlag.WATER, True),
+    ):
+        if name is not None and len(table):
+            polygons = read_polygons(context.resolve(name), context.crs)
+            flags[contains(polygons, table["x"], table["y"]) == within] |= np.uint8(flag)
+    return table.with_columns(flags=flags)
+
+
+def _sensor(args: Mapping[str, Any], context: Context) -> Sensor:
+    """The instrument; without a channel dimension a shot is one beamlet."""
+    return context.workflow.sensor.model_copy(update={"beamlets": args["beamlets"]})
+
+
+def _input_chunks(
+    source: Mapping[str, Any], context: Context, start: int, stop: int | None
+) -> Iterator[PointTable]:
+    """Points of an input file that is as it was when it was indexed."""
+    path = Path(source["path"])
+    with unchanged(path, as_indexed(source, context)):
+        yield from iter_points(
+            path,
+            channel_dimension=context.workflow.survey.channel_dimension,
+            source=int(source["source"]),
+            start=start,
+            stop=stop,
+            chunk=CHUNK_POINTS,
+        )

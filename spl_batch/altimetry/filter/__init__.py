@@ -1,0 +1,1 @@
+"""Signal and noise: scores of photons, thresholds, photons kept by chance."""

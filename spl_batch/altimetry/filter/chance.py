@@ -1,0 +1,167 @@
+"""Noise photons that pass for signal, counted before a threshold is chosen.
+
+The source takes "the smallest n_s" of Eq. 4.6 for signal, n_s being all photons less the noise
+expected [W17 4.1.3]. Noise that lies within canopy or ground passes for signal too, and takes the
+places of as many photons of sparse canopy. How many such there are need not be guessed: noise is a
+Poisson process that knows nothing of the signal, so a photon of it sees the others as a place
+without a photon does (Slivnyak's theorem; Baddeley, *Spatial Point Processes*, 2007, 2.3). Places
+strewn evenly over the gate of each cell are scored like photons; the noise expected in the cell,
+shared among them, gives the noise expected at every score.
+
+The places are those of Roberts' sequence (M. Roberts, *The Unreasonable Effectiveness of
+Quasirandom Sequences*, 2018), numbered by cell: they depend on the cell alone.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from spl_batch.altimetry.filter.likelihood import Ratios
+from spl_batch.altimetry.filter.signal import UNIT_QUANTA, counted, local_alpha, scaled, surely
+from spl_batch.altimetry.noise.noise_rate import CAP_UNITS, noise_at
+from spl_batch.altimetry.photon_table import Cells, Scale
+from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.lattice.tiles import quanta
+
+SHARE_QUANTA: Final = 1 << 20
+"""Expected noise is counted in whole parts of a photon, so that sums have no order [1/photon]."""
+
+_LEAST: Final = 32
+_PHOTONS_PER_PLACE: Final = 8
+_MOST: Final = 4096
+_STEPS: Final = (np.uint64(0xC13FA9A902A6328F), np.uint64(0x91E10DA5C79E7B1D))
+"""1 / g and 1 / g^2 of 2^64, g being the plastic number, g^3 = g + 1."""
+_HALF: Final = np.uint64(32)
+_BATCH: Final = 65_536
+
+
+def places(
+    cells: Cells, scale: Scale, owned: NDArray[np.bool_], rate: RateSettings
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+    """Places over the gates of cells, and the noise that each stands for.
+
+    Parameters
+    ----------
+    cells, scale : Cells, Scale
+        Of the beam.
+    owned : (cells,) bool
+        Cells that get places.
+    rate : RateSettings
+        The cells.
+
+    Returns
+    -------
+    along, height : (p,) int64, (p,) int32
+        Places [quanta].
+    noise : (p,) int64
+        Noise photons that each stands for [1 / SHARE_QUANTA].
+    """
+    mine = np.flatnonzero(owned)
+    count = np.clip(cells.count[mine] // _PHOTONS_PER_PLACE, _LEAST, _MOST)
+    cell = np.repeat(mine, count)
+    inside = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count)
+    # Unsigned sums and products wrap around: the sequence modulo 1, to 2^-32.
+    number = (cells.index[cell] * _MOST + inside).astype(np.uint64)
+    share = [(number * step) >> _HALF for step in _STEPS]
+    size = quanta(rate.cell_m)
+    span = (cells.high - cells.low)[cell].astype(np.uint64) + np.uint64(1)
+    along = cells.index[cell] * size + ((share[0] * np.uint64(size)) >> _HALF).astype(np.int64)
+    height = cells.low[cell] + ((share[1] * span) >> _HALF).astype(np.int32)
+    height = height.astype(np.int32)
+    area = cells.gate_m[mine] * rate.cell_m / count
+    each = np.rint(noise_at(cell, height, scale) * np.repeat(area, count) * SHARE_QUANTA)
+    return along, height, each.astype(np.int64)
+
+
+def score_places(
+    at: tuple[NDArray[np.int64], NDArray[np.int32]],
+    photons: tuple[NDArray[np.int64], NDArray[np.int32]],
+    scale: Scale,
+    prior: NDArray[np.float64],
+    rate: RateSettings,
+    table: Ratios,
+    settings: SignalSettings,
+) -> NDArray[np.float32]:
+    """Mean ln P(noise) that a photon would have at each place, (p,) float32.
+
+    Parameters
+    ----------
+    at : ((p,) int64, (p,) int32)
+        Places along the track and in height [quanta].
+    photons : ((n,) int64, (n,) int32)
+        Photons of the piece of track and of ``reach_m`` to each side, likewise.
+    scale, prior, rate
+        As of :func:`spl_batch.altimetry.filter.signal.score`.
+    table : Ratios
+        Likelihoods, those that the photons are scored by.
+    settings : SignalSettings
+        Neighbours that count.
+    """
+    u, v, cell = scaled(*at, scale, rate)
+    others = np.stack(scaled(*photons, scale, rate)[:2], axis=1)
+    out = np.empty(len(u), np.float32)
+    if not len(others) or not len(u):
+        out[:] = 0.0
+        return out
+    anchor = others.min(axis=0)
+    tree = cKDTree((others - anchor).astype(np.float64))
+    area = np.pi * local_alpha(cell, at[1], scale) / UNIT_QUANTA**2
+    cap = float(round(CAP_UNITS * UNIT_QUANTA))
+    columns = np.arange(table.within.shape[1])
+    most = counted(cell, scale, settings)
+    wanted = np.arange(1, int(most.max(initial=1)) + 1)
+    for first in range(0, len(u), _BATCH):
+        rows = slice(first, first + _BATCH)
+        here = np.stack([u[rows], v[rows]], axis=1) - anchor
+        # A list of neighbours gives two dimensions, of a single one too.
+        distance = np.asarray(tree.query(here, k=wanted, distance_upper_bound=cap + 0.5)[0])
+        total = np.zeros(len(here))
+        for k in range(int(most[rows].max())):
+            found = np.isfinite(distance[:, k])
+            squared = np.where(found, np.maximum(distance[:, k], 1.0), cap) ** 2
+            column = (np.log(squared * area[rows]) - table.first) * table.step
+            ratio = np.where(
+                found,
+                np.interp(column, columns, table.within[k]),
+                np.interp(column, columns, table.beyond[k]),
+            )
+            log_noise = np.logaddexp(0.0, ratio + prior[cell[rows]])
+            total -= np.where(k < most[rows], log_noise, 0.0)
+        out[rows] = total / most[rows]
+    return out
+
+
+def best_thresholds(
+    counts: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    far: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    false_share: float,
+) -> NDArray[np.int64]:
+    """Least score bin that is signal, of each window: that of the largest F1 to be expected.
+
+    Of ``above`` photons taken, those are signal that are not expected to be noise, so F1, the
+    harmonic mean of precision and recall, is 2 (above - noise) / (above + n_s).
+
+    Parameters
+    ----------
+    counts, noise, far : (w, bins) float64
+        Photons by score bin; noise photons expected; photons far from the surface.
+    wanted, false_share
+        As of :func:`spl_batch.altimetry.filter.signal.thresholds`.
+
+    Returns
+    -------
+    (w,) int64
+        From 1 to the number of bins, which takes none.
+    """
+    above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far))
+    false = surely(away)
+    signal = np.clip(above - below, 0.0, wanted[:, None])
+    gain = np.where(false <= false_share * above, 2.0 * signal, 0.0)
+    gain /= np.maximum(above + wanted[:, None], 1.0)
+    taken = np.where(gain.max(axis=1) > 0.0, gain.argmax(axis=1) + 1, 0)
+    least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
+    return least

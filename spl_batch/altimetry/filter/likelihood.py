@@ -1,0 +1,119 @@
+"""How far the k-th neighbour is, for a photon of noise and for one of signal.
+
+Noise [W17 Eq. 4.4]: with x = alpha pi r^2 the noise expected within r, the k-th neighbour
+lies at x with density x^(k-1) e^-x / (k-1)!, a gamma law.
+
+Signal: the source takes the same law with the density of the signal, which "cannot be
+estimated directly because the area of the signal is unknown", and leaves its choice open.
+A track holds signal of many densities at once (bright and dark ground, canopy, slopes that
+spread it), so no single one is chosen here: the contrast c, signal and noise together over
+noise, is taken as unknown between 1 and C with equal probability per order of magnitude.
+That integral has a closed form,
+
+    p_k(x | signal) = [Q(k, x) - Q(k, C x)] / (x ln C),
+
+with Q the regularised upper incomplete gamma function, which is the chance of fewer than k
+noise photons within x. ``python -m benchmarks.altimetry.profiles pdf`` compares it with fixed
+contrasts.
+
+A neighbour that is not found within the reach is censored: its likelihood is the chance
+that it lies beyond, P_k(X > x) = Q(k, x) for noise, and its mean over c for signal.
+"""
+
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import integrate, interpolate, special
+
+_FIRST: Final = float(np.log(1e-7))
+_LAST: Final = float(np.log(100.0))
+_COLUMNS: Final = 1024
+_STEPS: Final = 200
+"""Steps of the mean over contrasts [count]."""
+
+
+class Ratios(NamedTuple):
+    """Logarithms of the likelihood of signal over that of noise.
+
+    Parameters
+    ----------
+    within, beyond : (K, m) float64
+        For neighbour k at x, and beyond x.
+    first : float
+        ln x of the first column.
+    step : float
+        Columns per unit of ln x.
+    """
+
+    within: NDArray[np.float64]
+    beyond: NDArray[np.float64]
+    first: float
+    step: float
+
+
+def noise_pdf(k: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density of the k-th neighbour of noise over the noise expected within it [W17 Eq. 4.4]."""
+    density: NDArray[np.float64] = np.exp((k - 1) * np.log(x) - x - special.gammaln(k))
+    return density
+
+
+def signal_pdf(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
+    """Density of the k-th neighbour of signal whose contrast is unknown within 1..C."""
+    share = np.exp(_log_share(k, x, contrast_max))
+    density: NDArray[np.float64] = share / (x * np.log(contrast_max))
+    return density
+
+
+def _log_share(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
+    """Logarithm of [Q(k, x) - Q(k, C x)], from the tail in which it does not cancel."""
+    upper = special.gammaincc(k, x) - special.gammaincc(k, contrast_max * x)
+    lower = special.gammainc(k, contrast_max * x) - special.gammainc(k, x)
+    share = np.where(x < k, lower, upper)
+    log: NDArray[np.float64] = np.log(np.maximum(share, np.finfo(np.float64).tiny))
+    return log
+
+
+@lru_cache(maxsize=8)
+def ratios(neighbours: int, contrast_max: float) -> Ratios:
+    """Tables for :func:`spl_batch.altimetry.filter.posterior.noise_posterior`.
+
+    Parameters
+    ----------
+    neighbours : int
+        Largest k [count].
+    contrast_max : float
+        C, largest density of signal over that of noise.
+    """
+    log_x = np.linspace(_FIRST, _LAST, _COLUMNS)
+    x = np.exp(log_x)
+    within = np.empty((neighbours, _COLUMNS))
+    for row in range(neighbours):
+        log_noise = row * log_x - x - special.gammaln(row + 1)
+        log_signal = _log_share(row + 1, x, contrast_max) - log_x - np.log(np.log(contrast_max))
+        within[row] = log_signal - log_noise
+    beyond = _beyond(neighbours, contrast_max, log_x)
+    return Ratios(within, beyond, _FIRST, (_COLUMNS - 1) / (_LAST - _FIRST))
+
+
+def _beyond(
+    neighbours: int, contrast_max: float, log_x: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Logarithm of P(X > x | signal) / P(X > x | noise), (K, m) float64.
+
+    It is smooth in ln x: every eighth value is integrated, a spline gives the others.
+    """
+    # Closest near a contrast of 1, where the chance falls fastest.
+    log_c = np.log(contrast_max) * np.linspace(0.0, 1.0, _STEPS) ** 2
+    knots = np.linspace(log_x[0], log_x[-1], len(log_x) // 8)
+    x = np.exp(knots)
+    tiny = np.finfo(np.float64).tiny
+    rows = np.empty((neighbours, len(log_x)))
+    for row in range(neighbours):
+        chance = special.gammaincc(row + 1, np.exp(log_c[:, None] + knots))
+        mean = integrate.trapezoid(chance, log_c, axis=0) / np.log(contrast_max)
+        noise = special.gammaincc(row + 1, x)
+        ratio = np.log(np.maximum(mean, tiny)) - np.log(np.maximum(noise, tiny))
+        rows[row] = interpolate.CubicSpline(knots, ratio)(log_x)
+    return rows

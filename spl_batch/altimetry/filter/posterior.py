@@ -1,0 +1,132 @@
+"""Log posterior of being noise from the distances to the first neighbours [W17 Eq. 4.4-4.6].
+
+The kernel works on the integer lattice of :mod:`spl_batch.numerics.neighbours.kdtree`, so a
+photon's result depends on its neighbours alone, not on what else the table holds.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.neighbours.kdtree import (
+    LEAF,
+    U1,
+    U3,
+    build,
+    check_cap,
+    leaf_slots,
+    nearest_keys,
+)
+
+
+def noise_posterior(
+    uv: NDArray[np.int32],
+    query: NDArray[np.bool_],
+    cap: int,
+    area_scale: NDArray[np.float64],
+    log_prior: NDArray[np.float64],
+    within: NDArray[np.float64],
+    beyond: NDArray[np.float64],
+    grid: tuple[float, float],
+    most: NDArray[np.int64] | None = None,
+) -> NDArray[np.float64]:
+    """Mean over k of ln P(noise | distance to the k-th neighbour).
+
+    Parameters
+    ----------
+    uv : (n, 2) int32
+        Scaled along-track position and height [quanta].
+    query : (n,) bool
+        Photons whose posterior is wanted.
+    cap : int
+        Farthest neighbour, inclusive [quanta].
+    area_scale : (n,) float64
+        Noise photons expected in a disc, over the squared radius [1/quanta2].
+    log_prior : (n,) float64
+        ln of P(signal) / P(noise).
+    within, beyond : (K, m) float64
+        ln of the likelihood of signal over that of noise for k = 1..K: neighbour k at a
+        distance within which x noise photons are expected, or farther than that.
+    grid : (float, float)
+        ln x of the first column, and columns per unit of ln x; linear between columns.
+
+    most : (n,) int64, optional
+        Neighbours of each photon that count, K at most; all of them by default [count].
+
+    Returns
+    -------
+    (q,) float64
+        For the query photons in table order; 0 and below.
+    """
+    check_cap(cap)
+    n = len(uv)
+    out = np.zeros(n)
+    if n:
+        xyz = np.zeros((n, 3), np.int32)
+        xyz[:, 0], xyz[:, 2] = uv[:, 0], uv[:, 1]
+        tree = build(xyz)
+        first, step = grid
+        if most is None:
+            most = np.full(n, len(within), np.int64)
+        _posterior(
+            tree.points, tree.boxes, tree.depth, query, cap,
+            area_scale, log_prior, within, beyond, first, step, most, out,
+        )  # fmt: skip
+    return out[query]
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _at(table, k, position):  # type: ignore[no-untyped-def]
+    """Value of a row between its columns, the ends continued."""
+    last = table.shape[1] - 1
+    if position <= 0.0:
+        return table[k, 0]
+    if position >= last:
+        return table[k, last]
+    i = int(position)
+    share = position - i
+    return table[k, i] * (1.0 - share) + table[k, i + 1] * share
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _log_noise(ratio):  # type: ignore[no-untyped-def]
+    """-ln(1 + exp(ratio)), for any ratio."""
+    if ratio > 0.0:
+        return -ratio - math.log1p(math.exp(-ratio))
+    return -math.log1p(math.exp(ratio))
+
+
+@njit(nogil=True, cache=True)
+def _posterior(  # type: ignore[no-untyped-def]
+    points, boxes, depth, query, cap, area_scale, log_prior, within, beyond, first, step, most, out
+):
+    """Every query photon, in tree order, so that the cache stays warm."""
+    n, depth = np.uint64(points.shape[1]), np.uint64(depth)
+    neighbours = within.shape[0]
+    keys = np.empty(neighbours, dtype=np.int64)
+    distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
+    stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
+    farthest = math.log(float(cap) * float(cap))
+    for leaf in range(U1 << depth, U1 << (depth + U1)):
+        low, high = leaf_slots(leaf, depth, n)
+        for slot in range(low, high):
+            row = points[U3, slot]
+            if not query[row]:
+                continue
+            found = nearest_keys(
+                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
+            )
+            offset = math.log(area_scale[row]) - first
+            total = 0.0
+            counted = min(neighbours, most[row])
+            for k in range(min(found, counted)):
+                # Photons at one place are a quantum apart at least.
+                d2 = max(float(keys[k] >> 32), 1.0)
+                ratio = _at(within, k, (math.log(d2) + offset) * step)
+                total += _log_noise(ratio + log_prior[row])
+            for k in range(found, counted):
+                ratio = _at(beyond, k, (farthest + offset) * step)
+                total += _log_noise(ratio + log_prior[row])
+            out[row] = total / counted

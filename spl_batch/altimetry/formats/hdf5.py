@@ -1,0 +1,106 @@
+"""Datasets of altimeters' HDF5 files: checked, and labels written beside them in a copy."""
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.errors import InputError
+from spl_batch.formats.files.atomic import replacing
+
+_CHUNK: Final = 65_536
+
+
+def dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    """Dataset of this name.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    found = file.get(name)
+    if not isinstance(found, h5py.Dataset):
+        raise InputError(str(path), f"no dataset {name}; is it of the product that it should be?")
+    return found
+
+
+def equal_lengths(path: Path, file: h5py.File, group: str, names: Sequence[str]) -> int:
+    """Length that one-dimensional datasets of a group have in common.
+
+    Raises
+    ------
+    InputError
+        With every dataset that is missing, or of another shape or kind.
+    """
+    faults: list[str] = []
+    sizes: dict[str, int] = {}
+    for name in names:
+        found = file.get(f"{group}/{name}")
+        if not isinstance(found, h5py.Dataset):
+            faults.append(f"no dataset {group}/{name}")
+        elif found.ndim != 1 or found.dtype.kind not in "fiu":
+            faults.append(f"{group}/{name} is {found.ndim}-dimensional {found.dtype}, not numbers")
+        else:
+            sizes[name] = len(found)
+    if len(set(sizes.values())) > 1:
+        listed = ", ".join(f"{k} {v}" for k, v in sizes.items())
+        faults.append(f"datasets of {group} differ in length ({listed})")
+    if faults:
+        raise InputError(str(path), faults)
+    return next(iter(sizes.values()))
+
+
+@contextmanager
+def labelled_copy(source: Path, target: Path) -> Iterator[h5py.File]:
+    """Copy a file and give the copy for adding to; it appears when the block ends."""
+    with replacing(target) as temporary:
+        shutil.copyfile(source, temporary)
+        with h5py.File(temporary, "r+") as file:
+            yield file
+
+
+def add_dataset(
+    group: h5py.Group, name: str, size: int, fill: float, attributes: Mapping[str, str], dtype: Any
+) -> h5py.Dataset:
+    """Make a compressed one-dimensional dataset, in place of one of this name.
+
+    Parameters
+    ----------
+    group : h5py.Group
+        Where.
+    name : str
+        Its name.
+    size : int
+        Values [count].
+    fill : float
+        What values are that nothing is written to.
+    attributes : mapping
+        Its attributes.
+    dtype : dtype
+        Of its values.
+    """
+    if name in group:
+        del group[name]
+    # A dataset of nothing cannot be cut into chunks.
+    packed = {"chunks": (min(_CHUNK, size),), "compression": "gzip", "shuffle": True}
+    made = group.create_dataset(
+        name,
+        shape=(size,),
+        dtype=dtype,
+        fillvalue=np.dtype(dtype).type(fill),
+        **(packed if size else {}),
+    )
+    made.attrs.update(attributes)
+    return made
+
+
+def finite(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which values are numbers; products fill what they do not know with 3.4e38."""
+    ok: NDArray[np.bool_] = np.isfinite(values) & (np.abs(values) < 1e30)
+    return ok

@@ -1,0 +1,186 @@
+"""Photons of any known layout, in slices: along-track distance and height on the lattice."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.formats import atl03, mabel, track_csv
+from spl_batch.altimetry.formats.hdf5 import finite
+from spl_batch.altimetry.formats.slices import Slice
+from spl_batch.altimetry.photon_table import Background
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import InputError
+from spl_batch.formats.hdf5 import SIGNATURE, open_hdf5
+from spl_batch.formats.las.header import open_input
+
+Layout = Literal["atl03", "mabel", "csv"]
+
+_HEIGHT_MAX_M: Final = 2e4
+_ALONG_MAX_M: Final = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class BeamFacts:
+    """What a file's header says of a beam.
+
+    Parameters
+    ----------
+    name : str
+        As the product calls it.
+    photons : int
+        Photons, or an estimate where only reading tells [count].
+    group : str
+        Group of its photons in an HDF5 file.
+    background : bool
+        Whether the product states a noise rate.
+    """
+
+    name: str
+    photons: int
+    group: str = ""
+    background: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TrackFile:
+    """A photon file whose header is sound."""
+
+    path: Path
+    layout: Layout
+    beams: tuple[BeamFacts, ...]
+    size_bytes: int
+    written_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Photons:
+    """Photons of a slice that can be placed.
+
+    Parameters
+    ----------
+    row : (n,) int64
+        Position in the file.
+    along : (n,) int64
+        Along-track distance [quanta].
+    height : (n,) int32
+        Height [quanta].
+    latitude, longitude : (n,) float64
+        Where [deg]; NaN where the file does not tell.
+    read : int
+        Photons of the slice, placed or not [count].
+    """
+
+    row: NDArray[np.int64]
+    along: NDArray[np.int64]
+    height: NDArray[np.int32]
+    latitude: NDArray[np.float64]
+    longitude: NDArray[np.float64]
+    read: int
+
+
+def inspect(path: Path, prf_hz: float | None) -> TrackFile:
+    """Layout and beams of a file, from its header.
+
+    Parameters
+    ----------
+    path : Path
+        HDF5 or CSV.
+    prf_hz : float or None
+        Pulse repetition frequency for files that do not tell theirs [Hz].
+
+    Raises
+    ------
+    InputError
+        With every fault found.
+    """
+    with open_input(path) as stream:
+        start = stream.read(len(SIGNATURE))
+    status = path.stat()
+    if start != SIGNATURE:
+        if path.suffix.lower() in {".h5", ".hdf5", ".he5"}:
+            raise InputError(str(path), "is no HDF5 file (its first bytes say so); copy it again")
+        beams = [BeamFacts("track", track_csv.estimate(path, status.st_size))]
+        return TrackFile(path, "csv", tuple(beams), status.st_size, status.st_mtime_ns)
+    with open_hdf5(path) as file:
+        layout: Layout = "mabel" if "photon" in file else "atl03"
+        listed = mabel.beams(path, file, prf_hz) if layout == "mabel" else atl03.beams(path, file)
+    beams = [BeamFacts(*values) for values in listed]
+    return TrackFile(path, layout, tuple(beams), status.st_size, status.st_mtime_ns)
+
+
+def iter_photons(path: Path, layout: Layout, beam: str, chunk: int) -> Iterator[Photons]:
+    """Photons of a beam in the order of the file, never more than ``chunk`` at once.
+
+    Raises
+    ------
+    InputError
+        If a slice cannot be read, or holds heights or distances that cannot be.
+    """
+    source: Iterator[Slice]
+    if layout == "atl03":
+        source = atl03.slices(path, beam, chunk)
+    elif layout == "mabel":
+        source = mabel.slices(path, beam, chunk)
+    else:
+        source = track_csv.slices(path, chunk)
+    for piece in source:
+        yield _placed(path, piece)
+
+
+def _placed(path: Path, piece: Slice) -> Photons:
+    known = finite(piece.along_m) & finite(piece.height_m)
+    along_m, height_m = piece.along_m[known], piece.height_m[known]
+    faults = _faults(along_m, height_m)
+    if faults:
+        raise InputError(str(path), faults)
+    return Photons(
+        (piece.start + np.flatnonzero(known)).astype(np.int64),
+        np.rint(along_m * QUANTA_PER_M).astype(np.int64),
+        np.rint(height_m * QUANTA_PER_M).astype(np.int32),
+        piece.latitude[known],
+        piece.longitude[known],
+        len(known),
+    )
+
+
+def _faults(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> Sequence[str]:
+    faults = []
+    for name, values, most in (
+        ("height", height_m, _HEIGHT_MAX_M),
+        ("along-track distance", along_m, _ALONG_MAX_M),
+    ):
+        worst = float(np.abs(values).max(initial=0.0))
+        if worst > most:
+            faults.append(
+                f"{name} {worst:g} m; at most {most:g} m is possible: check units and columns"
+            )
+    return faults
+
+
+def read_background(
+    path: Path, layout: Layout, beam: str, prf_hz: float | None
+) -> Background | None:
+    """Noise rate that the product states; none where it does not.
+
+    Raises
+    ------
+    InputError
+        If it is there and makes no sense.
+    """
+    if layout == "csv":
+        return None
+    found = (
+        atl03.background(path, beam) if layout == "atl03" else mabel.background(path, beam, prf_hz)
+    )
+    if found is None:
+        return None
+    known = finite(found.along_m) & finite(found.per_m2) & (found.per_m2 >= 0)
+    along, rate = found.along_m[known], found.per_m2[known]
+    order = np.argsort(along, kind="stable")
+    along, rate = along[order], rate[order]
+    fresh = np.diff(along, prepend=-np.inf) > 0
+    return Background(along[fresh], rate[fresh]) if np.count_nonzero(fresh) > 1 else None

@@ -1,0 +1,84 @@
+"""Heights of a terrain raster at geographic places."""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from pyproj import Transformer
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from spl_batch.errors import InputError
+from spl_batch.formats.las.header import open_input
+
+_BLOCK: Final = 512
+
+
+def sample_terrain(
+    path: Path, latitude: NDArray[np.float64], longitude: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Terrain height between the four nearest cell centres, (n,) float64 [m].
+
+    Read by blocks, so that the raster may be as large as it likes.
+
+    Parameters
+    ----------
+    path : Path
+        Raster with a CRS; its first band is taken.
+    latitude, longitude : (n,) float64
+        WGS 84 [deg]; NaN gives NaN, as do places outside and nodata.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or has no CRS.
+    """
+    with open_input(path):
+        pass
+    heights = np.full(len(latitude), np.nan)
+    try:
+        with rasterio.open(path) as raster:
+            if raster.crs is None:
+                raise InputError(str(path), "raster without a CRS; give it one (gdal_edit -a_srs)")
+            transformer = Transformer.from_crs("EPSG:4326", raster.crs, always_xy=True)
+            x, y = transformer.transform(longitude, latitude)
+            x, y = np.asarray(x), np.asarray(y)
+            to_cell = ~raster.transform
+            # Values stand at the centres of cells.
+            column = to_cell.a * x + to_cell.b * y + to_cell.c - 0.5
+            row = to_cell.d * x + to_cell.e * y + to_cell.f - 0.5
+            inside = (column >= 0) & (row >= 0)
+            inside &= (column <= raster.width - 1) & (row <= raster.height - 1)
+            rows = np.flatnonzero(inside)
+            block = np.stack([row[rows] // _BLOCK, column[rows] // _BLOCK]).astype(np.int64)
+            for which in np.unique(block, axis=1).T:
+                mine = rows[(block == which[:, None]).all(axis=0)]
+                heights[mine] = _between(raster, which * _BLOCK, row[mine], column[mine])
+    except RasterioError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"raster cannot be read: {reason}") from None
+    return heights
+
+
+def _between(
+    raster: rasterio.DatasetReader,
+    corner: NDArray[np.int64],
+    row: NDArray[np.float64],
+    column: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Bilinear heights within one block and the cells beside it."""
+    top, left = int(corner[0]), int(corner[1])
+    tall = min(_BLOCK + 1, raster.height - top)
+    wide = min(_BLOCK + 1, raster.width - left)
+    values = raster.read(1, window=Window(left, top, wide, tall), masked=True)
+    cells = values.astype(np.float64).filled(np.nan)
+    i = np.minimum((row - top).astype(np.int64), max(tall - 2, 0))
+    j = np.minimum((column - left).astype(np.int64), max(wide - 2, 0))
+    down, right = row - top - i, column - left - j
+    below, beside = np.minimum(i + 1, tall - 1), np.minimum(j + 1, wide - 1)
+    upper = cells[i, j] * (1 - right) + cells[i, beside] * right
+    lower = cells[below, j] * (1 - right) + cells[below, beside] * right
+    height: NDArray[np.float64] = upper * (1 - down) + lower * down
+    return height

@@ -1,0 +1,115 @@
+"""Photons or reference heights as CSV with columns along_track and height, in metres."""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.formats.slices import Slice
+from spl_batch.errors import InputError
+from spl_batch.formats.las.header import open_input
+
+NEEDED: Final = ("along_track", "height")
+_PLACE: Final = ("latitude", "longitude")
+_HEAD_BYTES: Final = 1 << 16
+
+
+def estimate(path: Path, size_bytes: int) -> int:
+    """Photons of a file by the length of its first lines [count]; checks its header.
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
+    """
+    with open_input(path) as stream:
+        head = stream.read(_HEAD_BYTES)
+    _names(path, head)
+    return max(int(size_bytes / len(head) * max(head.count(b"\n") - 1, 1)), 1)
+
+
+def _names(path: Path, head: bytes) -> dict[str, str]:
+    """Known column -> its name in the file."""
+    try:
+        line = head.split(b"\n", 1)[0].decode("utf-8-sig").strip()
+    except UnicodeDecodeError:
+        raise InputError(str(path), "is neither HDF5 nor text; name photon files only") from None
+    names = {name.strip().strip('"').lower(): name.strip().strip('"') for name in line.split(",")}
+    missing = [name for name in NEEDED if name not in names]
+    if missing:
+        raise InputError(
+            str(path),
+            f"no column {' and '.join(missing)} (found {line[:120]!r}); its first line names"
+            " along_track and height, in metres, with commas between",
+        )
+    return {k: names[k] for k in (*NEEDED, *_PLACE) if k in names}
+
+
+def slices(path: Path, chunk: int) -> Iterator[Slice]:
+    """Photons in slices."""
+    with open_input(path) as stream:
+        names = _names(path, stream.read(_HEAD_BYTES))
+        stream.seek(0)
+        start = 0
+        for batch in _batches(path, stream, names):
+            for first in range(0, batch.num_rows, chunk):
+                part = batch.slice(first, chunk)
+                columns = {k: _values(part, v) for k, v in names.items()}
+                unknown = np.full(part.num_rows, np.nan)
+                yield Slice(
+                    start,
+                    columns["along_track"],
+                    columns["height"],
+                    columns.get("latitude", unknown),
+                    columns.get("longitude", unknown),
+                )
+                start += part.num_rows
+
+
+def _batches(path: Path, stream: Any, names: dict[str, str]) -> Iterator[pa.RecordBatch]:
+    options = pa.csv.ConvertOptions(
+        column_types=dict.fromkeys(names.values(), pa.float64()),
+        include_columns=list(names.values()),
+    )
+    try:
+        reader = pa.csv.open_csv(
+            stream, read_options=pa.csv.ReadOptions(use_threads=False), convert_options=options
+        )
+        yield from reader
+    except pa.ArrowInvalid as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"cannot be read as numbers: {reason[:200]}") from None
+
+
+def _values(batch: pa.RecordBatch, name: str) -> NDArray[np.float64]:
+    values: NDArray[np.float64] = batch.column(name).to_numpy(zero_copy_only=False)
+    return values.astype(np.float64)
+
+
+def read_profile(path: Path) -> NDArray[np.float64]:
+    """Reference heights, in order of distance: (m, 2) float64 [m].
+
+    Raises
+    ------
+    InputError
+        If a column is missing, a value is no number, or there are fewer than two.
+    """
+    parts = [np.stack([s.along_m, s.height_m], axis=1) for s in slices(path, 1 << 20)]
+    whole: NDArray[np.float64] = np.concatenate([np.empty((0, 2)), *parts])
+    whole = whole[np.isfinite(whole).all(axis=1)]
+    if len(whole) < 2:
+        raise InputError(str(path), f"{len(whole)} reference heights; at least 2 are needed")
+    ordered: NDArray[np.float64] = whole[np.argsort(whole[:, 0], kind="stable")]
+    return ordered
+
+
+def to_text(columns: dict[str, NDArray[Any]]) -> bytes:
+    """Columns as the text of a CSV file."""
+    buffer = io.BytesIO()
+    pa.csv.write_csv(pa.table(columns), buffer)
+    return buffer.getvalue()

@@ -1,0 +1,1 @@
+"""Ground and canopy top along the track."""

@@ -1,0 +1,203 @@
+"""Ground and canopy top along the track, from signal photons.
+
+[W17] 4.3 compares an "extracted ground surface" with lidar (Fig. 4-7 to 4-12) and does not say how
+it was extracted; nor has it a canopy. Here the ground of a cell is the lowest dense layer of its
+signal photons and its neighbours', under the slope that packs them best; what neighbouring cells
+contradict is put right; and a line is fitted through the layer with bisquare weights
+(:mod:`spl_batch.altimetry.ground.cell_ground` names the sources of both steps). ATL08 goes another
+way:
+it smooths the medians of photons iteratively from below, and takes for the canopy's top the 98 %
+quantile of heights above that ground, as here (A. Neuenschwander and K. Pitts, *The ATL08 land and
+vegetation product for the ICESat-2 Mission*, Remote Sens. Environ. 221, 2019). A cell's result
+depends on photons within :func:`reach_cells` of it.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
+from spl_batch.altimetry.settings import ProfileSettings
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.lattice.tiles import quanta
+
+_ALONE: Final = 3
+"""How many times the least photons a layer needs that no two neighbours confirm."""
+
+COLUMNS: Final = {
+    "cell": np.int64,
+    "along_track": np.float64,
+    "ground": np.float64,
+    "slope": np.float64,
+    "ground_error": np.float64,
+    "ground_photons": np.int64,
+    "canopy_top": np.float64,
+    "canopy_height": np.float64,
+    "canopy_photons": np.int64,
+}
+"""Columns of a profile: cell number, its middle, heights [m], counts; NaN where unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Cells of a profile, in order; columns as in :data:`COLUMNS`."""
+
+    columns: dict[str, NDArray[Any]]
+
+
+LAYER_M: Final = 1.5
+"""Thickness of a layer of ground where none is set [m]."""
+
+ATL03_LAYER_M: Final = 0.75
+"""The same of ATL03: a slope of 0.1 under 11 m of light spreads pulses of 1.5 ns to 0.7 m."""
+
+
+def thickness_m(settings: ProfileSettings) -> float:
+    """Thickness of the layer that is ground [m]."""
+    return LAYER_M if settings.layer_m is None else settings.layer_m
+
+
+def for_layout(settings: ProfileSettings, layout: str) -> ProfileSettings:
+    """The settings with the thickness of a layout's ground, where none is set."""
+    if settings.layer_m is not None or layout != "atl03":
+        return settings
+    return settings.model_copy(update={"layer_m": ATL03_LAYER_M})
+
+
+def reach_cells(settings: ProfileSettings) -> int:
+    """Cells to each side that decide a cell's heights [count]."""
+    return settings.reach_cells + 1
+
+
+def profile(
+    along: NDArray[np.int64],
+    height: NDArray[np.int32],
+    sure: NDArray[np.bool_],
+    owned: tuple[int, int],
+    settings: ProfileSettings,
+) -> Profile:
+    """Heights of the cells of a piece of track that hold signal.
+
+    Parameters
+    ----------
+    along, height : (n,) int64, (n,) int32
+        Photons that may be signal, of the piece and of :func:`reach_cells` to each side, in
+        order of distance and height [quanta].
+    sure : (n,) bool
+        Those that are labelled signal; canopy is made of them alone.
+    owned : (int, int)
+        First cell of the piece, and the one after its last.
+    settings : ProfileSettings
+        Cells, layer, canopy.
+    """
+    size = quanta(settings.cell_m)
+    index = np.unique(along // size)
+    z = height / QUANTA_PER_M
+    centre = index * size + size // 2
+    first = np.searchsorted(along, (index - 1) * size)
+    stop = np.searchsorted(along, (index + 2) * size)
+    found, fit = np.empty((len(index), 2)), np.empty((len(index), 4))
+    lowest_layers(
+        along, z, first, stop, centre,
+        thickness_m(settings), settings.slope_max, settings.photons_min, found,
+    )  # fmt: skip
+    agreed, asked = agree(index, found, settings)
+    # A clump of noise reaches into the cells beside it, which then confirm it: photons that are
+    # labelled signal have to vouch for a layer, more of them where no neighbour does.
+    for c in np.flatnonzero(np.isfinite(agreed[:, 0])):
+        rows = slice(first[c], stop[c])
+        line = agreed[c, 0] + agreed[c, 1] * ((along[rows] - centre[c]) / QUANTA_PER_M)
+        inside = sure[rows] & (np.abs(z[rows] - line) <= thickness_m(settings))
+        if np.count_nonzero(inside) < (1 if asked[c] >= 2 else _ALONE * settings.photons_min):
+            agreed[c] = np.nan
+    fit_ground(
+        along, z, first, stop, centre, thickness_m(settings), settings.photons_min, agreed, fit
+    )
+    mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
+    top, photons = _canopy(along, z, sure, index, centre, fit, mine, settings)
+    ground = fit[mine, 0]
+    bare = np.where(np.isfinite(ground), 0.0, np.nan)
+    return Profile(
+        {
+            "cell": index[mine],
+            "along_track": (index[mine] * size + size // 2) / QUANTA_PER_M,
+            "ground": ground,
+            "slope": fit[mine, 1],
+            "ground_error": fit[mine, 2],
+            "ground_photons": np.nan_to_num(fit[mine, 3]).astype(np.int64),
+            "canopy_top": np.where(photons > 0, top, ground),
+            "canopy_height": np.where(photons > 0, top - ground, bare),
+            "canopy_photons": photons,
+        }
+    )
+
+
+def agree(
+    index: NDArray[np.int64], found: NDArray[np.float64], settings: ProfileSettings
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Layers, those put to what their neighbours expect that these contradict.
+
+    A neighbour expects its own height, carried along by the mean of both slopes. The median
+    of at least two decides where a layer is farther from it than two layers' thickness; a
+    single neighbour's word is enough to take it away.
+
+    Parameters
+    ----------
+    index : (c,) int64
+        Cells, in order.
+    found : (c, 2) float64
+        Height [m] and slope [m/m] of each cell's layer; NaN where there is none.
+    settings : ProfileSettings
+        Length and number of cells; thickness of a layer.
+
+    Returns
+    -------
+    layers : (c, 2) float64
+        Put right.
+    asked : (c,) int64
+        Neighbours that expect something [count].
+    """
+    expected = np.full((2 * settings.reach_cells + 1, len(index)), np.nan)
+    for row, step in enumerate(range(-settings.reach_cells, settings.reach_cells + 1)):
+        at = np.clip(np.searchsorted(index, index + step), 0, max(len(index) - 1, 0))
+        there = (index[at] == index + step) & (step != 0)
+        slope = (found[at, 1] + found[:, 1]) / 2.0
+        there &= np.isfinite(slope)
+        carried = found[at, 0] - slope * step * settings.cell_m
+        expected[row] = np.where(there, carried, np.nan)
+    asked = np.isfinite(expected).sum(axis=0)
+    # NaN sorts to the end: the median is that of those before it.
+    ordered = np.sort(expected, axis=0)
+    columns = np.arange(len(index))
+    middle = (ordered[np.maximum(asked - 1, 0) // 2, columns] + ordered[asked // 2, columns]) / 2.0
+    out = found.copy()
+    wrong = np.abs(found[:, 0] - middle) > 2.0 * thickness_m(settings)
+    out[wrong, 0] = np.where(asked[wrong] >= 2, middle[wrong], np.nan)
+    return out, asked
+
+
+def _canopy(
+    along: NDArray[np.int64],
+    z: NDArray[np.float64],
+    sure: NDArray[np.bool_],
+    index: NDArray[np.int64],
+    centre: NDArray[np.int64],
+    fit: NDArray[np.float64],
+    mine: NDArray[np.intp],
+    settings: ProfileSettings,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Top of the canopy and photons in it, of the cells that are owned."""
+    size = quanta(settings.cell_m)
+    start = np.searchsorted(along, index[mine] * size)
+    stop = np.searchsorted(along, (index[mine] + 1) * size)
+    top = np.full(len(mine), np.nan)
+    photons = np.zeros(len(mine), np.int64)
+    for i, (c, a, b) in enumerate(zip(mine, start, stop, strict=True)):
+        above = z[a:b] - fit[c, 0] - fit[c, 1] * ((along[a:b] - centre[c]) / QUANTA_PER_M)
+        leaf = above[(above >= settings.canopy_min_m) & sure[a:b]]
+        if len(leaf) >= settings.photons_min:
+            top[i] = fit[c, 0] + np.quantile(leaf, settings.canopy_share)
+            photons[i] = len(leaf)
+    return top, photons

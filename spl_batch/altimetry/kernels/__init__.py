@@ -1,1 +1,0 @@
-"""Bare arrays in and out, without input or output."""

@@ -1,0 +1,1 @@
+"""Noise rate along the track."""

@@ -1,0 +1,365 @@
+"""Noise rate along the track and the axis that it scales [W17 4.1.1, Eq. 4.1].
+
+Everything lies on cells of an absolute along-track grid and is a function of the photons
+of a cell and its neighbours, so no cut of the track can change it.
+
+The empty window of the source is "the top or the bottom part of the vertical data profile".
+A gate that follows the terrain leaves a few hundred metres, so the window here is all of
+the gate that is farther than a buffer from the surface: the fullest three bins of height of
+a cell and its two neighbours (as the first step of DCC does, [W17] 3.2.3), the median of
+which over five cells passes over a bin that noise filled.
+
+Deviation: the source multiplies a cell by its rate, whatever the rate. At night that would
+press kilometres into a point, so a unit is never longer than the reach allows and the noise
+density in the scaled plane, 1 elsewhere, is less there.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, stretches
+from spl_batch.altimetry.photon_table import Background, Cells, Scale
+from spl_batch.altimetry.settings import RateSettings, SignalSettings
+from spl_batch.altimetry.water.level_water import (
+    DEPTHS,
+    NO_WATER,
+    REACH_CELLS,
+    SURFACE_M,
+    find_water,
+)
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.lattice.tiles import quanta
+
+HALO_CELLS: Final = STRETCH_CELLS + 2 * REACH_CELLS + 5
+"""Cells to each side that :func:`observe` looks at [count]."""
+
+NOTHING_SEEN: Final = 3.0
+"""Upper 95 % bound of what is expected where nothing is counted [count]."""
+
+CAP_UNITS: Final = 5.0
+"""Farthest neighbour in the scaled plane [units]; 78 noise photons are expected nearer."""
+
+_UNIT_M: Final = (0.5, 15.0)
+ALPHA_MIN: Final = 1e-4
+"""Least noise in a unit [1/unit2]."""
+
+_CLIP_SD: Final = 4.0
+
+
+def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateSettings) -> Cells:
+    """Count the photons of each cell, find the surface, and count what is away from it.
+
+    Parameters
+    ----------
+    along : (n,) int64
+        Along-track distance [quanta].
+    height : (n,) int32
+        Height [quanta].
+    settings : RateSettings
+        Cells and bins.
+
+    Returns
+    -------
+    Cells
+        Right where :data:`HALO_CELLS` cells to each side are given too.
+    """
+    size, bin_q = quanta(settings.cell_m), quanta(settings.slice_m)
+    index, cell = np.unique(along // size, return_inverse=True)
+    bins = height // bin_q
+    base = int(bins.min(initial=0))
+    width = int(bins.max(initial=0)) - base + 1
+    table = np.bincount(cell * width + (bins - base), minlength=len(index) * width)
+    table = table.reshape(len(index), width)
+    peak = _surface(index, table)
+    low, high = gates(index, cell, height, (peak + base) * bin_q + bin_q // 2, settings)
+    water = find_water(index, cell, height, (low, high), settings.cell_m)
+    first = -(-(low.astype(np.int64)) // bin_q) - base
+    last = high.astype(np.int64) // bin_q - base
+    column = np.arange(width)
+    whole = (column >= first[:, None]) & (column < last[:, None])
+    # Below a water surface noise is counted by depth.
+    dry = (column > peak[:, None]) | (water.level == NO_WATER)[:, None]
+    whole = np.where((whole & dry).any(axis=1)[:, None], whole & dry, whole)
+    reach = -(-quanta(settings.buffer_m) // bin_q)
+    empty = np.zeros_like(whole)
+    for part in (0.25, 0.5, 1.0):
+        # The widest buffer that leaves a quarter of the gate, the narrowest where none does.
+        away = whole & (np.abs(column - peak[:, None]) > max(int(reach * part), 1))
+        fits = away.sum(axis=1) * 4 >= whole.sum(axis=1)
+        empty = np.where((fits | ~empty.any(axis=1))[:, None], away, empty)
+    empty = _without_clumps(table, empty)
+    return Cells(
+        index=index,
+        count=table.sum(1),
+        low=low,
+        high=high,
+        peak=((peak + base) * bin_q + bin_q // 2).astype(np.int32),
+        empty_count=np.where(empty, table, 0).sum(1),
+        empty_length=empty.sum(1) * bin_q,
+        level=water.level,
+        column=water.column,
+    )
+
+
+def _surface(index: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Bin of the surface of each cell."""
+    around = _neighbours(index, lambda at: table[at])
+    total = np.sum(around, axis=0)
+    if not len(total):
+        return np.zeros(0, np.int64)
+    three = ndimage.convolve1d(total, np.ones(3, np.int64), axis=1, mode="constant")
+    best = three.argmax(1)
+    # Missing neighbours repeat the cell itself, so that the median stays among real ones.
+    steps = np.stack(_neighbours(index, lambda at: best[at], reach=2, missing=best))
+    middle: NDArray[np.int64] = np.sort(steps, axis=0)[2]
+    return middle
+
+
+def _neighbours(
+    index: NDArray[np.int64],
+    values: Callable[[NDArray[np.intp]], NDArray[np.int64]],
+    reach: int = 1,
+    missing: NDArray[np.int64] | None = None,
+) -> list[NDArray[np.int64]]:
+    """Values of the cells at -reach..reach from each cell; zero or ``missing`` for absent ones."""
+    found = []
+    for step in range(-reach, reach + 1):
+        at = np.clip(np.searchsorted(index, index + step), 0, max(len(index) - 1, 0))
+        there = index[at] == index + step
+        value = values(at)
+        other = np.zeros_like(value) if missing is None else missing
+        found.append(np.where(there if value.ndim == 1 else there[:, None], value, other))
+    return found
+
+
+def _without_clumps(table: NDArray[np.int64], empty: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Leave out bins that hold far more than the others: cloud, or a surface not found."""
+    for _ in range(2):
+        mean = np.where(empty, table, 0).sum(1) / np.maximum(empty.sum(1), 1)
+        limit = mean + _CLIP_SD * np.sqrt(np.maximum(mean, 1.0))
+        empty = empty & (table <= limit[:, None])
+    return empty
+
+
+def far(
+    along: NDArray[np.int64], height: NDArray[np.int32], cells: Cells, settings: RateSettings
+) -> NDArray[np.uint8]:
+    """1 for photons farther than the buffer from the surface of their cell, (n,) uint8."""
+    cell = np.searchsorted(cells.index, along // quanta(settings.cell_m))
+    away = np.abs(height.astype(np.int64) - cells.peak[cell]) > quanta(settings.buffer_m)
+    flag: NDArray[np.uint8] = away.astype(np.uint8)
+    return flag
+
+
+def far_length_m(cells: Cells, settings: RateSettings) -> NDArray[np.float64]:
+    """Length of gate of each cell that :func:`far` speaks of, (n,) float64 [m]."""
+    buffer = quanta(settings.buffer_m)
+    peak = cells.peak.astype(np.int64)
+    near = np.minimum(cells.high, peak + buffer) - np.maximum(cells.low, peak - buffer)
+    left: NDArray[np.float64] = np.maximum(cells.gate_m - np.maximum(near, 0) / QUANTA_PER_M, 0.0)
+    return left
+
+
+def window_of(
+    index: NDArray[np.int64], settings: RateSettings, window_m: float
+) -> NDArray[np.int64]:
+    """Window of the absolute grid that each cell lies in, (n,) int64."""
+    return index // max(round(window_m / settings.cell_m), 1)
+
+
+def of_window(
+    index: NDArray[np.int64], values: NDArray[np.float64], settings: RateSettings, window_m: float
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Sums of cells' values over their window and the two beside it.
+
+    Parameters
+    ----------
+    index : (n,) int64
+        Cells.
+    values : (m, n) float64
+        Of each cell.
+    settings : RateSettings
+        The cells.
+    window_m : float
+        Length of a window [m].
+
+    Returns
+    -------
+    at : (n,) intp
+        Row of each cell's window among those that hold cells.
+    sums : (m, w) float64
+    """
+    window, at = np.unique(window_of(index, settings, window_m), return_inverse=True)
+    own = np.stack([np.bincount(at, row, len(window)).astype(np.float64) for row in values])
+    return at, running(window, own)
+
+
+def running(window: NDArray[np.int64], own: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums of each window and those directly beside it, along the last axis."""
+    total = own.copy()
+    beside = np.diff(window) == 1
+    total[..., 1:] += np.where(beside, own[..., :-1], 0)
+    total[..., :-1] += np.where(beside, own[..., 1:], 0)
+    return total
+
+
+def join(parts: Sequence[Cells]) -> Cells:
+    """Cells of consecutive pieces of track."""
+    columns = [part.to_arrays() for part in parts]
+    return Cells(**{name: np.concatenate([c[name] for c in columns]) for name in columns[0]})
+
+
+def density_from_window(cells: Cells, settings: RateSettings) -> NDArray[np.float64]:
+    """Noise density from the empty window of a cell and those around it, (n,) [1/m2]."""
+    cell_m = settings.cell_m
+    counts = np.concatenate([[0], np.cumsum(cells.empty_count)])
+    areas = np.concatenate([[0.0], np.cumsum(cells.empty_length / QUANTA_PER_M * cell_m)])
+    reach, _ = stretches(cells.index, cells.empty_count, settings.smooth_cells)
+    first = np.searchsorted(cells.index, cells.index - reach)
+    stop = np.searchsorted(cells.index, cells.index + reach, side="right")
+    area = areas[stop] - areas[first]
+    count = counts[stop] - counts[first]
+    whole = areas[-1]
+    overall = counts[-1] / whole if whole > 0 else 0.0
+    expected = np.where(count > 0, count, NOTHING_SEEN)
+    density: NDArray[np.float64] = np.where(
+        area > 0, expected / np.where(area > 0, area, 1.0), overall
+    )
+    return density
+
+
+def unseen(cells: Cells, settings: RateSettings) -> float:
+    """Share of cells whose stretch shows no photon of noise at all."""
+    reach, seen = stretches(cells.index, cells.empty_count, settings.smooth_cells)
+    del reach
+    return float(np.mean(seen == 0)) if len(seen) else 0.0
+
+
+def density_from_product(
+    cells: Cells, background: Background, settings: RateSettings
+) -> NDArray[np.float64]:
+    """Noise density that the product states, meaned over each cell, (n,) [1/m2]."""
+    edges = np.stack([cells.index, cells.index + 1]) * settings.cell_m
+    at = background.along_m
+    step = np.diff(at)
+    middle = (background.per_m2[1:] + background.per_m2[:-1]) / 2
+    total = np.concatenate([[0.0], np.cumsum(middle * step)])
+    inside = np.clip(edges, at[0], at[-1])
+    width = inside[1] - inside[0]
+    mean = np.diff(np.interp(inside, at, total), axis=0)[0] / np.where(width > 0, width, 1.0)
+    here = np.interp(edges.mean(0), at, background.per_m2)
+    density: NDArray[np.float64] = np.where(width > 0, mean, here)
+    return density
+
+
+def density_from_both(
+    cells: Cells, background: Background, settings: RateSettings, window_m: float
+) -> NDArray[np.float64]:
+    """How the product's rate varies, at the level of the empty window, (n,) [1/m2].
+
+    A product counts in another window than the gate, in other units and through other
+    corrections; a few per cent too much noise is a third of a weak signal.
+    """
+    stated = density_from_product(cells, background, settings)
+    empty_m2 = cells.empty_length / QUANTA_PER_M * settings.cell_m
+    counted = np.stack([cells.empty_count.astype(np.float64), stated * empty_m2])
+    at, sums = of_window(cells.index, counted, settings, window_m)
+    seen, expected = sums[:, at]
+    return stated * np.where(expected > 0, seen / np.where(expected > 0, expected, 1.0), 1.0)
+
+
+def scale(
+    cells: Cells,
+    density: NDArray[np.float64],
+    rate: RateSettings,
+    signal: SignalSettings,
+) -> Scale:
+    """Scale the along-track axis so that noise is equally dense all along it.
+
+    Parameters
+    ----------
+    cells : Cells
+        All cells of a beam.
+    density : (n,) float64
+        Noise density of each [1/m2].
+    rate, signal : RateSettings, SignalSettings
+        Cells; aspect, reach, and whether to scale at all.
+    """
+    noise, below = _expected(cells, density, rate)
+    known = density[density > 0]
+    reference = float(np.median(known)) if len(known) else 1e-6
+    wet = cells.level != NO_WATER
+    aspect = np.where(wet, max(signal.aspect, signal.water_aspect), signal.aspect)
+    longest = float(aspect.max(initial=signal.aspect))
+    # No longer along the track than the reach, and as long over high as is wanted.
+    tallest = signal.reach_m / (CAP_UNITS * longest)
+    unit_m = 1.0 / np.sqrt(reference * signal.aspect)
+    unit_m = float(np.clip(unit_m, _UNIT_M[0], max(min(_UNIT_M[1], tallest), _UNIT_M[0])))
+    floor = CAP_UNITS / (unit_m * signal.reach_m)
+    wanted = density if signal.scaling else np.full(len(density), reference)
+    used = np.maximum(np.where(wet, 1.0 / (aspect * unit_m**2), wanted), floor)
+    per_m = used * unit_m
+    alpha = np.maximum(wanted / used, ALPHA_MIN)
+    gap = np.diff(cells.index, prepend=cells.index[:1]) - 1
+    step = per_m * rate.cell_m
+    # Beyond twice the farthest neighbour it does not matter how far.
+    before = np.minimum(np.maximum(gap, 0) * rate.cell_m * floor * unit_m, 2 * CAP_UNITS)
+    start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
+    # The axis of mDBSCAN knows no water.
+    dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
+    least = CAP_UNITS / (dry_m * signal.reach_m)
+    stretch = np.maximum(wanted, least) / reference
+    apart = np.minimum(
+        np.maximum(gap, 0) * rate.cell_m * least / reference, 2 * CAP_UNITS / (reference * dry_m)
+    )
+    lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
+    stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
+    return Scale(
+        cells.index, start, per_m, alpha, noise, below, density, cells.level, cells.column,
+        stretch, stretched_m, unit_m, reference,
+    )  # fmt: skip
+
+
+def _expected(
+    cells: Cells, density: NDArray[np.float64], rate: RateSettings
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise photons expected in each cell, and those below a water surface: (n,) float64."""
+    wet = cells.level != NO_WATER
+    surface = np.where(wet, cells.level, cells.low).astype(np.int64)
+    surface = surface - np.where(wet, round(SURFACE_M * QUANTA_PER_M), 0)
+    above = np.clip(cells.high - surface, 0, None) / QUANTA_PER_M
+    gate_m = np.maximum(surface - cells.low, 0) / QUANTA_PER_M
+    length = np.clip(gate_m[:, None] - np.arange(DEPTHS), 0.0, 1.0)
+    length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
+    below = (cells.column * length).sum(axis=1)
+    below = np.where(wet, below, 0.0) * rate.cell_m
+    return density * above * rate.cell_m + below, below
+
+
+def below_surface(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.bool_]:
+    """Photons below a water surface and its waves, (n,) bool."""
+    level = scale.level[cell].astype(np.int64)
+    below: NDArray[np.bool_] = (level != NO_WATER) & (
+        level - height > round(SURFACE_M * QUANTA_PER_M)
+    )
+    return below
+
+
+def noise_at(
+    cell: NDArray[np.intp], height: NDArray[np.int32], scale: Scale
+) -> NDArray[np.float64]:
+    """Noise density where photons are, (n,) float64 [1/m2]: by depth below a water surface."""
+    level = scale.level[cell].astype(np.int64)
+    depth = level - height - round(SURFACE_M * QUANTA_PER_M)
+    wet = (level != NO_WATER) & (depth >= -2 * round(SURFACE_M * QUANTA_PER_M))
+    row = np.clip(depth // QUANTA_PER_M, 0, DEPTHS - 1)
+    found: NDArray[np.float64] = np.where(
+        wet, scale.column[cell, np.where(wet, row, 0)], scale.density[cell]
+    )
+    return found

@@ -1,0 +1,131 @@
+"""Photon profiles along a track: the receiver ``kind: altimetry``."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Final
+
+from spl_batch.altimetry.plan import PHASES, REMEDIES, TrackCost, Tracks, estimate, gather_inputs
+from spl_batch.altimetry.report.model import TrackReport
+from spl_batch.altimetry.report.page import screen_summary
+from spl_batch.altimetry.settings import TrackWorkflow
+from spl_batch.altimetry.tasks.context import Context
+from spl_batch.engine.report.run_record import Receipts, RunFacts
+from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.tasks.ledger import Phase
+from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.errors import Said, WorkflowError, grouped, shared
+
+_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "index_file": "file",
+        "take_in": "beam",
+        "rate": "beam",
+        "score": "segment",
+        "select": "beam",
+        "profile": "beam",
+        "compare": "beam",
+        "deliver_beam": "beam",
+    }
+)
+
+
+class Altimetry(Receiver[Tracks, Context]):
+    """Photon files to labels and profiles."""
+
+    workflow: ClassVar[type[BaseWorkflow]] = TrackWorkflow
+    noun: ClassVar[str] = "photon profiles"
+    phases: ClassVar[Sequence[Phase]] = PHASES
+    words: ClassVar[Mapping[str, str]] = _WORDS
+    remedies: ClassVar[Mapping[str, str]] = REMEDIES
+    delivered: ClassVar[tuple[str, ...]] = ("photons/**/*", "profiles/**/*", "hdf5/**/*")
+
+    def prepare(
+        self, workflow: TrackWorkflow, place: Place, limits: Limits
+    ) -> Prepared[Tracks, Context]:
+        """Find and check every file of a workflow, from headers alone."""
+        inputs = gather_inputs(workflow, place.base, place.output)
+        context = self.context(workflow, place, "", code_version(workflow.kind))
+        tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)
+        return Prepared(self, tracks, context)
+
+    def cost(self, prepared: Prepared[Tracks, Context]) -> TrackCost:
+        """What a run is expected to cost."""
+        return estimate(prepared.ledger, prepared.context)
+
+    def plan_rows(
+        self, prepared: Prepared[Tracks, Context], cost: TrackCost
+    ) -> list[tuple[str, str]]:
+        """Label and value of what a plan tells beside disk, memory and time."""
+        settings = prepared.ledger.workflow.signal
+        return [
+            ("beams", grouped(cost.beams)),
+            ("segments", f"{grouped(cost.segments)} of track"),
+            ("halo", f"{settings.reach_m:g} m of track to each side of a segment"),
+        ]
+
+    def after(
+        self, phase: Phase, prepared: Prepared[Tracks, Context], failed: Sequence[Receipt]
+    ) -> Iterable[str]:
+        """Warn of what a phase has brought to light, or stop."""
+        tracks = prepared.ledger
+        if phase.kind != "take_in":
+            return
+        taken = tracks.of("take_in")
+        if not any(receipt.facts["placed"] for receipt in taken.values()):
+            reasons = [r.reason for r in failed if r.kind in {"index_file", "take_in"}]
+            reasons += [str(error) for error in tracks.inputs.bad]
+            raise WorkflowError(
+                "no input is usable: " + ("; ".join(reasons) or "they hold no photons")
+            )
+        yield from shared(_unplaced(tracks, taken), "beams")
+
+    def targets(self, task: Task, workflow: TrackWorkflow) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        del workflow
+        if task.kind == "deliver_beam":
+            name = task.args["delivered"]
+            return [f"photons/{name}.parquet", f"profiles/{name}.csv"]
+        return [f"hdf5/{task.args['delivered']}"] if task.kind == "deliver_file" else []
+
+    def reference(self, ledger: Tracks) -> list[str]:
+        """Files that the results are compared with."""
+        return [str(path) for path in ledger.inputs.reference]
+
+    def not_read(self, ledger: Tracks) -> int:
+        """Photons that headers promise which could not be read to their end [count]."""
+        taken = ledger.of("take_in")
+        return sum(beam.photons for _, beam, key in ledger.beams() if key not in taken)
+
+    def report(self, done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
+        """Write ``report.json`` and ``report.html``."""
+        from spl_batch.altimetry.report.summarise import summarise  # noqa: PLC0415 - draws
+
+        return summarise(done, context, facts)
+
+    def screen(self, report: TrackReport) -> list[tuple[str, str]]:
+        """Label and value of each number that the console shows after a run."""
+        return screen_summary(report)
+
+    def results(self, output: Path) -> list[tuple[str, list[Path]]]:
+        """What a user looks at first."""
+        return [
+            ("report", [output / "report.html"]),
+            ("profiles", [output / "profiles"]),
+            ("photons", [output / "photons", output / "hdf5"]),
+        ]
+
+
+def _unplaced(tracks: Tracks, taken: Mapping[str, Receipt]) -> Iterator[Said]:
+    """Beams with photons that lie nowhere."""
+    for source, beam, key in tracks.beams():
+        lost = taken[key].points - taken[key].facts["placed"] if key in taken else 0
+        if lost:
+            text = f"{grouped(lost)} photons have no height or place and are delivered unlabelled"
+            yield Said(f"{source.name} {beam.name}", text, lost)
+
+
+RECEIVER: Final[Receiver[Any, Any]] = Altimetry()
+"""The one there is."""

@@ -1,0 +1,215 @@
+"""Stage ``report``: what all receipts say together, as one report with its pictures."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.photon_table import LABELS
+from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
+from spl_batch.altimetry.report.page import render
+from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
+from spl_batch.altimetry.tasks.context import Context, place
+from spl_batch.altimetry.tasks.photons import Selection, read_rate
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.report.parts import Statistics
+from spl_batch.engine.report.picture import Picture
+from spl_batch.engine.report.run_record import (
+    Receipts,
+    RunFacts,
+    common_parts,
+    indexed_file,
+    input_file,
+    remember,
+)
+from spl_batch.engine.report.write import write_both
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, read_groups, reading
+from spl_batch.numerics.error_statistics import statistics
+
+MOST_BEAMS: Final = 12
+"""Beams that are drawn [count]."""
+
+
+def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
+    """Write ``report.json`` and ``report.html``.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    """
+    delivered = list(done["deliver_beam"].items())
+    counts = _counts(done)
+    inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
+    inputs += [input_file(Path(p), "reference") for p in facts.reference]
+    parts = common_parts(context, facts, counts.points_in, inputs)
+    parts["warnings"] = (*parts["warnings"], *_warnings(done))
+    report = TrackReport(
+        name=context.workflow.track.name,
+        method=context.workflow.signal.method,
+        counts=counts,
+        ground=_overall(done, "ground", context),
+        baseline_ground=_overall(done, "baseline_ground", context),
+        beams=tuple(_beam(done, key, receipt, context) for key, receipt in delivered),
+        **parts,
+    )
+    pictures = [_pictures(done, key, context) for key, _ in delivered[:MOST_BEAMS]]
+    write_both(context.output, report, render(report, pictures))
+    remember(done, context, facts)
+    return report
+
+
+UNSEEN_SHARE: Final = 0.1
+"""Share of a track without any noise seen that a reader has to know of."""
+
+
+def _warnings(done: Receipts) -> list[str]:
+    """What a reader has to know of each beam's labels, in sentences."""
+    found = []
+    for key, delivered in done["deliver_beam"].items():
+        source, _, name = key.partition("/")
+        beam = f"{done['index_file'][source].facts['name']}: {name}"
+        rate, chosen = done["rate"][key].facts, done["select"][key].facts
+        kept, noise = (delivered.facts["labels"].get(k, 0) for k in ("1", "0"))
+        if rate["basis"] != "product" and rate["unseen"] > UNSEEN_SHARE:
+            found.append(
+                f"{beam}: no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
+                "is an upper bound"
+            )
+        if kept and not noise:
+            found.append(f"{beam}: all {kept} photons are kept as signal; nothing is told apart")
+        if noise and not kept and chosen["estimated"] >= 1.0:
+            found.append(
+                f"{beam}: no photon is kept, though the noise rate leaves {chosen['estimated']:.0f}"
+                " of signal; a larger rate.buffer_m or signal.false_share may help"
+            )
+    return found
+
+
+def _counts(done: Receipts) -> TrackCounts:
+    labels: dict[str, int] = {}
+    for receipt in done["deliver_beam"].values():
+        for label, count in receipt.facts["labels"].items():
+            labels[label] = labels.get(label, 0) + count
+    return TrackCounts(
+        points_in=sum(r.points for r in done["take_in"].values()),
+        points_out=sum(labels.values()),
+        signal=labels.get("1", 0),
+        background=labels.get("0", 0),
+        not_assessed=labels.get("255", 0),
+    )
+
+
+def _beam(done: Receipts, key: str, delivered: Receipt, context: Context) -> Beam:
+    source, _, name = key.partition("/")
+    rate = done["rate"][key].facts
+    chosen = done["select"][key].facts
+    profile = done["profile"][key].facts
+    compared: Mapping[str, Any] = (
+        done["compare"][key].facts if key in done.get("compare", {}) else {}
+    )
+    _, _, far_m = read_rate(key, context)
+    far_km2 = float(far_m.sum()) * context.workflow.rate.cell_m / 1e6
+    return Beam(
+        file=done["index_file"][source].facts["name"],
+        name=name,
+        photons=delivered.facts["points"],
+        signal=delivered.facts["labels"].get("1", 0),
+        estimated=chosen["estimated"],
+        false_signal=chosen["false_signal"],
+        length_km=rate["length_m"] / 1000,
+        gate_m=rate["gate_m"],
+        rate_basis=rate["basis"],
+        noise_per_m2=rate["density_per_m2"],
+        far_per_km2=chosen["far_signal"] / far_km2 if far_km2 > 0 else None,
+        ground_cells=profile["ground_cells"],
+        canopy_cells=profile["canopy_cells"],
+        cells=profile["cells"],
+        ground=_statistics(compared.get("ground")),
+        baseline_ground=_statistics(compared.get("baseline_ground")),
+        labels={k: agreement(**v) for k, v in compared.get("labels", {}).items()},
+    )
+
+
+def _statistics(found: Mapping[str, Any] | None) -> Statistics | None:
+    return Statistics(**found) if found and found["n"] else None
+
+
+def _overall(done: Receipts, name: str, context: Context) -> Statistics | None:
+    """Differences of all beams from the reference."""
+    parts = [
+        read_arrays(place(context, "compared", key, ".npz"))[name]
+        for key, receipt in done.get("compare", {}).items()
+        if receipt.facts[name]["n"]
+    ]
+    return Statistics(**statistics(np.concatenate(parts))) if parts else None
+
+
+def agreement(both: int, only_here: int, only_there: int, neither: int) -> Agreement:
+    """Precision, recall and F1 of signal, from counts of photons."""
+    precision = both / (both + only_here) if both + only_here else None
+    recall = both / (both + only_there) if both + only_there else None
+    either = 2 * both + only_here + only_there
+    return Agreement(
+        photons=both + only_here + only_there + neither,
+        precision=precision,
+        recall=recall,
+        f1=2 * both / either if either else None,
+    )
+
+
+def _pictures(done: Receipts, key: str, context: Context) -> Mapping[str, Picture]:
+    cells, scale, _ = read_rate(key, context)
+    source, _, name = key.partition("/")
+    profile = read_columns(
+        place(context, "profiles", key, ".parquet"), ("along_track", "ground", "canopy_top")
+    )
+    compared = None
+    if key in done.get("compare", {}) and done["compare"][key].facts["ground"]["n"]:
+        arrays = read_arrays(place(context, "compared", key, ".npz"))
+        compared = np.stack(
+            [arrays["along_track"], arrays["ground"], arrays["baseline_ground"]], axis=1
+        )
+    at = (cells.index + 0.5) * context.workflow.rate.cell_m
+    return draw(
+        BeamPictures(
+            f"{Path(done['index_file'][source].facts['name']).name} {name}",
+            _thinned(done, key, context),
+            np.stack([profile["along_track"], profile["ground"], profile["canopy_top"]], axis=1),
+            np.stack([at, scale.density], axis=1),
+            compared,
+        )
+    )
+
+
+def _thinned(done: Receipts, key: str, context: Context) -> NDArray[np.float64]:
+    """Evenly chosen photons with their labels, (n, 3) float64."""
+    chosen = Selection(key, context)
+    total = done["take_in"][key].facts["placed"]
+    step = max(-(-total // MOST_PHOTONS), 1)
+    parts = [np.empty((0, 3))]
+    for name in done["score"]:
+        if not name.startswith(f"{key}/"):
+            continue
+        with reading(place(context, "scores", name, ".parquet")) as file:
+            for group in range(file.num_row_groups):
+                rows = read_groups(file, tuple(LABELS), [group])
+                rows = {k: v[rows["row"] % step == 0] for k, v in rows.items()}
+                parts.append(
+                    np.stack(
+                        [
+                            rows["along"] / QUANTA_PER_M,
+                            rows["height"] / QUANTA_PER_M,
+                            chosen(rows, "label"),
+                        ],
+                        axis=1,
+                    )
+                )
+    return np.concatenate(parts)

@@ -1,1 +1,0 @@
-"""Tables in, tables out: noise along the track, signal and noise, profiles."""

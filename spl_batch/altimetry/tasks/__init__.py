@@ -1,0 +1,1 @@
+"""Tasks on photon profiles: files, beams, segments of track, profiles, delivery."""

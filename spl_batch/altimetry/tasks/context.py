@@ -1,0 +1,71 @@
+"""What every altimetry task is given, and where it finds things in the store.
+
+::
+
+    store/photons/SOURCE/BEAM.parquet      photons in the order of the file
+    store/places/SOURCE/BEAM.npz           photons of each cell, and where its first one lies
+    store/background/SOURCE/BEAM.npz       noise rate that the product states
+    store/rate/SOURCE/BEAM.npz             cells of the track and the scaled axis
+    store/scores/SOURCE/BEAM/CELL.parquet  scores of a segment, in order along the track
+    store/counts/SOURCE/BEAM/CELL.npz      photons of a segment by score
+    store/selection/SOURCE/BEAM.npz        least score that is signal, of each window
+    store/profiles/SOURCE/BEAM.parquet     ground and canopy top
+    store/compared/SOURCE/BEAM.npz         differences from a reference
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.settings import TrackWorkflow
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.formats.verified.parquet_npz import read_groups, reading
+from spl_batch.lattice.row_order import lexicographic_order
+
+Context = RunContext[TrackWorkflow]
+
+GROUP_PHOTONS: Final = 16_384
+"""Photons of a row group [count]: a halo is read from few."""
+
+CHUNK_PHOTONS: Final = 262_144
+"""Photons read at once from an input [count]."""
+
+
+def place(context: Context, what: str, beam: str, suffix: str) -> Path:
+    """File of a beam, ``SOURCE/BEAM``, or of one of its segments, in the store."""
+    return context.store.path(what, f"{beam}{suffix}")
+
+
+def rows_between(
+    path: Path, names: Sequence[str], column: str, low: int, high: int
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Rows with ``low <= column < high``, a row group at a time.
+
+    However the file is sorted, no more than a row group and what is asked for is held.
+    """
+    with reading(path) as file:
+        footer = file.metadata
+        at = footer.schema.names.index(column)
+        for group in range(footer.num_row_groups):
+            span = footer.row_group(group).column(at).statistics
+            if span is None or not span.has_min_max or span.min >= high or span.max < low:
+                continue
+            columns = read_groups(file, names, [group])
+            inside = (columns[column] >= low) & (columns[column] < high)
+            yield {name: values[inside] for name, values in columns.items()}
+
+
+def gather(
+    parts: Iterator[Mapping[str, NDArray[Any]]], dtypes: Mapping[str, type]
+) -> dict[str, NDArray[Any]]:
+    """Rows in one table, in order of distance, height and position in the file."""
+    found = list(parts)
+    table: dict[str, NDArray[Any]] = {
+        name: np.concatenate([np.empty(0, dtype), *(part[name] for part in found)]).astype(dtype)
+        for name, dtype in dtypes.items()
+    }
+    order = lexicographic_order([table["along"], table["height"], table["row"]])
+    return {name: values[order] for name, values in table.items()}

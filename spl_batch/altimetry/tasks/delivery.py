@@ -1,0 +1,136 @@
+"""Stage ``deliver``: photon labels and profiles as tables, and labels back into HDF5."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.formats.hdf5 import add_dataset, labelled_copy
+from spl_batch.altimetry.formats.track_csv import to_text
+from spl_batch.altimetry.photon_table import LABELS, NOT_ASSESSED, Scale
+from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, rows_between
+from spl_batch.altimetry.tasks.heights import COLUMNS
+from spl_batch.altimetry.tasks.photons import Selection, read_rate
+from spl_batch.altimetry.water.level_water import NO_WATER, SURFACE_M
+from spl_batch.altimetry.water.refraction import refracted
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
+from spl_batch.formats.files.atomic import write_bytes
+from spl_batch.formats.verified.parquet_npz import read_columns, writing
+from spl_batch.lattice.tiles import quanta
+
+PASS_PHOTONS: Final = 2_000_000
+"""Photons whose labels are held at once [count]."""
+
+DELIVERED: Final = {
+    "along_track": np.float64,
+    "height": np.float64,
+    "signal": np.uint8,
+    "confidence": np.float32,
+    "water": np.uint8,
+}
+"""Columns of a photon table: [m], [m], 0 noise, 1 signal, 255 not assessed, 0..1, see below."""
+
+REFRACTED: Final = "height_refracted"
+"""Column of heights corrected for refraction, where that is asked for [m]."""
+
+SURFACE, FLOOR, COLUMN = 41, 40, 45
+"""Where water is seen: signal at its surface, signal below it, and what else lies below it."""
+
+_PROFILE: Final = tuple(name for name in COLUMNS if name != "baseline_ground")
+_DATASETS: Final[Mapping[str, tuple[type, float, str]]] = {
+    "spl_signal": (np.uint8, NOT_ASSESSED, "0 noise, 1 signal, 255 not assessed"),
+    "spl_confidence": (np.float32, math.nan, "confidence that the photon is signal, 0..1"),
+}
+
+
+def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write a beam's photons in the order of the file, and its profile."""
+    photons = context.output / "photons" / f"{args['delivered']}.parquet"
+    counts = np.zeros(256, np.int64)
+    columns_of = dict(DELIVERED)
+    if context.workflow.outputs.refraction:
+        columns_of[REFRACTED] = np.float64
+    with writing(photons, columns_of, durable=True) as writer:
+        for _, part in _passes(args, context):
+            counts += np.bincount(part["signal"], minlength=256)
+            for start in range(0, len(part["signal"]), GROUP_PHOTONS):
+                rows = slice(start, start + GROUP_PHOTONS)
+                writer.write({name: part[name][rows] for name in columns_of})
+    columns = read_columns(place(context, "profiles", args["key"], ".parquet"), _PROFILE)
+    profile = context.output / "profiles" / f"{args['delivered']}.csv"
+    write_bytes(profile, to_text(columns))
+    facts = {
+        "points": int(counts.sum()),
+        "labels": {str(k): int(v) for k, v in enumerate(counts) if v},
+    }
+    return Produced([photons, profile], facts, int(counts.sum()))
+
+
+def _passes(
+    args: Mapping[str, Any], context: Context
+) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+    """Labels of a beam in the order of its file, a pass at a time: first photon, columns."""
+    chosen = Selection(args["key"], context)
+    _, scale, _ = read_rate(args["key"], context)
+    for first in range(0, args["points"], PASS_PHOTONS):
+        n = min(PASS_PHOTONS, args["points"] - first)
+        part: dict[str, NDArray[Any]] = {
+            "along_track": np.full(n, np.nan),
+            "height": np.full(n, np.nan),
+            "signal": np.full(n, NOT_ASSESSED, np.uint8),
+            "confidence": np.full(n, np.nan, np.float32),
+            "water": np.zeros(n, np.uint8),
+            REFRACTED: np.full(n, np.nan),
+        }
+        for segment in args["segments"]:
+            path = place(context, "scores", segment, ".parquet")
+            for rows in rows_between(path, tuple(LABELS), "row", first, first + n):
+                at = rows["row"] - first
+                part["along_track"][at] = rows["along"] / QUANTA_PER_M
+                part["height"][at] = rows["height"] / QUANTA_PER_M
+                signal = chosen(rows, "label")
+                part["signal"][at] = signal
+                part["water"][at], up_m = _in_water(rows, signal, scale, context)
+                part[REFRACTED][at] = part["height"][at] + up_m
+                part["confidence"][at] = -np.expm1(rows["score"])
+        yield first, part
+
+
+def _in_water(
+    rows: Mapping[str, NDArray[Any]], signal: NDArray[np.bool_], scale: Scale, context: Context
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Part of the water that photons lie in, 0 where there is none; what refraction lifts [m]."""
+    cell = np.searchsorted(scale.index, rows["along"] // quanta(context.workflow.rate.cell_m))
+    level = scale.level[cell].astype(np.int64)
+    wet = level != NO_WATER
+    depth_m = np.where(wet, (level - rows["height"]) / QUANTA_PER_M, 0.0)
+    below = rows["below"] > 0
+    kind = np.where(below, np.where(signal, FLOOR, COLUMN), 0)
+    kind[wet & signal & (np.abs(depth_m) <= SURFACE_M)] = SURFACE
+    _, up_m = refracted(np.where(below, depth_m, 0.0), context.workflow.track.off_nadir_deg)
+    return kind.astype(np.uint8), up_m
+
+
+def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write an HDF5 input again with the labels of its beams in it."""
+    source = Path(args["path"])
+    target = context.output / "hdf5" / args["delivered"]
+    points = 0
+    with unchanged(source, as_indexed(args, context)), labelled_copy(source, target) as file:
+        for beam in args["beams"]:
+            group = file[beam["group"]]
+            made = {
+                name: add_dataset(group, name, beam["points"], fill, {"description": text}, dtype)
+                for name, (dtype, fill, text) in _DATASETS.items()
+            }
+            for first, part in _passes(beam, context):
+                rows = slice(first, first + len(part["signal"]))
+                made["spl_signal"][rows] = part["signal"]
+                made["spl_confidence"][rows] = part["confidence"]
+            points += beam["points"]
+    return Produced([target], {"points": points}, points)

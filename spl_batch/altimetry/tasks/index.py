@@ -1,0 +1,85 @@
+"""Stage ``index``: prove that a file can be read, and bring its beams into one form."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.formats.photons import Photons, iter_photons, read_background
+from spl_batch.altimetry.photon_table import PHOTONS
+from spl_batch.altimetry.tasks.context import CHUNK_PHOTONS, GROUP_PHOTONS, Context, place
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
+from spl_batch.formats.files.atomic import checksum
+from spl_batch.formats.verified.parquet_npz import write_arrays, writing
+from spl_batch.lattice.tiles import quanta
+
+
+def index_file(args: Mapping[str, Any], context: Context) -> Produced:
+    """Take the checksum of a file, so that the report can say which one was read."""
+    del context
+    path = Path(args["path"])
+    with unchanged(path, args["stamp"]):
+        digest = checksum(path)
+    facts = {"hash": digest, "name": args["name"], "size": args["stamp"][0]}
+    return Produced([], facts, 0, {str(path): args["stamp"]})
+
+
+class _Cells:
+    """Photons of each cell, and the first one's place."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.parts: list[tuple[NDArray[np.int64], ...]] = []
+        self.places: list[NDArray[np.float64]] = []
+
+    def add(self, photons: Photons) -> None:
+        """Count a chunk in."""
+        cell, first, count = np.unique(
+            photons.along // self.size, return_index=True, return_counts=True
+        )
+        self.parts.append((cell, count.astype(np.int64)))
+        self.places.append(np.stack([photons.latitude[first], photons.longitude[first]]))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Cells in order."""
+        cells = np.concatenate([np.empty(0, np.int64), *(p[0] for p in self.parts)])
+        counts = np.concatenate([np.empty(0, np.int64), *(p[1] for p in self.parts)])
+        places = np.concatenate([np.empty((2, 0)), *self.places], axis=1)
+        index, first, at = np.unique(cells, return_index=True, return_inverse=True)
+        count = np.zeros(len(index), np.int64)
+        np.add.at(count, at, counts)
+        return {
+            "index": index,
+            "count": count,
+            "latitude": places[0, first],
+            "longitude": places[1, first],
+        }
+
+
+def take_in(args: Mapping[str, Any], context: Context) -> Produced:
+    """Read a beam once from end to end: photons and rate in the store's form."""
+    path, beam = Path(args["path"]), args["beam"]
+    workflow = context.workflow
+    cells = _Cells(quanta(workflow.rate.cell_m))
+    read = placed = 0
+    target = place(context, "photons", args["key"], ".parquet")
+    with unchanged(path, as_indexed(args, context)), writing(target, PHOTONS) as writer:
+        for photons in iter_photons(path, args["layout"], beam, CHUNK_PHOTONS):
+            read += photons.read
+            placed += len(photons.row)
+            for start in range(0, len(photons.row), GROUP_PHOTONS):
+                rows = slice(start, start + GROUP_PHOTONS)
+                writer.write({name: getattr(photons, name)[rows] for name in PHOTONS})
+            if len(photons.row):
+                cells.add(photons)
+        stated = read_background(path, args["layout"], beam, workflow.track.prf_hz)
+    outputs = [target, place(context, "places", args["key"], ".npz")]
+    write_arrays(outputs[1], cells.arrays())
+    if stated is not None:
+        outputs.append(place(context, "background", args["key"], ".npz"))
+        write_arrays(outputs[2], {"along_m": stated.along_m, "per_m2": stated.per_m2})
+    facts = {"points": read, "placed": placed, "background": stated is not None}
+    return Produced(outputs, facts, read)

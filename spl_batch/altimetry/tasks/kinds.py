@@ -1,0 +1,40 @@
+"""Tasks of ``kind: altimetry``: files, beams, segments of track, profiles, delivery."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from spl_batch.engine.tasks.runner import Kind
+
+_FOUND: Final = ("rate", "signal", "reference.baseline")
+
+KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
+    {
+        "index_file": Kind("index", "spl_batch.altimetry.tasks.index:index_file", ()),
+        "take_in": Kind(
+            "index", "spl_batch.altimetry.tasks.index:take_in", ("track.prf_hz", "rate.cell_m")
+        ),
+        "rate": Kind(
+            "rate", "spl_batch.altimetry.tasks.photons:find_rate", ("rate", "signal", "work")
+        ),
+        "score": Kind("signal", "spl_batch.altimetry.tasks.photons:score", _FOUND),
+        "select": Kind(
+            "signal", "spl_batch.altimetry.tasks.photons:select", ("rate", "signal", "profile")
+        ),
+        "profile": Kind(
+            "profile",
+            "spl_batch.altimetry.tasks.heights:profile_beam",
+            ("profile", "reference.baseline"),
+        ),
+        "compare": Kind("profile", "spl_batch.altimetry.tasks.heights:compare", ("reference",)),
+        "deliver_beam": Kind(
+            "deliver",
+            "spl_batch.altimetry.tasks.delivery:deliver_beam",
+            ("outputs.refraction", "track.off_nadir_deg"),
+        ),
+        "deliver_file": Kind(
+            "deliver", "spl_batch.altimetry.tasks.delivery:deliver_file", ("outputs.hdf5",)
+        ),
+    }
+)
+"""What is done, in the order in which it is done."""

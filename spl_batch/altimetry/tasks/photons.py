@@ -1,0 +1,335 @@
+"""Stages ``rate`` and ``signal``: the noise along a beam, scores by segment, and what is signal.
+
+A segment is a run of cells. It reads the photons of its cells and of the reach of a score to
+each side, and writes those of its cells, so where a track is cut does not matter.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.altimetry.filter import chance
+from spl_batch.altimetry.filter import signal as signals
+from spl_batch.altimetry.filter.likelihood import ratios
+from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.photon_table import LABELS, PHOTONS, Background, Cells, Scale
+from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, gather, place, rows_between
+from spl_batch.altimetry.water.level_water import NO_WATER
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays, writing
+from spl_batch.lattice.tiles import quanta
+
+OBSERVE_PHOTONS: Final = 500_000
+"""Photons whose cells are looked at together, about [count]."""
+
+OBSERVE_CELLS: Final = 1024
+"""Cells that are looked at together, at most: a table of them by height is held [count]."""
+
+SELECT_WINDOWS: Final = 256
+"""Windows whose photons are held by score at once: 20 MB [count]."""
+
+COUNTED: Final = ("counts", "far", "noise")
+"""What segments count by window and score: all photons, far ones, noise expected."""
+
+_Scored = tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8]]
+"""Places along the track, scores there, what each counts, and whether below a water surface."""
+
+_NO_PLACES: Final[_Scored] = (
+    np.empty(0, np.int64),
+    np.empty(0, np.float32),
+    np.empty(0, np.int64),
+    np.empty(0, np.uint8),
+)
+
+ZONES: Final = 2
+"""Below a water surface, and elsewhere: each has its own threshold [count]."""
+
+_SURE: Final = np.float32(-30.0)
+"""Score of what mDBSCAN calls signal."""
+
+
+def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
+    """Noise of every cell of a beam, the scaled axis, and the cut into segments."""
+    workflow, beam = context.workflow, args["key"]
+    counted = read_arrays(place(context, "places", beam, ".npz"))
+    parts = [
+        _observed(beam, run, context)
+        for run in runs(counted["count"], OBSERVE_PHOTONS, OBSERVE_CELLS)
+    ]
+    cells = rates.join(parts) if parts else rates.observe(*_nothing(), workflow.rate)
+    density, basis = _density(cells, args, context)
+    scale = rates.scale(cells, density, workflow.rate, workflow.signal)
+    path = place(context, "rate", beam, ".npz")
+    far = rates.far_length_m(cells, workflow.rate)
+    arrays = {f"cells_{k}": v for k, v in cells.to_arrays().items()}
+    write_arrays(path, {**arrays, **scale.to_arrays(), "far_m": far})
+    segments = [
+        [int(cells.index[a]), int(cells.index[b - 1]) + 1, int(cells.count[a:b].sum())]
+        for a, b in runs(
+            cells.count, workflow.work.segment_photons, signals.most_cells(scale, workflow.rate)
+        )
+    ]
+    facts = {
+        "basis": basis,
+        "segments": segments,
+        "noise_photons": float(scale.noise.sum()),
+        "density_per_m2": [float(v) for v in np.quantile(density, [0.05, 0.5, 0.95])]
+        if len(density)
+        else None,
+        "gate_m": float(np.median(cells.gate_m)) if len(cells.index) else None,
+        "unseen": rates.unseen(cells, workflow.rate),
+        "water": float(np.mean(cells.level != NO_WATER)) if len(cells.index) else 0.0,
+        "length_m": len(cells.index) * workflow.rate.cell_m,
+    }
+    return Produced([path], facts, int(cells.count.sum()))
+
+
+def runs(
+    count: NDArray[np.int64], most: int, cells: int = np.iinfo(np.int64).max
+) -> Iterator[tuple[int, int]]:
+    """Runs of cells that hold ``most`` photons, or one cell of more: first, stop.
+
+    Parameters
+    ----------
+    count : (n,) int64
+        Photons of each cell, at least one in each [count].
+    most, cells : int
+        Photons and cells of a run, at most [count].
+    """
+    start = total = 0
+    for i, n in enumerate(count.tolist()):
+        if total and (total + n > most or i - start >= cells):
+            yield start, i
+            start, total = i, 0
+        total += n
+    if total:
+        yield start, len(count)
+
+
+def _nothing() -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    return np.empty(0, np.int64), np.empty(0, np.int32)
+
+
+def _observed(beam: str, run: tuple[int, int], context: Context) -> Cells:
+    """Cells of a run, seen with those around it."""
+    settings = context.workflow.rate
+    size = quanta(settings.cell_m)
+    index = read_arrays(place(context, "places", beam, ".npz"))["index"]
+    first, stop = int(index[run[0]]), int(index[run[1] - 1]) + 1
+    reach = rates.HALO_CELLS
+    table = _photons(beam, (first - reach) * size, (stop + reach) * size, context)
+    cells = rates.observe(table["along"], table["height"], settings)
+    mine = (cells.index >= first) & (cells.index < stop)
+    return Cells(**{name: values[mine] for name, values in cells.to_arrays().items()})
+
+
+def _photons(beam: str, low: int, high: int, context: Context) -> dict[str, NDArray[Any]]:
+    path = place(context, "photons", beam, ".parquet")
+    return gather(rows_between(path, tuple(PHOTONS), "along", low, high), PHOTONS)
+
+
+def _density(
+    cells: Cells, args: Mapping[str, Any], context: Context
+) -> tuple[NDArray[np.float64], str]:
+    """Noise density of each cell, and where it comes from."""
+    workflow = context.workflow
+    settings = workflow.rate
+    if settings.source == "window" or not args["background"] or not len(cells.index):
+        return rates.density_from_window(cells, settings), "window"
+    stated = Background(**read_arrays(place(context, "background", args["key"], ".npz")))
+    if settings.source == "product":
+        return rates.density_from_product(cells, stated, settings), "product"
+    window_m = workflow.signal.window_m
+    return rates.density_from_both(cells, stated, settings, window_m), "product and window"
+
+
+def read_rate(beam: str, context: Context) -> tuple[Cells, Scale, NDArray[np.float64]]:
+    """Cells of a beam, its scaled axis, and the length of gate far from the surface [m]."""
+    arrays = read_arrays(place(context, "rate", beam, ".npz"))
+    names = [name for name in arrays if name.startswith("cells_")]
+    cells = Cells(**{name.removeprefix("cells_"): arrays[name] for name in names})
+    return cells, Scale.from_arrays(arrays), arrays["far_m"]
+
+
+def score(args: Mapping[str, Any], context: Context) -> Produced:
+    """Score the photons of a segment, and count them by score."""
+    workflow, beam = context.workflow, args["key"]
+    cells, scale, _ = read_rate(beam, context)
+    size = quanta(workflow.rate.cell_m)
+    low, high = args["cells"][0] * size, args["cells"][1] * size
+    wanted = workflow.reference is not None and workflow.reference.baseline
+    baseline = workflow.signal.method == "mdbscan" or wanted
+    reach_m = workflow.signal.reach_m
+    if baseline:
+        reach_m = max(reach_m, signals.baseline_reach_m(scale, workflow.signal.mdbscan))
+    reach = math.ceil((reach_m + 1.0) * QUANTA_PER_M)
+    table = _photons(beam, low - reach, high + reach, context)
+    mine = (table["along"] >= low) & (table["along"] < high)
+    labels = {name: table[name][mine] for name in PHOTONS}
+    labels["far"] = rates.far(labels["along"], labels["height"], cells, workflow.rate)
+    cell = np.searchsorted(cells.index, labels["along"] // size)
+    labels["below"] = rates.below_surface(cell, labels["height"], scale).astype(np.uint8)
+    labels["baseline"] = np.zeros(len(labels["row"]), np.uint8)
+    if baseline:
+        mean = signals.mean_density(cells, scale, workflow.rate, workflow.signal)
+        dense = signals.mdbscan(
+            table["along"], table["height"], scale, mean, workflow.rate, workflow.signal.mdbscan
+        )
+        labels["baseline"] = dense[mine].astype(np.uint8)
+    noise = _NO_PLACES
+    if workflow.signal.method == "mdbscan":
+        labels["score"] = np.where(labels["baseline"] > 0, _SURE, np.float32(0.0))
+    else:
+        prior = signals.log_prior(cells, scale, workflow.rate, workflow.signal.window_m)
+        photons, rest = (table["along"], table["height"]), (workflow.rate, workflow.signal)
+        labels["score"] = signals.score(*photons, mine, scale, prior, *rest)
+        if workflow.signal.selection == "f1":
+            owned = (cells.index >= args["cells"][0]) & (cells.index < args["cells"][1])
+            along, height, each = chance.places(cells, scale, owned, workflow.rate)
+            likelihoods = ratios(workflow.signal.neighbours, workflow.signal.contrast_max)
+            at = along, height
+            found = chance.score_places(
+                at, photons, scale, prior, workflow.rate, likelihoods, workflow.signal
+            )
+            cell = np.searchsorted(cells.index, along // size)
+            noise = (along, found, each, rates.below_surface(cell, height, scale).astype(np.uint8))
+    outputs = [
+        place(context, "scores", args["segment"], ".parquet"),
+        place(context, "counts", args["segment"], ".npz"),
+    ]
+    with writing(outputs[0], LABELS) as writer:
+        for start in range(0, len(labels["row"]), GROUP_PHOTONS):
+            writer.write({k: labels[k][start : start + GROUP_PHOTONS] for k in LABELS})
+    write_arrays(outputs[1], _counted(labels, noise, context))
+    return Produced(outputs, {"photons": len(labels["row"])}, len(labels["row"]))
+
+
+def _counted(
+    labels: Mapping[str, NDArray[Any]], noise: _Scored, context: Context
+) -> dict[str, NDArray[Any]]:
+    """Photons of a segment by zone, window and score: all, far ones, noise expected."""
+    window = np.unique(_windows(labels["along"], context))
+
+    def table(
+        along: NDArray[np.int64],
+        score: NDArray[np.float32],
+        value: NDArray[np.int64],
+        below: NDArray[np.uint8],
+    ) -> NDArray[np.int64]:
+        counts = np.zeros((ZONES, len(window), signals.SCORE_BINS), np.int64)
+        at = np.searchsorted(window, _windows(along, context))
+        np.add.at(counts, (below, at, signals.score_bins(score)), value)
+        return counts
+
+    along, score, far = labels["along"], labels["score"], labels["far"].astype(np.int64)
+    return {
+        "window": window,
+        "counts": table(along, score, np.ones_like(far), labels["below"]),
+        "far": table(along, score, far, labels["below"]),
+        "noise": table(*noise),
+    }
+
+
+def _windows(along: NDArray[np.int64], context: Context) -> NDArray[np.int64]:
+    """Window of each place along the track."""
+    workflow = context.workflow
+    cell = along // quanta(workflow.rate.cell_m)
+    return rates.window_of(cell, workflow.rate, workflow.signal.window_m)
+
+
+def select(args: Mapping[str, Any], context: Context) -> Produced:
+    """Least score that is signal in each window of a beam."""
+    workflow, beam = context.workflow, args["key"]
+    cells, scale, _ = read_rate(beam, context)
+    values = np.stack([scale.noise - scale.below, scale.below])
+    index = rates.window_of(scale.index, workflow.rate, workflow.signal.window_m)
+    window = np.unique(index)
+    _, sums = rates.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
+    least = np.empty((2, ZONES, len(window)), np.int64)
+    taken = np.zeros(len(COUNTED), np.int64)
+    for first in range(0, len(window), SELECT_WINDOWS):
+        stop = min(first + SELECT_WINDOWS, len(window))
+        # Each window is decided with the two beside it.
+        low, high = max(first - 1, 0), min(stop + 1, len(window))
+        counts = _of_segments(window[low:high], args["segments"], context)
+        around = rates.running(window[low:high], np.moveaxis(counts, 2, 3).astype(np.float64))
+        mine = slice(first - low, stop - low)
+        part = np.moveaxis(around, 2, 3)[:, :, mine]
+        for zone in range(ZONES):
+            estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
+            least[:, zone, first:stop] = _least(part[:, zone], np.maximum(estimated, 0.0), context)
+            for i, b in enumerate(least[0, zone, first:stop].tolist()):
+                taken += counts[:, zone, first - low + i, b:].sum(axis=1)
+    path = place(context, "selection", beam, ".npz")
+    arrays = {"window": window, "label": least[0], "ground": least[1]}
+    write_arrays(path, arrays)
+    facts = {
+        "signal": int(taken[0]),
+        "estimated": float(max(cells.count.sum() - scale.noise.sum(), 0.0)),
+        "far_signal": int(taken[1]),
+        "false_signal": float(taken[2] / chance.SHARE_QUANTA) if taken[2] else None,
+    }
+    return Produced([path], facts, int(cells.count.sum()))
+
+
+def _of_segments(
+    window: NDArray[np.int64], segments: list[tuple[str, int, int]], context: Context
+) -> NDArray[np.int64]:
+    """What segments have counted of zones and windows by score: (3, ZONES, w, bins) int64."""
+    workflow = context.workflow
+    counts = np.zeros((len(COUNTED), ZONES, len(window), signals.SCORE_BINS), np.int64)
+    size = quanta(workflow.rate.cell_m)
+    for name, low, high in segments:
+        ends = np.array([low // size, high // size - 1])
+        covered = rates.window_of(ends, workflow.rate, workflow.signal.window_m)
+        if covered[0] > window[-1] or covered[1] < window[0]:
+            continue
+        part = read_arrays(place(context, "counts", name, ".npz"))
+        mine = np.isin(part["window"], window)
+        at = np.searchsorted(window, part["window"][mine])
+        for i, kind in enumerate(COUNTED):
+            counts[i][:, at] += part[kind][:, mine]
+    return counts
+
+
+def _least(
+    around: NDArray[np.float64],
+    estimated: NDArray[np.float64],
+    context: Context,
+) -> NDArray[np.int64]:
+    """Least bins of windows of a zone, for labels and for the ground: (2, w) int64."""
+    workflow = context.workflow
+    if workflow.signal.method == "mdbscan":
+        return np.ones((2, len(estimated)), np.int64)
+    counts, far, noise = around
+    settings, profile = workflow.signal, workflow.profile
+    wanted = profile.photons_factor * estimated
+    ground = signals.thresholds(counts, far, wanted, profile.false_share)
+    if settings.selection == "f1":
+        noise = noise / chance.SHARE_QUANTA
+        label = chance.best_thresholds(counts, noise, far, estimated, settings.false_share)
+    else:
+        label = signals.thresholds(counts, far, estimated, settings.false_share)
+    return np.stack([label, np.minimum(ground, label)])
+
+
+class Selection:
+    """What is signal, by window and score."""
+
+    def __init__(self, beam: str, context: Context) -> None:
+        self.arrays = read_arrays(place(context, "selection", beam, ".npz"))
+        self.workflow = context.workflow
+
+    def __call__(self, labels: Mapping[str, NDArray[Any]], which: str) -> NDArray[np.bool_]:
+        """Photons that pass the threshold ``label`` or ``ground``, (n,) bool."""
+        settings = self.workflow
+        cell = labels["along"] // quanta(settings.rate.cell_m)
+        window = rates.window_of(cell, settings.rate, settings.signal.window_m)
+        at = np.searchsorted(self.arrays["window"], window)
+        least = self.arrays[which][labels["below"], at]
+        passed: NDArray[np.bool_] = signals.score_bins(labels["score"]) >= least
+        return passed

@@ -1,0 +1,1 @@
+"""Level water along the track, and the noise below it."""

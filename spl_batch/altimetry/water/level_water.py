@@ -1,0 +1,218 @@
+"""Level water along the track, and the noise below it.
+
+A bright water surface lends the depths below it 10 to 100 times the noise of the air above: light
+scattered in the water and photons that the detector gives late. One density for all heights calls
+that noise signal, so below a surface it is counted by depth.
+
+A surface shows itself by being level: the fullest metre of height is the same one in many cells.
+No kind of ground but a plain is like that, and below a plain there is nothing to be found either
+way. Nothing above the surface changes: canopies are not touched.
+
+What is a layer of its own below the surface, a floor, is no noise: boxes that hold more than the
+depths around them, with what is beside them along the track, are left out. Of the rest the density
+by depth is taken that never grows (:mod:`spl_batch.altimetry.water.column_noise`).
+"""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.altimetry.water.column_noise import falling_density
+from spl_batch.constants import QUANTA_PER_M
+
+NO_WATER: Final = np.iinfo(np.int32).min
+"""Level of a cell that shows no water surface."""
+
+DEPTHS: Final = 60
+"""Metres of depth that noise is told apart by; below them it is one density [count]."""
+
+SURFACE_M: Final = 1.0
+"""Half-thickness of what counts as the surface itself, waves included [m]."""
+
+REACH_CELLS: Final = 25
+"""Cells to each side that a level and its noise are seen over [count]."""
+
+CANOPY_M: Final = 30
+"""Height above a level that trees stand in; noise is seen above that [m]."""
+
+_GROWN: Final = 1.5
+"""Times the noise above them that trees hold at least."""
+
+_LEAST_CELLS: Final = 10
+"""Cells that a level has to be the fullest metre of [count]."""
+
+_FLOOR_CELLS: Final = 2
+"""Cells to each side that a floor is looked for with [count]."""
+
+_FLOOR_DEPTHS: Final = 9
+"""Depths whose median a floor stands out of [count]."""
+
+_FLOOR_SD: Final = 3.0
+
+
+class Water(NamedTuple):
+    """What cells show of water.
+
+    Parameters
+    ----------
+    level : (n,) int32
+        Height of the surface [quanta]; ``NO_WATER`` where there is none.
+    column : (n, DEPTHS) float32
+        Noise by metre of depth, from the surface down [1/m2]; 0 where there is no water.
+    """
+
+    level: NDArray[np.int32]
+    column: NDArray[np.float32]
+
+
+def find_water(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
+    cell_m: float,
+) -> Water:
+    """Level of the water surface and noise below it of each cell.
+
+    Parameters
+    ----------
+    index : (n,) int64
+        Cell numbers, in order.
+    cell : (p,) intp
+        Row of each photon's cell.
+    height : (p,) int32
+        Photons [quanta].
+    gate : ((n,) int32, (n,) int32)
+        Lower and upper end of each cell's gate [quanta].
+    cell_m : float
+        Length of a cell [m].
+    """
+    n = len(index)
+    water = Water(np.full(n, NO_WATER, np.int32), np.zeros((n, DEPTHS), np.float32))
+    if not n:
+        return water
+    mode = _fullest(cell, height, n)
+    level = _level(index, mode)
+    level = _refined(cell, height, level)
+    level[_grown_over(index, cell, height, gate[1], level)] = NO_WATER
+    water.level[:] = level
+    wet = level != NO_WATER
+    if wet.any():
+        water.column[wet] = _columns(index, cell, height, gate[0], level, cell_m)[wet]
+    return water
+
+
+def _fullest(cell: NDArray[np.intp], height: NDArray[np.int32], n: int) -> NDArray[np.int64]:
+    """Half-metre whose metre holds most photons, of each cell: (n,) int64."""
+    half = QUANTA_PER_M // 2
+    bins = height // half
+    base, width = int(bins.min()), int(bins.max() - bins.min()) + 1
+    mode = np.zeros(n, np.int64)
+    step = max(4_000_000 // width, 1)
+    order = np.argsort(cell, kind="stable")
+    edges = np.searchsorted(cell[order], np.arange(n + 1))
+    for first in range(0, n, step):
+        stop = min(first + step, n)
+        rows = order[edges[first] : edges[stop]]
+        table = np.bincount(
+            (cell[rows] - first) * width + bins[rows] - base, minlength=(stop - first) * width
+        ).reshape(stop - first, width)
+        mode[first:stop] = ndimage.convolve1d(table, [1, 1, 1], axis=1, mode="constant").argmax(1)
+    return mode + base
+
+
+def _level(index: NDArray[np.int64], mode: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Height of the metre that is the fullest in many cells, of those cells [quanta]."""
+    level = np.full(len(index), NO_WATER, np.int32)
+    first = np.searchsorted(index, index - REACH_CELLS)
+    stop = np.searchsorted(index, index + REACH_CELLS, side="right")
+    for i in range(len(index)):
+        same = np.count_nonzero(np.abs(mode[first[i] : stop[i]] - mode[i]) <= 1)
+        if same >= _LEAST_CELLS:
+            level[i] = mode[i] * (QUANTA_PER_M // 2) + QUANTA_PER_M // 4
+    return level
+
+
+def _grown_over(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    high: NDArray[np.int32],
+    level: NDArray[np.int32],
+) -> NDArray[np.bool_]:
+    """Cells where more stands above the level than noise can be: plains with trees, (n,) bool."""
+    n = len(level)
+    foot = level.astype(np.int64) + round(SURFACE_M * QUANTA_PER_M)
+    top = foot + CANOPY_M * QUANTA_PER_M
+    inside = (height > foot[cell]) & (height <= top[cell])
+    over = height > top[cell]
+    counted = np.stack([np.bincount(cell[m], minlength=n) for m in (inside, over)], axis=1)
+    length = np.stack([np.minimum(high, top) - foot, high - top], axis=1).clip(0) / QUANTA_PER_M
+    near, noise = _sums(index, counted, _FLOOR_CELLS).T
+    near_m, noise_m = _sums(index, length, _FLOOR_CELLS).T
+    ratio = near_m / np.maximum(noise_m, 1.0)
+    chance = _FLOOR_SD * np.sqrt(np.maximum(near + noise * ratio**2, 1.0))
+    grown: NDArray[np.bool_] = (level != NO_WATER) & (noise_m > 0)
+    grown &= near > _GROWN * noise * ratio + chance
+    return grown
+
+
+def _refined(
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    level: NDArray[np.int32],
+) -> NDArray[np.int32]:
+    """The levels, each put to the mean of the photons of its layer."""
+    near = np.abs(height.astype(np.int64) - level[cell]) <= round(SURFACE_M * QUANTA_PER_M)
+    near &= level[cell] != NO_WATER
+    total = np.bincount(cell[near], height[near].astype(np.int64), len(level))
+    count = np.bincount(cell[near], minlength=len(level))
+    mean = np.rint(total / np.maximum(count, 1))
+    return np.where(count > 0, mean, level).astype(np.int32)
+
+
+def _columns(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    low: NDArray[np.int32],
+    level: NDArray[np.int32],
+    cell_m: float,
+) -> NDArray[np.float64]:
+    """Noise by depth of every cell, floors left out: (n, DEPTHS) float64 [1/m2]."""
+    n = len(index)
+    wet = level != NO_WATER
+    depth_q = level[cell].astype(np.int64) - height - round(SURFACE_M * QUANTA_PER_M)
+    below = wet[cell] & (depth_q >= 0)
+    row = np.minimum(depth_q[below] // QUANTA_PER_M, DEPTHS - 1)
+    count = np.bincount(cell[below] * DEPTHS + row, minlength=n * DEPTHS).reshape(n, DEPTHS)
+    gate_m = (level.astype(np.int64) - low) / QUANTA_PER_M - SURFACE_M
+    length = np.clip(gate_m[:, None] - np.arange(DEPTHS), 0.0, 1.0)
+    length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
+    area = np.where(wet[:, None], length * cell_m, 0.0)
+    near = _sums(index, count, _FLOOR_CELLS)
+    around = ndimage.median_filter(near, size=(1, _FLOOR_DEPTHS), mode="mirror")
+    floor = near > around + _FLOOR_SD * np.sqrt(np.maximum(around, 1.0))
+    # What lies in a metre lies in the ends of those beside it as well.
+    floor[:, :-1] = ndimage.binary_dilation(floor[:, :-1], np.ones((1, 3), np.bool_))
+    floor[:, -1] = False
+    out = np.zeros((n, DEPTHS))
+    falling_density(
+        _sums(index, np.where(floor, 0, count), REACH_CELLS),
+        _sums(index, np.where(floor, 0.0, area), REACH_CELLS),
+        out,
+    )
+    return out
+
+
+def _sums(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:
+    """Sums over the cells of an absolute grid within ``reach`` of each."""
+    # Whole parts of a square metre: sums of whole numbers have no order.
+    whole = np.rint(values * 1024).astype(np.int64)
+    total = np.concatenate([np.zeros((1, values.shape[1]), np.int64), np.cumsum(whole, axis=0)])
+    first = np.searchsorted(index, index - reach)
+    stop = np.searchsorted(index, index + reach, side="right")
+    found: NDArray[np.float64] = (total[stop] - total[first]) / 1024
+    return found

@@ -1,0 +1,1 @@
+"""Flow of tasks to workers; the only folder that imports dask."""

@@ -1,0 +1,157 @@
+"""Tasks on dask: the only storey that imports it.
+
+dask is the scheduler, not the data structure: tasks are coarse, few are in flight at a
+time, and nothing but names and small facts travels in a message.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+from spl_batch.engine.flow.cluster import (
+    SETTINGS,
+    check_workers,
+    local_cluster,
+    machine_memory,
+    silent,
+)
+from spl_batch.engine.flow.dask_flow import OUT_OF_MEMORY, OnDask
+from spl_batch.engine.flow.job import Executor, Footing, InProcess, Job, Observer, OnReceipt
+from spl_batch.engine.flow.warm_up import Ahead, Work
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.errors import StoppedError
+
+__all__ = [
+    "OUT_OF_MEMORY",
+    "Ahead",
+    "Executor",
+    "Footing",
+    "InProcess",
+    "Job",
+    "Observer",
+    "OnDask",
+    "Work",
+    "executor",
+    "machine_memory",
+]
+
+
+@contextlib.contextmanager
+def executor(
+    *,
+    workers: int,
+    memory_bytes: int,
+    scheduler: str | None,
+    observer: Observer,
+    footing: Footing,
+    ahead: Ahead | None = None,
+) -> Iterator[Executor]:
+    """Give somewhere to run tasks; workers are started, or looked for, before the first of them.
+
+    Parameters
+    ----------
+    workers : int
+        Worker processes of a local cluster; 0 works in this process.
+    memory_bytes : int
+        Memory limit of each local worker, or what a task may need of others' workers [byte].
+    scheduler : str or None
+        Address of a running scheduler, which is used instead.
+    observer : Observer
+        Told what happens to tasks and workers.
+    footing : Footing
+        What every worker has to find.
+    ahead : Ahead, optional
+        What local workers do before their first task.
+
+    Yields
+    ------
+    Executor
+        Where to run tasks; before the first one it raises what follows.
+
+    Raises
+    ------
+    WorkflowError
+        If the workers that are there cannot do the work.
+    StoppedError
+        If the scheduler cannot be reached.
+    """
+    if scheduler is None and workers == 0:
+        yield InProcess(observer)
+        return
+    with _closing_calmly(observer) as stack:
+
+        def begin() -> Executor:
+            client, dashboard = _client(stack, footing, workers, memory_bytes, scheduler)
+            observer.ready(scheduler or "", dashboard)
+            return OnDask(client, observer, footing, scheduler is None, ahead)
+
+        yield _WhenNeeded(begin)
+
+
+@dataclass(slots=True)
+class _WhenNeeded:
+    """An executor that is begun before its first job: a run may find all its tasks finished."""
+
+    begin: Callable[[], Executor]
+    begun: Executor | None = None
+
+    def make_ready(self) -> None:
+        """Begin, and do what comes before the first job."""
+        self._executor().make_ready()
+
+    def run(self, jobs: Iterable[Job], context: RunContext[Any], on_receipt: OnReceipt) -> None:
+        """Do jobs in any order and report each receipt as it comes."""
+        self._executor().run(jobs, context, on_receipt)
+
+    def _executor(self) -> Executor:
+        if self.begun is None:
+            self.begun = self.begin()
+        return self.begun
+
+
+def _client(
+    stack: contextlib.ExitStack,
+    footing: Footing,
+    workers: int,
+    memory_bytes: int,
+    scheduler: str | None,
+) -> tuple[Any, str]:
+    """Client of a scheduler, and the link to its dashboard or ""; ended by a stack."""
+    import dask  # noqa: PLC0415 - slow import, only when used
+    from distributed import Client  # noqa: PLC0415
+
+    stack.enter_context(dask.config.set(SETTINGS))
+    stack.enter_context(silent())
+    address: Any = scheduler
+    if scheduler is None:
+        address = stack.enter_context(local_cluster(workers, memory_bytes))
+    try:
+        client = stack.enter_context(Client(address))
+    except (OSError, TimeoutError, ValueError) as error:
+        raise StoppedError(
+            f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
+        ) from error
+    if scheduler is not None:
+        check_workers(client, footing, memory_bytes)
+    shown = scheduler is not None or find_spec("bokeh") is not None
+    dashboard = str(client.dashboard_link or "") if shown else ""
+    return client, dashboard
+
+
+@contextlib.contextmanager
+def _closing_calmly(observer: Observer) -> Iterator[contextlib.ExitStack]:
+    """Close cluster and client, and go on where a busy machine does not let them end in time.
+
+    All tasks are done by then; what is left of the workers ends with this process.
+    """
+    done = False
+    try:
+        with contextlib.ExitStack() as stack:
+            yield stack
+            done = True
+    except TimeoutError:
+        if not done:
+            raise
+        observer.noted("the workers did not end in time; they end with this process")

@@ -1,0 +1,110 @@
+"""What workers of one machine do once, each its share, before their first task."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from spl_batch.engine.flow.job import Observer
+
+QUICK_S: Final = 5.0
+"""Time after which a user is told what is being waited for [s]."""
+
+TOPIC: Final = "spl-batch-ahead"
+"""What workers tell of their steps under."""
+
+TELL_S: Final = 0.5
+"""A worker tells of its steps at most once in so long [s]."""
+
+Work = Callable[[int, int, Callable[[int, int], None]], int]
+
+PATIENCE_S: Final = 600.0
+"""Time after which tasks start all the same [s]."""
+
+
+@dataclass(slots=True)
+class Ahead:
+    """Something to do before the first task.
+
+    Parameters
+    ----------
+    work : callable
+        Does a share, from 0, of so many, and says how much was left to do. It is sent to workers,
+        so it is a function of a module. Its third argument is to be told how many steps of how
+        many are done.
+    what : str
+        What is being done, in words.
+    took_s : float or None
+        How long it took; None where nothing was left to do [s].
+    """
+
+    work: Work
+    what: str
+    done: bool = False
+    took_s: float | None = None
+    steps: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def share_out(self, client: Any, workers: Sequence[str], observer: Observer) -> None:
+        """Have each worker do its share, unless that is done.
+
+        What fails is told and left to the tasks, which do it when they need it.
+
+        Parameters
+        ----------
+        client : distributed.Client
+            Whose workers they are.
+        workers : sequence of str
+            Their addresses.
+        observer : Observer
+            Told what takes long or fails.
+        """
+        if self.done:
+            return
+        self.done, begin_s = True, time.monotonic()
+        from distributed import wait  # noqa: PLC0415 - slow import, only when used
+
+        shares = [
+            client.submit(_work, self.work, k, len(workers), workers=[address],
+                          allow_other_workers=True, pure=False, key=f"{self.work.__name__}-{k}")
+            for k, address in enumerate(workers)
+        ]  # fmt: skip
+
+        def hear(event: tuple[float, tuple[int, int, int]]) -> None:
+            share, done, of = event[1]
+            self.steps[share] = done, of
+            dones, ofs = zip(*self.steps.values(), strict=True)
+            observer.compiled(sum(dones), sum(ofs))
+
+        client.subscribe_topic(TOPIC, hear)
+        try:
+            wait(shares, timeout=QUICK_S)
+        except TimeoutError:
+            observer.noted(self.what)
+            try:
+                wait(shares, timeout=PATIENCE_S)
+            except TimeoutError:
+                observer.noted(
+                    f"not ready after {PATIENCE_S:g} s, the tasks start all the same: {self.what}"
+                )
+        client.unsubscribe_topic(TOPIC)
+        if any(share.result() for share in shares if share.status == "finished"):
+            self.took_s = time.monotonic() - begin_s
+        for share in shares:
+            if share.status == "error":
+                observer.noted(f"{self.what}: {share.exception()}")
+            share.cancel()
+
+
+def _work(work: Work, share: int, shares: int) -> int:
+    """Do a share on a worker, and tell now and then how far it is."""
+    from distributed import get_worker  # noqa: PLC0415 - slow import, and it runs on workers only
+
+    worker, told_s = get_worker(), -TELL_S
+
+    def tell(done: int, of: int) -> None:
+        nonlocal told_s
+        if done == of or time.monotonic() - told_s >= TELL_S:
+            told_s = time.monotonic()
+            worker.log_event(TOPIC, (share, done, of))
+
+    return work(share, shares, tell)

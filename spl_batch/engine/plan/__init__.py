@@ -1,0 +1,1 @@
+"""Plans of any receiver: input files, memory of workers, cost."""

@@ -1,0 +1,91 @@
+"""Input files by pattern, name and key, as every receiver's plan needs them."""
+
+import glob
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from spl_batch.engine.tasks.ledger import AnySource
+from spl_batch.errors import WorkflowError, named
+
+
+def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str]) -> None:
+    """Add a fault where inputs lie among the results of the run.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        From :func:`expand`.
+    output : Path
+        Folder of the results.
+    key : str
+        Key of the workflow that they come from.
+    faults : list of str
+        Receives it.
+    """
+    own = [path for path in paths if output in path.parents]
+    if own:
+        faults.append(
+            f"{key}: {named(own, 1)} in the output folder {output}; name the raw files, or "
+            "another output"
+        )
+
+
+def check_keys(sources: Iterable[AnySource]) -> None:
+    """Refuse files of different names whose keys are the same."""
+    names = {source.name: source.key for source in sources}
+    if len(set(names.values())) < len(names):
+        raise WorkflowError("two input files share a key by chance; rename one of them")
+
+
+def stem_names(sources: Sequence[AnySource]) -> dict[int, str]:
+    """What results of each file are called, by key: its stem, with the key where two share it."""
+    stems = Counter(Path(source.name).stem for source in sources)
+    found = {}
+    for source in sources:
+        stem = Path(source.name).stem
+        found[source.key] = stem if stems[stem] == 1 else f"{stem}_{source.key}"
+    return found
+
+
+def source_key(name: str) -> int:
+    """Key of a file by its name: the first 63 bits of its hash."""
+    return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest()) >> 1
+
+
+def expand(
+    names: str | Sequence[str] | None, base: Path, key: str, faults: list[str]
+) -> tuple[Path, ...]:
+    """Paths that patterns stand for, each once.
+
+    Parameters
+    ----------
+    names : str or sequence of str, optional
+        Paths or patterns.
+    base : Path
+        Folder that relative ones start from.
+    key : str
+        Key of the workflow that they come from.
+    faults : list of str
+        A pattern that matches nothing is added to it.
+    """
+    if names is None:
+        return ()
+    found: dict[Path, None] = {}
+    for name in [names] if isinstance(names, str) else names:
+        pattern = str(base / name)
+        magic = glob.has_magic(name)
+        # glob takes absolute patterns as well as relative ones, Path.glob does not.
+        matches = sorted(glob.glob(pattern, recursive=True)) if magic else [pattern]  # noqa: PTH207
+        if not matches:
+            faults.append(f"{key}: {pattern} matches no file")
+        elif len(matches) == 1 and not Path(matches[0]).exists():
+            faults.append(f"{key}: {matches[0]} does not exist")
+        found.update(dict.fromkeys(Path(m).resolve() for m in matches))
+    return tuple(found)
+
+
+def name_below(path: Path, base: Path) -> str:
+    """What messages call a file: relative to the workflow's folder where it lies below it."""
+    return path.relative_to(base).as_posix() if path.is_relative_to(base) else str(path)

@@ -1,0 +1,1 @@
+"""Base of all reports: model, page, maps, style, writing."""

@@ -1,0 +1,194 @@
+"""One HTML page that opens anywhere, without a network: text, tables and pictures inside.
+
+What every report has stands in ``page.html.j2``: title, verdicts, key numbers, failures,
+cost, provenance. A receiver's template extends it by the blocks ``overview``, ``sections``
+and ``method``.
+"""
+
+import datetime as dt
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report.parameters import changed, without
+from spl_batch.engine.report.parts import Failure, Performance, Provenance, StagePerformance
+from spl_batch.engine.report.verdict import Verdict
+
+LONGEST_TABLE: Final = 200
+"""More rows than this are in ``report.json`` only: a page is for reading."""
+
+HOME: Final = __package__
+"""Package of the templates that all reports share."""
+
+
+class AnyReport(Protocol):
+    """What every receiver's report has."""
+
+    @property
+    def performance(self) -> Performance:
+        """Cost of the run."""
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """Everything that did not make it."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader has to know, in sentences."""
+
+    @property
+    def provenance(self) -> Provenance:
+        """Enough to do it again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Front:
+    """What stands at the top of a page.
+
+    Parameters
+    ----------
+    title, kicker : str
+        Name of what was processed; kind of instrument, above it.
+    facts : tuple of str
+        What stands below the title.
+    sections : tuple of (str, str)
+        Anchor and name of each section that the receiver adds.
+    verdicts : tuple of Verdict
+        Sentences that say whether the result can be used.
+    cards : tuple of (str, str, str)
+        Label, value and remark of each key number.
+    unused : tuple of str
+        Keys of the workflow that this receiver's data made no use of: the page leaves them out.
+    """
+
+    title: str
+    kicker: str
+    facts: tuple[str, ...]
+    sections: tuple[tuple[str, str], ...]
+    verdicts: tuple[Verdict, ...]
+    cards: tuple[tuple[str, str, str], ...]
+    unused: tuple[str, ...] = ()
+
+
+def render_page(
+    template: str, report: AnyReport, front: Front, *, package: str = HOME, **more: Any
+) -> str:
+    """The page of a report.
+
+    Parameters
+    ----------
+    template : str
+        Name of the template.
+    report : AnyReport
+        What is shown.
+    front : Front
+        What stands at the top.
+    package : str
+        Package that the template lies in.
+    **more
+        What the template needs beside it; ``pictures``, a mapping of str to
+        :class:`~spl_batch.engine.report.picture.Picture`, is always among it.
+
+    Returns
+    -------
+    str
+        HTML without any reference to another file; the same input gives the same text.
+    """
+    used = without(report.provenance.parameters, front.unused)
+    return (
+        environment(package)
+        .get_template(template)
+        .render(
+            report=report,
+            title=front.title,
+            kicker=front.kicker,
+            facts=front.facts,
+            sections=front.sections,
+            verdicts=front.verdicts,
+            cards=front.cards,
+            stages=_stages(report.performance.stages),
+            written=_written(report.provenance.created),
+            changed=list(changed(used)),
+            parameters=_compact(used),
+            left_out=bool(front.unused),
+            longest=LONGEST_TABLE,
+            **more,
+        )
+    )
+
+
+def environment(package: str = HOME) -> Environment:
+    """Templates of a package and those that all share, with the numbers' formats as filters.
+
+    Parameters
+    ----------
+    package : str
+        Package that is looked in first.
+    """
+    packages = dict.fromkeys((package, HOME))
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(name, ".") for name in packages]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(
+        {
+            name: getattr(text, name)
+            for name in (
+                "number",
+                "plain",
+                "significant",
+                "percent",
+                "large",
+                "duration",
+                "size",
+                "centimetres",
+                "metres",
+                "millimetres",
+                "scaled",
+                "of_all",
+                "surface_name",
+            )
+        }
+    )
+    return environment
+
+
+def _compact(parameters: Mapping[str, Any]) -> str:
+    """JSON with a line for each section: an appendix of a few hundred numbers stays short."""
+    lines = (
+        f" {json.dumps(key, ensure_ascii=False)}: {json.dumps(value, ensure_ascii=False)}"
+        for key, value in parameters.items()
+    )
+    return "{\n" + ",\n".join(lines) + "\n}"
+
+
+def _stages(stages: Mapping[str, StagePerformance]) -> list[dict[str, Any]]:
+    """Rows of the table of stages, with the lengths of their bars in percent."""
+    most_time = max((s.wall_s or 0.0 for s in stages.values()), default=0.0) or 1.0
+    most_memory = max((s.peak_rss_mb or 0.0 for s in stages.values()), default=0.0) or 1.0
+    return [
+        {
+            "name": name,
+            "cost": stage,
+            "time_bar": f"{100 * (stage.wall_s or 0.0) / most_time:.1f}",
+            "memory_bar": f"{100 * (stage.peak_rss_mb or 0.0) / most_memory:.1f}",
+        }
+        for name, stage in stages.items()
+    ]
+
+
+def _written(created: str) -> str:
+    """Time stamp as people read it; left as it is where it is no ISO time."""
+    try:
+        moment = dt.datetime.fromisoformat(created)
+    except ValueError:
+        return created
+    zone = moment.tzname() or ""
+    return f"{moment.day} {moment:%B %Y, %H:%M} {zone}".strip()

@@ -1,0 +1,301 @@
+"""What a run keeps beside its receipts, and the parts that every receiver's report has."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from spl_batch import __version__
+from spl_batch.engine.report.parts import (
+    Failure,
+    InputFile,
+    Performance,
+    Provenance,
+    StagePerformance,
+)
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.input_changes import stamp_if_there
+from spl_batch.engine.tasks.runner import LIBRARIES
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.errors import StoreError
+from spl_batch.formats.files.atomic import checksum, write_bytes
+from spl_batch.imports import content_hash, imported, module_file
+from spl_batch.receivers import HOMES
+
+REPORT_FILES: Final = ("report.json", "report.html")
+"""Files of a report, below the output."""
+
+_POLYGONS: Final = ("aoi", "water")
+"""Keys of a workflow that name files whose hash a report gives."""
+
+Receipts = Mapping[str, Mapping[str, Receipt]]
+"""Finished tasks by kind and name."""
+
+
+@dataclass
+class StageCost:
+    """What one stage has cost."""
+
+    wall_s: float = 0.0
+    tasks: int = 0
+    skipped: int = 0
+    failed: int = 0
+    points: int = 0
+    peak_rss_mb: float = 0.0
+
+    def add(self, receipt: Receipt) -> None:
+        """Count a task that was done."""
+        self.tasks += 1
+        self.failed += receipt.failed
+        self.wall_s += receipt.wall_s
+        self.points += receipt.points
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+    def skip(self, receipt: Receipt) -> None:
+        """Count a task that an earlier run did, with what it cost then."""
+        self.skipped += 1
+        self.wall_s += receipt.wall_s
+        self.points += receipt.points
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What the receipts do not say.
+
+    Parameters
+    ----------
+    wall_s : float
+        Duration of the run so far, that of earlier runs whose work it found included [s].
+    workers : int
+        Worker processes [count].
+    costs : mapping of str to StageCost
+        Cost of each stage.
+    failures : list of Failure
+        What did not make it.
+    notes : list of str
+        Warnings.
+    reference : list of str
+        Reference files.
+    not_read : int
+        Points that unreadable files promise [count].
+    earlier_s : float or None
+        The part of its duration that runs before it took; None where they did something and
+        nothing tells how long it took, as their log is gone or another output's [s].
+    log_bytes : int
+        Length of the log when this was known: later runs add to the duration [byte].
+    compile_s : float or None
+        Time that workers compiled before the first task; None where nothing was left to compile,
+        or tasks did it [s].
+    """
+
+    wall_s: float
+    workers: int
+    costs: Mapping[str, StageCost] = field(default_factory=dict)
+    failures: Iterable[Failure] = ()
+    notes: Iterable[str] = ()
+    reference: Iterable[str] = ()
+    not_read: int = 0
+    earlier_s: float | None = 0.0
+    log_bytes: int = 0
+    compile_s: float | None = None
+
+
+def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
+    """Keep what a later ``report`` needs."""
+    content = {
+        "workflow": context.workflow.model_dump(mode="json"),
+        "base": str(context.base),
+        "crs_wkt": context.crs_wkt,
+        "code": context.code,
+        "wall_s": facts.wall_s,
+        "workers": facts.workers,
+        "costs": {k: asdict(v) for k, v in facts.costs.items()},
+        "failures": [f.model_dump() for f in facts.failures],
+        "notes": list(facts.notes),
+        "reference": list(facts.reference),
+        "not_read": facts.not_read,
+        "earlier_s": facts.earlier_s,
+        "log_bytes": facts.log_bytes,
+        "compile_s": facts.compile_s,
+        "done": {kind: list(names) for kind, names in done.items()},
+        "report": _standing(done, context, facts),
+    }
+    write_bytes(context.store.local / "run.json", json.dumps(content).encode())
+
+
+def stands(done: Receipts, context: RunContext[Any], facts: RunFacts) -> bool:
+    """Whether the report that is there says what it would say now, the cost of the run left aside.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : RunContext
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    """
+    try:
+        kept = recall(context.output)
+    except StoreError:
+        return False
+    return bool(kept.get("report") == _standing(done, context, facts))
+
+
+def _standing(done: Receipts, context: RunContext[Any], facts: RunFacts) -> dict[str, Any]:
+    """Hash of what decides a report, and stamps of its files."""
+    workflow = context.workflow.model_dump(mode="json")
+    polygons = [workflow[key] for key in _POLYGONS if workflow.get(key)]
+    beside = [*map(Path, facts.reference), *map(context.resolve, polygons)]
+    says = [
+        *(workflow, context.crs_wkt, context.code, _report_code(context.workflow.kind)),
+        *(list(facts.notes), list(facts.reference), facts.not_read),
+        [failure.model_dump() for failure in facts.failures],
+        [stamp_if_there(path) for path in beside],
+        {kind: [[name, r.digest] for name, r in found.items()] for kind, found in done.items()},
+    ]
+    text = json.dumps(says, sort_keys=True)
+    files = {name: stamp_if_there(context.output / name) for name in REPORT_FILES}
+    return {"hash": hashlib.blake2b(text.encode(), digest_size=16).hexdigest(), "files": files}
+
+
+@cache
+def _report_code(receiver: str) -> str:
+    """Hash of the code that makes a receiver's report, which decides no result."""
+    start = module_file(HOMES[receiver].receiver.partition(":")[0])
+    modules = imported(start) if start is not None else frozenset()
+    pages = {page for folder in {file.parent for file in modules} for page in folder.glob("*.j2")}
+    return f"{content_hash({*modules, *pages})} matplotlib {version('matplotlib')}"
+
+
+def recall(output: Path) -> dict[str, Any]:
+    """What :func:`remember` kept.
+
+    Raises
+    ------
+    StoreError
+        If no run has finished there.
+    """
+    path = output / "store" / "run.json"
+    try:
+        content: dict[str, Any] = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        raise StoreError(f"{output}: no finished run here; `spl-batch run` comes first") from None
+    return content
+
+
+def common_parts(
+    context: RunContext[Any], facts: RunFacts, points: int, inputs: Sequence[InputFile]
+) -> dict[str, Any]:
+    """What a receiver's report says of the run as such, by the name of its part.
+
+    Parameters
+    ----------
+    context : RunContext
+        The run.
+    facts : RunFacts
+        What the receipts do not say.
+    points : int
+        Points, photons, detections or frames of all inputs [count].
+    inputs : sequence of InputFile
+        Everything that it read.
+    """
+    return {
+        "performance": performance(facts, points),
+        "failures": tuple(facts.failures),
+        "warnings": tuple(facts.notes),
+        "provenance": provenance(context, inputs),
+    }
+
+
+def performance(facts: RunFacts, points: int) -> Performance:
+    """Cost of a run, for its report.
+
+    Parameters
+    ----------
+    facts : RunFacts
+        What the receipts do not say.
+    points : int
+        Points of all inputs [count].
+    """
+    whole = facts.wall_s > 0 and facts.earlier_s is not None
+    return Performance(
+        wall_s=facts.wall_s,
+        earlier_wall_s=facts.earlier_s,
+        compile_s=facts.compile_s,
+        points_per_s=points / facts.wall_s if whole else None,
+        peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
+        workers=facts.workers,
+        stages={
+            stage: StagePerformance(
+                wall_s=cost.wall_s,
+                tasks=cost.tasks,
+                skipped=cost.skipped,
+                failed=cost.failed,
+                # Of a stage's kinds of task each handles the points once more.
+                points_per_s=points / cost.wall_s if cost.wall_s > 0 else None,
+                peak_rss_mb=cost.peak_rss_mb,
+            )
+            for stage, cost in facts.costs.items()
+        },
+    )
+
+
+def provenance(context: RunContext[Any], inputs: Sequence[InputFile]) -> Provenance:
+    """Enough to do a run again, for its report.
+
+    Parameters
+    ----------
+    context : RunContext
+        The run.
+    inputs : sequence of InputFile
+        Everything that it read.
+    """
+    return Provenance(
+        version=context.code,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        python=platform.python_version(),
+        platform=f"{platform.system()} {platform.machine()}",
+        libraries={"spl-batch": __version__, **{name: version(name) for name in LIBRARIES}},
+        parameters=context.workflow.model_dump(mode="json"),
+        inputs=tuple(inputs),
+    )
+
+
+def input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
+    """Identity of an input file, for the report.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    role : str
+        What it is for.
+    digest : str, optional
+        Its checksum, where a task has taken it already.
+    """
+    found = digest if digest is not None else checksum(path)
+    return InputFile(path=path.name, role=role, size=path.stat().st_size, hash=f"blake2b:{found}")
+
+
+def indexed_file(facts: Mapping[str, Any], role: str, points: int | None = None) -> InputFile:
+    """Identity of an input file as it was read, which may be gone by now.
+
+    Parameters
+    ----------
+    facts : mapping
+        Of the task that read it: ``name``, ``size`` [byte] and ``hash``.
+    role : str
+        What it is for.
+    points : int, optional
+        Points, detections or frames in it [count].
+    """
+    digest = f"blake2b:{facts['hash']}"
+    return InputFile(path=facts["name"], role=role, size=facts["size"], hash=digest, points=points)

@@ -1,0 +1,103 @@
+"""Sentences and rows that every receiver's page and console show: verdicts, time, failures."""
+
+from collections.abc import Sequence
+from typing import Final, Literal, NamedTuple
+
+from spl_batch.engine.report.number_format import as_ascii, duration, large, number
+from spl_batch.engine.report.parts import Failure, Performance
+
+Tone = Literal["good", "attention", "bad", "neutral"]
+
+
+FAILURES_NAMED: Final = 3
+"""Failures that the console names at the end; the report has all [count]."""
+
+
+class Verdict(NamedTuple):
+    """One sentence at the top of the report."""
+
+    tone: Tone
+    text: str
+
+
+def ending_rows(
+    work: Performance,
+    failures: Sequence[Failure],
+    warnings: Sequence[str],
+    noun: str = "points",
+) -> list[tuple[str, str]]:
+    """Label and value of what the console shows last, whatever the receiver.
+
+    Parameters
+    ----------
+    work : Performance
+        Cost of the run.
+    failures : sequence of Failure
+        What did not make it.
+    warnings : sequence of str
+        What a reader has to know.
+    noun : str
+        What the receiver counts.
+    """
+    rows = [("run time", f"{duration(work.wall_s)}{_of_which(work, noun)}")]
+    if work.peak_rss_mb is not None:
+        rows.append(("peak memory", f"{number(work.peak_rss_mb)} MiB per worker"))
+    rows.append(("failures", number(len(failures)) if failures else "none"))
+    rows += [("failed", _failed(failure)) for failure in failures[:FAILURES_NAMED]]
+    if more := failures[FAILURES_NAMED:]:
+        rows.append(("", f"and {number(len(more))} more, see the report"))
+    if warnings:
+        rows.append(("warnings", number(len(warnings))))
+    return [(label, as_ascii(value)) for label, value in rows]
+
+
+def _failed(failure: Failure) -> str:
+    """What has failed, why, and what helps."""
+    named = failure.place in failure.reason
+    what = failure.reason if named else f"{failure.task or failure.place}: {failure.reason}"
+    said = failure.remedy is None or failure.remedy.split(" or ", maxsplit=1)[0] in what
+    return what if said else f"{what}; {failure.remedy}"
+
+
+def _of_which(work: Performance, noun: str) -> str:
+    """Speed of a run, and what it took itself where it went on with the work of others."""
+    if work.part_alone:
+        return f" for this part alone; the rest was finished before{_compiling(work)}"
+    speed = f" ({large(work.points_per_s)} {noun}/s)"
+    if not work.earlier_wall_s or work.wall_s is None:
+        return speed + _compiling(work)
+    own = duration(work.wall_s - work.earlier_wall_s)
+    return f"{speed}, {own} of it in this run{_compiling(work)}"
+
+
+def _compiling(work: Performance) -> str:
+    """What of a first run on a machine is not asked of later ones."""
+    return f", {duration(work.compile_s)} of it compiling, once" if work.compile_s else ""
+
+
+def speed_remark(work: Performance, noun: str = "points") -> str:
+    """What a page says beside the duration of a run."""
+    if work.part_alone:
+        return "this part alone"
+    return f"{large(work.points_per_s)} {noun}/s{_compiling(work)}"
+
+
+def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Verdict:
+    """Sentence that says what has failed.
+
+    Parameters
+    ----------
+    failures : sequence of Failure
+        What did not make it.
+    warnings : sequence of str
+        What a reader has to know.
+    """
+    failed, warned = len(failures), len(warnings)
+    remarks = f"{number(warned)} warning{'s' * (warned != 1)}" if warned else "no warnings"
+    if failed:
+        return Verdict(
+            "bad",
+            f"{number(failed)} failure{'s' * (failed != 1)}, {remarks}: the rest is finished; "
+            "the same command tries only what failed.",
+        )
+    return Verdict("attention" if warned else "good", f"No failures, {remarks}.")

@@ -1,0 +1,1 @@
+"""Base of all workflows: sections, checks, the file itself."""

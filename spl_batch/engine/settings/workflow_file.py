@@ -1,0 +1,155 @@
+"""Workflow files of any receiver: read, overridden, checked against the receiver's model."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.settings.mistaken_file import called, is_scene
+from spl_batch.engine.settings.validation import validated
+from spl_batch.errors import WorkflowError
+from spl_batch.receivers import HOMES, IMAGING, workflow_model
+
+
+def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
+    """Check a workflow's content, whatever its receiver.
+
+    Parameters
+    ----------
+    content : mapping
+        Parsed YAML.
+    where : str
+        What messages call it: the file's path.
+
+    Raises
+    ------
+    WorkflowError
+        One line that lists every fault.
+    """
+    model: type[BaseWorkflow] = workflow_model(known_kind(content, where))
+    workflow = validated(model, content, where)
+    faults = list(workflow.faults())
+    if faults:
+        raise WorkflowError(f"{where}: {'; '.join(faults)}")
+    return workflow
+
+
+def known_kind(content: Mapping[str, Any], where: str) -> str:
+    """Receiver that a file is for, by its ``kind``; airborne surveys where it has none.
+
+    Raises
+    ------
+    WorkflowError
+        If there is no such receiver.
+    """
+    kind = content.get("kind", IMAGING)
+    if kind not in HOMES:
+        near = difflib.get_close_matches(str(kind), HOMES, n=1, cutoff=0.0)
+        raise WorkflowError(f"{where}: kind: no receiver {kind!r}; the nearest is {near[0]!r}")
+    return str(kind)
+
+
+def load_any(path: Path, overrides: Sequence[str] = ()) -> BaseWorkflow:
+    """Read a workflow file, whatever its receiver.
+
+    Parameters
+    ----------
+    path : Path
+        YAML file.
+    overrides : sequence of str
+        ``key.path=value``, value parsed as YAML; applied in order.
+
+    Raises
+    ------
+    WorkflowError
+        If the file cannot be read, is not YAML, or has a fault.
+    """
+    return parse_any(workflow_content(path, overrides), str(path))
+
+
+def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
+    """Content of a workflow file, with ``key.path=value`` applied in order."""
+    content = read_mapping(path, "a workflow is a mapping with survey: and output:")
+    if is_scene(content):
+        raise WorkflowError(
+            f"{path}: this is a scene, not a workflow; `spl-batch simulate` takes it, and leaves a "
+            "workflow.yaml that `spl-batch run` takes"
+        )
+    for override in overrides:
+        _apply(content, override)
+    return content
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses a key given twice, of which YAML would keep the last."""
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            line = key.start_mark.line + 1
+            first = lines.pop(key.value, None)
+            if first is not None:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key.value!r} stands twice, on lines {first} and {line}: keep one"
+                )
+            lines[key.value] = line
+        return node
+
+
+def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
+    """Content of a YAML file that holds a mapping.
+
+    Parameters
+    ----------
+    path : Path
+        YAML file.
+    otherwise : str
+        What is said when it holds something else.
+
+    Raises
+    ------
+    WorkflowError
+        If the file cannot be read, is not YAML, names a key twice, or holds no mapping.
+    """
+    what = called(path)
+    if what:
+        raise WorkflowError(f"{path}: {what}")
+    try:
+        content = _Loader(path.read_text(encoding="utf-8")).get_single_data()
+    except OSError as error:
+        raise WorkflowError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+            reason = f"line {error.problem_mark.line + 1}: {error.problem}"
+        raise WorkflowError(f"{path}: not valid YAML: {reason}") from None
+    if not isinstance(content, dict):
+        raise WorkflowError(f"{path}: {otherwise}")
+    return content
+
+
+def _apply(content: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    if not equals or not key:
+        raise WorkflowError(f"--set {override}: write key.path=value")
+    *parents, last = key.split(".")
+    node = content
+    for parent in parents:
+        if node.get(parent) is None:
+            node[parent] = {}
+        child = node[parent]
+        if not isinstance(child, dict):
+            raise WorkflowError(f"--set {override}: {parent} is a value, not a section")
+        node = child
+    try:
+        node[last] = yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise WorkflowError(
+            f"--set {override}: the value is not valid YAML; quote it: key='*.laz'"
+        ) from None

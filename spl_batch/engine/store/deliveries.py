@@ -1,0 +1,176 @@
+"""What runs have written into an output folder, so that nothing else is deleted or replaced.
+
+``delivered.json`` lies beside the results and outlives the working store. It names the survey
+that the output belongs to and every file that its runs have delivered, with size, time of writing
+and checksum. A file is named there before it is written, so that a run that was killed finds its
+own files again.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final
+
+from spl_batch.engine.store.working_store import read_json, read_receipts, write_json
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.ledger import Ledger
+from spl_batch.engine.tasks.receipt_index import delivers
+from spl_batch.engine.tasks.runner import kinds
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.errors import DamagedError
+from spl_batch.formats.files.atomic import checksum
+
+RECORD: Final = "delivered.json"
+"""Name of the record, below the output."""
+
+_KEPT: Final = ".kept"
+"""How the name of a file ends that a run has moved aside instead of replacing it."""
+
+Stamp = list[Any]
+"""Size [byte], time of writing [ns since 1970] and checksum of a delivered file."""
+
+
+class Deliveries:
+    """The files that the runs of an output folder have written.
+
+    Parameters
+    ----------
+    context : RunContext
+        The run.
+
+    Attributes
+    ----------
+    survey : mapping or None
+        ``name`` and ``inputs`` of the survey that the output belongs to; None where no run has
+        recorded any.
+    files : dict of str to list
+        Stamp of each file, by its name below the output.
+    begun : set of str
+        Names of files whose writing has begun and of whose end nothing is known.
+    """
+
+    def __init__(self, context: RunContext[Any]) -> None:
+        self.output = context.output
+        self._kinds = [*filter(delivers, kinds(context.workflow.kind))]
+        self.survey: Mapping[str, Any] | None = None
+        self.files: dict[str, Stamp] = {}
+        self.begun: set[str] = set()
+        kept: dict[str, Any] = {}
+        try:
+            kept = read_json(self.output / RECORD)
+            self.survey, self.files = kept["survey"], kept["files"]
+            self.begun = set(kept["begun"])
+        except DamagedError:  # none yet, or one that nobody can trust: receipts tell instead
+            pass
+        if not kept or self.begun:
+            self._take_receipts(context)
+
+    def _take_receipts(self, context: RunContext[Any]) -> None:
+        """Learn from receipts what was delivered without being recorded, as its run was killed."""
+        for kind in self._kinds:
+            for receipt in read_receipts(context.store, kind):
+                if not receipt.failed:
+                    self.wrote(receipt)
+
+    def save(self) -> None:
+        """Write the record."""
+        content = {"survey": self.survey, "files": self.files, "begun": sorted(self.begun)}
+        write_json(self.output / RECORD, content)
+
+    def begin(self, survey: Mapping[str, Any]) -> None:
+        """Record whose the output is, before anything is written."""
+        self.survey = survey
+        self.save()
+
+    def make_room(self, names: Iterable[str]) -> Iterator[str]:
+        """Get ready for files that are about to be written; what is not ours is moved aside.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Names of files below the output; one that ends in ``/`` stands for all in a folder.
+
+        Yields
+        ------
+        str
+            What was moved, and where to.
+        """
+        wanted = set(names)
+        for given in sorted(wanted):
+            folder = self.output / given
+            for path in sorted(folder.glob("*")) if given.endswith("/") else [folder]:
+                name = path.relative_to(self.output).as_posix()
+                if not path.is_file() or self._is_own(name):
+                    continue
+                kept = _free_name(path)
+                path.rename(kept)
+                yield (
+                    f"{name} is not as a run here has written it: kept as "
+                    f"{kept.relative_to(self.output).as_posix()}, the result is written anew"
+                )
+        self.begun |= {name for name in wanted if not name.endswith("/")}
+        if wanted:
+            self.save()
+
+    def wrote(self, receipt: Receipt) -> None:
+        """Take note of what a task has delivered, or is known to have."""
+        for name, content in receipt.outputs.items() if delivers(receipt.kind) else ():
+            # A map for the report lies in the store.
+            if name in receipt.written_ns and not name.startswith("./store/"):
+                self.files[name] = [receipt.sizes[name], receipt.written_ns[name], content]
+                self.begun.discard(name)
+
+    def withdraw(self, ledger: Ledger[Any, Any]) -> Iterator[str]:
+        """Delete what earlier runs delivered and this one does not vouch for.
+
+        A file of an input that is gone, or can no longer be read, would pass for a result. Only
+        files that are as they were written are deleted, each when it has been told.
+
+        Parameters
+        ----------
+        ledger : Ledger
+            With the files that this run has made, or found finished.
+
+        Yields
+        ------
+        str
+            What is deleted once the next is asked for; what is kept, and why.
+        """
+        finished = chain.from_iterable(ledger.of(kind).values() for kind in self._kinds)
+        current = {name for receipt in finished for name in receipt.outputs}
+        for name in sorted((self.files.keys() | self.begun) - current):
+            path = self.output / name
+            if path.exists() and self._as_written(name):
+                yield f"deleted, as an earlier run made it and this one does not: {name}"
+                path.unlink(missing_ok=True)
+            elif path.exists():
+                yield (
+                    f"kept, as it is not what an earlier run wrote: {name}; this run makes no such "
+                    "file, delete it if it is of no use"
+                )
+            self.files.pop(name, None)
+            self.begun.discard(name)
+        self.save()
+
+    def _is_own(self, name: str) -> bool:
+        """Whether a run may replace a file: it is as written, or a killed run left it."""
+        return name in self.begun or self._as_written(name)
+
+    def _as_written(self, name: str) -> bool:
+        path, stamp = self.output / name, self.files.get(name)
+        if stamp is None:
+            return False
+        size, written_ns, content = stamp
+        there = path.stat()
+        if there.st_size != size:
+            return False
+        return bool(there.st_mtime_ns == written_ns or checksum(path) == content)
+
+
+def _free_name(path: Path) -> Path:
+    """A name beside a file that nothing has."""
+    number, free = 1, path.with_name(path.name + _KEPT)
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.name}{_KEPT}{number}")
+    return free

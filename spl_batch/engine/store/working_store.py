@@ -1,0 +1,201 @@
+"""The working store: where things lie, and the receipts that say what is finished.
+
+::
+
+    store/receipts/KIND/NAME.json      what is done, what failed and why
+    store/trajectory.parquet           positions in the survey's CRS and the points' time
+    store/index/SOURCE.npz             how the points of an input file drift, second by second
+    store/given/SOURCE.parquet         of its records, what delivery needs to copy their layers
+    store/points/SOURCE.parquet        points of an input file in time order
+                                       (of a large file SOURCE-K, a part, in each of these three)
+    store/stretches/FILE/K.parquet     points of a file without times, where nothing filters
+    store/sights/LINE/K.npz            lines of sight of a stretch, without a trajectory
+    store/paths/LINE.parquet           where they meet: the path of the sensor
+    store/observed/LINE/K.npz          noise and afterpulse statistics of a stretch
+    store/lines/LINE.npz               noise model and afterpulse law of a flightline
+    store/voxels/LINE/K.zarr           a stretch's share of the expected noise
+    store/fired/LINE/K.npz             where a stretch's beamlets pointed, silent ones too
+    store/scatter/LINE/K.parquet       the stretch's points, a row group for each tile
+    store/tiles/I_J.parquet            points of a tile, in canonical order
+    store/blocks.json                  sizes of denoise blocks and stretches, as chosen
+    store/{noise,ground,classes}/      labels by work unit, a row group for each tile
+    store/rasters_G_P.zarr             raster cells, for edges of ground and raster cells
+    store/reference/FILE/I_J.parquet   reference points of a square and around it
+    store/accuracy/I_J.npz             how far the rasters are off there, by size of the error
+
+Always on the file system, wherever the store lies::
+
+    store/lock                         held by the run at work
+    store/identity.json                whose store elsewhere is: as STORE/output.json says
+    store/run.json                     what the report is written from
+    store/shared.json                  how long what another store shares with it took
+    store/noise.tif                    map of the noise, for the report
+    store/tracebacks/KIND_NAME.txt     where a task that was done alone has failed
+"""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.errors import DamagedError, StoppedError
+from spl_batch.formats.files.atomic import names_in, read_bytes, remove, sync_folder, write_bytes
+from spl_batch.formats.files.remote import is_remote, remote_path
+
+IDENTITY: Final = "identity.json"
+"""Tells an output from others that might use the same store."""
+
+_DIGEST: Final = "blake2b"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Store:
+    """Names of everything below ``output``.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    url : str or None
+        Where the working store lies, for fsspec; None for ``output/store``.
+    """
+
+    output: Path
+    url: str | None = None
+
+    @property
+    def root(self) -> Path:
+        """The working store."""
+        return remote_path(self.url) if self.url else self.local
+
+    @property
+    def local(self) -> Path:
+        """What client and workers see beside the results, wherever the store lies."""
+        return self.output / "store"
+
+    def path(self, *parts: str) -> Path:
+        """Path below the working store."""
+        return self.root.joinpath(*parts)
+
+    def tile(self, name: str) -> Path:
+        """Points of a tile."""
+        return self.path("tiles", f"{name}.parquet")
+
+    def labels(self, kind: str, name: str) -> Path:
+        """Labels that a work unit gave."""
+        return self.path(kind, f"{name}.parquet")
+
+    def rasters(self, ground_cell: int, raster_cell: int) -> Path:
+        """Raster cells; other cell sizes are kept apart, so that none spoils what is done.
+
+        Parameters
+        ----------
+        ground_cell, raster_cell : int
+            Edges of a ground cell and of a raster cell [quanta].
+        """
+        return self.path(f"rasters_{ground_cell}_{raster_cell}.zarr")
+
+    def name_of(self, path: Path | str) -> str:
+        """What receipts call a file of the store or of the output folder."""
+        below = str(path).removeprefix(f"{self.root}/")
+        if below != str(path):
+            return f"store/{below}"
+        name = Path(path).relative_to(self.output).as_posix()
+        return f"./{name}" if name.startswith("store/") else name
+
+    def named(self, name: str) -> Path:
+        """File that receipts call so."""
+        if name.startswith("store/"):
+            return self.root.joinpath(*name.split("/")[1:])
+        return self.output / name
+
+    def clear(self) -> None:
+        """Forget everything that is finished; what was delivered stays known."""
+        for path in self.local.iterdir():
+            if path.name not in {"lock", IDENTITY}:
+                remove(path)
+        if self.url:
+            remove(self.root)
+
+    def receipt(self, kind: str, name: str) -> Path:
+        """Receipt of a task."""
+        return self.path("receipts", kind, f"{name.replace('/', '~')}.json")
+
+
+def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = True) -> None:
+    """Write plain JSON values with a hash of themselves, atomically."""
+    whole = {**content, _DIGEST: _digest(content)}
+    text = json.dumps(whole, indent=1, sort_keys=True, allow_nan=False)
+    write_bytes(path, text.encode(), durable=durable)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """What :func:`write_json` wrote.
+
+    Raises
+    ------
+    DamagedError
+        If it is missing or not what was written.
+    """
+    try:
+        content: dict[str, Any] = json.loads(read_bytes(path))
+        sound = content.pop(_DIGEST) == _digest(content)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise DamagedError(path, error) from error
+    if not sound:
+        raise DamagedError(path, "it does not fit its hash")
+    return content
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def write_receipt(store: Store, receipt: Receipt) -> None:
+    """Leave a receipt; the last thing that a task does."""
+    path = store.receipt(receipt.kind, receipt.name)
+    write_json(path, dataclasses.asdict(receipt), durable=False)
+
+
+def forget_receipt(store: Store, kind: str, name: str) -> None:
+    """Take a receipt away, so that nothing vouches for outputs about to be overwritten."""
+    path = store.receipt(kind, name)
+    if is_remote(path) or path.exists():
+        remove(path)
+        sync_folder(path.parent)
+
+
+def read_receipt(store: Store, kind: str, name: str) -> Receipt | None:
+    """Read a task's receipt; None when there is none or it cannot be trusted."""
+    try:
+        return Receipt(**read_json(store.receipt(kind, name)))
+    except (DamagedError, TypeError):
+        return None
+
+
+def read_receipts(store: Store, kind: str) -> Iterator[Receipt]:
+    """All receipts of one kind, by name."""
+    for name in names_in(store.path("receipts", kind), ".json"):
+        receipt = read_receipt(store, kind, name.replace("~", "/"))
+        if receipt is not None:
+            yield receipt
+
+
+def append_log(output: Path, event: Mapping[str, Any]) -> None:
+    """Add one line to ``log.jsonl``.
+
+    Raises
+    ------
+    StoppedError
+        If it cannot be written.
+    """
+    path = output / "log.jsonl"
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(event, allow_nan=False) + "\n")
+    except OSError as error:
+        raise StoppedError(f"{path}: cannot be written: {error.strerror}; run again") from error

@@ -1,0 +1,1 @@
+"""Tasks and their receipts: what to do, what is finished, what is left."""

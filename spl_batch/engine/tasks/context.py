@@ -1,0 +1,78 @@
+"""What every task is given, and what it hands back."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from pyproj import CRS
+
+from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.store.working_store import Store
+
+W = TypeVar("W", bound=BaseWorkflow)
+
+
+@dataclass(frozen=True, slots=True)
+class RunContext(Generic[W]):
+    """What a run is: the same for every task, small enough to send along.
+
+    Parameters
+    ----------
+    workflow : BaseWorkflow
+        The settings.
+    base : Path
+        Folder that relative paths of the workflow start from.
+    output : Path
+        Folder of the results.
+    crs_wkt : str
+        CRS of what is processed as WKT; empty where none is known.
+    code : str
+        Version of the code, part of every key.
+    """
+
+    workflow: W
+    base: Path
+    output: Path
+    crs_wkt: str
+    code: str
+
+    @property
+    def store(self) -> Store:
+        """The working store."""
+        return Store(self.output, self.workflow.outputs.store)
+
+    @property
+    def crs(self) -> CRS | None:
+        """CRS of what is processed."""
+        return CRS.from_wkt(self.crs_wkt) if self.crs_wkt else None
+
+    def resolve(self, name: str) -> Path:
+        """Path of the workflow, seen from its folder."""
+        return (self.base / name).resolve()
+
+
+@dataclass(frozen=True, slots=True)
+class Produced:
+    """What a task's function hands back to the runner.
+
+    Parameters
+    ----------
+    outputs : sequence of Path
+        Files and directories that it wrote.
+    facts : mapping
+        Small results, plain JSON values.
+    points : int
+        Points handled [count].
+    inputs : mapping of str to (int, int)
+        Path of an input read from end to end -> size [byte], time of writing [ns since 1970].
+    """
+
+    outputs: Sequence[Path] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    points: int = 0
+    inputs: Mapping[str, Sequence[int]] = field(default_factory=dict)
+
+
+TaskFunction = Callable[[Mapping[str, Any], Any], Produced]
+"""Does one task: arguments and context in, what it produced out."""

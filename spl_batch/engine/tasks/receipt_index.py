@@ -1,0 +1,73 @@
+"""Finished tasks of a kind in little memory: what later phases need of their receipts.
+
+A survey has a tile for every 10 000 m2, and a receipt with its mappings takes kilobytes.
+The shelf keeps the digest, the points and those facts that something reads, as one short
+string for each task, and makes receipts of them when they are asked for.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from spl_batch.engine.tasks.task import Receipt
+
+UNREAD_FACTS: Final[Mapping[str, frozenset[str]]] = {
+    "build_tile": frozenset({"z"}),
+    "denoise": frozenset({"noise_class"}),
+    "ground": frozenset({"ground"}),
+    "surface": frozenset({"rasters"}),
+}
+"""Facts that only the receipts on disk have, by kind of task."""
+
+
+def delivers(kind: str) -> bool:
+    """Whether outputs of a kind are what a user sees: which ones there are is asked at the end."""
+    return kind.startswith("deliver_") or kind == "mosaic"
+
+
+class Shelf(Mapping[str, Receipt]):
+    """Receipts of the finished tasks of one kind, by name.
+
+    Those that it gives back lack the key, the cost and what :data:`UNREAD_FACTS` names,
+    and unless :func:`delivers` says that a user sees them the outputs.
+
+    Parameters
+    ----------
+    kind : str
+        The kind.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self._kept: dict[str, bytes] = {}
+
+    def put(self, receipt: Receipt) -> None:
+        """Keep a receipt, in place of an earlier one of that name."""
+        unread = UNREAD_FACTS.get(self.kind, frozenset())
+        facts = {k: v for k, v in receipt.facts.items() if k not in unread}
+        outputs = dict(receipt.outputs) if delivers(self.kind) else {}
+        content = [receipt.digest, receipt.points, outputs, facts]
+        text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+        self._kept[receipt.name] = text.encode()
+
+    def digest(self, name: str) -> str:
+        """Hash of what a task produced; much quicker than its receipt."""
+        kept = self._kept[name]
+        return kept[2 : kept.index(b'"', 2)].decode()
+
+    def sort(self) -> None:
+        """Put the receipts in the order of their names."""
+        self._kept = dict(sorted(self._kept.items()))
+
+    def __getitem__(self, name: str) -> Receipt:
+        digest, points, outputs, facts = json.loads(self._kept[name])
+        return Receipt(self.kind, name, "", digest, "", outputs, facts, points, 0.0, 0.0)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._kept
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._kept)
+
+    def __len__(self) -> int:
+        return len(self._kept)

@@ -1,0 +1,284 @@
+"""One task: read, run the stage, write atomically, leave a receipt.
+
+Each receiver lists its kinds of task; :func:`kinds` finds the list of a workflow's receiver.
+"""
+
+import dataclasses
+import hashlib
+import json
+import resource
+import sys
+import time
+import traceback
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from spl_batch import __version__
+from spl_batch.engine.store.working_store import forget_receipt, read_receipt, write_receipt
+from spl_batch.engine.tasks.context import RunContext, TaskFunction
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.errors import DamagedError, SplBatchError, StoppedError, is_fault, one_line
+from spl_batch.formats.files.atomic import checksum, size, stop_if_full
+from spl_batch.imports import content_hash, data_files, imported, module_file
+from spl_batch.receivers import HOMES, load, task_kinds
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of task.
+
+    Parameters
+    ----------
+    stage : str
+        Stage of the command line that it belongs to.
+    function : callable or str
+        What does it, or where that lies, as ``module:name``: who plans, or looks at a run,
+        loads no kernels.
+    settings : tuple of str
+        Parts of the workflow that its result depends on.
+    """
+
+    stage: str
+    function: TaskFunction | str
+    settings: tuple[str, ...]
+
+    @property
+    def module(self) -> str:
+        """Name of the module that holds the function."""
+        if isinstance(self.function, str):
+            return self.function.partition(":")[0]
+        return self.function.__module__
+
+    def loaded(self) -> TaskFunction:
+        """The function itself."""
+        if not isinstance(self.function, str):
+            return self.function
+        found: TaskFunction = load(self.function)
+        return found
+
+
+DECISIVE: Final = (
+    "laspy",
+    "lazrs",
+    "numba",
+    "numpy",
+    "pyproj",
+    "rasterio",
+    "scikit-image",
+    "scipy",
+    "shapely",
+    "zarr",
+)
+"""Libraries whose versions can change a result."""
+
+LIBRARIES: Final = (*DECISIVE, "dask", "distributed", "h5py", "pyarrow", "pyogrio")
+"""Libraries whose versions a report tells."""
+
+
+def kinds(receiver: str) -> Mapping[str, Kind]:
+    """What the tasks of a receiver do, by kind of task.
+
+    Parameters
+    ----------
+    receiver : str
+        A workflow's ``kind``.
+    """
+    found: Mapping[str, Kind] = task_kinds(receiver)
+    return found
+
+
+def stages(receiver: str) -> tuple[str, ...]:
+    """Stages of a receiver's run, in order; the report comes last."""
+    return (*dict.fromkeys((*(kind.stage for kind in kinds(receiver).values()), "report")),)
+
+
+@cache
+def code_version(receiver: str) -> str:
+    """Version of the project, hash of the code and of the libraries that decide results.
+
+    Parameters
+    ----------
+    receiver : str
+        A workflow's ``kind``: code that its tasks do not import changes nothing of its results.
+    """
+    digest = hashlib.blake2b(content_hash(task_files(receiver)).encode(), digest_size=8)
+    for name in DECISIVE:
+        digest.update(f"{name} {version(name)}".encode())
+    return f"{__version__}+{digest.hexdigest()}"
+
+
+def task_files(receiver: str) -> frozenset[Path]:
+    """Modules that a receiver's tasks import, directly or not, and the tables that these read."""
+    listed = HOMES[receiver].kinds.partition(":")[0]
+    homes = {listed, *(kind.module for kind in kinds(receiver).values())}
+    files = (module_file(name) for name in (__name__, *homes))
+    modules = frozenset[Path]().union(*(imported(path) for path in files if path is not None))
+    return modules.union(*map(data_files, modules))
+
+
+def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> str:
+    """Hash of everything that a task's result depends on.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    context : RunContext
+        Settings and code version.
+    digests : iterable of str
+        Digests of the receipts that the task needs, in the order of ``task.needs``.
+    """
+    content = context.workflow.model_dump(mode="json")
+    settings = {path: _at(content, path) for path in _kind(task, context).settings}
+    parts = [task.kind, task.name, task.args, settings, context.crs_wkt, context.code]
+    text = json.dumps([*parts, list(digests)], sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _kind(task: Task, context: RunContext[Any]) -> Kind:
+    return kinds(context.workflow.kind)[task.kind]
+
+
+def finished(
+    task: Task, key: str, context: RunContext[Any], *, verify: bool = False
+) -> Receipt | None:
+    """Receipt of a task that needs no doing: it matches, and its outputs are there.
+
+    Outputs are known by their size. What lies in the store is verified where it is read; of what
+    is delivered the checksum is looked at where the file was written to after the task was done.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    key : str
+        From :func:`task_key`.
+    context : RunContext
+        The run.
+    verify : bool
+        Compare the checksums of all outputs, which reads all of them.
+    """
+    receipt = read_receipt(context.store, task.kind, task.name)
+    if receipt is None or receipt.failed or receipt.key != key:
+        return None
+    if not all(_unchanged(name, receipt, context, verify=verify) for name in receipt.outputs):
+        return None
+    return receipt
+
+
+def _unchanged(name: str, receipt: Receipt, context: RunContext[Any], *, verify: bool) -> bool:
+    path = context.store.named(name)
+    if size(path) != receipt.sizes.get(name):
+        return False
+    if not verify and receipt.written_ns.get(name) in {None, _written_ns(path)}:
+        return True
+    return checksum(path) == receipt.outputs[name]
+
+
+def _written_ns(path: Path) -> int:
+    return path.stat().st_mtime_ns
+
+
+def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
+    """Do one task and leave its receipt, also when it fails.
+
+    Parameters
+    ----------
+    task : Task
+        What to do.
+    key : str
+        From :func:`task_key`.
+    context : RunContext
+        The run.
+
+    Returns
+    -------
+    Receipt
+        With a reason where the task failed.
+
+    Raises
+    ------
+    StoppedError
+        If something concerns every task, such as a full disk.
+    """
+    start = time.perf_counter()
+    # From here on the outputs of an earlier receipt may be overwritten: it must not speak for
+    # them if this task is killed half-way.
+    forget_receipt(context.store, task.kind, task.name)
+    try:
+        function = _kind(task, context).loaded()
+        start = time.perf_counter()  # what loads a module for the first time is no work of a task
+        produced = function(task.args, context)
+        paths = {context.store.name_of(path): path for path in produced.outputs}
+        outputs = {name: checksum(path) for name, path in paths.items()}
+        receipt = Receipt(
+            task.kind,
+            task.name,
+            key,
+            _digest(outputs, produced.facts),
+            "",
+            outputs,
+            produced.facts,
+            produced.points,
+            time.perf_counter() - start,
+            _peak_rss_mb(),
+            {name: size(path) for name, path in paths.items()},
+            {n: _written_ns(p) for n, p in paths.items() if not n.startswith("store/")},
+            produced.inputs,
+        )
+    except StoppedError:
+        raise
+    except DamagedError as error:
+        receipt = failure(task, key, str(error), time.perf_counter() - start, damaged=error.path)
+    except SplBatchError as error:
+        trace = traceback.format_exc()
+        receipt = failure(task, key, str(error), time.perf_counter() - start, trace=trace)
+    except BaseException as error:  # one task's fault must not end the others
+        if not is_fault(error):
+            raise
+        stop_if_full(error, f"{task.kind} {task.name}")
+        trace = traceback.format_exc()
+        receipt = failure(task, key, one_line(error), time.perf_counter() - start, trace=trace)
+    write_receipt(context.store, receipt)
+    return receipt
+
+
+def failure(
+    task: Task,
+    key: str,
+    reason: str,
+    wall_s: float = 0.0,
+    *,
+    damaged: str = "",
+    trace: str = "",
+) -> Receipt:
+    """Receipt of a task that was not done.
+
+    Its facts name the file of the store that is at fault, and where in the code it failed.
+    """
+    line = " ".join(reason.split()) or "failed without a message"
+    facts = {k: v for k, v in (("damaged", damaged), ("traceback", trace)) if v}
+    return Receipt(task.kind, task.name, key, "", line, {}, facts, 0, wall_s, _peak_rss_mb())
+
+
+def _digest(outputs: Mapping[str, str], facts: Mapping[str, object]) -> str:
+    text = json.dumps([outputs, facts], sort_keys=True, allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _at(content: object, path: str) -> object:
+    for part in path.split("."):
+        content = content[part] if isinstance(content, dict) else None
+    return content
+
+
+def _peak_rss_mb() -> float:
+    # The kernel's record of this program; ru_maxrss also counts the one that started it.
+    with suppress(OSError, StopIteration), Path("/proc/self/status").open() as lines:
+        return int(next(x for x in lines if x.startswith("VmHWM:")).split()[1]) / (1 << 10)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)

@@ -1,0 +1,121 @@
+"""Do one task alone, here, from what a run has finished: to see a failure where it happens."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from spl_batch.engine.flow.executor import Job
+from spl_batch.engine.store.output_lock import locked
+from spl_batch.engine.store.output_owner import this_survey, usable
+from spl_batch.engine.store.store_owner import claim
+from spl_batch.engine.tasks.runner import kinds, run_task
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.tasks.worklist import Worklist
+from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.receiver import Prepared
+from spl_batch.errors import WorkflowError
+from spl_batch.formats.files.atomic import write_bytes
+
+
+@dataclass(frozen=True, slots=True)
+class AloneResult:
+    """What has come of a single task.
+
+    Parameters
+    ----------
+    receipt : Receipt
+        Its receipt, with a reason where it failed.
+    traceback : Path or None
+        File that says where in the code it failed.
+    notes : tuple of str
+        Files that were moved aside instead of being replaced.
+    """
+
+    receipt: Receipt
+    traceback: Path | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def exit_status(self) -> int:
+        """0 done, 1 failed."""
+        return int(self.receipt.failed)
+
+
+def run_alone(
+    workflow: Path | str,
+    task: str,
+    *,
+    workers: int = 2,
+    memory: str | int | None = None,
+    overrides: Sequence[str] = (),
+) -> AloneResult:
+    """Do one task in this process, whether it is finished or not.
+
+    If it succeeds, the next run finds it finished.
+
+    Parameters
+    ----------
+    workflow : Path or str
+        Workflow file.
+    task : str
+        Kind and name of the task, as the report's failures give it, e.g. ``"ground 3_4"``.
+    workers, memory : int, str or int, optional
+        Those of the run, as work is cut by them; nothing is started.
+    overrides : sequence of str
+        ``key.path=value``, applied to the workflow.
+
+    Raises
+    ------
+    WorkflowError
+        If there is no such task, or what it needs is not finished.
+    """
+    prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
+    usable(prepared)
+    with locked(prepared.context.output):
+        deliveries = usable(prepared)
+        claim(prepared.context.store)
+        deliveries.begin(this_survey(prepared))
+        job, key = _find(task, prepared)
+        phases = {phase.kind: phase for phase in prepared.receiver.phases}
+        prepared.receiver.before(phases[job.kind], prepared)
+        moved = deliveries.make_room(prepared.receiver.targets(job, prepared.context.workflow))
+        notes = tuple(moved)
+        receipt = run_task(job, key, prepared.context)
+        deliveries.wrote(receipt)
+        deliveries.save()
+    if not receipt.failed:
+        return AloneResult(receipt, None, notes)
+    name = f"{job.kind}_{job.name.replace('/', '~')}.txt"
+    path = prepared.context.output / "store" / "tracebacks" / name
+    write_bytes(path, str(receipt.facts.get("traceback", "")).encode())
+    return AloneResult(receipt, path, notes)
+
+
+def _find(wanted: str, prepared: Prepared[Any, Any]) -> Job:
+    """The task of a name, made from what is finished."""
+    kind, _, name = wanted.strip().partition(" ")
+    known = kinds(prepared.context.workflow.kind)
+    if kind not in known or not name:
+        raise WorkflowError(
+            f"--only {wanted!r}: write kind and name of a task, such as 'ground 3_4'; kinds are "
+            f"{', '.join(known)}"
+        )
+    for phase in prepared.receiver.phases:
+        work = Worklist(phase, prepared.ledger, prepared.context)
+        if phase.kind == kind:
+            break
+        for _ in work.look():
+            pass  # what is finished is put where later phases find it
+        prepared.ledger.of(phase.kind).sort()
+    jobs = []
+    for task in phase.tasks(prepared.ledger):
+        if task.name == name:
+            return task, work.key(task)
+        jobs.append(task.name)
+    there = ", ".join(jobs[:5])
+    raise WorkflowError(
+        f"--only {wanted!r}: no such task; "
+        + (f"there are {there}{', ...' if len(jobs) > 5 else ''}" if jobs else "")
+        + ("what it needs is not finished: run without --only first" if not jobs else "")
+    )

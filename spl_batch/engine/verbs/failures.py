@@ -1,0 +1,155 @@
+"""What did not make it: what it needed, what to do, and how to see it fail alone."""
+
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from spl_batch.engine.flow.executor import OUT_OF_MEMORY
+from spl_batch.engine.report.parts import Failure
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.verbs.receiver import Prepared
+
+
+@dataclass(frozen=True, slots=True)
+class Invocation:
+    """The command line that a run was, or would have been, started by.
+
+    Parameters
+    ----------
+    workflow : str
+        Workflow file, as it was given.
+    workers : int
+        Worker processes, by which work was cut.
+    memory_bytes : int
+        Memory limit, by which work was cut [byte].
+    overrides : sequence of str
+        ``key.path=value``.
+    """
+
+    workflow: Path | str
+    workers: int
+    memory_bytes: int
+    overrides: Sequence[str] = ()
+
+    def alone(self, task: Task) -> str:
+        """Command that does one task of this run, in the process that it starts."""
+        parts = ["spl-batch", "run", str(self.workflow), "--workers", str(self.workers)]
+        parts += ["--memory", _size(self.memory_bytes)]
+        for override in self.overrides:
+            parts += ["--set", override]
+        return shlex.join([*parts, "--only", f"{task.kind} {task.name}"])
+
+
+def _size(count: int) -> str:
+    """Bytes as ``--memory`` takes them, exactly, in the largest unit that fits."""
+    for unit, name in ((2**30, "GiB"), (2**20, "MiB")):
+        if count % unit == 0:
+            return f"{count // unit}{name}"
+    return str(count)
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A task that failed.
+
+    Parameters
+    ----------
+    stage : str
+        Stage of the command line.
+    task : Task
+        The task.
+    receipt : Receipt
+        With the reason.
+    command : str
+        Command that does it alone.
+    """
+
+    stage: str
+    task: Task
+    receipt: Receipt
+    command: str
+
+
+COPY: Final = "copy it again"
+"""What a reason says that names a damaged file."""
+
+
+def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator[Failure]:
+    """What did not make it, inputs first."""
+    ledger, receiver = prepared.ledger, prepared.receiver
+    for bad in ledger.inputs.bad:
+        reason = "; ".join(bad.faults)
+        yield Failure(
+            stage="index",
+            place=bad.path,
+            reason=reason,
+            remedy=f"{COPY} or remove it" if COPY in reason else "mend or remove it",
+            inputs=(bad.path,),
+        )
+    names = {str(s.key): s.name for s in ledger.inputs.sources}
+    for one in failed:
+        task = one.task
+        yield Failure(
+            stage=one.stage,
+            place=names.get(task.name) or str(task.args.get("path", task.name)),
+            reason=one.receipt.reason,
+            remedy=_remedy(one, receiver.remedies),
+            task=f"{task.kind} {task.name}",
+            inputs=tuple(inputs(task, names, receiver.words)),
+            command=one.command,
+        )
+
+
+def inputs(task: Task, names: Mapping[str, str], words: Mapping[str, str]) -> list[str]:
+    """Files, tiles and stretches that a task reads, in the words of a user.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    names : mapping of str to str
+        Names of the input files by key.
+    words : mapping of str to str
+        What a user calls the result of a kind of task.
+    """
+    found = [names[str(task.args["source"])]] if task.args.get("source") in names else []
+    found += [str(path) for path in task.args.get("paths", ())]
+    if task.kind == "reference":
+        found.append(str(task.args["path"]))
+    for kind, name in task.needs:
+        word = words.get(kind)
+        if word == "file":
+            found.append(names.get(name, name))
+        elif word is not None:
+            found.append(f"{word} {name}")
+    return list(dict.fromkeys(found))
+
+
+def plain_name(task: Task, names: Mapping[str, str]) -> str:
+    """What a user calls a task: its kind, and the input file instead of the file's key.
+
+    Parameters
+    ----------
+    task : Task
+        The task.
+    names : mapping of str to str
+        Names of the input files by key.
+    """
+    parts = [task.kind.replace("_", " ")]
+    if task.name != "all":
+        parts.append(names.get(str(task.args.get("source"))) or names.get(task.name) or task.name)
+    if task.kind.endswith("_part") and "part" in task.args:
+        parts.append(str(task.args["part"]))
+    return " ".join(parts)
+
+
+def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
+    again = "run again: only what failed is tried"
+    if COPY in one.receipt.reason:
+        return f"{COPY}, then {again}"
+    if not one.receipt.reason.startswith(OUT_OF_MEMORY):
+        return again
+    helping = filter(None, ("raise --memory", remedies.get(one.task.kind)))
+    return f"{' or '.join(helping)}, and {again}"

@@ -1,0 +1,205 @@
+"""What the verbs need of a receiver: inputs, phases, cost, remarks on the way, a report.
+
+Everything else, tasks on workers, receipts, resume, isolation of failures, progress, is the
+same for all of them. A receiver is named by the ``kind`` of a workflow
+(:mod:`spl_batch.receivers`).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Generic, TypeVar
+
+from spl_batch.engine.flow.executor import Work
+from spl_batch.engine.plan.budget import Cost
+from spl_batch.engine.report.run_record import Receipts, RunFacts
+from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.ledger import Ledger, Phase
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.errors import WorkflowError
+
+L = TypeVar("L", bound=Ledger[Any, Any])
+C = TypeVar("C", bound=RunContext[Any])
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared(Generic[L, C]):
+    """A run that could start."""
+
+    receiver: "Receiver[L, C]"
+    ledger: L
+    context: C
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How much of a machine may be used.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        Memory limit of a worker [byte].
+    workers : int
+        Worker processes, 1 at the least [count].
+    """
+
+    memory_bytes: int
+    workers: int
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a workflow stands, and where its results go.
+
+    Parameters
+    ----------
+    workflow : Path
+        The file, as it was given.
+    base : Path
+        Folder that its relative paths start from.
+    output : Path
+        Folder of the results.
+    """
+
+    workflow: Path
+    base: Path
+    output: Path
+
+
+class Receiver(ABC, Generic[L, C]):
+    """What the verbs need of a receiver.
+
+    Attributes
+    ----------
+    workflow : type
+        Model of its workflows.
+    noun : str
+        What its workflows are about.
+    phases : sequence of Phase
+        Every phase of a run, in order.
+    words : mapping of str to str
+        What a user calls the result of a kind of task.
+    remedies : mapping of str to str
+        What makes a kind of task lighter, where memory was too little.
+    essential : frozenset of str
+        Kinds of task whose failure stops a run: :meth:`after` raises what it says.
+    delivered : tuple of str
+        Patterns of the files that its runs deliver, below the output.
+    """
+
+    workflow: ClassVar[type[BaseWorkflow]]
+    noun: ClassVar[str]
+    phases: ClassVar[Sequence[Phase]]
+    words: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    remedies: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    essential: ClassVar[frozenset[str]] = frozenset()
+    delivered: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def compiles(self) -> Work | None:
+        """Compiles a share, from 0, of so many, of the kernels that the tasks call."""
+        return None
+
+    @abstractmethod
+    def prepare(self, workflow: Any, place: Place, limits: Limits) -> Prepared[L, C]:
+        """Find and check every file of a workflow, from headers alone.
+
+        Raises
+        ------
+        WorkflowError
+            If nothing can be started; one line with every fault.
+        """
+
+    def context(
+        self, workflow: BaseWorkflow, place: Place, crs_wkt: str, code: str
+    ) -> RunContext[Any]:
+        """What its tasks are given.
+
+        Raises
+        ------
+        WorkflowError
+            If the workflow is another receiver's.
+        """
+        if not isinstance(workflow, self.workflow):
+            raise WorkflowError(f"{place.output}: kind: {workflow.kind}; no {self.noun}")
+        return RunContext(workflow, place.base, place.output, crs_wkt, code)
+
+    @abstractmethod
+    def cost(self, prepared: Prepared[L, C]) -> Cost:
+        """What a run is expected to cost."""
+
+    @abstractmethod
+    def plan_rows(self, prepared: Prepared[L, C], cost: Any) -> list[tuple[str, str]]:
+        """Label and value of what a plan tells beside disk, memory and time."""
+
+    def first_look(self, prepared: Prepared[L, C]) -> tuple[Sequence[str], Sequence[str]]:
+        """Faults and oddities that a plan tells of its inputs by reading a little of them."""
+        del prepared
+        return (), ()
+
+    def before(self, phase: Phase, prepared: Prepared[L, C]) -> None:
+        """Get ready for the tasks of a phase."""
+
+    def after(
+        self, phase: Phase, prepared: Prepared[L, C], failed: Sequence[Receipt]
+    ) -> Iterable[str]:
+        """Warn of what a phase has brought to light.
+
+        Raises
+        ------
+        WorkflowError
+            If nothing is left to go on with.
+        """
+        del phase, prepared, failed
+        return ()
+
+    def targets(self, task: Task, workflow: Any) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers.
+
+        One that ends in ``/`` stands for all files in a folder.
+        """
+        del task, workflow
+        return ()
+
+    def aside(self, phase: Phase, prepared: Prepared[L, C]) -> Iterable[str]:
+        """What whoever runs it should know after a phase; the report is for others."""
+        del phase, prepared
+        return ()
+
+    def follows(self, phase: Phase, prepared: Prepared[L, C]) -> Callable[[str, str], bool]:
+        """Whether a task's warning, by its name and text, follows from what is told already."""
+        del phase, prepared
+        return lambda _name, _text: False
+
+    def edge_m(self, kind: str, ledger: L) -> float:
+        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
+        del kind, ledger
+        return 0.0
+
+    def reference(self, ledger: L) -> list[str]:
+        """Files that the results are compared with."""
+        del ledger
+        return []
+
+    def not_read(self, ledger: L) -> int:
+        """Points that files promise which could not be read to their end [count]."""
+        del ledger
+        return 0
+
+    def load_report(self) -> None:
+        """Import what a report is drawn with: while workers are busy it costs no time."""
+
+    @abstractmethod
+    def report(self, done: Receipts, context: C, facts: RunFacts) -> Any:
+        """Write ``report.json`` and ``report.html``; the model of what they say."""
+
+    @abstractmethod
+    def screen(self, report: Any) -> list[tuple[str, str]]:
+        """Label and value of each number that the console shows after a run."""
+
+    @abstractmethod
+    def results(self, output: Path) -> list[tuple[str, list[Path]]]:
+        """Label and paths of what a user looks at first; those that are missing are left out."""

@@ -1,0 +1,81 @@
+"""Write a report again from what is on disk."""
+
+from pathlib import Path
+from typing import Any
+
+from spl_batch.engine.report.parts import Failure
+from spl_batch.engine.report.run_record import RunFacts, StageCost, recall
+from spl_batch.engine.settings.mistaken_file import no_output
+from spl_batch.engine.settings.workflow_file import parse_any
+from spl_batch.engine.store.working_store import Store, read_receipt
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.receipt_index import Shelf
+from spl_batch.engine.verbs.conclusion import RunResult
+from spl_batch.engine.verbs.receiver import Place, Receiver
+from spl_batch.errors import WorkflowError
+from spl_batch.receivers import receiver
+
+
+def report(output: Path | str) -> RunResult:
+    """Write ``report.json`` and ``report.html`` of an output folder again.
+
+    Parameters
+    ----------
+    output : Path or str
+        Folder of the results.
+
+    Raises
+    ------
+    WorkflowError
+        If it is no output folder.
+    StoreError
+        If no run has finished there.
+    """
+    fault = no_output(Path(output), "report")
+    if fault:
+        raise WorkflowError(f"{output}: {fault}")
+    folder = Path(output).resolve()
+    done, context, facts = recalled(folder)
+    found: Receiver[Any, Any] = receiver(context.workflow.kind)
+    written = found.report(done, context, facts)
+    screen, results = tuple(found.screen(written)), tuple(found.results(folder))
+    return RunResult(int(bool(written.failures)), folder, written, screen, results)
+
+
+def recalled(folder: Path) -> tuple[dict[str, Shelf], Any, RunFacts]:
+    """What the last run of an output folder did: finished tasks, context, facts.
+
+    Raises
+    ------
+    StoreError
+        If no run has finished there.
+    """
+    kept = recall(folder)
+    file = folder / "store" / "run.json"
+    workflow = parse_any(kept["workflow"], str(file))
+    found: Receiver[Any, Any] = receiver(workflow.kind)
+    place = Place(file, Path(kept["base"]), folder)
+    context: RunContext[Any] = found.context(workflow, place, kept["crs_wkt"], kept["code"])
+    facts = RunFacts(
+        kept["wall_s"],
+        kept["workers"],
+        {stage: StageCost(**cost) for stage, cost in kept["costs"].items()},
+        [Failure(**failure) for failure in kept["failures"]],
+        kept["notes"],
+        kept["reference"],
+        kept["not_read"],
+        kept.get("earlier_s", 0.0),  # of a run before there was such a thing
+        kept.get("log_bytes", 0),
+        kept.get("compile_s"),
+    )
+    return _receipts(context.store, kept["done"]), context, facts
+
+
+def _receipts(store: Store, names: dict[str, list[str]]) -> dict[str, Shelf]:
+    found = {kind: Shelf(kind) for kind in names}
+    for kind, listed in names.items():
+        for name in listed:
+            receipt = read_receipt(store, kind, name)
+            if receipt is not None:
+                found[kind].put(receipt)
+    return found

@@ -1,0 +1,48 @@
+"""Synthetic data of any receiver."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from spl_batch.engine.settings.mistaken_file import is_workflow
+from spl_batch.engine.settings.workflow_file import known_kind, read_mapping
+from spl_batch.engine.store.simulated_folders import simulating
+from spl_batch.errors import WorkflowError
+from spl_batch.receivers import IMAGING, simulator
+
+
+def simulate(
+    scene: Path | str, output: Path | str, *, progress: Callable[[float], None] | None = None
+) -> Any:
+    """Make synthetic data with truth: fly a survey, say.
+
+    Parameters
+    ----------
+    scene : Path or str
+        Scene file; its ``kind`` names the receiver, an airborne survey where it has none.
+    output : Path or str
+        Folder to write to; an airborne survey has flightlines, trajectory, reference, truth
+        and workflow.
+    progress : callable, optional
+        Told the share that is done, 0..1.
+
+    Returns
+    -------
+    object
+        What was made, of which ``rows`` tells; of an airborne survey, a
+        :class:`~spl_batch.airborne.simulate.survey.SimulationSummary`.
+
+    Raises
+    ------
+    WorkflowError
+        If the scene has a fault, or is a workflow; if the folder holds anything that no
+        simulation made.
+    """
+    content = read_mapping(Path(scene), "a scene is a mapping with extent_m: and flights:")
+    if is_workflow(content):
+        raise WorkflowError(f"{scene}: this is a workflow, not a scene; `spl-batch run` is for it")
+    kind = known_kind(content, str(scene)) if "kind" in content else IMAGING
+    with simulating(Path(output), Path(scene)):
+        if progress is not None:
+            progress(0.0)
+        return simulator(kind)(Path(scene), Path(output), progress=progress)

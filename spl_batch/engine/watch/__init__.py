@@ -1,0 +1,1 @@
+"""Events of a run, its log, and its state as others see it."""

@@ -1,0 +1,185 @@
+"""Costs and failures of one run as they come in; what happens is told and logged."""
+
+import os
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from spl_batch.engine.report.run_record import StageCost
+from spl_batch.engine.store.deliveries import Deliveries
+from spl_batch.engine.store.working_store import append_log
+from spl_batch.engine.tasks.ledger import Ledger
+from spl_batch.engine.tasks.runner import Kind
+from spl_batch.engine.tasks.task import Receipt, Task, WorkersSeen
+from spl_batch.engine.verbs.failures import Failed, Invocation, plain_name
+from spl_batch.engine.verbs.repair import Repairs
+from spl_batch.engine.watch.events import (
+    Compiling,
+    Event,
+    Listener,
+    Note,
+    TaskEnded,
+    TaskStarted,
+    WorkersReady,
+    as_record,
+)
+from spl_batch.formats.files.atomic import sweep
+
+LOG_WORKERS_S = 10.0
+"""How often the log says how the workers are [s]."""
+
+
+@dataclass
+class Progress:
+    """What has come of a run so far, and who is told.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    listener : callable
+        Told what happens.
+    invocation : Invocation
+        How the run was started.
+    repairs : Repairs
+        Makes damaged files again.
+    deliveries : Deliveries
+        What this run and those before it have written into the output.
+    kinds : mapping of str to Kind
+        What each kind of task is.
+    names : mapping of str to str
+        Names of the input files by key.
+    essential : frozenset of str
+        Kinds of task that the run cannot go on without.
+    """
+
+    output: Path
+    listener: Listener
+    invocation: Invocation
+    repairs: Repairs
+    deliveries: Deliveries
+    kinds: Mapping[str, Kind]
+    names: Mapping[str, str] = field(default_factory=dict)
+    essential: frozenset[str] = frozenset()
+    costs: dict[str, StageCost] = field(default_factory=dict)
+    failures: list[Failed] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    asides: list[str] = field(default_factory=list)
+    logged_s: float = -1e9
+
+    def __post_init__(self) -> None:
+        end_last_line(self.output / "log.jsonl")
+
+    def stage(self, kind: str) -> str:
+        """Stage that a kind of task belongs to."""
+        return self.kinds[kind].stage
+
+    def tell(self, event: Event) -> None:
+        """Pass an event on, to the log as well."""
+        append_log(self.output, as_record(event))
+        self.listener(event)
+
+    def warn(self, text: str) -> None:
+        """Note something that the report repeats."""
+        self._warn_once(text, self.notes)
+
+    def aside(self, text: str) -> None:
+        """Say what is for whoever runs it; the report is for others."""
+        self._warn_once(text, self.asides)
+
+    def _warn_once(self, text: str, said: list[str]) -> None:
+        if text not in said:
+            said.append(text)
+            self.tell(Note("warning", text))
+
+    def tidy(self) -> None:
+        """Remove what a killed run has left unfinished."""
+        count, total = sweep(self.output)
+        if count:
+            text = f"{count} unfinished files of a killed run removed ({total / 1e6:.1f} MB)"
+            self.tell(Note("info", text))
+
+    @property
+    def failed(self) -> list[Receipt]:
+        """Receipts of tasks that did not do their work."""
+        return [failure.receipt for failure in self.failures]
+
+    @property
+    def idle(self) -> bool:
+        """Whether everything was found finished so far."""
+        return not any(cost.tasks for cost in self.costs.values())
+
+    def repair(self, ledger: Ledger[Any, Any], found: Iterable[str] = ()) -> bool:
+        """Begin again where files of the store are to be made again.
+
+        ``found`` are paths of damaged files that no task has met.
+        """
+        damaged = self.repairs.begin(self.failed, ledger, found)
+        if damaged:
+            self.tell(
+                Note("info", f"damaged files of the store are made again: {', '.join(damaged)}")
+            )
+            self.costs.clear()
+            self.failures.clear()
+        return bool(damaged)
+
+    def ended(self, task: Task, receipt: Receipt) -> None:
+        """Count a task in."""
+        stage = self.stage(task.kind)
+        self.costs.setdefault(stage, StageCost()).add(receipt)
+        command = ""
+        if receipt.failed:
+            command = self.invocation.alone(task)
+            self.failures.append(Failed(stage, task, receipt, command))
+        self.tell(
+            TaskEnded(
+                stage,
+                task.kind,
+                task.name,
+                task.points,
+                receipt.wall_s,
+                receipt.reason,
+                receipt.peak_rss_mb,
+                command,
+                receipt.facts.get("traceback", ""),
+                plain_name(task, self.names),
+                receipt.failed and task.kind in self.essential,
+            )
+        )
+
+    def ready(self, scheduler: str, dashboard: str) -> None:
+        """Tell of workers to run tasks on."""
+        self.tell(WorkersReady(scheduler, dashboard))
+
+    def started(self, task: Task, worker: str) -> None:
+        """Tell of a task that a worker has begun."""
+        called = plain_name(task, self.names)
+        self.tell(TaskStarted(self.stage(task.kind), task.kind, task.name, worker, called))
+
+    def seen(self, workers: WorkersSeen) -> None:
+        """Tell how the workers are; the log hears of it now and then."""
+        if time.monotonic() - self.logged_s >= LOG_WORKERS_S:
+            self.logged_s = time.monotonic()
+            self.tell(workers)
+        else:
+            self.listener(workers)
+
+    def compiled(self, done: int, of: int) -> None:
+        """Tell how many kernels are compiled; the log does without."""
+        self.listener(Compiling(done, of))
+
+    def noted(self, text: str) -> None:
+        """Tell of something that has happened to a worker."""
+        self.tell(Note("info", text))
+
+
+def end_last_line(log: Path) -> None:
+    """End the line that a killed run may have left half, so that the next one stands alone."""
+    with suppress(FileNotFoundError), log.open("rb+") as stream:
+        if stream.seek(0, os.SEEK_END):
+            stream.seek(-1, os.SEEK_END)
+            if stream.read(1) != b"\n":
+                stream.write(b"\n")

@@ -1,0 +1,319 @@
+"""What is done, running, failed and left: the state of a run, told event by event.
+
+The same state is made from the events of a run in this process and from the lines of its
+log (:mod:`spl_batch.engine.watch.log_follower`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Final
+
+from spl_batch.engine.tasks.runner import stages as stages_of
+from spl_batch.engine.watch.tile_map import TileMap
+from spl_batch.receivers import IMAGING
+
+TRUSTED_SHARE: Final = 0.2
+"""Share of a stage's points from which on the time left follows from its own speed alone."""
+
+
+@dataclass(slots=True)
+class StageStatus:
+    """State of one stage.
+
+    Parameters
+    ----------
+    stage : str
+        Its name.
+    total, done, failed : int
+        Tasks known, finished and failed [count].
+    found : int
+        Tasks that this run found finished, among those [count].
+    points : int
+        Points handled by tasks that this run finished [count].
+    wall_s : float
+        Summed time of those tasks [s].
+    left_points : int
+        Points of tasks that are still to do [count].
+    points_to_do : int
+        Points of tasks that this run had to do when their phases began [count].
+    began_s, latest_s : float
+        When its first phase began, and its latest event; 0 before that [s since 1970].
+    expected_s : float
+        Time that the whole stage was expected to take; 0 where unknown [s].
+    phases_left : int
+        Phases of it that have not begun, as far as is known [count].
+    """
+
+    stage: str
+    total: int = 0
+    done: int = 0
+    failed: int = 0
+    found: int = 0
+    points: int = 0
+    wall_s: float = 0.0
+    left_points: int = 0
+    points_to_do: int = 0
+    began_s: float = 0.0
+    latest_s: float = 0.0
+    expected_s: float = 0.0
+    phases_left: int = 0
+
+    @property
+    def left(self) -> int:
+        """Tasks that are still to do [count]."""
+        return self.total - self.done - self.failed
+
+    @property
+    def of_earlier_runs(self) -> bool:
+        """Whether this run had nothing to do in it: earlier ones had done it all."""
+        return self.found == self.total > 0
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time from its beginning to its latest event [s]."""
+        return max(self.latest_s - self.began_s, 0.0)
+
+    @property
+    def points_per_s(self) -> float:
+        """Points that all workers together handle in a second; 0 where unknown [1/s]."""
+        return self.points / self.elapsed_s if self.elapsed_s > 0.5 else 0.0
+
+    @property
+    def left_s(self) -> float:
+        """Time that it will still take, as far as can be told [s]."""
+        if not self.began_s:
+            return self.expected_s
+        left_s = self._left_of_phases_s() if self.left else 0.0
+        return max(left_s, self.expected_s - self.elapsed_s) if self.phases_left else left_s
+
+    def _left_of_phases_s(self) -> float:
+        """The same of the phases that have begun."""
+        expected_s = self.expected_s * self.left / self.total
+        if self.points_per_s == 0:
+            return expected_s
+        # The first tasks compile kernels and warm caches: their rate is no rate to go by. Squared,
+        # as it multiplies a time that falls with the points that are done.
+        weight = min(self.points / (TRUSTED_SHARE * self.points_to_do), 1.0) ** 2
+        if not expected_s:
+            weight = 1.0
+        return weight * self.left_points / self.points_per_s + (1 - weight) * expected_s
+
+
+@dataclass(frozen=True, slots=True)
+class FailedTask:
+    """A task that failed.
+
+    Parameters
+    ----------
+    task, reason, command : str
+        What a user calls it; why; the command that does it alone.
+    """
+
+    task: str
+    reason: str
+    command: str
+
+
+@dataclass(slots=True)
+class RunStatus:
+    """State of a run.
+
+    Parameters
+    ----------
+    stages : mapping of str to StageStatus
+        By name, in order.
+    tiles : mapping of str to TileMap
+        Map of each kind of task whose units are places, the latest last.
+    running : mapping of (str, str) to str
+        Worker of each task that has begun, by kind and name.
+    called : mapping of (str, str) to str
+        What a user calls those tasks.
+    failures : list of FailedTask
+        What failed.
+    workers : mapping
+        Fields of the latest :class:`~spl_batch.engine.watch.events.WorkersSeen`.
+    peak_mb : float
+        Highest memory that a worker has reported [MiB].
+    dashboard : str
+        Link to dask's dashboard while the run works.
+    ended : mapping or None
+        Fields of :class:`~spl_batch.engine.watch.events.RunEnded`; None where the log has none.
+    holder : mapping or None
+        Host, process and start of the run that works here now; None where none does.
+    kinds : mapping of str to float
+        When the phase of each kind of task that has begun did so [s since 1970].
+    begun : mapping of (str, str) to str
+        Stage of each task that has begun and of whose end nothing was heard, by kind and name.
+    order : sequence of str
+        Names of the stages, in order.
+    waiting : list of mapping
+        Fields of a :class:`~spl_batch.engine.watch.events.RunStarted` whose work has not begun, and
+        of its phases so far, in which everything was finished.
+    reporting : bool
+        Whether the latest run is writing the report, or has.
+    counted : bool
+        Whether the writing of it is among the tasks of its stage.
+    delivered : tuple of str or None
+        What lies in the output folder though its store is gone, and with it all that was
+        finished: the next run starts over; None where the store is there.
+    """
+
+    stages: dict[str, StageStatus] = field(default_factory=dict)
+    tiles: dict[str, TileMap] = field(default_factory=dict)
+    running: dict[tuple[str, str], str] = field(default_factory=dict)
+    called: dict[tuple[str, str], str] = field(default_factory=dict)
+    failures: list[FailedTask] = field(default_factory=list)
+    workers: Mapping[str, Any] = field(default_factory=dict)
+    peak_mb: float = 0.0
+    dashboard: str = ""
+    ended: Mapping[str, Any] | None = None
+    holder: Mapping[str, Any] | None = None
+    kinds: dict[str, float] = field(default_factory=dict)
+    begun: dict[tuple[str, str], str] = field(default_factory=dict)
+    order: Sequence[str] = field(default_factory=lambda: stages_of(IMAGING))
+    waiting: list[Mapping[str, Any]] = field(default_factory=list)
+    reporting: bool = False
+    counted: bool = False
+    delivered: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        self.stages = {name: StageStatus(name) for name in self.order}
+
+    @property
+    def left_s(self) -> float:
+        """Time that the run will still take, as far as can be told [s]."""
+        known = [stage for stage in self.stages.values() if stage.began_s]
+        # Phases of two stages may be done at once.
+        busy = [stage for stage in known if stage.left] or known[-1:]
+        first = self.order.index(busy[0].stage) if busy else 0
+        return sum(self.stages[name].left_s for name in self.order[first:])
+
+    def feed(self, record: Mapping[str, Any]) -> None:
+        """Take in an event, as :func:`spl_batch.engine.watch.events.as_record` gives it."""
+        take = {
+            "RunStarted": self._run_started,
+            "WorkersReady": self._workers_ready,
+            "PhaseStarted": self._phase_started,
+            "TaskStarted": self._task_started,
+            "TaskEnded": self._task_ended,
+            "WorkersSeen": self._workers_seen,
+            "ReportStarted": self._report_started,
+            "RunEnded": self._run_ended,
+        }.get(str(record.get("event")))
+        if take is not None:
+            take(record)
+
+    def _run_started(self, record: Mapping[str, Any]) -> None:
+        if self.kinds:  # what earlier runs did stands until this one has something to do
+            self.ended, self.waiting, self.reporting = None, [record], False
+        else:
+            self._start_over(record)
+
+    def _start_over(self, record: Mapping[str, Any]) -> None:
+        fresh = RunStatus(order=tuple(record.get("stages") or stages_of(IMAGING)))
+        for name in self.__slots__:
+            setattr(self, name, getattr(fresh, name))
+        for name, seconds in record.get("expected_s", {}).items():
+            self.stages[name].expected_s = seconds
+        for name, phases in record.get("phases", {}).items():
+            self.stages[name].phases_left = phases
+
+    def _workers_ready(self, record: Mapping[str, Any]) -> None:
+        self.dashboard = record.get("dashboard", "")
+
+    def _phase_started(self, record: Mapping[str, Any]) -> None:
+        if self.waiting and not record["tasks"]:
+            self.waiting.append(record)
+            return
+        if self.waiting:
+            started, *finished = self.waiting
+            self._start_over(started)
+            for phase in finished:
+                self._begin(phase)
+        self._begin(record)
+
+    def _begin(self, record: Mapping[str, Any]) -> None:
+        if record["kind"] in self.kinds:
+            self._begin_again()
+        self.kinds[record["kind"]] = _seconds(record)
+        stage = self.stages[record["stage"]]
+        stage.phases_left -= stage.phases_left > 0
+        stage.total += record["tasks"] + record["skipped"]
+        stage.done += record["skipped"]
+        stage.found += record["skipped"]
+        stage.left_points += record["points"]
+        stage.points_to_do += record["points"]
+        stage.latest_s = _seconds(record)
+        stage.began_s = stage.began_s or stage.latest_s
+        if record.get("tiles"):
+            self.tiles[record["kind"]] = TileMap.from_record(record["tiles"])
+
+    def _begin_again(self) -> None:
+        """Forget what was done: phases are gone through again, as a file was damaged."""
+        self.stages = {
+            name: StageStatus(name, expected_s=stage.expected_s)
+            for name, stage in self.stages.items()
+        }
+        for known in (self.kinds, self.begun, self.tiles, self.running, self.called, self.failures):
+            known.clear()
+
+    def _task_started(self, record: Mapping[str, Any]) -> None:
+        kind, name = record["kind"], record["name"]
+        if (kind, name) not in self.running and kind in self.tiles:
+            self.tiles[kind].began(name)
+        self.running[kind, name] = record["worker"]
+        self.called[kind, name] = record.get("called") or f"{kind} {name}"
+        self.begun[kind, name] = record["stage"]
+
+    def _task_ended(self, record: Mapping[str, Any]) -> None:
+        stage, kind, name = self.stages[record["stage"]], record["kind"], record["name"]
+        began = self.running.pop((kind, name), None) is not None
+        for known in (self.begun, self.called):
+            known.pop((kind, name), None)
+        failed = bool(record["reason"])
+        stage.latest_s = _seconds(record)
+        stage.left_points -= record["points"]
+        stage.failed += failed
+        stage.done += not failed
+        self.peak_mb = max(self.peak_mb, record.get("peak_rss_mb", 0.0))
+        if kind in self.tiles:
+            self.tiles[kind].ended(name, began=began, failed=failed)
+        if failed:
+            command = record.get("command", "")
+            called = record.get("called") or f"{kind} {name}"
+            self.failures.append(FailedTask(called, record["reason"], command))
+        else:
+            stage.points += record["points"]
+            stage.wall_s += record["wall_s"]
+
+    def _workers_seen(self, record: Mapping[str, Any]) -> None:
+        self.workers = record
+
+    def _report_started(self, record: Mapping[str, Any]) -> None:
+        stage = self.stages["report"]
+        self.reporting, stage.latest_s = True, _seconds(record)
+        if self.counted and self.waiting:  # written again after an earlier run's work
+            stage.done, stage.began_s = min(stage.done, stage.total - 1), stage.latest_s
+            return
+        self.counted, stage.total = True, stage.total + 1
+        stage.began_s = stage.began_s or stage.latest_s
+
+    def _run_ended(self, record: Mapping[str, Any]) -> None:
+        self.ended = record
+        report = self.stages["report"]
+        if self.reporting and not record["reason"]:
+            report.done, report.latest_s = report.done + 1, _seconds(record)
+        self.dashboard = ""
+        self.nothing_runs()
+
+    def nothing_runs(self) -> None:
+        """Take what was running for waiting: the run is over, or was killed."""
+        self.running.clear()
+        self.called.clear()
+        for tiles in self.tiles.values():
+            tiles.running[:] = 0
+
+
+def _seconds(record: Mapping[str, Any]) -> float:
+    return datetime.fromisoformat(record["time"]).timestamp()

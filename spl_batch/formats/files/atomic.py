@@ -1,0 +1,305 @@
+"""Files that are either whole or not there: temporary name, rename; fsync of what is delivered.
+
+A file of the working store does not wait for the disk: each tells when it is not what was written,
+as after a loss of power, and is made again.
+"""
+
+import errno
+import hashlib
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Final
+
+from spl_batch.errors import StoppedError, WorkflowError
+from spl_batch.formats.files.remote import (
+    files_below,
+    is_remote,
+    read_object,
+    remove_remote,
+    uploading,
+)
+
+SCRATCH: Final = ".spl-part"
+"""How names of files and folders end that are not finished."""
+
+_SCRATCH_NAME: Final = re.compile(rf"\..+\.[0-9a-f]{{16}}{re.escape(SCRATCH)}")
+_CONCERNS_EVERYTHING: Final = {
+    errno.ENOSPC: "disk full; free some space and run again",
+    errno.EDQUOT: "disk quota used up; free some space and run again",
+    errno.EFBIG: "too large for the file system or the shell's limit (ulimit -f); run again "
+    "where it fits",
+}
+_OWNER: Final[ContextVar[tuple[str, str] | None]] = ContextVar("owner", default=None)
+_NOT_ALLOWED: Final = {errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
+
+
+def scratch_name(path: Path) -> Path:
+    """A name beside ``path`` for something that is not finished; no two calls give the same."""
+    # Long names of inputs must not become too long.
+    return path.with_name(f".{path.name[:128]}.{secrets.token_hex(8)}{SCRATCH}")
+
+
+@contextmanager
+def owned_by(mark: str, content: str) -> Iterator[None]:
+    """Put nothing in place in this block, in this thread, once somebody else works there.
+
+    A task goes on when its run is killed elsewhere; what the run after it makes must not be
+    replaced by what this one made with other settings.
+
+    Parameters
+    ----------
+    mark : str
+        Path of a file that names who works there.
+    content : str
+        What it holds for the run of this block.
+    """
+    token = _OWNER.set((mark, content))
+    try:
+        yield
+    finally:
+        _OWNER.reset(token)
+
+
+def _stop_if_disowned() -> None:
+    owner = _OWNER.get()
+    if owner is None:
+        return
+    mark, content = owner
+    with suppress(OSError):
+        if Path(mark).read_text(encoding="utf-8") != content:
+            raise StoppedError(f"{mark}: another run has begun here; this one is over")
+
+
+@contextmanager
+def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
+    """Give a temporary name beside ``path``; rename it into place when the block succeeds.
+
+    Parameters
+    ----------
+    path : Path
+        Final name, of a file or a directory; its folder is made where missing.
+    durable : bool
+        Whether it outlives a loss of power: content is on disk before the rename, the rename
+        before this returns. That takes milliseconds a file, or many where disks are busy.
+
+    Yields
+    ------
+    Path
+        The name to write to.
+
+    Raises
+    ------
+    StoppedError
+        If the disk is full, or another run has taken the temporary file away.
+    WorkflowError
+        If the place cannot be written.
+    """
+    if is_remote(path):
+        try:
+            with uploading(path) as temporary:
+                yield temporary
+                _stop_if_disowned()
+        except OSError as error:
+            stop_if_full(error, path)
+            raise
+        return
+    temporary = scratch_name(path)
+    try:
+        _make_folder(path.parent, durable=durable)
+        yield temporary
+        _stop_if_disowned()
+        _put_in_place(temporary, path, durable=durable)
+    except OSError as error:
+        stop_if_full(error, path)
+        if error.errno in _NOT_ALLOWED:
+            raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
+        raise
+    finally:
+        remove(temporary)
+
+
+@contextmanager
+def scratch_folder(path: Path) -> Iterator[Path]:
+    """A folder beside ``path`` for by-products; gone when the block ends."""
+    folder = scratch_name(path)
+    _make_folder(folder, durable=False)
+    try:
+        yield folder
+    finally:
+        remove(folder)
+
+
+def stop_if_full(error: BaseException, place: object) -> None:
+    """Raise :class:`StoppedError` where a full disk is behind an error, however it is wrapped.
+
+    Parameters
+    ----------
+    error : BaseException
+        What was raised; its causes are looked at too.
+    place : object
+        What could not be written, for the message.
+    """
+    behind: BaseException | None = error
+    while behind is not None:
+        if isinstance(behind, OSError) and behind.errno in _CONCERNS_EVERYTHING:
+            raise StoppedError(f"{place}: {_CONCERNS_EVERYTHING[behind.errno]}") from error
+        behind = behind.__cause__ or behind.__context__
+
+
+def sweep(folder: Path) -> tuple[int, int]:
+    """Remove what killed runs have left unfinished below an output folder.
+
+    Nothing else is touched, nor is what belongs to an output of its own further down.
+
+    Parameters
+    ----------
+    folder : Path
+        Output whose lock is held.
+
+    Returns
+    -------
+    count, bytes : int
+        What was removed.
+    """
+    count = total = 0
+    tops = [folder, *(p for p in folder.iterdir() if p.is_symlink() and p.is_dir())]
+    for top in tops:
+        for place, folders, files in os.walk(top):
+            if place != str(top) and Path(place, "store", "lock").exists():
+                folders.clear()
+                continue
+            for name in filter(_SCRATCH_NAME.fullmatch, [*folders, *files]):
+                path = Path(place, name)
+                total += max(size(path), 0)
+                count += 1
+                remove(path)
+            folders[:] = [name for name in folders if not _SCRATCH_NAME.fullmatch(name)]
+    return count, total
+
+
+def write_bytes(path: Path, content: bytes, *, durable: bool = True) -> None:
+    """Write a small file atomically; see :func:`replacing`."""
+    with replacing(path, durable=durable) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a small file."""
+    return read_object(path) if is_remote(path) else path.read_bytes()
+
+
+def sync_folder(path: Path) -> None:
+    """Force a folder's entries to disk."""
+    if is_remote(path):
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def checksum(path: Path) -> str:
+    """BLAKE2 hash of a file's bytes, or of a directory's names and bytes.
+
+    Parameters
+    ----------
+    path : Path
+        File or directory.
+
+    Returns
+    -------
+    str
+        32 hexadecimal digits.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    if is_remote(path):
+        for name in sorted(files_below(path)):
+            digest.update(name.encode() + read_object(path / name if name else path))
+        return digest.hexdigest()
+    for file in _files(path):
+        if file != path:
+            digest.update(file.relative_to(path).as_posix().encode())
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+def size(path: Path) -> int:
+    """Size of a file, or of all files of a directory [byte]; -1 where there is neither."""
+    try:
+        if is_remote(path):
+            return sum(files_below(path).values())
+        return sum(file.stat().st_size for file in _files(path))
+    except FileNotFoundError:
+        return -1
+
+
+def names_in(folder: Path, suffix: str) -> list[str]:
+    """Names of the files of a folder that end so, in order, without their ends."""
+    try:
+        names = files_below(folder) if is_remote(folder) else os.listdir(folder)  # noqa: PTH208
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    return sorted(n.removesuffix(suffix) for n in names if n.endswith(suffix) and n[0] != ".")
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a directory with all that is in it; nothing is fine too."""
+    if is_remote(path):
+        remove_remote(path)
+    elif path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        # Where a file stands in place of the folder there is nothing to remove either.
+        with suppress(FileNotFoundError, NotADirectoryError):
+            path.unlink()
+
+
+def _files(path: Path) -> list[Path]:
+    """Files of a directory in order, or the file itself."""
+    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+
+
+def _make_folder(path: Path, *, durable: bool) -> None:
+    """Make a folder, and those above it, durably so that they outlive a loss of power."""
+    if path.is_dir():
+        return
+    missing = [p for p in (path, *path.parents) if not p.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    for folder in missing if durable else ():
+        sync_folder(folder.parent)
+
+
+def _put_in_place(temporary: Path, path: Path, *, durable: bool) -> None:
+    try:
+        if durable:
+            _sync(temporary)
+        if temporary.is_dir():
+            remove(path)
+        temporary.replace(path)
+    except FileNotFoundError as error:
+        raise StoppedError(
+            f"{path}: its temporary file is gone; another run has taken over this output"
+        ) from error
+    if durable:
+        sync_folder(path.parent)
+
+
+def _sync(path: Path) -> None:
+    """Force a file, or all files and entries of a directory, to disk."""
+    if not path.is_dir():
+        with path.open("rb") as stream:
+            os.fsync(stream.fileno())
+        return
+    for place, _, files in os.walk(path):
+        for name in files:
+            _sync(Path(place, name))
+        sync_folder(Path(place))

@@ -1,0 +1,376 @@
+"""Random access to point records, uncompressed or LAZ, in bounded memory.
+
+LAZ is decoded chunk by chunk through the file's own chunk table. That is exact for
+chunks of any size - the decompressor's own seek is not where they vary, as in COPC -
+and a damaged chunk is named by the points that it holds. (LAZ has no checksums: damage
+that decodes to other values of an attribute cannot be seen.)
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Final, Self
+
+import lazrs
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.errors import InputError, is_fault
+from spl_batch.formats.las.header import LasHeader, open_input
+from spl_batch.formats.las.records import RecordLayout, record_layout
+
+LASZIP_KEY: Final = ("laszip encoded", 22204)
+
+_LASZIP: Final = struct.Struct("<HHBBHIIqqH")
+CHUNK_SIZE: Final = struct.Struct("<I")
+CHUNK_SIZE_AT: Final = 12
+"""Where a LASzip record has the points of a chunk."""
+
+_ITEM: Final = struct.Struct("<HHH")
+_CHUNKED: Final = (2, 3)
+_VARIABLE: Final = 2**32 - 1
+CHUNK_POINTS_MAX: Final = 5_000_000
+"""Points of a chunk that can be decoded in bounded memory [count]."""
+
+_LAYERED: Final = 3
+_LAYERS: Final = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of an item of point formats 6-10 by type; extra bytes (14) have one a byte."""
+_EXTRA_ITEM: Final = 14
+_REMEDY: Final = "rewrite it with LASzip or PDAL"
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkTable:
+    """Where each LAZ chunk starts; one more entry marks the end of the last.
+
+    Parameters
+    ----------
+    points : (c + 1,) int64
+        First point of each chunk.
+    bytes : (c + 1,) int64
+        First byte of each chunk in the file.
+    """
+
+    points: NDArray[np.int64]
+    bytes: NDArray[np.int64]
+
+
+def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
+    """Read and check the LASzip record and the chunk table.
+
+    Parameters
+    ----------
+    header : LasHeader
+        Header of a compressed file.
+    file : binary file
+        The same file, open.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be a whole LAZ file.
+    """
+    path = str(header.path)
+    laszip = _laszip_data(header)
+    chunk_points = CHUNK_SIZE.unpack_from(laszip, CHUNK_SIZE_AT)[0]
+    if header.n_points == 0:
+        start = np.array([0], dtype=np.int64)
+        return ChunkTable(start, start + header.points_start + 8)
+    start_byte = header.points_start + 8
+    table_byte, count = _table_place(header, file, start_byte)
+    fits = count <= table_byte - start_byte and (
+        count <= header.n_points
+        if chunk_points == _VARIABLE
+        else count == -(-header.n_points // chunk_points)
+    )
+    if not fits:
+        raise InputError(
+            path,
+            f"the LAZ chunk table counts {count} chunks for {header.n_points} points:"
+            " the file is damaged, copy it again",
+        )
+    file.seek(header.points_start)
+    entries = _guarded(
+        path,
+        "its LAZ chunk table cannot be decoded",
+        lambda: lazrs.read_chunk_table(file, lazrs.LazVlr(laszip)),
+    )
+    _check_sums(header, entries, table_byte - start_byte, variable=chunk_points == _VARIABLE)
+    table = np.asarray(entries, dtype=np.int64).reshape(-1, 2)
+    points = np.concatenate([[0], np.cumsum(table[:, 0])])
+    if chunk_points != _VARIABLE:
+        points = np.minimum(np.arange(count + 1) * chunk_points, header.n_points)
+    places = np.concatenate([[start_byte], start_byte + np.cumsum(table[:, 1])])
+    if np.max(np.diff(points)) > CHUNK_POINTS_MAX:
+        raise InputError(
+            path,
+            f"a LAZ chunk holds {np.max(np.diff(points))} points; at most"
+            f" {CHUNK_POINTS_MAX} can be decoded in bounded memory: {_REMEDY}",
+        )
+    return ChunkTable(points.astype(np.int64), places.astype(np.int64))
+
+
+def _check_sums(
+    header: LasHeader, entries: Sequence[tuple[int, int]], there: int, *, variable: bool
+) -> None:
+    """Compare the chunk table with the file, in Python's integers: damaged ones exceed 64 bits."""
+    covered = sum(points for points, _ in entries) if variable else header.n_points
+    length = sum(size for _, size in entries)
+    sound = all(size > 0 and (points >= 0 or not variable) for points, size in entries)
+    if covered != header.n_points or length > there or not sound:
+        raise InputError(
+            str(header.path),
+            f"the LAZ chunk table covers {covered:.6g} of {header.n_points} points in"
+            f" {length:.6g} of {there} bytes: the file is damaged, copy it again",
+        )
+
+
+def _laszip_data(header: LasHeader) -> bytes:
+    path = str(header.path)
+    vlr = header.vlr(*LASZIP_KEY)
+    if vlr is None:
+        raise InputError(path, "is compressed but has no LASzip record: the file is damaged")
+    if len(vlr.data) < _LASZIP.size:
+        raise InputError(path, f"its LASzip record has {len(vlr.data)} bytes: it is damaged")
+    compressor, coder, *_, chunk_points, _, _, n_items = _LASZIP.unpack_from(vlr.data)
+    if compressor not in _CHUNKED or coder != 0:
+        raise InputError(
+            path, f"LASzip compressor {compressor}, coder {coder}; 2 or 3 and 0 are read: {_REMEDY}"
+        )
+    if len(vlr.data) < _LASZIP.size + n_items * _ITEM.size or chunk_points == 0:
+        raise InputError(path, "its LASzip record is damaged, copy the file again")
+    items = laszip_items(vlr.data)
+    if sum(size for _, size, _ in items) != header.record_size:
+        raise InputError(
+            path,
+            f"LASzip items add up to {sum(size for _, size, _ in items)} bytes, point records"
+            f" have {header.record_size}: the header is damaged",
+        )
+    return vlr.data
+
+
+def laszip_items(laszip: bytes) -> list[tuple[int, int, int]]:
+    """Type, size [byte] and version of each item that a LASzip record lists."""
+    n_items = _LASZIP.unpack_from(laszip)[-1]
+    return [_ITEM.unpack_from(laszip, _LASZIP.size + i * _ITEM.size) for i in range(n_items)]
+
+
+def count_layers(laszip: bytes) -> int:
+    """Layers in each chunk; 0 where points are compressed one after the other."""
+    if _LASZIP.unpack_from(laszip)[0] != _LAYERED:
+        return 0
+    items = laszip_items(laszip)
+    return sum(size if kind == _EXTRA_ITEM else _LAYERS.get(kind, 0) for kind, size, _ in items)
+
+
+def chunk_layers(packed: bytes, record_size: int, n_layers: int) -> list[bytes]:
+    """Layers of a layered chunk: what follows its first record, its points and their sizes."""
+    head = struct.Struct(f"<{1 + n_layers}I")
+    sizes = head.unpack_from(packed, record_size)[1:]
+    ends = np.cumsum((record_size + head.size, *sizes)).tolist()
+    return [packed[a:b] for a, b in pairwise(ends)]
+
+
+def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> tuple[int, int]:
+    """Byte of the chunk table and its number of chunks."""
+    cut_off = f"the file has {header.size_bytes} bytes: it is cut off, copy it again"
+    file.seek(header.points_start)
+    raw = file.read(8)
+    if len(raw) < 8:
+        raise InputError(str(header.path), f"its points start at {header.points_start}, {cut_off}")
+    place = int.from_bytes(raw, "little", signed=True)
+    if place == -1:
+        # Written as a stream: the place of the table is the file's last 8 bytes.
+        file.seek(header.size_bytes - 8)
+        place = int.from_bytes(file.read(8), "little", signed=True)
+    if not start_byte <= place <= header.size_bytes - 8:
+        raise InputError(
+            str(header.path), f"its LAZ chunk table should be at byte {place}, {cut_off}"
+        )
+    file.seek(place)
+    return place, struct.unpack("<II", file.read(8))[1]
+
+
+def _guarded(path: str, fault: str, call: Any) -> Any:
+    """Run a decoder; turn whatever it does with damaged data into an input fault."""
+    try:
+        return call()
+    except BaseException as error:
+        if not is_fault(error) or isinstance(error, MemoryError):
+            raise
+        raise InputError(path, f"{fault} ({error}): it is damaged, copy it again") from None
+
+
+class RecordReader:
+    """Reads point records of one file by position; a context manager.
+
+    Parameters
+    ----------
+    header : LasHeader
+        Checked header of the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened or is damaged; on reading, with the points' numbers.
+    """
+
+    def __init__(self, header: LasHeader) -> None:
+        self.header = header
+        self.layout: RecordLayout = record_layout(header)
+        self._dtype = self.layout.dtype
+        self._opened = open_input(header.path)
+        self._file = self._opened.__enter__()
+        self._table: ChunkTable | None = None
+        self.laszip = b""
+        self._n_layers = 0
+        self._held: tuple[int, NDArray[Any]] = (-1, np.empty(0, self._dtype))
+        try:
+            if header.compressed:
+                self.laszip = _laszip_data(header)
+                self._n_layers = count_layers(self.laszip)
+                self._table = read_chunk_table(header, self._file)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._opened.__exit__(kind, error, trace)
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.header.path
+
+    def read(self, start: int, stop: int) -> NDArray[Any]:
+        """Records ``[start, stop)``.
+
+        Returns
+        -------
+        (stop - start,) structured
+            With the dtype of the layout.
+        """
+        try:
+            return self._read(start, stop)
+        except OSError as error:
+            raise self._unreadable(start, error) from None
+
+    def read_ends(self, count: int) -> NDArray[Any]:
+        """Up to ``count`` records from the start, and as many from the end or its last chunk.
+
+        Of a LAZ file no more than that is decoded of the two chunks.
+        """
+        n = self.header.n_points
+        if self._table is None:
+            head = self.read(0, min(count, n))
+            return np.concatenate([head, self.read(max(n - count, len(head)), n)])
+        sizes = np.diff(self._table.points)
+        found = [np.empty(0, self._dtype)]
+        for chunk in np.unique(np.flatnonzero(sizes)[[0, -1]] if n else ()).tolist():
+            out = np.empty(min(count, int(sizes[chunk])), self._dtype)
+            try:
+                self._decode(chunk, out)
+            except OSError as error:
+                raise self._unreadable(int(self._table.points[chunk]), error) from None
+            found.append(out)
+        return np.concatenate(found)
+
+    def _unreadable(self, start: int, error: OSError) -> InputError:
+        return InputError(
+            str(self.path), f"points from {start} on cannot be read: {error.strerror}"
+        )
+
+    def _read(self, start: int, stop: int) -> NDArray[Any]:
+        out = np.empty(stop - start, dtype=self._dtype)
+        if self._table is None:
+            self._read_plain(start, out)
+            return out
+        first = int(np.searchsorted(self._table.points, start, side="right")) - 1
+        while start < stop:
+            begin, end = (int(v) for v in self._table.points[first : first + 2])
+            take = slice(start - (stop - len(out)), min(end, stop) - (stop - len(out)))
+            if begin == start and end <= stop:
+                self._decode(first, out[take])
+            else:
+                if self._held[0] != first:
+                    whole = np.empty(end - begin, dtype=self._dtype)
+                    self._decode(first, whole)
+                    self._held = (first, whole)
+                out[take] = self._held[1][start - begin : min(end, stop) - begin]
+            start = min(end, stop)
+            first += 1
+        return out
+
+    def _read_plain(self, start: int, out: NDArray[Any]) -> None:
+        self._file.seek(self.header.points_start + start * self._dtype.itemsize)
+        view = out.view(np.uint8)
+        got = self._file.readinto(view)  # type: ignore[attr-defined]
+        if got < len(view):
+            raise InputError(
+                str(self.path), f"ends before point {start + got // self._dtype.itemsize}"
+            )
+
+    def _check_layers(self, packed: bytes, begin: int, end: int) -> None:
+        """Compare a chunk's layer sizes with its bytes.
+
+        The decoder would believe sizes of damaged layers and allocate gigabytes. A chunk
+        is its first point, the number of points, the size of each layer, the layers.
+        """
+        if self._n_layers == 0:
+            return
+        start = self._dtype.itemsize
+        head = struct.Struct(f"<{1 + self._n_layers}I")
+        fits = len(packed) >= start + head.size
+        if fits:
+            n_points, *sizes = head.unpack_from(packed, start)
+            fits = n_points == end - begin and start + head.size + sum(sizes) == len(packed)
+        if not fits:
+            raise InputError(
+                str(self.path),
+                f"points {begin} to {end - 1} have layers that do not fit their"
+                f" {len(packed)} bytes: it is damaged, copy it again",
+            )
+
+    def _decode(self, chunk: int, out: NDArray[Any]) -> None:
+        table = self._table
+        if table is None or len(out) == 0:
+            return
+        begin, end, packed = self._packed(table, chunk)
+        _guarded(
+            str(self.path),
+            f"points {begin} to {end - 1} cannot be decoded",
+            lambda: lazrs.decompress_points_with_chunk_table(
+                packed, self.laszip, out.view(np.uint8), [(len(out), len(packed))]
+            ),
+        )
+
+    def packed_chunks(self) -> Iterator[tuple[int, int, bytes]]:
+        """First point, past-the-last point and bytes of each LAZ chunk that holds points."""
+        table = self._table
+        if table is None:
+            return
+        for chunk in np.flatnonzero(np.diff(table.points)).tolist():
+            try:
+                found = self._packed(table, chunk)
+            except OSError as error:
+                raise self._unreadable(int(table.points[chunk]), error) from None
+            yield found
+
+    def _packed(self, table: ChunkTable, chunk: int) -> tuple[int, int, bytes]:
+        begin, end = (int(v) for v in table.points[chunk : chunk + 2])
+        low, high = (int(v) for v in table.bytes[chunk : chunk + 2])
+        self._file.seek(low)
+        packed = self._file.read(high - low)
+        self._check_layers(packed, begin, end)
+        return begin, end, packed

@@ -1,0 +1,199 @@
+"""Cloud-optimised point clouds: LAZ whose chunks are the nodes of an octree [COPC 1.0].
+
+A node keeps one point of each of its 128^3 cells and hands the others to its children; a
+node with few points keeps them all. Which point stays depends on the order of the
+records alone, cells are whole numbers of raw coordinate steps, so the same records give
+the same bytes.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import lazrs
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.formats.las.chunks import LASZIP_KEY
+from spl_batch.formats.las.frame import (
+    Extent,
+    Frame,
+    WatchedFile,
+    extra_vlr,
+    header_bytes,
+    output_file,
+    start_file,
+)
+from spl_batch.formats.las.header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Vlr
+
+_USER: Final = b"copc"
+_INFO_ID: Final = 1
+_HIERARCHY_ID: Final = 1000
+_INFO: Final = struct.Struct("<5dQQdd11Q")
+_ENTRY: Final = struct.Struct("<4iQii")
+_CELLS_LOG2: Final = 7
+_LEAF_POINTS: Final = 4096
+_INFO_START: Final = HEADER_SIZES[4] + VLR_HEAD.size
+
+
+class Node(NamedTuple):
+    """A node of the octree and the records that it holds."""
+
+    level: int
+    x: int
+    y: int
+    z: int
+    records: NDArray[np.intp]
+
+
+class Cube(NamedTuple):
+    """The octree's extent, in raw coordinate steps; its edge is ``2 ** log2_size``."""
+
+    low: tuple[int, int, int]
+    log2_size: int
+
+
+def write_copc(path: Path, frame: Frame, records: NDArray[Any]) -> int:
+    """Write records as COPC, atomically.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    frame : Frame
+        Everything but the points; point format 6 to 8, the same scale on every axis.
+    records : (n,) structured
+        Of the frame's layout.
+
+    Returns
+    -------
+    int
+        Points written.
+
+    Raises
+    ------
+    StoppedError
+        If the disk is full.
+    WorkflowError
+        If the place cannot be written.
+    """
+    cube, nodes = octree(records)
+    with output_file(path) as file:
+        _write(file, frame, records, cube, nodes)
+    return len(records)
+
+
+def octree(records: NDArray[Any]) -> tuple[Cube, list[Node]]:
+    """Octree over raw coordinates.
+
+    Parameters
+    ----------
+    records : (n,) structured
+        With X, Y, Z int32.
+
+    Returns
+    -------
+    cube : Cube
+        Extent of the root.
+    nodes : list of Node
+        Level by level; every record is in exactly one.
+    """
+    xyz = np.stack([records[k].astype(np.int64) for k in "XYZ"], axis=1)
+    if not len(xyz):
+        return Cube((0, 0, 0), _CELLS_LOG2), []
+    low = xyz.min(axis=0)
+    xyz -= low
+    log2_size = max(int(xyz.max()).bit_length(), _CELLS_LOG2)
+    nodes: list[Node] = []
+    rest = np.arange(len(xyz))
+    level = 0
+    while len(rest):
+        kept = np.zeros(len(rest), dtype=np.bool_)
+        for node in _nodes_of_level(xyz, rest, level, log2_size):
+            kept[node.records] = True
+            nodes.append(node._replace(records=rest[node.records]))
+        rest = rest[~kept]
+        level += 1
+    return Cube((int(low[0]), int(low[1]), int(low[2])), log2_size), nodes
+
+
+def _nodes_of_level(
+    xyz: NDArray[np.int64], rest: NDArray[np.intp], level: int, log2_size: int
+) -> Iterator[Node]:
+    """Nodes of one level; their records are positions in ``rest``."""
+    place = xyz[rest] >> max(log2_size - level, 0)
+    cell_shift = log2_size - level - _CELLS_LOG2
+    order = np.lexsort((np.arange(len(rest)), place[:, 2], place[:, 1], place[:, 0]))
+    new_node = np.flatnonzero(np.any(np.diff(place[order], axis=0) != 0, axis=1)) + 1
+    for members in np.split(order, new_node):
+        keys = place[members[0]].tolist()
+        # Cells no larger than a coordinate step cannot thin any more.
+        if len(members) > _LEAF_POINTS and cell_shift > 0:
+            cells = xyz[rest[members]] >> cell_shift
+            _, first = np.unique(cells, axis=0, return_index=True)
+            members = members[np.sort(first)]  # noqa: PLW2901 - the node's share of them
+        yield Node(level, keys[0], keys[1], keys[2], members)
+
+
+def _write(
+    file: WatchedFile, frame: Frame, records: NDArray[Any], cube: Cube, nodes: list[Node]
+) -> None:
+    extra_bytes = sum(d.dtype.itemsize for d in frame.layout.extra)
+    laz = lazrs.LazVlr.new_for_compression(
+        frame.layout.point_format, extra_bytes, use_variable_size_chunks=True
+    )
+    info = Vlr(_USER, _INFO_ID, b"COPC info", bytes(_INFO.size))
+    packing = Vlr(LASZIP_KEY[0].encode(), LASZIP_KEY[1], b"lazrs", bytes(laz.record_data()))
+    vlrs = [info, *frame.vlrs, *extra_vlr(frame.layout), packing]
+    points_start = start_file(file, vlrs)
+    compressor = lazrs.LasZipCompressor(file, laz)
+    extent = Extent()
+    for number, node in enumerate(nodes):
+        if number:
+            compressor.finish_current_chunk()
+        part = records[node.records]
+        extent.add(part)
+        compressor.compress_many(part.view(np.uint8))
+    compressor.done()
+    file.flush()
+    hierarchy = _hierarchy(file, laz, points_start, nodes)
+    evlr_start = file.seek(0, 2)
+    file.write(EVLR_HEAD.pack(0, _USER, _HIERARCHY_ID, len(hierarchy), b"COPC hierarchy"))
+    file.write(hierarchy)
+    file.seek(0)
+    # The header counts the hierarchy as an extended record, which the frame does not list.
+    header = header_bytes(
+        replace(frame, evlrs=()), extent, len(vlrs), points_start, (evlr_start, 0)
+    )
+    file.write(header[:243] + struct.pack("<I", 1) + header[247:])
+    file.seek(_INFO_START)
+    root = (evlr_start + EVLR_HEAD.size, len(hierarchy))
+    file.write(_info(frame, records, cube, root))
+
+
+def _hierarchy(file: WatchedFile, laz: Any, points_start: int, nodes: list[Node]) -> bytes:
+    if not nodes:
+        return b""
+    file.seek(points_start)
+    place = points_start + 8
+    entries = b""
+    table = lazrs.read_chunk_table(file.file, laz)
+    for node, (_, size) in zip(nodes, table, strict=True):
+        key = (node.level, node.x, node.y, node.z)
+        entries += _ENTRY.pack(*key, place, size, len(node.records))
+        place += size
+    return entries
+
+
+def _info(frame: Frame, records: NDArray[Any], cube: Cube, root: tuple[int, int]) -> bytes:
+    scale = frame.scales[0]
+    half = 2**cube.log2_size * scale / 2
+    centre = [
+        low * scale + offset + half for low, offset in zip(cube.low, frame.offsets, strict=True)
+    ]
+    spacing = 2 * half / 2**_CELLS_LOG2
+    time = records["gps_time"][np.isfinite(records["gps_time"])]
+    span = (float(time.min()), float(time.max())) if len(time) else (0.0, 0.0)
+    return _INFO.pack(*centre, half, spacing, *root, *span, *[0] * 11)

@@ -1,0 +1,366 @@
+"""The bytes around the points: a LAS 1.4 header, VLRs, EVLRs [LAS 1.4 R15].
+
+What is written depends on its arguments alone: no clock, no thread count.
+
+Point formats 9 and 10 stay uncompressed: the compressor at hand (lazrs 0.8) mangles
+their wave packets, though it reads those of others well.
+"""
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import laspy
+import lazrs
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.enums import WktVersion
+
+from spl_batch import __version__
+from spl_batch.errors import WorkflowError, as_input_fault
+from spl_batch.formats.crs import WKT_KEY
+from spl_batch.formats.files.atomic import replacing
+from spl_batch.formats.las.chunks import CHUNK_SIZE, CHUNK_SIZE_AT, LASZIP_KEY
+from spl_batch.formats.las.header import EVLR_HEAD, HEADER_SIZES, VLR_HEAD, Evlr, Vlr
+from spl_batch.formats.las.records import EXTRA_BYTES_KEY, RecordLayout
+
+WKT_BIT: Final = 16
+"""Bit of the global encoding: the CRS is in a WKT record."""
+
+HEADER_SIZE: Final = HEADER_SIZES[4]
+_COPY_BYTES: Final = 1 << 20
+_COMPRESSED_BIT: Final = 0x80
+_UNCOMPRESSED: Final = (9, 10)
+_PLACE: Final = struct.Struct("<q")
+_COUNTS: Final = struct.Struct("<QQIQ15Q")
+_WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Everything of a file but its points.
+
+    Parameters
+    ----------
+    preamble : bytes
+        The first 94 bytes of a header: identification, creation date and the like.
+    scales, offsets : (float, float, float)
+        Of the coordinates.
+    vlrs : sequence of Vlr
+        Without those of LASzip and the extra bytes, which follow from the layout.
+    evlrs : sequence of (Evlr, Path)
+        Extended records, each with the file that it is copied from.
+    """
+
+    preamble: bytes
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    layout: RecordLayout
+    vlrs: Sequence[Vlr]
+    evlrs: Sequence[tuple[Evlr, Path]] = ()
+
+
+def preamble(old: bytes, *, wkt: bool) -> bytes:
+    """First bytes of a LAS 1.4 header.
+
+    Parameters
+    ----------
+    old : bytes
+        Header whose ids, creation date and system are kept; zeros for a new file.
+    wkt : bool
+        Whether the file has a WKT record.
+    """
+    encoding = int.from_bytes(old[6:8], "little") & ~WKT_BIT | (WKT_BIT if wkt else 0)
+    software = f"spl-batch {__version__}".encode("ascii").ljust(32, b"\0")
+    return b"".join(
+        [
+            b"LASF",
+            old[4:6],
+            encoding.to_bytes(2, "little"),
+            old[8:24],
+            bytes([1, 4]),
+            old[26:58],
+            software,
+            old[90:94],
+        ]
+    )
+
+
+def wkt_vlr(crs: CRS) -> Vlr:
+    """Record that holds a CRS, in the dialect that LAS 1.4 asks for where it can."""
+    text = crs.to_wkt(WktVersion.WKT1_GDAL) or crs.to_wkt()
+    return Vlr(WKT_KEY[0].encode(), WKT_KEY[1], b"OGC WKT", text.encode() + b"\0")
+
+
+class WatchedFile:
+    """A file that remembers its own error, which the compressor reports as its own."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+        self.error: OSError | None = None
+
+    def _try(self, call: Callable[..., Any], *args: Any) -> Any:
+        try:
+            return call(*args)
+        except OSError as error:
+            self.error = error
+            raise
+
+    def write(self, data: Any) -> int:
+        """Write all of it."""
+        return int(self._try(self.file.write, bytes(data)))
+
+    def flush(self) -> None:
+        """Hand what is buffered to the system."""
+        self._try(self.file.flush)
+
+    def seek(self, place: int, whence: int = 0) -> int:
+        """Go to a byte; gives its place."""
+        return int(self._try(self.file.seek, place, whence))
+
+    def tell(self) -> int:
+        """Place in the file."""
+        return self.file.tell()
+
+
+@contextmanager
+def output_file(path: Path) -> Iterator[WatchedFile]:
+    """Open a file that takes its name when the block succeeds.
+
+    Raises
+    ------
+    StoppedError
+        If the disk is full.
+    WorkflowError
+        If the place cannot be written.
+    """
+    try:
+        with replacing(path) as temporary, temporary.open("w+b") as file:
+            watched = WatchedFile(file)
+            try:
+                yield watched
+                watched.flush()
+            except lazrs.LazrsError:
+                if watched.error is not None:
+                    raise watched.error from None
+                raise
+            with as_input_fault(f"{path} as it was written"), laspy.open(temporary):
+                pass  # whoever gets it can open it
+    except (FileExistsError, IsADirectoryError, NotADirectoryError) as error:
+        raise WorkflowError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+class Extent:
+    """Counts and bounding box that the header needs, gathered from the records."""
+
+    def __init__(self) -> None:
+        self.low = [2**31] * 3
+        self.high = [-(2**31)] * 3
+        self.returns = np.zeros(16, dtype=np.int64)
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.int64]]) -> "Extent":
+        """What :meth:`to_arrays` gave."""
+        found = cls()
+        found.low, found.high = (arrays[f"extent/{side}"].tolist() for side in ("low", "high"))
+        found.returns = arrays["extent/returns"]
+        return found
+
+    def to_arrays(self) -> dict[str, NDArray[np.int64]]:
+        """Arrays by name, to be stored."""
+        sides = {"low": self.low, "high": self.high, "returns": self.returns}
+        return {f"extent/{name}": np.asarray(v, np.int64) for name, v in sides.items()}
+
+    @property
+    def n_points(self) -> int:
+        """Records counted."""
+        return int(self.returns.sum())
+
+    def add(self, records: NDArray[Any]) -> None:
+        """Count records in."""
+        for axis, name in enumerate("XYZ"):
+            self.low[axis] = min(self.low[axis], int(records[name].min()))
+            self.high[axis] = max(self.high[axis], int(records[name].max()))
+        self.returns += np.bincount(records["bit_fields"] & 15, minlength=16)
+
+    def join(self, other: "Extent") -> None:
+        """Count in what another one has counted."""
+        self.low = [min(pair) for pair in zip(self.low, other.low, strict=True)]
+        self.high = [max(pair) for pair in zip(self.high, other.high, strict=True)]
+        self.returns = self.returns + other.returns
+
+    def box(self, frame: Frame) -> list[float]:
+        """Max x, min x, max y, and so on: the header's order [m]."""
+        if self.n_points == 0:
+            return [0.0] * 6
+        return [
+            side[axis] * frame.scales[axis] + frame.offsets[axis]
+            for axis in range(3)
+            for side in (self.high, self.low)
+        ]
+
+
+def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
+    """Write a LAS 1.4 file atomically, compressed but for point formats 9 and 10.
+
+    Parameters
+    ----------
+    path : Path
+        Final name; its folder is made where missing.
+    frame : Frame
+        Everything but the points.
+    chunks : iterable of (n,) structured
+        Records of the frame's layout.
+
+    Returns
+    -------
+    int
+        Points written.
+
+    Raises
+    ------
+    StoppedError
+        If the disk is full.
+    WorkflowError
+        If the place cannot be written.
+    """
+    laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
+    with output_file(path) as file:
+        extent = Extent()
+        with _framed(file, frame, laz, extent):
+            compressor = None if laz is None else lazrs.LasZipCompressor(file, laz)
+            for records in chunks:
+                if not len(records):
+                    continue
+                extent.add(records)
+                content = np.ascontiguousarray(records).view(np.uint8)
+                if compressor is None:
+                    file.write(content)
+                else:
+                    compressor.compress_many(content)
+            if compressor is not None:
+                compressor.done()
+    return extent.n_points
+
+
+def write_packed(
+    path: Path, frame: Frame, laz: Any, extent: Extent, chunks: Iterable[tuple[int, bytes]]
+) -> int:
+    """Write a LAS 1.4 file whose points are compressed already; see :func:`write_laz`.
+
+    Parameters
+    ----------
+    path, frame
+        As there.
+    laz : lazrs.LazVlr
+        LASzip record of the chunks.
+    extent : Extent
+        Of their points.
+    chunks : iterable of (int, bytes)
+        Points of each chunk, and its bytes.
+    """
+    with output_file(path) as file, _framed(file, frame, laz, extent):
+        start = file.tell()
+        file.write(bytes(_PLACE.size))
+        table = []
+        for points, packed in chunks:
+            file.write(packed)
+            table.append((points, len(packed)))
+        place = file.tell()
+        lazrs.write_chunk_table(file, table, laz)
+        file.seek(start)
+        file.write(_PLACE.pack(place))
+    return extent.n_points
+
+
+@contextmanager
+def _framed(file: WatchedFile, frame: Frame, laz: Any | None, extent: Extent) -> Iterator[None]:
+    """Everything before the points; when they are written, what follows, and the header."""
+    vlrs = [*frame.vlrs, *extra_vlr(frame.layout)]
+    if laz is not None:
+        data = bytes(laz.record_data())
+        vlrs.append(Vlr(LASZIP_KEY[0].encode(), LASZIP_KEY[1], b"lazrs", data))
+    points_start = start_file(file, vlrs)
+    yield
+    file.seek(0, 2)
+    places = _write_evlrs(file, frame)
+    file.seek(0)
+    file.write(header_bytes(frame, extent, len(vlrs), points_start, places))
+
+
+def start_file(file: WatchedFile, vlrs: Sequence[Vlr]) -> int:
+    """Leave room for the header, write the VLRs; gives the byte where points start."""
+    file.write(bytes(HEADER_SIZE))
+    for vlr in vlrs:
+        head = (0, vlr.user_id, vlr.record_id, len(vlr.data), vlr.description)
+        file.write(VLR_HEAD.pack(*head) + vlr.data)
+    return file.tell()
+
+
+def laz_record(layout: RecordLayout, chunk_points: int | None = None) -> Any:
+    """LASzip record for records of a layout, ``lazrs.LazVlr``.
+
+    Parameters
+    ----------
+    layout : RecordLayout
+        Of a point format that is compressed.
+    chunk_points : int, optional
+        Points of a chunk [count]; by default as many as the compressor takes.
+    """
+    extra_bytes = sum(d.dtype.itemsize for d in layout.extra)
+    laz = lazrs.LazVlr.new_for_compression(layout.point_format, extra_bytes)
+    if chunk_points is None:
+        return laz
+    data = bytearray(laz.record_data())
+    CHUNK_SIZE.pack_into(data, CHUNK_SIZE_AT, chunk_points)
+    return lazrs.LazVlr(bytes(data))
+
+
+def extra_vlr(layout: RecordLayout) -> list[Vlr]:
+    """Record that describes the extra bytes; none where there are none."""
+    described = b"".join(d.descriptor for d in layout.extra)
+    if not described:
+        return []
+    return [Vlr(EXTRA_BYTES_KEY[0].encode(), EXTRA_BYTES_KEY[1], b"Extra Bytes Record", described)]
+
+
+def _write_evlrs(file: WatchedFile, frame: Frame) -> tuple[int, int]:
+    """Copy the extended records; gives the place of the first and of the waveforms."""
+    start, waveforms = (file.tell() if frame.evlrs else 0), 0
+    for evlr, source in frame.evlrs:
+        if evlr.key == _WAVEFORM_KEY:
+            waveforms = file.tell()
+        head = (0, evlr.user_id, evlr.record_id, evlr.size, evlr.description)
+        file.write(EVLR_HEAD.pack(*head))
+        left = evlr.size
+        with source.open("rb") as old:
+            old.seek(evlr.start)
+            while left and (block := old.read(min(left, _COPY_BYTES))):
+                file.write(block)
+                left -= len(block)
+    return start, waveforms
+
+
+def header_bytes(
+    frame: Frame, extent: Extent, n_vlrs: int, points_start: int, places: tuple[int, int]
+) -> bytes:
+    """Bytes of the header; ``places`` are those of the first EVLR and of the waveforms."""
+    evlrs_start, waveforms = places
+    layout = frame.layout
+    fixed = struct.pack(
+        "<HIIBHI5I",
+        HEADER_SIZE,
+        points_start,
+        n_vlrs,
+        layout.point_format | (0 if layout.point_format in _UNCOMPRESSED else _COMPRESSED_BIT),
+        layout.dtype.itemsize,
+        *[0] * 6,  # the old counts stay zero in point formats 6-10
+    )
+    floats = struct.pack("<12d", *frame.scales, *frame.offsets, *extent.box(frame))
+    returns = extent.returns[1:].tolist()
+    counts = _COUNTS.pack(waveforms, evlrs_start, len(frame.evlrs), extent.n_points, *returns)
+    return frame.preamble + fixed + floats + counts

@@ -1,0 +1,59 @@
+"""Records of a LAS header that standard readers parse: whether they can.
+
+A reader that knows a kind of record may fail on the whole file where one is damaged. What is
+delivered must open everywhere, so such a record is not copied.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import laspy
+from laspy.vlrs.known import BaseKnownVLR
+
+from spl_batch.errors import is_fault, one_line
+from spl_batch.formats.las.header import Evlr, LasHeader, Vlr
+
+_PARSED_BYTES: Final = 1 << 20
+"""Known records are short: a longer one is copied as it is [byte]."""
+
+
+def reads_back(path: Path, record: Vlr | Evlr) -> bool:
+    """Whether laspy can parse a record of a file, or does not look into it."""
+    return _fault(path, record) is None
+
+
+def broken_records(header: LasHeader) -> Iterator[str]:
+    """What is wrong with each record that cannot be parsed: user id, record id and reason."""
+    records: list[Vlr | Evlr] = [*header.vlrs, *header.evlrs]
+    for record in records:
+        fault = _fault(header.path, record)
+        if fault is not None:
+            name = ascii(record.user_id.rstrip(b"\0").decode("latin-1")).strip("'")
+            yield f"header record {name} {record.record_id} cannot be parsed ({fault})"
+
+
+def _fault(path: Path, record: Vlr | Evlr) -> str | None:
+    """Why a record cannot be parsed; None where it can."""
+    try:
+        name, description = (
+            text.split(b"\0")[0].decode() for text in (record.user_id, record.description)
+        )
+        for kind in BaseKnownVLR.__subclasses__():
+            ids = kind.official_record_ids()
+            if kind.official_user_id() == name and record.record_id in ids:
+                content = _content(path, record)
+                kind.from_raw(laspy.VLR(name, record.record_id, description, content))
+    except BaseException as error:
+        if not is_fault(error):
+            raise
+        return one_line(error)
+    return None
+
+
+def _content(path: Path, record: Vlr | Evlr) -> bytes:
+    if isinstance(record, Vlr):
+        return record.data
+    with path.open("rb") as file:
+        file.seek(record.start)
+        return file.read(min(record.size, _PARSED_BYTES))

@@ -1,0 +1,355 @@
+"""Reading LAS, LAZ and COPC: facts without the points, and points as a stream.
+
+Coordinates become integers on the survey lattice. Where scale and offset are whole
+multiples of the quantum that is integer arithmetic and exact; elsewhere coordinates
+are rounded to the nearest quantum, and a warning says so.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, QUANTA_PER_M
+from spl_batch.errors import InputError, as_input_fault
+from spl_batch.formats.crs import GEO_KEYS, WKT_KEY, crs_from_geotiff, crs_from_wkt
+from spl_batch.formats.las.chunks import RecordReader
+from spl_batch.formats.las.header import LasHeader, open_input, read_header
+from spl_batch.formats.las.layers import can_be_copied
+from spl_batch.formats.las.number_dimensions import Numbers, small_numbers
+from spl_batch.formats.las.records import RecordLayout, dimension, record_layout, scan_angle_deg
+from spl_batch.lattice.tables import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable
+
+_WKT_BYTES_MAX: Final = 1 << 20
+_BBOX_SLACK_M: Final = 1.0
+_MULTIPLE_TOLERANCE: Final = 1e-12
+_OFFSET_TOLERANCE: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class LasFacts:
+    """What a LAS file says about itself; its points are not read.
+
+    Parameters
+    ----------
+    mins_m, maxs_m : (float, float, float)
+        The header's bounding box, finite and in order; zeros where there are no points.
+    crs : CRS or None
+        From the WKT record, else from GeoTIFF keys.
+    adjusted_standard_bit : bool
+        What the header says about ``gps_time``; not always true of the values.
+    dimensions : tuple of str
+        Names that ``channel_dimension`` may take.
+    warnings : tuple of str
+        Oddities that do not stop the work; each is one sentence.
+    layers_can_be_copied : bool
+        Whether :mod:`spl_batch.formats.las.layers` knows how its points are compressed.
+    """
+
+    path: Path
+    size_bytes: int
+    n_points: int
+    version: tuple[int, int]
+    point_format: int
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    mins_m: tuple[float, float, float]
+    maxs_m: tuple[float, float, float]
+    crs: CRS | None
+    adjusted_standard_bit: bool
+    has_gps_time: bool
+    dimensions: tuple[str, ...]
+    warnings: tuple[str, ...]
+    layers_can_be_copied: bool
+
+
+def inspect(path: Path) -> LasFacts:
+    """Facts of a LAS, LAZ or COPC file from header, VLRs and chunk table.
+
+    Parameters
+    ----------
+    path : Path
+        The file; a few kilobytes of it are read.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file, each with its remedy.
+    """
+    with as_input_fault(path):
+        return _inspected(path)
+
+
+def _inspected(path: Path) -> LasFacts:
+    header = read_header(path)
+    with RecordReader(header) as reader:
+        layout = reader.layout
+        layered = can_be_copied(reader)
+    crs, crs_warnings = header_crs(header)
+    return LasFacts(
+        path=path,
+        size_bytes=header.size_bytes,
+        n_points=header.n_points,
+        version=header.version,
+        point_format=header.point_format,
+        scales=header.scales,
+        offsets=header.offsets,
+        mins_m=header.mins_m if header.n_points else (0.0, 0.0, 0.0),
+        maxs_m=header.maxs_m if header.n_points else (0.0, 0.0, 0.0),
+        crs=crs,
+        adjusted_standard_bit=bool(header.global_encoding & 1),
+        has_gps_time="gps_time" in layout.names,
+        dimensions=layout.names,
+        warnings=(*header.warnings, *crs_warnings, *_rounding(header)),
+        layers_can_be_copied=layered,
+    )
+
+
+def promised_points(path: Path) -> int:
+    """Points of a file by its header, whatever else is wrong with it; 0 if the header is, too."""
+    try:
+        return read_header(path).n_points
+    except InputError:
+        return 0
+
+
+def _rounding(header: LasHeader) -> Iterator[str]:
+    """Say that coordinates are rounded; in words that files of other offsets share."""
+    if all(_whole(header.scales[a], header.offsets[a]) is not None for a in range(3)):
+        return
+    steps = all(_whole(scale, 0.0) is not None for scale in header.scales)
+    what = "the offset is" if steps else f"the scale {header.scales} is"
+    yield (
+        f"{what} not whole millimetres: working coordinates are rounded to the nearest millimetre"
+    )
+
+
+def header_crs(header: LasHeader) -> tuple[CRS | None, tuple[str, ...]]:
+    """CRS of a file, and what is odd about its record.
+
+    A record that cannot be understood counts as missing, with a warning: then the
+    workflow has to name the CRS.
+    """
+    try:
+        crs = _wkt_crs(header)
+        if crs is None:
+            directory, doubles, text = (
+                b"" if vlr is None else vlr.data for vlr in (header.vlr(*k) for k in GEO_KEYS)
+            )
+            crs = crs_from_geotiff(directory, doubles, text) if directory else None
+    except CRSError as error:
+        reason = " ".join(str(error).split())
+        return None, (f"the CRS record is not understood ({reason}): name the CRS in survey.crs",)
+    return crs, ()
+
+
+def _wkt_crs(header: LasHeader) -> CRS | None:
+    vlr = header.vlr(*WKT_KEY)
+    if vlr is not None:
+        return crs_from_wkt(vlr.data)
+    evlr = next((e for e in header.evlrs if e.key == WKT_KEY), None)
+    if evlr is None:
+        return None
+    with open_input(header.path) as file:
+        file.seek(evlr.start)
+        return crs_from_wkt(file.read(min(evlr.size, _WKT_BYTES_MAX)))
+
+
+def iter_points(
+    path: Path,
+    *,
+    channel_dimension: str | None,
+    source: int,
+    start: int = 0,
+    stop: int | None = None,
+    chunk: int = 1_000_000,
+    watch: Callable[[NDArray[Any]], None] | None = None,
+) -> Iterator[PointTable]:
+    """Points of a file in its own order, as tables of bounded length.
+
+    Parameters
+    ----------
+    path : Path
+        LAS, LAZ or COPC.
+    channel_dimension : str or None
+        Dimension with the beamlet number; none gives channel 0.
+    source : int
+        Key of the file, for the column ``source``.
+    start, stop : int
+        Range of points, half-open; by default all.
+    chunk : int
+        Points per table [count].
+    watch : callable, optional
+        Is given the records of each table before it comes.
+
+    Yields
+    ------
+    PointTable
+        With :data:`~spl_batch.lattice.tables.SOURCE_COLUMNS`.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or the channel dimension is missing or not in 0..255;
+        messages name the points.
+    """
+    header = read_header(path)
+    layout = record_layout(header)
+    if channel_dimension is not None and channel_dimension not in layout.names:
+        raise InputError(
+            str(path),
+            f"has no dimension {channel_dimension!r} for survey.channel_dimension;"
+            f" there are {', '.join(layout.names)}",
+        )
+    end = header.n_points if stop is None else min(stop, header.n_points)
+    with RecordReader(header) as reader:
+        for first in range(start, end, chunk):
+            records = reader.read(first, min(first + chunk, end))
+            if watch is not None:
+                watch(records)
+            x, y, z = (_coordinate(records, header, axis, first) for axis in range(3))
+            channel = _channel(records, header, layout, channel_dimension, first)
+            places = {"x": x, "y": y, "z": z, "channel": channel}
+            places["source"] = np.full(len(records), source, dtype=np.uint64)
+            places["index"] = np.arange(first, first + len(records))
+            columns = places | _attributes(records, layout)
+            yield PointTable(
+                {k: np.ascontiguousarray(columns[k], COLUMNS[k].dtype) for k in SOURCE_COLUMNS}
+            )
+
+
+SAMPLE_POINTS: Final = 4096
+"""Points that are looked at of each end of a file [count]: of an SPL100 a tenth of a second."""
+
+
+class Ends(NamedTuple):
+    """Times and channels of some points from both ends of a file, (n,) each.
+
+    Parameters
+    ----------
+    gps_time : (n,) float64
+        Not finite where the file has none [s].
+    channel : (n,) uint8
+        Beamlet numbers.
+    numbers : dict of str to Numbers
+        Dimensions that hold small whole numbers, by name.
+    """
+
+    gps_time: NDArray[np.float64]
+    channel: NDArray[Any]
+    numbers: dict[str, Numbers]
+
+
+def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
+    """Look at the first points of a file, and at those where its last chunk starts.
+
+    Parameters
+    ----------
+    path : Path
+        LAS, LAZ or COPC.
+    channel_dimension : str or None
+        Dimension with the beamlet number, which the file has; none gives channel 0.
+    count : int
+        Points of each end, at most [count].
+
+    Raises
+    ------
+    InputError
+        If they are damaged, or the channels are not in 0..255.
+    """
+    with as_input_fault(path):
+        return _ends(path, channel_dimension, count)
+
+
+def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
+    header = read_header(path)
+    with RecordReader(header) as reader:
+        records, layout = reader.read_ends(count), reader.layout
+    timed = "gps_time" in layout.names
+    time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
+    channel = _channel(records, header, layout, channel_dimension, 0)
+    return Ends(time, channel, small_numbers(records, layout))
+
+
+def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:
+    classes = dimension(records, layout, "classification")
+    withheld = dimension(records, layout, "withheld") != 0
+    noise = (classes == CLASS_LOW_NOISE) | (classes == CLASS_HIGH_NOISE)
+    timed = "gps_time" in layout.names
+    return {
+        "gps_time": records["gps_time"] if timed else np.full(len(records), np.nan),
+        "return_number": dimension(records, layout, "return_number"),
+        "scan_angle": scan_angle_deg(records, layout),
+        "point_source_id": records["point_source_id"],
+        "intensity": records["intensity"],
+        "input_class": classes,
+        "flags": withheld * int(PointFlag.WITHHELD) | noise * int(PointFlag.VENDOR_NOISE),
+    }
+
+
+def _whole(scale: float, offset: float) -> tuple[int, int] | None:
+    """Scale and offset in whole quanta; none where they are not whole."""
+    step, base = scale * QUANTA_PER_M, offset * QUANTA_PER_M
+    whole_step, whole_base = round(step), round(base)
+    if whole_step < 1 or abs(step / whole_step - 1) > _MULTIPLE_TOLERANCE:
+        return None
+    if abs(base - whole_base) > _OFFSET_TOLERANCE:
+        return None
+    return whole_step, whole_base
+
+
+def _coordinate(
+    records: NDArray[Any], header: LasHeader, axis: int, first: int
+) -> NDArray[np.int64]:
+    """Coordinates of one axis on the lattice [quanta]: (n,) int64.
+
+    A point well outside the header's bounding box means damaged data, which LAZ has no
+    checksum against, or a box that the plan must not rely on.
+    """
+    raw = records["XYZ"[axis]]
+    scale, offset = header.scales[axis], header.offsets[axis]
+    whole = _whole(scale, offset)
+    quanta: NDArray[np.int64]
+    if whole is not None:
+        quanta = raw.astype(np.int64) * whole[0] + whole[1]
+    else:
+        quanta = np.rint((raw * scale + offset) * QUANTA_PER_M).astype(np.int64)
+    low = (header.mins_m[axis] - _BBOX_SLACK_M) * QUANTA_PER_M
+    high = (header.maxs_m[axis] + _BBOX_SLACK_M) * QUANTA_PER_M
+    if len(quanta) and (quanta.min() < low or quanta.max() > high):
+        where = int(np.argmax((quanta < low) | (quanta > high)))
+        raise InputError(
+            str(header.path),
+            f"point {first + where} has {'xyz'[axis]} {quanta[where] / QUANTA_PER_M}, outside the"
+            f" header's {header.mins_m[axis]} to {header.maxs_m[axis]}: the points are damaged,"
+            " copy the file again; or the header is wrong, repair it (lasinfo -repair_bb)",
+        )
+    return quanta
+
+
+def _channel(
+    records: NDArray[Any], header: LasHeader, layout: RecordLayout, name: str | None, first: int
+) -> NDArray[Any]:
+    if name is None:
+        return np.zeros(len(records), dtype=np.uint8)
+    values = dimension(records, layout, name)
+    if values.ndim == 1 and values.dtype == np.uint8:
+        return values
+    whole = values.ndim == 1 and bool(np.all((values >= 0) & (values <= 255)))
+    if whole and np.array_equal(values, np.rint(values)):
+        return values
+    if values.ndim > 1:
+        fault = f"dimension {name!r} has {values.shape[1]} values a point; a channel is one"
+    else:
+        wrong = ~((values >= 0) & (values <= 255) & (values == np.rint(values)))
+        where = int(np.argmax(wrong))
+        fault = (
+            f"dimension {name!r} is {values[where]} at point {first + where}; a channel is a whole"
+            " number 0 to 255: name another one in survey.channel_dimension"
+        )
+    raise InputError(str(header.path), fault)

@@ -1,0 +1,197 @@
+"""Layout of LAS point records: names, bits and extra bytes [LAS 1.4 R15, sections 2.6, 4]."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Final
+
+import laspy
+import numpy as np
+from laspy.point.dims import get_sub_fields_dict
+from numpy.typing import NDArray
+
+from spl_batch.errors import InputError
+from spl_batch.formats.las.header import LasHeader
+
+EXTRA_BYTES_KEY: Final = ("LASF_Spec", 4)
+DESCRIPTOR_SIZE: Final = 192
+FIRST_EXTENDED_FORMAT: Final = 6
+SCAN_ANGLE_STEP_DEG: Final = 0.006
+"""Unit of the scan angle in point formats 6-10 [deg]."""
+
+_TYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
+_SCALE_BIT: Final = 8
+_OFFSET_BIT: Final = 16
+_VLR_MAX: Final = 2**16 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraDimension:
+    """One described dimension in the extra bytes of a record.
+
+    Parameters
+    ----------
+    field : str
+        Name of the field in the record's dtype; differs from every standard one.
+    scale, offset : float or None
+        Value = raw scale + offset, where the descriptor says so.
+    descriptor : bytes
+        The 192 bytes that describe it.
+    """
+
+    name: str
+    field: str
+    dtype: np.dtype[Any]
+    scale: float | None
+    offset: float | None
+    descriptor: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RecordLayout:
+    """What the bytes of a point record mean."""
+
+    point_format: int
+    extra: tuple[ExtraDimension, ...]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Packed dtype of one record."""
+        standard = standard_dtype(self.point_format)
+        fields: list[tuple[str, Any]] = [(name, standard[name]) for name in standard.names or ()]
+        return np.dtype(fields + [(d.field, d.dtype) for d in self.extra])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dimensions that can be asked for by name."""
+        standard = tuple(laspy.PointFormat(self.point_format).standard_dimension_names)
+        return standard + tuple(d.name for d in self.extra)
+
+
+@cache
+def standard_dtype(point_format: int) -> np.dtype[Any]:
+    """Packed dtype of a record without extra bytes."""
+    standard: np.dtype[Any] = laspy.PointFormat(point_format).dtype()
+    return standard
+
+
+def record_layout(header: LasHeader) -> RecordLayout:
+    """Layout of a file's point records.
+
+    Raises
+    ------
+    InputError
+        If the extra bytes' description contradicts the record length.
+    """
+    base = standard_dtype(header.point_format).itemsize
+    room = header.record_size - base
+    vlr = header.vlr(*EXTRA_BYTES_KEY)
+    described = b"" if vlr is None else vlr.data
+    extra: list[ExtraDimension] = []
+    for start in range(0, len(described) - DESCRIPTOR_SIZE + 1, DESCRIPTOR_SIZE):
+        extra.append(
+            _dimension(header, described[start : start + DESCRIPTOR_SIZE], number=len(extra))
+        )
+    left = room - sum(d.dtype.itemsize for d in extra)
+    if left < 0:
+        raise InputError(
+            str(header.path),
+            f"extra bytes are described as {room - left} bytes, the records have {room}:"
+            " the header is damaged, rewrite the file with the software that made it",
+        )
+    # Bytes that nothing describes get names, so that a copy can carry them along. The
+    # standard has a type for such blocks, which common readers misunderstand.
+    for plain in ["<u8"] * (left // 8) + ["u1"] * (left % 8):
+        name = f"undescribed_{len(extra)}"
+        field = f"extra_{len(extra)}"
+        extra.append(replace(new_dimension(name, np.dtype(plain), ""), field=field))
+    if len(extra) * DESCRIPTOR_SIZE > _VLR_MAX:
+        raise InputError(
+            str(header.path),
+            f"point records of {header.record_size} bytes have {room} extra bytes, which is more"
+            " than can be described: the header is damaged, or the file needs converting",
+        )
+    return RecordLayout(header.point_format, tuple(extra))
+
+
+def new_dimension(name: str, dtype: np.dtype[Any], text: str) -> ExtraDimension:
+    """Extra dimension of a plain numeric dtype [LAS 1.4 R15, table 24].
+
+    Parameters
+    ----------
+    name : str
+        At most 32 ASCII characters.
+    dtype : dtype
+        Integer of 8 to 64 bits, float32 or float64.
+    text : str
+        Description, at most 32 ASCII characters.
+    """
+    plain = np.dtype(dtype)
+    code = _TYPES.index(f"{plain.kind}{plain.itemsize}") + 1
+    head = bytes([0, 0, code, 0]) + name.encode("ascii").ljust(32, b"\0")
+    described = head.ljust(DESCRIPTOR_SIZE - 32, b"\0") + text.encode("ascii").ljust(32, b"\0")
+    return ExtraDimension(name, name, plain, None, None, described)
+
+
+def _dimension(header: LasHeader, raw: bytes, *, number: int) -> ExtraDimension:
+    code, options = raw[2], raw[3]
+    name = raw[4:36].split(b"\0")[0].decode("utf-8", errors="replace")
+    field = f"extra_{number}"
+    if code == 0:
+        return ExtraDimension(name, field, np.dtype(("u1", (options,))), None, None, raw)
+    if code > 3 * len(_TYPES):
+        raise InputError(
+            str(header.path),
+            f"extra dimension {name!r} has data type {code}; 0 to 30 are known:"
+            " the header is damaged, rewrite the file with the software that made it",
+        )
+    base = np.dtype(f"<{_TYPES[(code - 1) % len(_TYPES)]}")
+    count = (code - 1) // len(_TYPES) + 1
+    dtype = base if count == 1 else np.dtype((base, (count,)))
+    scale = float(np.frombuffer(raw, "<f8", 1, 112)[0]) if options & _SCALE_BIT else None
+    offset = float(np.frombuffer(raw, "<f8", 1, 136)[0]) if options & _OFFSET_BIT else None
+    return ExtraDimension(name, field, dtype, scale, offset, raw)
+
+
+def dimension(records: NDArray[Any], layout: RecordLayout, name: str) -> NDArray[Any]:
+    """Values of one dimension.
+
+    Parameters
+    ----------
+    records : (n,) structured
+        Point records of this layout.
+    layout : RecordLayout
+        What their bytes mean.
+    name : str
+        One of :attr:`RecordLayout.names`.
+
+    Returns
+    -------
+    (n,) or (n, k) ndarray
+        Bit fields as uint8, scaled extra dimensions as float64, others as stored.
+    """
+    bits = get_sub_fields_dict(layout.point_format)
+    if name in bits:
+        field, part = bits[name]
+        shift = (part.mask & -part.mask).bit_length() - 1
+        unpacked: NDArray[np.uint8] = (records[field] & np.uint8(part.mask)) >> np.uint8(shift)
+        return unpacked
+    extra = next((d for d in layout.extra if d.name == name), None)
+    if extra is None or name in (records.dtype.names or ()):
+        stored: NDArray[Any] = records[name]
+        return stored
+    values: NDArray[Any] = records[extra.field]
+    if extra.scale is None and extra.offset is None:
+        return values
+    scale = 1.0 if extra.scale is None else extra.scale
+    offset = 0.0 if extra.offset is None else extra.offset
+    scaled: NDArray[Any] = values * scale + offset
+    return scaled
+
+
+def scan_angle_deg(records: NDArray[Any], layout: RecordLayout) -> NDArray[np.float32]:
+    """Scan angle, positive to starboard [deg]: (n,) float32."""
+    if layout.point_format < FIRST_EXTENDED_FORMAT:
+        rank: NDArray[np.float32] = records["scan_angle_rank"].astype(np.float32)
+        return rank
+    angle: NDArray[np.float32] = (records["scan_angle"] * SCAN_ANGLE_STEP_DEG).astype(np.float32)
+    return angle

@@ -1,0 +1,320 @@
+"""Classified clouds out: what the input had is kept, labels come beside it.
+
+Output is LAS 1.4, point formats 6-10, compressed. The same input and labels give the
+same bytes.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.errors import WorkflowError
+from spl_batch.formats.crs import WKT_KEY
+from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
+from spl_batch.formats.las.convert import conversion
+from spl_batch.formats.las.copc import write_copc
+from spl_batch.formats.las.frame import (
+    HEADER_SIZE,
+    Extent,
+    Frame,
+    preamble,
+    wkt_vlr,
+    write_laz,
+    write_packed,
+)
+from spl_batch.formats.las.header import LasHeader, Vlr, read_header
+from spl_batch.formats.las.known_records import reads_back
+from spl_batch.formats.las.layers import LayerCopy, can_be_copied
+from spl_batch.formats.las.reader import header_crs
+from spl_batch.formats.las.records import (
+    EXTRA_BYTES_KEY,
+    SCAN_ANGLE_STEP_DEG,
+    ExtraDimension,
+    RecordLayout,
+    dimension,
+    new_dimension,
+)
+from spl_batch.lattice.tables import PointFlag, PointTable
+
+Labels = Callable[[int, int], Mapping[str, NDArray[Any]]]
+"""Labels of points ``[start, stop)``: classification, noise_class and diagnostics."""
+
+KEEP_CLASS: Final = 255
+"""Label ``classification`` of a point that keeps the class of the input."""
+
+ADDED: Final[Mapping[str, tuple[str, str]]] = {
+    "input_classification": ("u1", "class of the input file"),
+    "noise_class": ("u1", "0 signal 1 backgr 2 afterp 255 -"),
+    "noise_density": ("f4", "expected noise points per m3"),
+    "p_value": ("f4", "P(this many neighbours | noise)"),
+}
+"""Extra bytes that this project adds: dtype and description."""
+
+SYNTHETIC_BIT: Final = 8
+"""Bit of the global encoding: return numbers are synthetic."""
+
+AGGREGATE_BIT: Final = 32
+"""Bit 5 of the global encoding, the aggregate model of drafts of LAS 1.4 R14. The published
+revisions dropped it for rules on single fields and reserve the bit [LAS 1.4 R15, 2.6]."""
+
+_ONLY_RETURN: Final = 0x11
+"""First of one return."""
+
+_DIAGNOSTICS: Final = ("noise_density", "p_value")
+_CHUNK: Final = 500_000
+_POINT_FORMAT: Final = 6
+_WITHHELD_BIT: Final = 4
+_ORIGIN_STEP: Final = 1_000 * QUANTA_PER_M
+_INT32: Final = np.iinfo(np.int32)
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What is known of a file's points by who has decoded them before.
+
+    Parameters
+    ----------
+    given : callable
+        ``given(start, stop)`` is :func:`~spl_batch.formats.las.layers.given_of` of these records.
+    extent : Extent
+        Of all records.
+    """
+
+    given: Callable[[int, int], NDArray[np.uint32]]
+    extent: Extent
+
+
+def write_classified(
+    src: Path,
+    dst: Path,
+    *,
+    labels: Labels,
+    diagnostics: bool,
+    crs: CRS | None,
+    decoded: Decoded | None = None,
+) -> int:
+    """Copy a file with new classes and the extra bytes of :data:`ADDED`.
+
+    Every point comes once and in order, with all its dimensions, raw coordinates, scale
+    and offset. Point formats 0-5 become 6-10. Records that describe the old packing
+    (LASzip, COPC) are left out, and so are those that no reader could parse
+    (:func:`~spl_batch.formats.las.known_records.broken_records`); all others are kept. A CRS in
+    GeoTIFF
+    keys, which formats 6-10 do not know, is given as WKT as well. Extra bytes that the input
+    has under a name of :data:`ADDED` are replaced.
+
+    Parameters
+    ----------
+    src, dst : Path
+        Input; output, whose folder is made where it is missing.
+    labels : callable
+        ``labels(start, stop)`` gives ``classification`` (:data:`KEEP_CLASS` keeps the
+        input's) and ``noise_class`` (uint8) and, with diagnostics, ``noise_density`` and
+        ``p_value`` (float32) of these points.
+    diagnostics : bool
+        Whether to add ``noise_density`` and ``p_value``.
+    crs : CRS or None
+        CRS for an input that carries none.
+    decoded : Decoded, optional
+        Spares decoding a file of which :func:`~spl_batch.formats.las.layers.can_be_copied` holds:
+        what is not changed is copied as it is compressed.
+
+    Returns
+    -------
+    int
+        Points written.
+
+    Raises
+    ------
+    InputError
+        If the input is damaged.
+    WorkflowError
+        If the output cannot be written, or is the input.
+    StoppedError
+        If the disk is full.
+    """
+    if dst.exists() and dst.samefile(src):
+        raise WorkflowError(f"{dst}: is an input; choose another output folder")
+    header = read_header(src)
+    names = [n for n in ADDED if diagnostics or n not in _DIAGNOSTICS]
+    with RecordReader(header) as reader:
+        convert = conversion(reader.layout, [_added(n) for n in names])
+
+        def chunks() -> Iterator[NDArray[Any]]:
+            for start in range(0, header.n_points, _CHUNK):
+                stop = min(start + _CHUNK, header.n_points)
+                given = reader.read(start, stop)
+                out = convert.records(given)
+                classes = dimension(given, reader.layout, "classification")
+                _label(out, convert.layout, classes, labels(start, stop), names)
+                yield out
+
+        def packed(known: Decoded, copy: LayerCopy) -> Iterator[tuple[int, bytes]]:
+            for start, stop, chunk in reader.packed_chunks():
+                own, first = copy.records(known.given(start, stop)), copy.first(chunk)
+                classes, values = own["classification"].copy(), labels(start, stop)
+                _label(own, copy.own, classes, values, names)
+                of_first = {name: v[:1] for name, v in values.items()}
+                _label(first, convert.layout, classes[:1], of_first, names)
+                yield stop - start, copy.chunk(chunk, first, own)
+
+        vlrs, wkt = _vlrs(header, crs)
+        evlrs = [e for e in header.evlrs if e.key[0] != "copc" and reads_back(src, e)]
+        frame = Frame(
+            preamble=preamble(header.raw, wkt=wkt),
+            scales=header.scales,
+            offsets=header.offsets,
+            layout=convert.layout,
+            vlrs=vlrs,
+            evlrs=[(e, src) for e in evlrs],
+        )
+        if decoded is None or not can_be_copied(reader):
+            return write_laz(dst, frame, chunks())
+        copy = LayerCopy(reader, convert, len(names))
+        return write_packed(dst, frame, copy.laz, decoded.extent, packed(decoded, copy))
+
+
+def _added(name: str) -> ExtraDimension:
+    dtype, text = ADDED[name]
+    return new_dimension(name, np.dtype(dtype), text)
+
+
+def _label(
+    out: NDArray[Any],
+    layout: RecordLayout,
+    classes: NDArray[np.uint8],
+    values: Mapping[str, NDArray[Any]],
+    names: list[str],
+) -> None:
+    field = {d.name: d.field for d in layout.extra}
+    given = np.asarray(values["classification"], dtype=np.uint8)
+    out["classification"] = np.where(given == KEEP_CLASS, classes, given)
+    for name in names:
+        out[field[name]] = classes if name == "input_classification" else values[name]
+
+
+def _vlrs(header: LasHeader, crs: CRS | None) -> tuple[list[Vlr], bool]:
+    """Records that are kept, and whether there is a WKT record among them."""
+    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
+    kept = [v for v in header.vlrs if v.key not in dropped and v.key[0] != "copc"]
+    kept = [v for v in kept if reads_back(header.path, v)]
+    evlrs = {e.key for e in header.evlrs if reads_back(header.path, e)}
+    if WKT_KEY in {v.key for v in kept} | evlrs:
+        return kept, True
+    known = header_crs(header)[0] or crs
+    return (kept, False) if known is None else ([*kept, wkt_vlr(known)], True)
+
+
+def write_points(
+    path: Path,
+    table: PointTable,
+    *,
+    crs: CRS | None,
+    extra: Mapping[str, NDArray[Any]] | None = None,
+    adjusted_standard: bool = True,
+    copc: bool = False,
+    aggregate: bool = False,
+    aggregate_bit: bool = False,
+) -> int:
+    """Write a table as LAZ or COPC, point format 6, on the survey's lattice.
+
+    The table does not know how many returns a pulse had: ``number_of_returns`` is 0. The
+    beamlet number goes to ``user_data``.
+
+    Parameters
+    ----------
+    path : Path
+        Final name, written atomically.
+    table : PointTable
+        At least ``x, y, z``; columns of the model that it lacks are 0. ``classification``
+        is the class, or else ``input_class``; where both are there the latter becomes
+        ``input_classification``. Labels of :data:`ADDED` become extra bytes.
+    crs : CRS or None
+        CRS of the coordinates.
+    extra : mapping of str to (n,) ndarray
+        More extra bytes, numeric; these win over columns of the same name.
+    adjusted_standard : bool
+        What the header says of ``gps_time``: adjusted standard, else week seconds.
+    copc : bool
+        Write an octree (COPC) instead of plain LAZ; this changes the points' order.
+    aggregate : bool
+        Points are of an aggregate model, none of a pulse's returns: the header says that return
+        numbers are synthetic, and each point is the only one.
+    aggregate_bit : bool
+        Set :data:`AGGREGATE_BIT` as well.
+
+    Returns
+    -------
+    int
+        Points written.
+
+    Raises
+    ------
+    WorkflowError
+        If the output cannot be written.
+    StoppedError
+        If the disk is full.
+    """
+    added: dict[str, NDArray[Any]] = {n: table[n] for n in ADDED if n in table}
+    if "input_class" in table and "classification" in table:
+        added["input_classification"] = table["input_class"]
+    added |= extra or {}
+    described = [
+        new_dimension(n, np.asarray(v).dtype, ADDED[n][1] if n in ADDED else "")
+        for n, v in added.items()
+    ]
+    layout = conversion(RecordLayout(_POINT_FORMAT, ()), described).layout
+    records = np.zeros(len(table), dtype=layout.dtype)
+    offsets = [_place(records, table, axis, path) for axis in range(3)]
+    _fill(records, table)
+    if aggregate:
+        records["bit_fields"] = _ONLY_RETURN
+    for known, values in zip(layout.extra, added.values(), strict=True):
+        records[known.field] = values
+    head = bytearray(HEADER_SIZE)
+    head[6] = int(adjusted_standard) | SYNTHETIC_BIT * aggregate | AGGREGATE_BIT * aggregate_bit
+    frame = Frame(
+        preamble=preamble(bytes(head), wkt=crs is not None),
+        scales=(QUANTUM_M, QUANTUM_M, QUANTUM_M),
+        offsets=(offsets[0], offsets[1], offsets[2]),
+        layout=layout,
+        vlrs=[] if crs is None else [wkt_vlr(crs)],
+    )
+    return write_copc(path, frame, records) if copc else write_laz(path, frame, [records])
+
+
+def _place(records: NDArray[Any], table: PointTable, axis: int, path: Path) -> float:
+    """Put one axis into the records; gives its offset [m], a whole number of kilometres."""
+    values = table["xyz"[axis]].astype(np.int64)
+    if not len(values):
+        return 0.0
+    low, high = int(values.min()), int(values.max())
+    fits = _INT32.min <= low and high <= _INT32.max
+    origin = 0 if fits else low // _ORIGIN_STEP * _ORIGIN_STEP
+    if high - origin > _INT32.max:
+        raise WorkflowError(f"{path}: {'xyz'[axis]} spans more than 2000 km; write it in parts")
+    records["XYZ"[axis]] = values - origin
+    return float(origin // QUANTA_PER_M)
+
+
+def _fill(records: NDArray[Any], table: PointTable) -> None:
+    for name in ("intensity", "point_source_id", "gps_time"):
+        if name in table:
+            records[name] = table[name]
+    if "channel" in table:
+        records["user_data"] = table["channel"]
+    if "return_number" in table:
+        records["bit_fields"] = table["return_number"] & np.uint8(15)
+    if "scan_angle" in table:
+        records["scan_angle"] = np.rint(table["scan_angle"] / SCAN_ANGLE_STEP_DEG)
+    if "flags" in table:
+        records["classification_flags"] = table.has(PointFlag.WITHHELD) * np.uint8(_WITHHELD_BIT)
+    name = "classification" if "classification" in table else "input_class"
+    if name in table:
+        records["classification"] = table[name]

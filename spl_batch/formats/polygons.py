@@ -1,0 +1,112 @@
+"""Areas of interest and water: polygons of any vector format, in the survey's CRS."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyogrio
+import shapely
+from numpy.typing import NDArray
+from pyogrio.errors import DataLayerError, DataSourceError
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import InputError
+from spl_batch.formats.crs import crs_name, horizontal, same_crs
+
+_POLYGONAL: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+
+
+def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
+    """All polygons of a file as one valid geometry.
+
+    Parameters
+    ----------
+    path : Path
+        Any vector format that GDAL reads; every layer is taken.
+    crs : CRS or None
+        CRS of the result; none is only good for a file without a CRS.
+
+    Returns
+    -------
+    Polygon or MultiPolygon
+        Prepared for :func:`contains`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no vector file, or has no polygons or no CRS.
+    """
+    if not path.exists():
+        raise InputError(str(path), "no such file; check the path")
+    parts = []
+    try:
+        for name, _ in pyogrio.list_layers(path):
+            meta, _, wkb, _ = pyogrio.raw.read(path, layer=name, columns=[])
+            shapes = shapely.from_wkb([] if wkb is None else wkb)
+            shapes = shapes[np.isin(shapely.get_type_id(shapes), _POLYGONAL)]
+            if len(shapes):
+                parts.append(_in_crs(path, shapely.force_2d(shapes), meta["crs"], crs))
+    except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"cannot be read as polygons: {reason}") from None
+    if not parts:
+        raise InputError(str(path), "holds no polygons; draw at least one or remove the key")
+    area = shapely.union_all(shapely.make_valid(np.concatenate(parts)))
+    shapely.prepare(area)
+    return area
+
+
+def _in_crs(path: Path, shapes: NDArray[Any], own: str | None, crs: CRS | None) -> NDArray[Any]:
+    if own is None and crs is None:
+        return shapes
+    if own is None:
+        raise InputError(str(path), "has no CRS; write one into it, e.g. with ogr2ogr -a_srs")
+    try:
+        source = CRS.from_user_input(own)
+    except CRSError:
+        raise InputError(str(path), f"its CRS {own!r} is not known; write another") from None
+    if crs is None:
+        raise InputError(
+            str(path), f"is in {crs_name(source)}, the survey has no CRS: name it in survey.crs"
+        )
+    if same_crs(source, crs):
+        return shapes
+    transformer = Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
+
+    def move(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack(transformer.transform(xy[:, 0], xy[:, 1], errcheck=True))
+
+    try:
+        moved: NDArray[Any] = shapely.transform(shapes, move)
+    except ProjError:
+        raise InputError(
+            str(path), f"cannot be transformed from {crs_name(source)} to {crs_name(crs)}"
+        ) from None
+    return moved
+
+
+def contains(
+    geometry: shapely.Geometry, x: NDArray[np.int64], y: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which points lie inside a geometry.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        From :func:`read_polygons`.
+    x, y : (n,) int64
+        Coordinates [quanta].
+
+    Returns
+    -------
+    (n,) bool
+        Points on the boundary are outside.
+    """
+    west, south, east, north = shapely.bounds(geometry) * QUANTA_PER_M
+    # Most points lie far from a small lake; this says so quickly.
+    near = np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north))
+    mask = np.zeros(len(x), np.bool_)
+    mask[near] = shapely.contains_xy(geometry, x[near] / QUANTA_PER_M, y[near] / QUANTA_PER_M)
+    return mask

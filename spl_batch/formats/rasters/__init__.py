@@ -1,0 +1,1 @@
+"""GeoTIFFs that are delivered, and parts of them."""

@@ -1,0 +1,237 @@
+"""Delivered rasters: cloud-optimised GeoTIFF."""
+
+import shutil
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
+from rasterio.enums import Resampling
+from rasterio.errors import CRSError, RasterioError
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from spl_batch.constants import NODATA
+from spl_batch.errors import InputError, StoppedError
+from spl_batch.formats.files.atomic import replacing, scratch_folder
+
+Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
+"""First row, first column and values of pieces of a raster, row 0 northernmost."""
+
+TILE_PX: Final = 256
+"""Edge of a COG's internal tile [cells]."""
+
+CACHE_BYTES: Final = 64 * 2**20
+"""GDAL's block cache while a COG is written: memory does not grow with the raster [bytes]."""
+
+
+def write_cog(
+    path: Path,
+    blocks: NDArray[np.float32] | Blocks,
+    *,
+    shape: tuple[int, int],
+    origin_xy_m: tuple[float, float],
+    cell_m: float,
+    crs: str | None,
+    description: str,
+    unit: str = "",
+    nodata: float = NODATA,
+) -> None:
+    """Write a cloud-optimised GeoTIFF: tiled, deflated, with overviews; equal input, equal bytes.
+
+    Parameters
+    ----------
+    path : Path
+        Destination; replaced only by a finished file.
+    blocks : (rows, cols) float32, or iterable of (row, col, block)
+        The raster, or pieces of it in any order; what no piece covers is nodata.
+    shape : (int, int)
+        Rows and columns, both > 0.
+    origin_xy_m : (float, float)
+        Easting and northing of the upper left corner [m].
+    cell_m : float
+        Edge of a cell [m].
+    crs : str, optional
+        Anything that GDAL understands as a CRS: EPSG code, WKT.
+    description : str
+        Name of the band.
+    unit : str
+        Unit of its values, as GDAL's unit type; empty where they have none.
+    nodata : float
+        Value of cells that hold nothing.
+
+    Raises
+    ------
+    StoppedError
+        If the disk is full.
+    WorkflowError
+        If the place cannot be written.
+    InputError
+        If ``crs`` is not understood.
+    """
+    pieces: Blocks = [(0, 0, blocks)] if isinstance(blocks, np.ndarray) else blocks
+    try:
+        known_crs = None if crs is None else rasterio.crs.CRS.from_user_input(crs)
+    except CRSError as error:
+        raise InputError(str(path), f"CRS {crs!r} is not understood: {error}") from None
+    profile = {
+        "driver": "GTiff",
+        "height": shape[0],
+        "width": shape[1],
+        "count": 1,
+        "dtype": "float32",
+        "nodata": nodata,
+        "crs": known_crs,
+        "transform": Affine(cell_m, 0.0, origin_xy_m[0], 0.0, -cell_m, origin_xy_m[1]),
+    }
+    try:
+        with (
+            replacing(path) as cog,
+            scratch_folder(path) as folder,
+            rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, GDAL_NUM_THREADS="1"),
+        ):
+            # Overviews and other by-products of GDAL come and go with the folder.
+            plain, finished = Path(folder, "plain.tif"), Path(folder, "cog.tif")
+            marks = _write_plain(plain, pieces, profile, (description, unit))
+            _add_overviews(plain, shape)
+            _copy_as_cog(plain, finished)
+            _verify(finished, marks)
+            finished.replace(cog)
+    except (RasterioError, CPLE_BaseError) as error:
+        raise _stopped(path, shape, error) from error
+
+
+def _write_plain(
+    path: Path, pieces: Blocks, profile: dict[str, Any], named: tuple[str, str]
+) -> list[tuple[Window, int]]:
+    """Write pieces as they come; uncompressed, so that rewriting a tile leaves no waste.
+
+    Gives the place of each piece and a checksum of it.
+    """
+    layout = {"tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX, "sparse_ok": True}
+    marks = []
+    with rasterio.open(path, "w", bigtiff="if_safer", **layout, **profile) as out:
+        out.set_band_description(1, named[0])
+        if named[1]:
+            out.set_band_unit(1, named[1])
+        for row, col, block in pieces:
+            rows, cols = block.shape
+            window = Window(col, row, cols, rows)
+            values = block.astype(np.float32, copy=False)
+            out.write(values, 1, window=window)
+            marks.append((window, zlib.crc32(values.tobytes())))
+    return marks
+
+
+def _verify(cog: Path, marks: Iterable[tuple[Window, int]]) -> None:
+    """Read everything back: GDAL keeps silent when a full disk cuts off what it still caches."""
+    lost = RasterioError("what was written cannot be read back")
+    with rasterio.open(cog) as source:
+        levels = len(source.overviews(1))
+        if any(zlib.crc32(source.read(1, window=w).tobytes()) != mark for w, mark in marks):
+            raise lost
+    for level in range(levels):
+        finer = {} if level == 0 else {"overview_level": level - 1}
+        with rasterio.open(cog, **finer) as fine, rasterio.open(cog, overview_level=level) as made:
+            if not all(_averages(fine, made, window) for _, window in made.block_windows(1)):
+                raise lost
+
+
+def _averages(fine: Any, made: Any, window: Window) -> bool:
+    """Whether a part of an overview lies between the finer cells that it is the mean of."""
+    values = made.read(1, window=window)
+    rows = _finer(window.row_off, window.height, fine.height / made.height, fine.height)
+    cols = _finer(window.col_off, window.width, fine.width / made.width, fine.width)
+    row, col = int(rows.min()), int(cols.min())
+    within = Window(col, row, int(cols.max()) + 1 - col, int(rows.max()) + 1 - row)
+    cells = fine.read(1, window=within)
+    known = cells != made.nodata
+    far = np.finfo(np.float32).max / 2
+    low, high = np.where(known, cells, far), np.where(known, cells, -far)
+    for axis, at in ((0, rows - row), (1, cols - col)):
+        low, high = low.take(at, axis).min(axis), high.take(at, axis).max(axis)
+        known = known.take(at, axis).all(axis)
+    slack = 1e-5 * np.maximum(np.abs(low), np.abs(high))
+    empty = values == made.nodata
+    return bool(np.all(np.where(empty, ~known, (values >= low - slack) & (values <= high + slack))))
+
+
+def _finer(start: int, count: int, ratio: float, size: int) -> NDArray[np.int64]:
+    """Finer rows or columns that coarser ones may be made of, one to either side: (5, count)."""
+    first = np.floor(np.arange(start, start + count) * ratio).astype(np.int64) - 1
+    cells: NDArray[np.int64] = np.clip(first + np.arange(5)[:, None], 0, size - 1)
+    return cells
+
+
+def _add_overviews(path: Path, shape: tuple[int, int]) -> None:
+    """Overviews down to one tile, and one always: GDAL by itself leaves small rasters without."""
+    factors = [2]
+    while max(shape) // factors[-1] > TILE_PX:
+        factors.append(2 * factors[-1])
+    with rasterio.open(path, "r+") as raster:
+        raster.build_overviews(factors, Resampling.average)
+
+
+def _copy_as_cog(plain: Path, cog: Path) -> None:
+    rasterio.shutil.copy(
+        plain,
+        cog,
+        driver="COG",
+        compress="deflate",
+        predictor="yes",
+        level=6,
+        blocksize=TILE_PX,
+        overviews="force_use_existing",
+        overview_compress="deflate",
+        bigtiff="if_safer",
+        num_threads="1",
+    )
+
+
+def _free_bytes(folder: Path) -> int:
+    return shutil.disk_usage(folder).free
+
+
+def _stopped(path: Path, shape: tuple[int, int], error: Exception) -> StoppedError:
+    """GDAL tells a full disk only in prose, so the free space is looked at."""
+    needed = 2 * 4 * shape[0] * shape[1]
+    if _free_bytes(path.parent) < needed:
+        return StoppedError(f"{path}: disk full; free {needed // 10**6 + 1} MB and run again")
+    return StoppedError(f"{path}: cannot be written: {' '.join(str(error).split())}")
+
+
+def read_raster(path: Path) -> tuple[NDArray[np.float32], Affine, str | None]:
+    """First band of a raster file.
+
+    Parameters
+    ----------
+    path : Path
+        Any raster that GDAL reads.
+
+    Returns
+    -------
+    values : (rows, cols) float32
+        The band; its nodata value becomes :data:`~spl_batch.constants.NODATA`.
+    transform : Affine
+        Cell (col, row) to easting and northing [m].
+    crs : str or None
+        WKT.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    try:
+        with rasterio.open(path) as source:
+            values: NDArray[np.float32] = source.read(1).astype(np.float32)
+            if source.nodata is not None:
+                values[values == np.float32(source.nodata)] = NODATA
+            return values, source.transform, source.crs.to_wkt() if source.crs else None
+    except RasterioError as error:
+        raise InputError(str(path), " ".join(str(error).split())) from None

@@ -1,0 +1,1 @@
+"""Trajectories of any format, joined and read by slices."""

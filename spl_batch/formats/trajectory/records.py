@@ -1,0 +1,253 @@
+"""Records of trajectory files, some at a time: CSV, Parquet, SBET; and into another CRS."""
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+
+from spl_batch.errors import InputError
+from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
+from spl_batch.formats.las.header import open_input
+from spl_batch.formats.trajectory.sbet import SBET_SUFFIXES, read_sbet
+
+COLUMNS: Final = ("gps_time", "x", "y", "z")
+"""Columns of a trajectory in CSV or Parquet."""
+
+SBET_CRS: Final = "EPSG:4979"
+"""CRS of an SBET unless the workflow names another: WGS 84, ellipsoidal heights."""
+
+BATCH_RECORDS: Final = 65_536
+"""Records that are read at once, about [count]."""
+
+PARQUET_SUFFIXES: Final = frozenset({".parquet", ".pq"})
+
+Records = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Times (n,) [s] and positions (n, 3) of some records."""
+
+
+class CannotConvertError(Exception):
+    """PROJ has no way for some position."""
+
+
+class Conversion(NamedTuple):
+    """A way of bringing positions into another CRS.
+
+    Parameters
+    ----------
+    convert : callable
+        Positions (n, 3) to positions (n, 3) [m]; raises :class:`CannotConvertError`.
+    warning : str
+        What it leaves undone; may be empty.
+    """
+
+    convert: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    warning: str
+
+
+def read_records(path: Path) -> Iterator[Records]:
+    """Records of a file in its order.
+
+    Parameters
+    ----------
+    path : Path
+        CSV (``gps_time,x,y,z``; any order and case, further columns allowed, comma,
+        semicolon or tab), Parquet with the same columns, or SBET (``.out``, ``.sbet``).
+
+    Yields
+    ------
+    time_s, position : (n,) and (n, 3) float64
+        As the file has them; of an SBET longitude and latitude [deg] and height [m].
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, or has values that are not finite.
+    """
+    suffix = path.suffix.lower()
+    if suffix in SBET_SUFFIXES:
+        batches = read_sbet(path)
+    elif suffix in PARQUET_SUFFIXES:
+        batches = _read_parquet(path)
+    else:
+        batches = _read_csv(path)
+    wrong, first, before = 0, 0, 0
+    for time, position in batches:
+        bad = ~(np.isfinite(time) & np.isfinite(position).all(axis=1))
+        if bad.any():
+            first = first if wrong else before + int(np.argmax(bad))
+            wrong += int(np.count_nonzero(bad))
+        before += len(time)
+        if not wrong:
+            yield time, position
+    if wrong:
+        raise InputError(
+            str(path),
+            f"{wrong} records are not finite, the first is record {first}: remove them",
+        )
+
+
+def conversions(path: Path, survey_crs: CRS | None, trajectory_crs: str | None) -> list[Conversion]:
+    """Ways of bringing a file's positions into the survey's CRS, the best one first.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    survey_crs : CRS or None
+        CRS that positions are wanted in; none leaves them as they are.
+    trajectory_crs : str or None
+        CRS of the file; by default EPSG:4979 for SBET and the survey's for others.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    crs = _crs_of(path, trajectory_crs)
+    if crs is None:
+        return [Conversion(lambda position: position, "")]
+    if survey_crs is None:
+        raise InputError(
+            str(path), f"is in {crs_name(crs)}, the survey has no CRS: name it in survey.crs"
+        )
+    problems = crs_problems(survey_crs, None, None)
+    if problems:
+        raise InputError(str(path), problems)
+    found, warning = [], ""
+    if len(crs.axis_info) == 3 and len(survey_crs.axis_info) == 3:
+        found.append(Conversion(_projection(crs, survey_crs, best=True), ""))
+        warning = (
+            f"trajectory: heights stay those of {crs_name(crs)}; what converts them to"
+            f" {crs_name(survey_crs)} is not installed (PROJ grids)"
+        )
+    flat = _projection(horizontal(crs), horizontal(survey_crs), best=False)
+
+    def keep_heights(position: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack([flat(position)[:, :2], position[:, 2]])
+
+    return [*found, Conversion(keep_heights, warning)]
+
+
+def _crs_of(path: Path, trajectory_crs: str | None) -> CRS | None:
+    named = None
+    if trajectory_crs is not None:
+        named = parse_crs(trajectory_crs, "survey.trajectory_crs")
+    if path.suffix.lower() not in SBET_SUFFIXES:
+        return named
+    crs = named or CRS.from_user_input(SBET_CRS)
+    if not crs.is_geographic:
+        raise InputError(
+            str(path),
+            f"an SBET has latitude and longitude, survey.trajectory_crs is {crs_name(crs)}:"
+            " name a geographic CRS or leave it out",
+        )
+    return crs
+
+
+def _projection(
+    source: CRS, target: CRS, *, best: bool
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    made: list[Transformer] = []
+
+    def project(position: NDArray[np.float64]) -> NDArray[np.float64]:
+        try:
+            if not made:
+                made.append(
+                    Transformer.from_crs(
+                        source, target, always_xy=True, only_best=best, allow_ballpark=not best
+                    )
+                )
+            x, y, z = position.T
+            xyz = np.column_stack(made[0].transform(x, y, z, errcheck=True))
+        except ProjError as error:
+            raise CannotConvertError from error
+        if not np.isfinite(xyz).all():
+            raise CannotConvertError
+        return xyz
+
+    return project
+
+
+def _read_parquet(path: Path) -> Iterator[Records]:
+    with open_input(path):
+        pass
+    try:
+        with pq.ParquetFile(path) as file:
+            names = columns_of(path, file.schema_arrow.names)
+            for batch in file.iter_batches(BATCH_RECORDS, columns=names):
+                yield _arrays(path, batch, names)
+    except pa.ArrowException as error:
+        raise InputError(str(path), f"is not a Parquet trajectory: {_line(error)}") from None
+
+
+def _read_csv(path: Path) -> Iterator[Records]:
+    with open_input(path) as file:
+        given, delimiter = csv_head(file)
+        names = columns_of(path, given)
+        try:
+            for batch in _csv_batches(file, given, names, delimiter):
+                yield _arrays(path, batch, names)
+        except pa.ArrowException as error:
+            raise InputError(str(path), f"is not a CSV trajectory: {_line(error)}") from None
+
+
+def csv_head(file: BinaryIO) -> tuple[list[str], str]:
+    """Columns that the first line of an open CSV names, and what parts them."""
+    head = file.readline(65_536).decode("utf-8-sig", errors="replace")
+    delimiter = max(",;\t", key=head.count)
+    return next(
+        csv.reader(io.StringIO(head.strip().lstrip("#")), delimiter=delimiter), []
+    ), delimiter
+
+
+def _csv_batches(
+    file: BinaryIO, given: Sequence[str], names: Sequence[str], delimiter: str
+) -> Iterator[Any]:
+    with pyarrow.csv.open_csv(
+        file,
+        read_options=pyarrow.csv.ReadOptions(column_names=given),
+        parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+        convert_options=pyarrow.csv.ConvertOptions(
+            include_columns=names,
+            column_types=dict.fromkeys(names, pa.float64()),
+            null_values=[""],
+        ),
+    ) as reader:
+        yield from reader
+
+
+def columns_of(path: Path, given: Sequence[str]) -> list[str]:
+    """The file's own names of :data:`COLUMNS`."""
+    by_name = {name.strip().lower(): name for name in reversed(given)}
+    missing = [name for name in COLUMNS if name not in by_name]
+    if missing:
+        raise InputError(
+            str(path),
+            f"has no column {', '.join(missing)}; a trajectory has the columns"
+            f" {', '.join(COLUMNS)}, this one {', '.join(n.strip()[:40] for n in given[:20])}",
+        )
+    return [by_name[name] for name in COLUMNS]
+
+
+def _arrays(path: Path, batch: pa.RecordBatch, names: Sequence[str]) -> Records:
+    for name in names:
+        if batch.column(name).null_count:
+            raise InputError(str(path), f"column {name.strip()} has empty values; fill them")
+    time, *position = (
+        batch.column(n).cast(pa.float64()).to_numpy(zero_copy_only=False).astype(np.float64)
+        for n in names
+    )
+    return time, np.column_stack(position)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,1 @@
+"""Tables and arrays that tell when a byte of them is damaged."""

@@ -1,0 +1,374 @@
+"""Point tables as Parquet, and small arrays as NPZ; both tell when a byte of them is damaged.
+
+Numbers are stored byte by byte (byte-stream split): neighbouring points share their high bytes,
+which then cost next to nothing. Parquet has no numbers of one byte, and what it makes of them is
+written twice as fast this way as with a dictionary. A dictionary is for long numbers that take few
+values; what is mostly zero is stored as it is. Over all goes LZ4, which writes and reads twice as
+fast as zstd; the files are as large.
+
+Parquet has checksums for pages but none for its footer, which says where they are and what
+lies in them. A checksum of it is put before it, where the format leaves bytes unread, so any
+reader of Parquet still reads the file. An NPZ carries a hash of itself as the comment of
+the archive.
+"""
+
+import hashlib
+import io
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+from zipfile import BadZipFile
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import DTypeLike, NDArray
+
+from spl_batch.errors import DamagedError
+from spl_batch.formats.files.atomic import read_bytes, replacing, write_bytes
+from spl_batch.formats.files.remote import RemoteFile, is_remote
+from spl_batch.lattice.tables import COLUMNS, PointTable
+
+_FEW_VALUES: Final = {"source", "afterpulse_share"}
+"""Columns of long numbers that take few values."""
+
+_MOSTLY_ZERO: Final = {"afterpulse", "afterpulse_rate"}
+"""Columns of numbers most of which are zero."""
+
+_SEAL: Final = struct.Struct("<4sI")
+_SEAL_MARK: Final = b"SPLB"
+_TAIL: Final = struct.Struct("<I4s")
+_PARQUET_MARK: Final = b"PAR1"
+_LIKELY_FOOTER: Final = 1 << 16
+"""Bytes at the end of a file that are read at once: few footers are longer."""
+
+_HASH_CHARACTERS: Final = 32
+
+
+class GroupWriter:
+    """Appends row groups to one Parquet file; see :func:`writing`."""
+
+    def __init__(self, path: Path, schema: pa.Schema, sought: Sequence[str] | None) -> None:
+        split = {f.name for f in schema if not pa.types.is_boolean(f.type)}
+        self._schema = schema
+        self._file = pq.ParquetWriter(
+            path,
+            schema,
+            compression="lz4",
+            use_dictionary=sorted(_FEW_VALUES & split),
+            use_byte_stream_split=sorted(split - _FEW_VALUES - _MOSTLY_ZERO),
+            write_page_checksum=True,
+            write_statistics=True if sought is None else list(sought),
+        )
+
+    def write(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Append rows as one row group."""
+        stored = {k: pa.array(columns[k]) for k in self._schema.names}
+        arrow = pa.table(stored, schema=self._schema)
+        self._file.write_table(arrow, row_group_size=max(arrow.num_rows, 1))
+
+    def close(self) -> None:
+        """Write the footer."""
+        self._file.close()
+
+
+@contextmanager
+def writing(
+    path: Path,
+    dtypes: Mapping[str, DTypeLike],
+    *,
+    sought: Sequence[str] | None = None,
+    durable: bool = False,
+) -> Iterator[GroupWriter]:
+    """Write a Parquet file by row groups, atomically.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    dtypes : mapping of str to dtype
+        Columns of the file, in order.
+    sought : sequence of str, optional
+        Columns by whose bounds row groups are chosen; by default the footer has bounds of all.
+    durable : bool
+        As :func:`~spl_batch.formats.files.atomic.replacing` has it: for what is delivered.
+    """
+    schema = pa.schema(
+        # What cannot be missing is written and read a quarter faster.
+        [pa.field(k, pa.from_numpy_dtype(np.dtype(v)), nullable=False) for k, v in dtypes.items()]
+    )
+    with replacing(path, durable=durable) as temporary:
+        writer = GroupWriter(temporary, schema, sought)
+        try:
+            yield writer
+        finally:
+            writer.close()
+        _seal(temporary)
+
+
+def write_table(
+    path: Path,
+    table: PointTable,
+    *,
+    group_starts: Sequence[int] = (0,),
+    sought: Sequence[str] | None = None,
+) -> None:
+    """Write a table of the working store atomically.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    table : PointTable
+        Rows in the order in which they are to lie on disk.
+    group_starts : sequence of int
+        First row of each row group, increasing, the first one 0.
+    sought : sequence of str, optional
+        As :func:`writing` has it.
+    """
+    dtypes = {name: COLUMNS[name].dtype for name in table.columns}
+    ends = [*group_starts[1:], len(table)]
+    with writing(path, dtypes, sought=sought) as writer:
+        for start, end in zip(group_starts, ends, strict=True):
+            writer.write(table.take(slice(start, end)).columns)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a file written by :func:`writing`; every byte that is used is verified.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with naming_damage(path), _open(path) as stream:
+        footer = _read_footer(stream)
+        with pq.ParquetFile(stream, metadata=footer, page_checksum_verification=True) as file:
+            yield file
+
+
+@contextmanager
+def naming_damage(path: Path) -> Iterator[None]:
+    """Turn what is raised over a file that cannot be read into a :class:`DamagedError`."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except (OSError, pa.ArrowException, struct.error) as error:
+        raise DamagedError(path, error) from error
+
+
+def read_groups(
+    file: pq.ParquetFile, names: Sequence[str], groups: Sequence[int] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Columns of some row groups, or of all, of a file from :func:`reading`."""
+    wanted = list(range(file.num_row_groups) if groups is None else groups)
+    # A worker has one thread; more of pyarrow's would be in the way of other workers.
+    arrow = file.read_row_groups(wanted, columns=list(names), use_threads=False)
+    # A damaged page header can hide its page; the footer is known to be sound.
+    rows = sum(file.metadata.row_group(g).num_rows for g in wanted)
+    if arrow.num_rows != rows:
+        raise pa.ArrowInvalid(f"{arrow.num_rows} rows where there were {rows}")
+    return {name: arrow.column(name).to_numpy() for name in names}
+
+
+def read_columns(
+    path: Path, names: Sequence[str], groups: Sequence[int] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Columns of a Parquet file as numpy arrays.
+
+    Parameters
+    ----------
+    path : Path
+        File written by :func:`write_table`.
+    names : sequence of str
+        Columns to read.
+    groups : sequence of int, optional
+        Row groups to read; all by default.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with reading(path) as file:
+        return read_groups(file, names, groups)
+
+
+def read_between(
+    path: Path, names: Sequence[str], spans: Mapping[str, tuple[int, int]]
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """Columns of the row groups that may hold values within some spans.
+
+    Parameters
+    ----------
+    path : Path
+        File written by :func:`write_table`.
+    names : sequence of str
+        Columns to read.
+    spans : mapping of str to (int, int)
+        Smallest and largest value of interest by column; every column has to meet its own.
+
+    Returns
+    -------
+    columns : dict of str to (m,) ndarray
+        Values, of more rows than asked for: row groups are read whole.
+    row : (m,) int64
+        Their rows in the file.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with reading(path) as file:
+        footer = file.metadata
+        wanted = _meeting(footer, spans)
+        ends = np.cumsum([footer.row_group(g).num_rows for g in range(footer.num_row_groups)])
+        rows = [np.arange(ends[g - 1] if g else 0, ends[g]) for g in wanted]
+        row = np.concatenate(rows) if rows else np.arange(0)
+        return read_groups(file, names, wanted), row
+
+
+def rows_between(path: Path, spans: Mapping[str, tuple[int, int]]) -> int:
+    """Rows that :func:`read_between` gives, from the footer alone.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with reading(path) as file:
+        footer = file.metadata
+        return sum(footer.row_group(g).num_rows for g in _meeting(footer, spans))
+
+
+def _meeting(footer: pq.FileMetaData, spans: Mapping[str, tuple[int, int]]) -> list[int]:
+    """Row groups that may hold values within some spans."""
+    meets = np.ones(footer.num_row_groups, np.bool_)
+    for name, (low, high) in spans.items():
+        ranges = np.array(ranges_of(footer, name), dtype=np.int64).reshape(-1, 2)
+        meets &= (ranges[:, 0] <= high) & (ranges[:, 1] >= low)
+    found: list[int] = np.flatnonzero(meets).tolist()
+    return found
+
+
+def read_with(
+    path: Path, names: Sequence[str], key: str, values: NDArray[np.int64]
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Columns of each row group that may hold one of some values, one group after the other.
+
+    Parameters
+    ----------
+    path : Path
+        File written by :func:`writing`.
+    names : sequence of str
+        Columns to read.
+    key : str
+        Column of integers.
+    values : (v,) int64
+        Values of interest in it, increasing.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with reading(path) as file:
+        for group, (low, high) in enumerate(ranges_of(file.metadata, key)):
+            first, last = np.searchsorted(values, [low, high + 1])
+            if last > first:
+                yield read_groups(file, names, [group])
+
+
+def read_table(path: Path, names: Sequence[str], groups: Sequence[int] | None = None) -> PointTable:
+    """Read a table, or some row groups of it; see :func:`read_columns`."""
+    return PointTable(read_columns(path, names, groups))
+
+
+def group_ranges(path: Path, name: str) -> list[tuple[int, int]]:
+    """Smallest and largest value of a column in each row group, from the footer alone.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    with reading(path) as file:
+        return ranges_of(file.metadata, name)
+
+
+def ranges_of(footer: pq.FileMetaData, name: str) -> list[tuple[int, int]]:
+    """Smallest and largest value of a column in each row group."""
+    column = footer.schema.names.index(name)
+    statistics = [
+        footer.row_group(g).column(column).statistics for g in range(footer.num_row_groups)
+    ]
+    return [(s.min, s.max) if s is not None and s.has_min_max else (0, -1) for s in statistics]
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write small arrays as an uncompressed NPZ, atomically and with reproducible bytes."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
+    # The archive ends with the length of its comment, which is 0.
+    content = buffer.getvalue()[:-2] + struct.pack("<H", _HASH_CHARACTERS)
+    write_bytes(path, content + _hash(content), durable=False)
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read what :func:`write_arrays` wrote.
+
+    Raises
+    ------
+    DamagedError
+        If the file is missing or damaged.
+    """
+    try:
+        content = read_bytes(path)
+        if _hash(content[:-_HASH_CHARACTERS]) != content[-_HASH_CHARACTERS:]:
+            raise DamagedError(path, "its content does not fit its hash")
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        raise DamagedError(path, error) from error
+
+
+def _open(path: Path) -> Any:
+    return pa.PythonFile(RemoteFile(path), "r") if is_remote(path) else pa.OSFile(str(path), "rb")
+
+
+def _hash(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=_HASH_CHARACTERS // 2).hexdigest().encode()
+
+
+def _seal(path: Path) -> None:
+    """Put a checksum of the footer before it."""
+    with path.open("r+b") as file:
+        file.seek(-_TAIL.size, io.SEEK_END)
+        length, _ = _TAIL.unpack(file.read())
+        start = file.seek(-_TAIL.size - length, io.SEEK_END)
+        footer = file.read()
+        file.seek(start)
+        file.write(_SEAL.pack(_SEAL_MARK, zlib.crc32(footer)) + footer)
+
+
+def _read_footer(stream: Any) -> pq.FileMetaData:
+    """Footer of a sealed file; raises ``pa.ArrowInvalid`` where the seal is broken."""
+    size = stream.size()
+    stream.seek(max(size - _LIKELY_FOOTER, 0))
+    tail = stream.read()
+    length, _ = _TAIL.unpack(tail[-_TAIL.size :])
+    whole = _SEAL.size + length + _TAIL.size
+    if len(tail) < whole <= size:
+        stream.seek(size - whole)
+        tail = stream.read()
+    sealed = tail[-whole:]
+    footer = sealed[_SEAL.size :]
+    if _SEAL.unpack(sealed[: _SEAL.size]) != (_SEAL_MARK, zlib.crc32(footer)):
+        raise pa.ArrowInvalid("its footer does not fit its checksum")
+    return pq.read_metadata(pa.BufferReader(_PARQUET_MARK + footer))

@@ -1,0 +1,272 @@
+"""Zarr arrays whose every byte is verified when it is read.
+
+Chunks are packed by Zstandard and end with a CRC-32C; the metadata, which Zarr writes, carries a
+hash of itself among the attributes. Files are read and written here, so that a chunk appears whole
+or not at all, and so that one that is gone does not pass for an empty one. Chunks are coded here,
+too, by the codecs that Zarr calls: it hands each over to other threads, which took three
+milliseconds, ten times what coding a raster cell takes. Zarr reads what is written here.
+"""
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import google_crc32c
+import numpy as np
+import zarr
+from numcodecs.zstd import Zstd
+from numpy.typing import DTypeLike, NDArray
+from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
+from zarr.core.buffer import Buffer
+from zarr.storage import MemoryStore
+
+from spl_batch.errors import DamagedError
+from spl_batch.formats.files.atomic import read_bytes
+
+METADATA: Final = "zarr.json"
+"""File that describes an array or a group."""
+
+_DIGEST: Final = "digest"
+_CRC_BYTES: Final = 4
+_ZSTD: Final = Zstd(level=3)
+_FAULTS: Final = (ValueError, TypeError, KeyError, IndexError, RuntimeError)
+"""What Zarr and its codecs raise over bytes that make no sense."""
+
+Metadata = dict[str, Any]
+Content = dict[str, bytes]
+"""Files by their names below an array."""
+
+_Files = dict[str, Buffer]
+
+
+def describe(
+    *,
+    shape: Sequence[int],
+    chunks: Sequence[int],
+    dtype: DTypeLike,
+    fill_value: float,
+    attributes: Mapping[str, Any],
+) -> bytes:
+    """Metadata of a new array: what its :data:`METADATA` holds.
+
+    Parameters
+    ----------
+    shape, chunks : sequence of int
+        Of the array and of a chunk.
+    dtype : dtype
+        Of a value.
+    fill_value : float
+        Value of chunks that are not there.
+    attributes : mapping
+        Plain JSON values.
+    """
+    files: _Files = {}
+    _create(files, shape, chunks, dtype, fill_value, attributes)
+    return _content(files)[METADATA]
+
+
+def pack(values: NDArray[Any], *, chunks: Sequence[int], attributes: Mapping[str, Any]) -> Content:
+    """A whole array as files, each of its chunks among them.
+
+    Parameters
+    ----------
+    values : ndarray
+        The array.
+    chunks : sequence of int
+        Shape of a chunk.
+    attributes : mapping
+        Plain JSON values.
+    """
+    content = describe(
+        shape=values.shape, chunks=chunks, dtype=values.dtype, fill_value=0, attributes=attributes
+    )
+    whole = tuple(slice(0, n) for n in values.shape)
+    pieces = _pieces([max(c, 1) for c in chunks], whole)
+    return {METADATA: content, **{p.name: _packed(values[p.of_box], p, 0) for p in pieces}}
+
+
+def parse(content: bytes, path: Path) -> Metadata:
+    """Metadata from the bytes of the file ``path``.
+
+    Raises
+    ------
+    DamagedError
+        If they are not what :func:`describe` made.
+    """
+    try:
+        metadata: Metadata = json.loads(content)
+        if metadata["attributes"].pop(_DIGEST) != _digest(metadata):
+            raise DamagedError(path, "it does not fit its hash")
+    except (*_FAULTS, AttributeError) as error:
+        raise DamagedError(path, error) from error
+    return metadata
+
+
+def read_metadata(array: Path) -> Metadata:
+    """Metadata of the array in a folder.
+
+    Raises
+    ------
+    DamagedError
+        If it is missing or damaged.
+    """
+    try:
+        content = read_bytes(array / METADATA)
+    except OSError as error:
+        raise DamagedError(array / METADATA, error) from error
+    return parse(content, array / METADATA)
+
+
+def encode(metadata: Metadata, box: Sequence[slice], values: NDArray[Any]) -> Content:
+    """Chunks that hold a box of values, by their names; none for nothing but the fill value.
+
+    Parameters
+    ----------
+    metadata : dict
+        Of the array.
+    box : sequence of slice
+        Where the values lie; whole chunks.
+    values : ndarray
+        Of the box's shape.
+    """
+    fill = metadata["fill_value"]
+    found = {p.name: (values[p.of_box], p) for p in _pieces(_edges(metadata), box)}
+    return {name: _packed(v, p, fill) for name, (v, p) in found.items() if np.any(v != fill)}
+
+
+def read_box(
+    array: Path, metadata: Metadata, box: Sequence[slice], *, sparse: bool
+) -> NDArray[Any]:
+    """Values of a box, verified.
+
+    Parameters
+    ----------
+    array : Path
+        Folder of the array.
+    metadata : dict
+        From :func:`read_metadata`.
+    box : sequence of slice
+        Within the array.
+    sparse : bool
+        Whether chunks that are not there hold the fill value; else they are missing.
+
+    Raises
+    ------
+    DamagedError
+        If a chunk is missing or damaged; names the chunk where it can be told.
+    """
+    found = np.full(
+        [b.stop - b.start for b in box], metadata["fill_value"], np.dtype(metadata["data_type"])
+    )
+    for piece in _pieces(_edges(metadata), box):
+        try:
+            content = read_bytes(array / piece.name)
+        except FileNotFoundError as error:
+            if not sparse:
+                raise DamagedError(array / piece.name, "is not there") from error
+        except OSError as error:
+            raise DamagedError(array / piece.name, error) from error
+        else:
+            try:
+                chunk = np.frombuffer(_unpacked(content), found.dtype).reshape(piece.shape)
+            except _FAULTS as error:
+                raise DamagedError(array / piece.name, error) from error
+            found[piece.of_box] = chunk[piece.of_chunk]
+    return found
+
+
+class _Piece(NamedTuple):
+    """What a chunk and a box share.
+
+    Parameters
+    ----------
+    name : str
+        The chunk's file below its array.
+    shape : list of int
+        Shape of the chunk.
+    of_chunk, of_box : tuple of slice
+        Where it lies in both.
+    """
+
+    name: str
+    shape: Sequence[int]
+    of_chunk: tuple[slice, ...]
+    of_box: tuple[slice, ...]
+
+
+def _pieces(edges: Sequence[int], box: Sequence[slice]) -> Iterator[_Piece]:
+    """The chunks that a box lies in, or has a part of."""
+    spans = [range(b.start // c, -(-b.stop // c)) for b, c in zip(box, edges, strict=True)]
+    for at in itertools.product(*spans):
+        low = [max(k * c, b.start) for k, c, b in zip(at, edges, box, strict=True)]
+        high = [min((k + 1) * c, b.stop) for k, c, b in zip(at, edges, box, strict=True)]
+        ends = list(zip(low, high, at, edges, box, strict=True))
+        of_chunk = tuple(slice(a - k * c, b - k * c) for a, b, k, c, _ in ends)
+        of_box = tuple(slice(a - x.start, b - x.start) for a, b, _, _, x in ends)
+        yield _Piece("/".join(["c", *map(str, at)]), edges, of_chunk, of_box)
+
+
+def _edges(metadata: Metadata) -> list[int]:
+    edges: list[int] = metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    return edges
+
+
+def _packed(values: NDArray[Any], piece: _Piece, fill: float) -> bytes:
+    """Bytes of a chunk."""
+    chunk = values
+    if values.shape != tuple(piece.shape):
+        chunk = np.full(piece.shape, fill, values.dtype)
+        chunk[piece.of_chunk] = values
+    packed: bytes = _ZSTD.encode(np.ascontiguousarray(chunk, chunk.dtype.newbyteorder("<")))
+    return packed + _crc(packed)
+
+
+def _unpacked(content: bytes) -> bytes:
+    """Values of a chunk; raises one of :data:`_FAULTS` where it is damaged."""
+    packed = content[:-_CRC_BYTES]
+    if _crc(packed) != content[-_CRC_BYTES:]:
+        raise ValueError("it does not fit its checksum")
+    values: bytes = _ZSTD.decode(packed)
+    return values
+
+
+def _crc(packed: bytes) -> bytes:
+    value: int = google_crc32c.value(packed)
+    return value.to_bytes(_CRC_BYTES, "little")
+
+
+def _create(
+    files: _Files,
+    shape: Sequence[int],
+    chunks: Sequence[int],
+    dtype: DTypeLike,
+    fill_value: float,
+    attributes: Mapping[str, Any],
+) -> Any:
+    return zarr.create_array(
+        MemoryStore(files),
+        shape=tuple(shape),
+        chunks=tuple(max(c, 1) for c in chunks),
+        dtype=np.dtype(dtype),
+        fill_value=fill_value,
+        serializer=BytesCodec(),
+        compressors=[ZstdCodec(level=3), Crc32cCodec()],
+        attributes=dict(attributes),
+        config={"write_empty_chunks": True},
+    )
+
+
+def _content(files: _Files) -> Content:
+    """Bytes of a new array's files, with the hash in its metadata."""
+    content = {name: data.to_bytes() for name, data in files.items()}
+    metadata = json.loads(content[METADATA])
+    metadata["attributes"][_DIGEST] = _digest(metadata)
+    return {**content, METADATA: json.dumps(metadata, indent=1, sort_keys=True).encode()}
+
+
+def _digest(metadata: Metadata) -> str:
+    text = json.dumps(metadata, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

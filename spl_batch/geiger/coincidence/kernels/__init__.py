@@ -1,1 +1,0 @@
-"""Bare loops over rasters, polynomials and rays."""

@@ -1,0 +1,138 @@
+"""Coincidence processing of Geiger-mode lidar, as the verbs need it."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Final
+
+from spl_batch.engine.plan.budget import Cost
+from spl_batch.engine.report.run_record import Receipts, RunFacts
+from spl_batch.engine.report.verdict import ending_rows
+from spl_batch.engine.settings.base import BaseWorkflow
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.ledger import Phase
+from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.errors import WorkflowError, grouped
+from spl_batch.geiger.coincidence.plan import PHASES, CoincidenceCost, L1Ledger, estimate, gather
+from spl_batch.geiger.coincidence.report.model import CoincidenceReport
+from spl_batch.geiger.coincidence.settings import CoincidenceWorkflow
+from spl_batch.geiger.coincidence.tasks.index import CoincidenceContext
+
+
+class Coincidence(Receiver[L1Ledger, CoincidenceContext]):
+    """Detections and looks to points."""
+
+    workflow: ClassVar[type[BaseWorkflow]] = CoincidenceWorkflow
+    noun: ClassVar[str] = "coincidence processing"
+    phases: ClassVar[Sequence[Phase]] = PHASES
+    words: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"frames": "file", "index_file": "file", "coincide": "tile"}
+    )
+    remedies: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"coincide": "take a smaller tiling.tile_m or coincidence.volume_voxels"}
+    )
+    delivered: ClassVar[tuple[str, ...]] = ("points/*",)
+
+    def prepare(
+        self, workflow: CoincidenceWorkflow, place: Place, limits: Limits
+    ) -> Prepared[L1Ledger, CoincidenceContext]:
+        """Find and check every file of a workflow, from headers alone."""
+        inputs = gather(workflow, place.base, place.output)
+        crs_wkt = inputs.crs.to_wkt() if inputs.crs is not None else ""
+        context = RunContext(
+            workflow, place.base, place.output, crs_wkt, code_version(workflow.kind)
+        )
+        ledger = L1Ledger(inputs, workflow, limits.memory_bytes, limits.workers)
+        return Prepared(self, ledger, context)
+
+    def cost(self, prepared: Prepared[L1Ledger, CoincidenceContext]) -> Cost:
+        """What a run is expected to cost."""
+        return estimate(prepared.ledger, prepared.context)
+
+    def plan_rows(
+        self, prepared: Prepared[L1Ledger, CoincidenceContext], cost: CoincidenceCost
+    ) -> list[tuple[str, str]]:
+        """Label and value of what a plan tells beside disk, memory and time."""
+        workflow = prepared.context.workflow
+        return [
+            ("frames", f"{grouped(cost.frames)} of {grouped(workflow.array.detectors)} looks each"),
+            ("voxels", f"{workflow.voxel_q} mm, tiles of {workflow.tiling.tile_m:g} m"),
+        ]
+
+    def after(
+        self,
+        phase: Phase,
+        prepared: Prepared[L1Ledger, CoincidenceContext],
+        failed: Sequence[Receipt],
+    ) -> Iterable[str]:
+        """Stop where no file could be read."""
+        if phase.kind in {"frames", "index_file"} and not prepared.ledger.of(phase.kind):
+            reasons = [r.reason for r in failed if r.kind == phase.kind]
+            raise WorkflowError("no input is usable: " + "; ".join(reasons))
+        if phase.kind == "frames":
+            yield from _twice(prepared.ledger)
+        if phase.kind == "index_file" and prepared.ledger.answered is not None:
+            yield (
+                "some detections could not be read: a frame counts only if its number lies between "
+                "those of detections that were read; all other frames are left out with all their "
+                "looks"
+            )
+
+    def targets(self, task: Task, workflow: CoincidenceWorkflow) -> Sequence[str]:
+        """Names of the files, below the output, that a task delivers."""
+        del workflow
+        return [f"points/{task.args['tile']}.laz"] if task.kind == "deliver_tile" else []
+
+    def edge_m(self, kind: str, ledger: L1Ledger) -> float:
+        """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
+        return ledger.workflow.tiling.tile_m if kind in {"coincide", "deliver_tile"} else 0.0
+
+    def not_read(self, ledger: L1Ledger) -> int:
+        """Detections that files promise which could not be read to their end [count]."""
+        indexed = ledger.of("index_file")
+        return sum(f.rows for f in ledger.inputs.detections if str(f.key) not in indexed)
+
+    def report(
+        self, done: Receipts, context: CoincidenceContext, facts: RunFacts
+    ) -> CoincidenceReport:
+        """Write ``report.json`` and ``report.html``."""
+        from spl_batch.geiger.coincidence.report.summarise import summarise  # noqa: PLC0415 - a plan draws nothing
+
+        return summarise(done, context, facts)
+
+    def screen(self, report: CoincidenceReport) -> list[tuple[str, str]]:
+        """Label and value of each number that the console shows after a run."""
+        counts = report.counts
+        return [
+            ("looks", f"{grouped(counts.looks)} in {grouped(counts.frames)} frames"),
+            ("detections", grouped(counts.detections)),
+            ("points", f"{grouped(counts.points)} in {grouped(counts.tiles)} tiles"),
+            *ending_rows(report.performance, report.failures, report.warnings),
+        ]
+
+    def results(self, output: Path) -> list[tuple[str, list[Path]]]:
+        """What a user looks at first."""
+        return [("report", [output / "report.html"]), ("points", [output / "points"])]
+
+
+def _twice(ledger: L1Ledger) -> Iterator[str]:
+    """Stop where frames of two files share numbers."""
+    spans = sorted(
+        (*receipt.facts["numbers"], receipt.facts["name"])
+        for receipt in ledger.of("frames").values()
+        if receipt.facts["numbers"]
+    )
+    for (_, last, one), (first, _, other) in pairwise(spans):
+        if first <= last:
+            raise WorkflowError(
+                f"{one} and {other}: frames run to {last} in the one and from {first} in the "
+                "other; number frames through, file after file"
+            )
+    yield from ()
+
+
+RECEIVER: Final[Receiver[Any, Any]] = Coincidence()
+"""The one there is."""

@@ -1,0 +1,1 @@
+"""Surfaces from coincident detections: voxel raster, quadratic fit, test."""

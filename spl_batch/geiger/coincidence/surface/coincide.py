@@ -1,0 +1,372 @@
+"""Stage ``coincide``: detections and looks of a region in, points out.
+
+Domain: space. Needs every frame that looks at the region, with all its detections, also those
+far above it: they end their looks. Reach: half a neighbourhood of voxels, and one voxel for the
+weights. Points belong to the region that holds their voxel's centre, so the result does not
+depend on how the survey is cut. Rasters are made only where enough detections coincide.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import QUANTUM_M
+from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
+from spl_batch.geiger.coincidence.surface.posterior import log_odds
+from spl_batch.geiger.coincidence.surface.quadratic_fit import (
+    NOTHING,
+    drop_weaker,
+    edge_offset,
+    find_surfaces,
+    fit_matrix,
+)
+from spl_batch.geiger.coincidence.surface.voxel_raster import (
+    UNIT,
+    box_sum,
+    deposit_all,
+    interrogate,
+)
+from spl_batch.geiger.coincidence.tables import Detections, Frames, Points
+from spl_batch.lattice.tiles import Bounds
+
+BESIDE = 1
+"""Voxels beyond half a neighbourhood from which a point's strength is compared [count].
+
+What a target's edge blurs over ends half a neighbourhood away: what is compared reaches inside.
+"""
+
+
+class Box(NamedTuple):
+    """Half-open box of voxels of the absolute lattice."""
+
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+
+
+class Scene(NamedTuple):
+    """What a region is made from.
+
+    Parameters
+    ----------
+    frames : Frames
+        Those that look at the region.
+    detections : Detections
+        All of these frames, in their order.
+    xyz : (n, 3) int64
+        Detections near the region [quanta].
+    edge_q : int
+        Edge of a voxel [quanta].
+    """
+
+    frames: Frames
+    detections: Detections
+    xyz: NDArray[np.int64]
+    edge_q: int
+
+
+def reach_q(chosen: CoincidenceSettings, array: ArraySettings) -> int:
+    """How far around a region its detections are needed [quanta]."""
+    return (_halo(chosen) + 2) * chosen.voxel_quanta(array)
+
+
+def _halo(chosen: CoincidenceSettings) -> int:
+    """Voxels around a region in which there may be something that decides on its points [count]."""
+    half = chosen.window_voxels // 2
+    return half + (half + BESIDE if chosen.method == "bridge_sign" else 0)
+
+
+def coincide(
+    frames: Frames,
+    detections: Detections,
+    region: Bounds,
+    chosen: CoincidenceSettings,
+    array: ArraySettings,
+) -> Points:
+    """Points of the voxels whose centres lie in a region.
+
+    Parameters
+    ----------
+    frames : Frames
+        All that look at the region; more are no harm.
+    detections : Detections
+        All of these frames, in any order.
+    region : Bounds
+        What is owned, at all heights [quanta].
+    chosen, array
+        Settings.
+
+    Returns
+    -------
+    Points
+        In order of x, y, z.
+    """
+    edge = chosen.voxel_quanta(array)
+    low = np.array([_first_voxel(region.xmin, edge), _first_voxel(region.ymin, edge)])
+    high = np.array([_first_voxel(region.xmax, edge), _first_voxel(region.ymax, edge)])
+    reach = _halo(chosen) + 1
+    voxel = detections.xyz[:, :2] // edge
+    near = ((voxel >= low - reach) & (voxel < high + reach)).all(axis=1)
+    by_frame = detections.take(np.argsort(detections.frame, kind="stable"))
+    scene = Scene(frames, by_frame, detections.xyz[near], edge)
+    parts = [_volume(scene, box, chosen, array) for box in _volumes(scene, low, high, chosen)]
+    return Points.joined(parts).in_order()
+
+
+def _first_voxel(edge_of_region: int, edge: int) -> int:
+    """First voxel whose centre is not before a place; both in quanta."""
+    return -((edge - 2 * edge_of_region) // (2 * edge))
+
+
+def least_detections(chosen: CoincidenceSettings) -> int:
+    """Detections that must coincide for anything to be found [count]."""
+    return chosen.bridge_sign.detections_min if chosen.method == "bridge_sign" else 2
+
+
+def _volumes(
+    scene: Scene, low: NDArray[np.int64], high: NDArray[np.int64], chosen: CoincidenceSettings
+) -> Iterator[Box]:
+    """Boxes of at most a sub-volume's size that hold everything worth rastering.
+
+    A neighbourhood of w voxels takes weight from places within w + 1 edges: these lie in a block
+    of two by two by two cells of that edge. Blocks with too few detections are left out.
+    """
+    cell = chosen.window_voxels + 1
+    blocks = _crowded(scene.xyz // (cell * scene.edge_q), least_detections(chosen)) * cell
+    if not len(blocks):
+        return
+    edge = chosen.volume_voxels
+    spread = np.stack(np.meshgrid(*[[0, 2 * cell]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    volumes = np.unique(((blocks[:, None] + spread) // edge).reshape(-1, 3), axis=0)
+    for volume in volumes:
+        first, last = volume * edge, (volume + 1) * edge
+        own = blocks[((blocks + 2 * cell >= first) & (blocks < last)).all(axis=1)]
+        start = np.maximum(first, own.min(axis=0) - 1)
+        stop = np.minimum(last, own.max(axis=0) + 2 * cell + 1)
+        start[:2], stop[:2] = np.maximum(start[:2], low), np.minimum(stop[:2], high)
+        if (stop > start).all():
+            yield Box(start, stop)
+
+
+def _crowded(cells: NDArray[np.int64], least: int) -> NDArray[np.int64]:
+    """First cells of the blocks of 2 x 2 x 2 cells that hold at least so many: (b, 3)."""
+    filled, count = np.unique(cells, axis=0, return_counts=True)
+    spread = np.stack(np.meshgrid(*[[0, -1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    blocks = (filled[:, None] + spread).reshape(-1, 3)
+    first, place = np.unique(blocks, axis=0, return_inverse=True)
+    total = np.zeros(len(first), np.int64)
+    np.add.at(total, place.ravel(), np.repeat(count, len(spread)))
+    return first[total >= least]
+
+
+def _volume(scene: Scene, box: Box, chosen: CoincidenceSettings, array: ArraySettings) -> Points:
+    """Points of one sub-volume."""
+    half = chosen.window_voxels // 2
+    # Points just outside may be stronger than those inside: they are found as well.
+    halo = _halo(chosen)
+    corner = box.low - halo
+    raster = np.zeros(tuple((box.high - box.low + 2 * halo).tolist()), np.int64)
+    near = _within(scene.xyz, Box(corner - 1, box.high + halo + 1), scene.edge_q)
+    xyz = scene.xyz[near]
+    deposit_all(xyz, scene.edge_q, corner, raster)
+    sums = np.empty_like(raster)
+    box_sum(raster, half, sums)
+    if chosen.method == "posterior":
+        return _by_posterior(scene, box, xyz, sums, chosen, array)
+    crowded = sums[half:-half, half:-half, half:-half] >= chosen.bridge_sign.detections_min * UNIT
+    voxel = np.argwhere(crowded) + half
+    if not len(voxel):
+        return Points.joined([])
+    looks = _looks(scene, voxel + corner, half, array)
+    found = _maxima(raster, voxel, looks, chosen)
+    keep = found.kind != NOTHING
+    voxel, found = voxel[keep], _Maxima(*(column[keep] for column in found))
+    own = _strongest(raster.shape, voxel, found, chosen)
+    own &= ((voxel >= halo) & (voxel < np.array(raster.shape) - halo)).all(axis=1)
+    at = (voxel[own] + corner + 0.5 + found.place[own]) * scene.edge_q
+    return Points(
+        np.rint(at).astype(np.int64), found.value[own].astype(np.float32), found.kind[own]
+    )
+
+
+class _Maxima(NamedTuple):
+    """Results of :func:`surface.find_surfaces`."""
+
+    place: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    value: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+
+
+def _maxima(
+    raster: NDArray[np.int64],
+    voxel: NDArray[np.int64],
+    looks: NDArray[np.int64],
+    chosen: CoincidenceSettings,
+) -> _Maxima:
+    sign, n = chosen.bridge_sign, len(voxel)
+    half = sign.window_voxels // 2
+    found = _Maxima(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8))
+    find_surfaces(
+        *(raster, looks, voxel, half, fit_matrix(half)),
+        *(sign.threshold, sign.looks_min, sign.curvature_ratio, sign.reach_voxels),
+        edge_offset(half),
+        *found,
+    )
+    return found
+
+
+def _strongest(
+    shape: tuple[int, ...],
+    voxel: NDArray[np.int64],
+    found: _Maxima,
+    chosen: CoincidenceSettings,
+) -> NDArray[np.bool_]:
+    """Which points nothing stronger before, behind or beside takes the place of: (n,) bool."""
+    half = chosen.window_voxels // 2
+    row_of = np.full(shape, -1, np.int32)
+    row_of[tuple(voxel.T)] = np.arange(len(voxel))
+    keep = np.empty(len(voxel), np.bool_)
+    drop_weaker(
+        *(voxel, found.place, found.normal, found.value, row_of),
+        *(half, half + BESIDE, chosen.bridge_sign.edge_share, keep),
+    )
+    return keep
+
+
+def _looks(
+    scene: Scene, voxel: NDArray[np.int64], half: int, array: ArraySettings
+) -> NDArray[np.int64]:
+    """Interrogations summed over the neighbourhood of each voxel of the lattice: (n,)."""
+    low, high = voxel.min(axis=0) - half, voxel.max(axis=0) + half + 1
+    raster = np.zeros(tuple((high - low).tolist()), np.int64)
+    edge_m = scene.edge_q * QUANTUM_M
+    rows = looking_at(scene.frames, array, (low - 1) * edge_m, (high + 1) * edge_m)
+    frames = scene.frames.take(rows)
+    interrogate(
+        frames.origin_m,
+        frames.turn,
+        scene.detections.of(frames).ranges_m(frames, array),
+        math.tan(array.ifov_rad),
+        np.array([array.gate_start_m, array.gate_stop_m]),
+        edge_m,
+        low,
+        raster,
+    )
+    sums = np.empty_like(raster)
+    box_sum(raster, half, sums)
+    looks: NDArray[np.int64] = sums[tuple((voxel - low).T)]
+    return looks
+
+
+def looking_at(
+    frames: Frames,
+    array: ArraySettings,
+    low_m: NDArray[np.float64],
+    high_m: NDArray[np.float64],
+) -> NDArray[np.intp]:
+    """Rows of frames of which a look may cross a box.
+
+    Lines of sight that point downwards cross a height within the quadrilateral of the image's
+    corners; frames with a corner that does not are always among them.
+
+    Parameters
+    ----------
+    frames : Frames
+        All frames.
+    array : ArraySettings
+        Gives the image's corners.
+    low_m, high_m : (3,) float64
+        Corners of the box [m].
+
+    Returns
+    -------
+    (k,) intp
+    """
+    tangent = math.tan(array.ifov_rad)
+    across, along = 0.5 * array.rows * tangent, 0.5 * array.columns * tangent
+    corners = np.array([[x, y, -1.0] for x in (-across, across) for y in (-along, along)])
+    way = np.einsum("fij,cj->fci", frames.turn, corners)
+    down = np.minimum(way[..., 2], -1e-6)
+    near = np.ones(len(frames), np.bool_)
+    for axis in range(2):
+        cross = np.stack(
+            [
+                frames.origin_m[:, None, axis]
+                + way[..., axis] / down * (height - frames.origin_m[:, None, 2])
+                for height in (low_m[2], high_m[2])
+            ]
+        )
+        near &= (cross.min(axis=(0, 2)) <= high_m[axis]) & (cross.max(axis=(0, 2)) >= low_m[axis])
+    return np.flatnonzero(near | (way[..., 2] > -1e-6).any(axis=1))
+
+
+def sight_error(frames: Frames, detections: Detections, array: ArraySettings) -> float:
+    """How far detections lie from their lines of sight, typically.
+
+    Parameters
+    ----------
+    frames : Frames
+        Some frames.
+    detections : Detections
+        In order of their frames; those of other frames are left out.
+    array : ArraySettings
+        Tells where each detector looks.
+
+    Returns
+    -------
+    float
+        Median angle in fields of view of a detector; 0 without detections.
+    """
+    own = detections.of(frames)
+    if not len(own):
+        return 0.0
+    row = np.searchsorted(frames.number, own.frame)
+    away = own.xyz * QUANTUM_M - frames.origin_m[row]
+    body = np.einsum("nji,nj->ni", frames.turn[row], away)
+    at = body[:, :2] / -body[:, 2:]
+    place = np.stack(np.divmod(own.detector, array.columns), axis=-1)
+    middle = 0.5 * (np.array([array.rows, array.columns]) - 1)
+    off = at - (place - middle) * math.tan(array.ifov_rad)
+    return float(np.median(np.hypot(off[:, 0], off[:, 1])) / array.ifov_rad)
+
+
+def _within(xyz: NDArray[np.int64], box: Box, edge_q: int) -> NDArray[np.bool_]:
+    """Which places lie in a box of voxels: (n,) bool."""
+    inside: NDArray[np.bool_] = np.all(
+        (xyz >= box.low * edge_q) & (xyz < box.high * edge_q), axis=1
+    )
+    return inside
+
+
+def _by_posterior(
+    scene: Scene,
+    box: Box,
+    xyz: NDArray[np.int64],
+    sums: NDArray[np.int64],
+    chosen: CoincidenceSettings,
+    array: ArraySettings,
+) -> Points:
+    """Means of the detections in each voxel that are more likely of a surface than noise."""
+    test = chosen.posterior
+    half = test.window_voxels // 2
+    xyz = xyz[_within(xyz, box, scene.edge_q)]
+    voxel = xyz // scene.edge_q
+    if not len(voxel):
+        return Points.joined([])
+    looks = _looks(scene, voxel, half, array)
+    counts = sums[tuple((voxel - box.low + half).T)]
+    odds = np.empty(len(voxel))
+    noise = array.dark_per_m * scene.edge_q * QUANTUM_M
+    log_odds(counts, looks, test.window_voxels, noise, test.detection_min, test.prior, odds)
+    keep = odds > 0
+    cells, place, n = np.unique(voxel[keep], axis=0, return_inverse=True, return_counts=True)
+    total = np.zeros((len(cells), 3), np.int64)
+    np.add.at(total, place.ravel(), xyz[keep])
+    passed = np.zeros(len(cells), np.int64)
+    np.maximum.at(passed, place.ravel(), looks[keep])
+    share = n * UNIT * test.window_voxels**3 / np.maximum(passed, 1)
+    mean = (2 * total + n[:, None]) // (2 * n[:, None])
+    return Points(mean, share.astype(np.float32), np.zeros(len(mean), np.uint8))

@@ -1,0 +1,301 @@
+r"""Moving quadratic least squares and its maxima [M20 4.2-4.3].
+
+Around each voxel the detections of a cube of voxels are fitted by
+
+    d(p) = c0 + g.p + p.H.p / 2,    p = (x, y, z) from the voxel's centre [voxel edges],
+
+Eq. 1-2. The fit is a fixed matrix on ten moments of the neighbourhood, which are sums of whole
+numbers. Eigenvectors of H are directions of extreme curvature; along one of a negative eigenvalue
+L the polynomial has its maximum at ``-(g.v) / L`` (Eq. 4 written out by eigenvectors, so that a
+surface whose other two eigenvalues are nothing needs no inverse of H).
+
+Deviations, with reasons:
+
+- Eq. 3 as printed, 2 [c4 c7 c8; ...], doubles the mixed derivatives: the one of ``c7 x y`` is c7.
+- Eq. 5 as printed, v1 v1' p_center, is a point of a line *through the voxel's centre* when v1 is
+  tangential, as 4.3 has it. The point of a ridge that is closest to the centre is
+  ``(I - v1 v1') p_center``, that of a surface ``v3 v3' p_center``, v3 being the normal; the latter
+  is Eq. 5 if singular values are counted from the largest.
+- The source normalises by interrogations and does not say where. Here the polynomial is of
+  detections, its value is divided by the mean of interrogations in the neighbourhood: a quotient
+  voxel by voxel is mostly noise where few looks pass.
+- "Locations of relative maximum values are saved" (4.3): a point also has to be the strongest
+  along its normal, within the reach of its neighbourhood. A polynomial of few detections has
+  maxima of its own on the flanks of a surface, and beyond the edges of a target.
+- Nor does "a threshold" tell the blur beyond a target's edge from a faint target. A point whose
+  neighbourhood has its detections farther to the side than one on a straight edge has
+  (:func:`edge_offset`) is taken for beyond it; one between two targets has less than a share of
+  what is strong beside it (:func:`drop_weaker`). Neither asks for absolute strength.
+- One point per voxel at most: of a peak, else a ridge, else a surface, by how many of the
+  curvatures are comparable with the strongest.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.geiger.coincidence.surface.voxel_raster import UNIT
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.planes.eigen import eigen_symmetric
+
+NOTHING: Final = 0
+SURFACE: Final = 1
+RIDGE: Final = 2
+PEAK: Final = 3
+"""What a point is a maximum of: one direction, two, or all three."""
+
+
+def fit_matrix(half: int) -> NDArray[np.float64]:
+    """Matrix that turns moments of a neighbourhood into coefficients, (M'M)^-1 of Eq. 1.
+
+    Parameters
+    ----------
+    half : int
+        Voxels on either side of the centre, > 0.
+
+    Returns
+    -------
+    (10, 10) float64
+        For moments and coefficients in the order 1, x, y, z, x2, y2, z2, xy, xz, yz.
+    """
+    axis = np.arange(-half, half + 1)
+    x, y, z = (a.ravel() for a in np.meshgrid(axis, axis, axis, indexing="ij"))
+    terms = np.stack([np.ones_like(x), x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
+    return np.linalg.inv((terms @ terms.T).astype(np.float64))
+
+
+def edge_offset(half: int) -> float:
+    """Distance of the detections' mean from the centre of a neighbourhood on a straight edge.
+
+    Of a level target that ends at the centre, as a detector sees it that is two voxels wide, with
+    trilinear weights: the voxel beside the edge has 11/12 of the inside, the one beyond it 1/12.
+
+    Parameters
+    ----------
+    half : int
+        Voxels on either side of the centre, > 0.
+
+    Returns
+    -------
+    float
+        [voxel edges]
+    """
+    return (0.5 * half * (half + 1) - 1.0 / 6.0) / (half + 0.5)
+
+
+@njit(nogil=True, cache=True)
+def _to_the_side(moment: NDArray[np.int64], normal: NDArray[np.float64]) -> float:
+    """Distance of a neighbourhood's mean from the line through its centre along a normal."""
+    x, y, z = moment[1] / moment[0], moment[2] / moment[0], moment[3] / moment[0]
+    along = x * normal[0] + y * normal[1] + z * normal[2]
+    return math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
+
+
+@njit(nogil=True, cache=True)
+def moments(
+    raster: NDArray[np.int64], i: int, j: int, k: int, half: int, out: NDArray[np.int64]
+) -> None:
+    """Ten moments of the cube around a voxel, M'd of Eq. 1.
+
+    Parameters
+    ----------
+    raster : (nx, ny, nz) int64
+        Values; the cube lies inside.
+    i, j, k : int
+        Its centre.
+    half : int
+        Voxels on either side.
+    out : (10,) int64
+        Receives sums of d, d x, d y, d z, d x2, d y2, d z2, d xy, d xz, d yz.
+    """
+    out[:] = 0
+    for x in range(-half, half + 1):
+        for y in range(-half, half + 1):
+            column = raster[i + x, j + y]
+            s0, s1, s2 = 0, 0, 0
+            for z in range(-half, half + 1):
+                value = column[k + z]
+                s0 += value
+                s1 += value * z
+                s2 += value * z * z
+            out[0] += s0
+            out[1] += s0 * x
+            out[2] += s0 * y
+            out[3] += s1
+            out[4] += s0 * x * x
+            out[5] += s0 * y * y
+            out[6] += s2
+            out[7] += s0 * x * y
+            out[8] += s1 * x
+            out[9] += s1 * y
+
+
+@njit(nogil=True, cache=True)
+def closest_maximum(
+    c: NDArray[np.float64], ratio: float, reach: float,
+    values: NDArray[np.float64], vectors: NDArray[np.float64],
+    place: NDArray[np.float64],
+) -> tuple[int, float]:  # fmt: skip
+    """Place near a voxel's centre where its polynomial is at a maximum.
+
+    Parameters
+    ----------
+    c : (10,) float64
+        Coefficients.
+    ratio : float
+        A further direction counts from this part of the strongest curvature.
+    reach : float
+        Largest distance along each axis [voxel edges].
+    values, vectors
+        Scratch of :func:`eigen_symmetric`.
+    place : (3,) float64
+        Receives the place from the centre [voxel edges].
+
+    Returns
+    -------
+    kind : int
+        :data:`NOTHING`, :data:`SURFACE`, :data:`RIDGE` or :data:`PEAK`.
+    value : float
+        The polynomial's value there.
+    """
+    matrix = np.array([2.0 * c[4], c[7], c[8], 2.0 * c[5], c[9], 2.0 * c[6]])
+    eigen_symmetric(matrix, values, vectors)
+    place[:] = 0.0
+    if values[2] >= 0.0:
+        return NOTHING, 0.0
+    value, kind = c[0], NOTHING
+    for at in range(2, -1, -1):
+        if values[at] > ratio * values[2]:
+            break
+        v = vectors[at]
+        slope = c[1] * v[0] + c[2] * v[1] + c[3] * v[2]
+        step = -slope / values[at]
+        value += 0.5 * slope * step
+        for axis in range(3):
+            place[axis] += step * v[axis]
+        kind += 1
+    for axis in range(3):
+        if not -reach <= place[axis] < reach:
+            return NOTHING, 0.0
+    return kind, value
+
+
+@njit(nogil=True, cache=True)
+def find_surfaces(
+    detections: NDArray[np.int64], looks: NDArray[np.int64], voxel: NDArray[np.int64],
+    half: int, fit: NDArray[np.float64],
+    threshold: float, looks_min: float, ratio: float, reach: float, aside: float,
+    place: NDArray[np.float64], normal: NDArray[np.float64],
+    value: NDArray[np.float64], kind: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Points of maximum density near some voxels.
+
+    Parameters
+    ----------
+    detections : (nx, ny, nz) int64
+        Raster, :data:`~.raster.UNIT` for each detection.
+    looks : (n,) int64
+        Interrogations summed over each voxel's neighbourhood, in the same unit.
+    voxel : (n, 3) int64
+        Voxels of the raster, at least ``half`` inside.
+    half : int
+        Voxels on either side of a neighbourhood's centre.
+    fit : (10, 10) float64
+        From :func:`fit_matrix`.
+    threshold : float
+        Least detections per interrogation at a point.
+    looks_min : float
+        Least interrogations per voxel.
+    ratio, reach
+        As :func:`closest_maximum` takes them.
+    aside : float
+        Largest distance of the detections' mean from the centre, across the normal [voxel edges].
+    place : (n, 3) float64
+        Receives places from the voxels' centres [voxel edges].
+    normal : (n, 3) float64
+        Receives the direction of the strongest maximum.
+    value : (n,) float64
+        Receives detections per interrogation.
+    kind : (n,) uint8
+        Receives :data:`NOTHING` or what was found.
+    """
+    moment, c = np.empty(10, np.int64), np.empty(10)
+    values, vectors = np.empty(3), np.empty((3, 3))
+    cube = (2 * half + 1) ** 3
+    for row in range(len(voxel)):
+        kind[row] = NOTHING
+        if looks[row] < looks_min * cube * UNIT:
+            continue
+        moments(detections, voxel[row, 0], voxel[row, 1], voxel[row, 2], half, moment)
+        for i in range(10):
+            total = 0.0
+            for j in range(10):
+                total += fit[i, j] * moment[j]
+            c[i] = total
+        found, height = closest_maximum(c, ratio, reach, values, vectors, place[row])
+        share = height * cube / looks[row]
+        if found == NOTHING or share < threshold:
+            continue
+        if _to_the_side(moment, vectors[2]) <= aside:
+            kind[row] = found
+            value[row] = share
+            normal[row] = vectors[2]
+
+
+@njit(nogil=True, cache=True)
+def drop_weaker(
+    voxel: NDArray[np.int64], place: NDArray[np.float64], normal: NDArray[np.float64],
+    value: NDArray[np.float64], row_of: NDArray[np.int32], half: int, reach: int, share: float,
+    keep: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Find points that have no stronger one before or behind them, nor much stronger ones beside.
+
+    Before and behind is within 45 degrees of the point's own normal; of equal ones the first in
+    the order of voxels stays. Beside is everything else. What is strong there is the mean of the
+    values weighted with themselves, the point's own among them: where a target ends it is the
+    target's inside, whose values a few of nothing do not lower, and on a surface of scattered
+    values it stays near their mean, as the highest would not.
+
+    Parameters
+    ----------
+    voxel : (n, 3) int64
+        Voxels of the points in a raster, in its order.
+    place, normal : (n, 3) float64
+        Places from the voxels' centres [voxel edges]; unit vectors.
+    value : (n,) float64
+        Strengths, > 0.
+    row_of : (nx, ny, nz) int32
+        Row of the point of each voxel, -1 for none.
+    half, reach : int
+        Voxels on either side that are looked at before and behind, and in all; reach >= half.
+    share : float
+        Least part of what is strong beside a point that it needs itself.
+    keep : (n,) bool
+        Receives whether a point stays.
+    """
+    nx, ny, nz = row_of.shape
+    for row in range(len(voxel)):
+        i, j, k = voxel[row, 0], voxel[row, 1], voxel[row, 2]
+        keep[row] = True
+        total = value[row]
+        squares = total * total
+        for p in range(max(i - reach, 0), min(i + reach + 1, nx)):
+            for q in range(max(j - reach, 0), min(j + reach + 1, ny)):
+                for r in range(max(k - reach, 0), min(k + reach + 1, nz)):
+                    other = row_of[p, q, r]
+                    if other < 0 or other == row or not keep[row]:
+                        continue
+                    dx = p - i + place[other, 0] - place[row, 0]
+                    dy = q - j + place[other, 1] - place[row, 1]
+                    dz = r - k + place[other, 2] - place[row, 2]
+                    along = dx * normal[row, 0] + dy * normal[row, 1] + dz * normal[row, 2]
+                    if 2.0 * along * along < dx * dx + dy * dy + dz * dz:
+                        total += value[other]
+                        squares += value[other] * value[other]
+                    elif max(abs(p - i), abs(q - j), abs(r - k)) <= half:
+                        stronger = value[other] > value[row]
+                        if stronger or (value[other] == value[row] and other < row):
+                            keep[row] = False
+        keep[row] &= value[row] * total >= share * squares

@@ -1,0 +1,294 @@
+"""Files of frames: HDF5 or Zarr with an array ``frames`` of time bins, and perhaps its truth.
+
+``frames`` is (n, rows, cols), whole numbers >= 0: the time bin of the only hit of a pixel in a
+frame, 0 for none. A group ``truth`` may lie beside it, for each acquisition of so many frames as
+its attribute ``frames_per_acquisition`` says: ``down_m`` (a, rows, cols) and ``normals``
+(a, rows, cols, 3). What is declared is checked before a value is read.
+
+Frames are read in pieces of a bounded number of values, whole chunks at a time: a chunk is
+decompressed at once, so what a file declares of them is part of what a task needs.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from spl_batch.errors import InputError
+from spl_batch.formats.files.atomic import replacing
+from spl_batch.formats.hdf5 import open_hdf5, told_as_damage
+
+HDF5: Final = frozenset({".h5", ".hdf5", ".hdf"})
+ZARR: Final = ".zarr"
+
+CHUNK_FRAMES: Final = 1000
+"""Frames of a chunk as written here [count]."""
+
+PIECE_VALUES: Final = 2_048_000
+"""Values that are read at once, where a chunk holds no more: 2000 frames of 32 x 32 [count]."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFacts:
+    """What a file of frames declares.
+
+    Parameters
+    ----------
+    frames, rows, cols : int
+        Shape of the array [count].
+    truth_frames : int
+        Frames of an acquisition for which truth lies beside; 0 where there is none [count].
+    chunk_frames : int
+        Frames of a chunk; 0 where it is not cut into chunks [count].
+    piece_bytes : int
+        Memory of a piece while it is read [byte].
+    """
+
+    frames: int
+    rows: int
+    cols: int
+    truth_frames: int
+    chunk_frames: int
+    piece_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTruth:
+    """What is true of some acquisitions.
+
+    Parameters
+    ----------
+    down_m : (a, rows, cols) float64
+        Down coordinate along each line of sight [m].
+    normals : (a, rows, cols, 3) float64
+        Unit normals out of the water.
+    """
+
+    down_m: NDArray[np.float64]
+    normals: NDArray[np.float64]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Root group of a file; its libraries' complaints become one line."""
+    if path.suffix.lower() in HDF5:
+        with open_hdf5(path) as group:
+            yield group
+    elif path.suffix.lower() == ZARR:
+        if not path.exists():
+            raise InputError(str(path), "no such file; check the path")
+        with told_as_damage(path, "Zarr"):
+            yield zarr.open_group(path, mode="r")
+    else:
+        raise InputError(str(path), f"frames are HDF5 ({', '.join(sorted(HDF5))}) or Zarr ({ZARR})")
+
+
+def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
+    """Check what a file declares against the camera.
+
+    Parameters
+    ----------
+    path : Path
+        HDF5 file or Zarr group.
+    rows, cols : int
+        Of the camera [count].
+
+    Raises
+    ------
+    InputError
+        With every fault of the declaration.
+    """
+    with _opened(path) as group:
+        if "frames" not in group:
+            raise InputError(str(path), "has no array 'frames' of (n, rows, cols) time bins")
+        array = group["frames"]
+        if not hasattr(array, "dtype"):
+            raise InputError(str(path), "'frames' is a group, not an array; store (n, rows, cols)")
+        faults = _array_faults(array, rows, cols)
+        truth = 0
+        if "truth" in group and not faults:
+            truth, more = _truth(group["truth"], array.shape)
+            faults += more
+        if faults:
+            raise InputError(str(path), faults)
+        held = _piece_bytes(array)
+        if truth:
+            held += sum(_chunk_bytes(group[f"truth/{name}"]) for name in ("down_m", "normals"))
+        chunk = int(array.chunks[0]) if array.chunks else 0
+        return FrameFacts(int(array.shape[0]), rows, cols, truth, chunk, held)
+
+
+def _piece_frames(array: Any) -> int:
+    """Frames that are read at once: whole chunks, as many as are in bounds, or one [count]."""
+    chunk = int(array.chunks[0]) if array.chunks else 1
+    most = PIECE_VALUES // int(array.shape[1] * array.shape[2])
+    return max(most // chunk, 1) * chunk
+
+
+def _piece_bytes(array: Any) -> int:
+    """Values as they are decoded, those of the frames wanted, and these as bins [byte]."""
+    size = array.dtype.itemsize
+    wanted = min(_piece_frames(array), array.shape[0]) * array.shape[1] * array.shape[2]
+    return int(max(wanted * size, _chunk_bytes(array)) + wanted * (size + 2))
+
+
+def _chunk_bytes(array: Any) -> int:
+    """A chunk as it is decoded, 0 where there is none [byte]."""
+    return int(np.prod(array.chunks, dtype=object) * array.dtype.itemsize) if array.chunks else 0
+
+
+def _array_faults(array: Any, rows: int, cols: int) -> list[str]:
+    faults = []
+    shape = tuple(int(n) for n in array.shape)
+    if len(shape) != 3 or shape[1:] != (rows, cols):
+        faults.append(
+            f"frames has the shape {shape}, the camera (n, {rows}, {cols}); "
+            "correct camera.rows and camera.cols, or the file"
+        )
+    elif shape[0] == 0:
+        faults.append("frames holds no frame; leave the file out")
+    if array.dtype.kind not in "ui":
+        faults.append(f"frames holds {array.dtype}; store whole numbers such as uint16")
+    return faults
+
+
+def _truth(group: Any, shape: tuple[int, ...]) -> tuple[int, list[str]]:
+    per = int(group.attrs.get("frames_per_acquisition", 0))
+    if per < 1:
+        return 0, ["truth lacks the attribute frames_per_acquisition >= 1"]
+    wanted = {
+        "down_m": (shape[0] // per, *shape[1:]),
+        "normals": (shape[0] // per, *shape[1:], 3),
+    }
+    faults = []
+    for name, expected in wanted.items():
+        found = tuple(group[name].shape) if name in group else None
+        if found != expected:
+            faults.append(f"truth/{name} has the shape {found}, expected {expected}")
+    return per, faults
+
+
+def iter_frames(
+    path: Path, first: int, last: int, bins: int
+) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+    """Frames ``first <= n < last``, a piece after the other: number of its first one, frames.
+
+    Parameters
+    ----------
+    path : Path
+        Checked by :func:`inspect_frames`.
+    first, last : int
+        Frames.
+    bins : int
+        Largest bin of the camera.
+
+    Raises
+    ------
+    InputError
+        If they cannot be read, or a value is no bin of the camera.
+    """
+    with _opened(path) as group:
+        array = group["frames"]
+        step = _piece_frames(array)
+        while first < last:
+            stop = min((first // step + 1) * step, last)
+            yield first, _checked(path, np.asarray(array[first:stop]), first, stop, bins)
+            first = stop
+
+
+def _checked(
+    path: Path, values: NDArray[Any], first: int, last: int, bins: int
+) -> NDArray[np.uint16]:
+    if len(values) != last - first:
+        raise InputError(str(path), f"ends before frame {last}; it changed since it was planned")
+    low, high = int(values.min()), int(values.max())
+    if low < 0 or high > bins:
+        worst = low if low < 0 else high
+        raise InputError(
+            str(path),
+            f"frames {first} to {last - 1} hold the time bin {worst}, the camera has 1 to {bins} "
+            "and 0 for no hit; correct camera.bins or the file",
+        )
+    return values.astype(np.uint16, copy=False)
+
+
+def read_truth(path: Path, first: int, last: int) -> FrameTruth:
+    """Truth of the acquisitions ``first <= a < last``."""
+    with _opened(path) as group:
+        truth = group["truth"]
+        return FrameTruth(
+            np.asarray(truth["down_m"][first:last], dtype=np.float64),
+            np.asarray(truth["normals"][first:last], dtype=np.float64),
+        )
+
+
+def write_frames(
+    path: Path,
+    frames: NDArray[np.uint16],
+    attributes: Mapping[str, float],
+    truth: FrameTruth | None = None,
+    frames_per_acquisition: int = 0,
+) -> None:
+    """Write frames, and their truth where it is given; whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        ``.h5`` or ``.zarr``.
+    frames : (n, rows, cols) uint16
+        Bins; 0 is no hit.
+    attributes : mapping
+        Facts for readers.
+    truth : FrameTruth, optional
+        Of every acquisition.
+    frames_per_acquisition : int
+        Frames of an acquisition of the truth.
+    """
+    with replacing(path) as temporary:
+        if path.suffix.lower() == ZARR:
+            _write_zarr(zarr.open_group(temporary, mode="w"), frames, attributes, truth)
+            if truth is not None:
+                group = zarr.open_group(temporary / "truth", mode="r+")
+                group.attrs["frames_per_acquisition"] = frames_per_acquisition
+            return
+        with h5py.File(temporary, "w") as group:
+            _write_hdf5(group, frames, attributes, truth)
+            if truth is not None:
+                group["truth"].attrs["frames_per_acquisition"] = frames_per_acquisition
+
+
+def _write_hdf5(
+    group: Any,
+    frames: NDArray[np.uint16],
+    attributes: Mapping[str, float],
+    truth: FrameTruth | None,
+) -> None:
+    chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
+    group.create_dataset(
+        "frames", data=frames, chunks=chunk, compression="gzip", compression_opts=1, fletcher32=True
+    )
+    group.attrs.update(attributes)
+    if truth is not None:
+        group.create_dataset("truth/down_m", data=truth.down_m.astype(np.float32))
+        group.create_dataset("truth/normals", data=truth.normals.astype(np.float32))
+
+
+def _write_zarr(
+    group: Any,
+    frames: NDArray[np.uint16],
+    attributes: Mapping[str, float],
+    truth: FrameTruth | None,
+) -> None:
+    chunk = (min(len(frames), CHUNK_FRAMES), *frames.shape[1:])
+    group.create_array("frames", data=frames, chunks=chunk)
+    group.attrs.update(dict(attributes))
+    if truth is not None:
+        below = group.create_group("truth")
+        below.create_array("down_m", data=truth.down_m.astype(np.float32))
+        below.create_array("normals", data=truth.normals.astype(np.float32))

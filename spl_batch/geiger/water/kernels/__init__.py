@@ -1,1 +1,0 @@
-"""Arrays and numbers in, arrays out."""

@@ -1,0 +1,1 @@
+"""Ranges of pixels: hits, calibration, range walk."""

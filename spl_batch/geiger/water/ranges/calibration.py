@@ -1,0 +1,266 @@
+"""From mean bins to ranges, and how that is fitted from frames of a target [G15 3.4.3-3.4.4].
+
+The measured time of a pixel is
+
+    m = R0 t + R1 - walk(I) + delay of the pixel,
+
+t being the actual time of flight. The source's own fit: R0 and R1 by a line through the means of
+dim pixels (Eq. 3-1, 3-2), then ``walk = A exp(B I)`` through what brighter ones lack (Eq. 3-4,
+3-5). The joint fit: R0, R1 and the echo's spread of the first-photon law
+(:mod:`~spl_batch.geiger.water.ranges.range_walk`) by weighted least squares over all pixels and
+distances, in turn with a delay for each pixel, which is shrunk towards nothing as far as the
+spread of its hits explains it.
+
+Deviations from the source. The target is flat and stands across the axis, so an outer pixel's
+range is longer than the axis': the source takes one distance for all. The walk is added to the
+measured time, before the scale is divided out: it was defined as a difference of measured times.
+Delays of pixels are new.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import curve_fit
+
+from spl_batch.geiger.water.pixel_geometry import HALF_C_M_NS
+from spl_batch.geiger.water.ranges.hits import Hits
+from spl_batch.geiger.water.ranges.range_walk import exponential, first_photon
+from spl_batch.geiger.water.settings import CalibrationSettings
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 50
+HITS_MIN = 5
+"""Fewest hits of a pixel that takes part in a fit [count]."""
+
+BRIGHTEST = 0.97
+"""Intensity above which the number of photons cannot be told [G15 3.4.4]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What turns mean times into ranges.
+
+    Parameters
+    ----------
+    settings : CalibrationSettings
+        Numbers of the laws, fitted ones put in.
+    pixel_ns : (rows, cols) float64
+        Delay of each pixel [ns].
+    residual_ns : float
+        Standard deviation of what a fit leaves beyond the spread of hits; 0 without a fit [ns].
+    """
+
+    settings: CalibrationSettings
+    pixel_ns: Floats
+    residual_ns: float = 0.0
+
+    def walk_ns(self, intensity: Floats) -> Floats:
+        """How early hits are: (rows, cols) float64 [ns]."""
+        s = self.settings
+        if s.range_walk == "first_photon":
+            return s.pulse_ns * first_photon(intensity)
+        if s.range_walk == "exponential":
+            return exponential(intensity, s.walk_ns, s.walk_exponent)
+        return np.zeros_like(intensity)
+
+    def ranges(self, measured_ns: Floats, intensity: Floats) -> Floats:
+        """Ranges of measured times [G15 Eq. 2-2, 3-3, 3-5].
+
+        Parameters
+        ----------
+        measured_ns : (rows, cols) float64
+            Mean time of each pixel [ns]; NaN stays NaN.
+        intensity : (rows, cols) float64
+            Share of frames with a hit.
+
+        Returns
+        -------
+        (rows, cols) float64
+            From the lens along the line of sight [m].
+        """
+        s = self.settings
+        late = measured_ns + self.walk_ns(intensity) - self.pixel_ns - s.offset_ns
+        return HALF_C_M_NS * late / s.scale
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Frames of a target at a known distance.
+
+    Parameters
+    ----------
+    distance_m : float
+        Of the target along the axis [m].
+    actual_ns : (rows, cols) float64
+        Actual time of flight of each pixel [ns].
+    measured_ns : (rows, cols) float64
+        Mean time [ns].
+    hits : (rows, cols) int64
+        Hits; 0 for pixels that take no part.
+    intensity : (rows, cols) float64
+        Share of frames with a hit.
+    spread_ns : float
+        Standard deviation of single hits [ns].
+    """
+
+    distance_m: float
+    actual_ns: Floats
+    measured_ns: Floats
+    hits: NDArray[np.int64]
+    intensity: Floats
+    spread_ns: float
+
+
+def observation(
+    hits: Hits, dead: NDArray[np.bool_], norm: Floats, distance_m: float, bin_ns: float
+) -> Observation:
+    """Put together what a fit needs from frames of a target.
+
+    Parameters
+    ----------
+    hits : Hits
+        Of all frames of the target.
+    dead : (rows, cols) bool
+        Pixels that are left out.
+    norm : (rows, cols) float64
+        Range over depth along the axis.
+    distance_m : float
+        Of the target along the axis [m].
+    bin_ns : float
+        Length of a bin [ns].
+    """
+    enough = ~dead & (hits.hits >= HITS_MIN)
+    return Observation(
+        distance_m,
+        distance_m * norm / HALF_C_M_NS,
+        hits.mean_bin() * bin_ns,
+        np.where(enough, hits.hits, 0),
+        hits.intensity,
+        hits.spread_bins() * bin_ns,
+    )
+
+
+def faults_of(observations: Sequence[Observation], settings: CalibrationSettings) -> list[str]:
+    """Why nothing can be fitted, each with a remedy; empty where it can."""
+    faults = []
+    for k, seen in enumerate(observations):
+        if not seen.hits.any():
+            faults.append(
+                f"calibration.frames[{k}]: no pixel has {HITS_MIN} hits within the gate; "
+                "take more frames or check gate:"
+            )
+    dim = {seen.distance_m for seen in observations if _dim(seen, settings).any()}
+    if settings.range_walk == "exponential" and len(dim) < 2 and not faults:
+        faults.append(
+            f"calibration.frames: {len(dim)} of their distances have pixels with an intensity "
+            f"between dim_min {settings.dim_min} and dim_max {settings.dim_max}, two are needed; "
+            "attenuate the laser more, raise dim_max, or set range_walk: first_photon"
+        )
+    return faults
+
+
+def fit(observations: Sequence[Observation], settings: CalibrationSettings) -> Calibration:
+    """Fit the laws that the settings name; :func:`faults_of` must have found nothing.
+
+    Parameters
+    ----------
+    observations : sequence of Observation
+        At two distances at the least.
+    settings : CalibrationSettings
+        Laws.
+    """
+    if settings.range_walk == "exponential":
+        return _fit_source(observations, settings)
+    return _fit_joint(observations, settings)
+
+
+def _dim(seen: Observation, settings: CalibrationSettings) -> NDArray[np.bool_]:
+    dim = (seen.intensity > settings.dim_min) & (seen.intensity < settings.dim_max)
+    return dim & (seen.hits > 0)
+
+
+def _fit_source(observations: Sequence[Observation], settings: CalibrationSettings) -> Calibration:
+    """Line through dim pixels, exponential through the rest [G15 Eq. 3-1 to 3-5]."""
+    dim = [(seen, rows) for seen in observations if (rows := _dim(seen, settings)).any()]
+    actual = [seen.actual_ns[rows].mean() for seen, rows in dim]
+    measured = [seen.measured_ns[rows].mean() for seen, rows in dim]
+    scale, offset = np.polyfit(actual, measured, 1)
+    chosen = {"scale": float(scale), "offset_ns": float(offset)}
+    bright, early, weight = [], [], []
+    for seen in observations:
+        rows = (seen.hits > 0) & (seen.intensity > settings.dim_min)
+        rows &= seen.intensity < BRIGHTEST
+        bright.append(seen.intensity[rows])
+        early.append(scale * seen.actual_ns[rows] + offset - seen.measured_ns[rows])
+        weight.append(seen.hits[rows])
+    start: Any = (settings.walk_ns or 0.02, settings.walk_exponent)
+    (a, b), _ = curve_fit(
+        exponential,
+        np.concatenate(bright),
+        np.concatenate(early),
+        p0=start,
+        sigma=1.0 / np.sqrt(np.concatenate(weight)),
+        maxfev=2000,
+    )
+    chosen |= {"walk_ns": max(float(a), 0.0), "walk_exponent": float(b)}
+    return _with_delays(observations, settings.model_copy(update=chosen))
+
+
+def _fit_joint(observations: Sequence[Observation], settings: CalibrationSettings) -> Calibration:
+    """All numbers at once, in turn with the pixels' delays until neither moves."""
+    walks = settings.range_walk == "first_photon"
+    pixel = np.zeros_like(observations[0].actual_ns)
+    fitted, residual = settings, 0.0
+    last: Floats = np.zeros(3)
+    for _ in range(ROUNDS):
+        normal, right = np.zeros((3, 3)), np.zeros(3)
+        for seen in observations:
+            rows = (seen.hits > 0) & (seen.intensity < BRIGHTEST)
+            early = first_photon(seen.intensity[rows]) if walks else np.zeros(int(rows.sum()))
+            design = np.stack([seen.actual_ns[rows], np.ones(len(early)), -early], axis=1)
+            weighted = design * seen.hits[rows, None]
+            normal += weighted.T @ design
+            right += weighted.T @ (seen.measured_ns[rows] - pixel[rows])
+        numbers = np.asarray(np.linalg.lstsq(normal, right)[0], dtype=np.float64)
+        pulse = max(float(numbers[2]), 0.0) if walks else settings.pulse_ns
+        fitted = settings.model_copy(
+            update={
+                "scale": float(numbers[0]),
+                "offset_ns": float(numbers[1]),
+                "pulse_ns": pulse,
+            }
+        )
+        made = _with_delays(observations, fitted)
+        pixel, residual = made.pixel_ns, made.residual_ns
+        if np.abs(numbers - last).max() < 1e-9:
+            break
+        last = numbers
+    return Calibration(fitted, pixel, residual)
+
+
+def _with_delays(observations: Sequence[Observation], fitted: CalibrationSettings) -> Calibration:
+    """Mean delay of each pixel over the observations, shrunk, and what is left of their spread."""
+    none = Calibration(fitted, np.zeros_like(observations[0].actual_ns))
+    hits, delay, expected = (np.zeros_like(none.pixel_ns) for _ in range(3))
+    for seen in observations:
+        rows = (seen.hits > 0) & (seen.intensity < BRIGHTEST)
+        left = seen.measured_ns + none.walk_ns(seen.intensity)
+        left -= fitted.scale * seen.actual_ns + fitted.offset_ns
+        hits[rows] += seen.hits[rows]
+        delay[rows] += seen.hits[rows] * left[rows]
+        expected[rows] += seen.hits[rows] * seen.spread_ns**2
+    known = hits > 0
+    mean, variance = delay[known] / hits[known], expected[known] / hits[known] ** 2
+    # The delays' own variance: what their means show beyond the spread of hits.
+    own = max(float(np.average(mean**2 - variance, weights=hits[known])), 0.0)
+    if not fitted.pixel_offsets:
+        return Calibration(fitted, none.pixel_ns, own**0.5)
+    share = own / (own + variance) if own else np.zeros_like(variance)
+    pixel = np.zeros_like(none.pixel_ns)
+    pixel[known] = share * mean
+    left_over = float(np.average(share * variance, weights=hits[known]))
+    return Calibration(fitted, pixel, left_over**0.5)

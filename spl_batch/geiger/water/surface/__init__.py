@@ -1,0 +1,1 @@
+"""Water surfaces: places and normals of pixels, refraction, rasters."""

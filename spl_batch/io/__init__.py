@@ -1,1 +1,0 @@
-"""Path <-> value: one module a format."""

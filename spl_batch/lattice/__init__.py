@@ -1,0 +1,1 @@
+"""Integer coordinates, tiles, ownership, order of rows, and the tables of points."""

@@ -1,0 +1,309 @@
+"""Where the points of a survey lie: counts in squares of the tile grid, and what units hold.
+
+Before any work the headers tell it: the points of a file spread evenly over its bounding
+box, and where boxes overlap they add up. After the shuffle the tiles tell it. Either way
+a survey is a few dense pieces, so that a million tiles are a few arrays.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.lattice.tiles import Bounds, CellId, far_apart
+
+MAX_SQUARES = 8_000_000
+"""Squares of a piece; a larger one is counted in squares of twice the edge, and so on."""
+
+FEW_SQUARES = 4096
+"""Squares that a piece may have however few its points are; beyond, it has no more than points."""
+
+FAR_Q = 10_000_000
+"""Straight gap beyond which what lies on either side is a piece of its own [quanta]."""
+
+_TOUCHED = 1e-6
+"""Share of a square that counts as none: what sums of shares leave of nothing."""
+
+
+class Box(NamedTuple):
+    """Points that lie somewhere in a rectangle."""
+
+    bounds: Bounds
+    points: float
+
+
+class Peak(NamedTuple):
+    """The unit that reads most points.
+
+    Parameters
+    ----------
+    points : float
+        Points in its core and halo [count].
+    core : Bounds
+        What it owns.
+    """
+
+    points: float
+    core: Bounds
+
+
+class Cut(NamedTuple):
+    """Units of one size.
+
+    Parameters
+    ----------
+    units : int
+        Their number [count].
+    read : float
+        Points in their cores and halos, added up [count].
+    """
+
+    units: int
+    read: float
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Points in squares of an absolute grid over one rectangle.
+
+    Parameters
+    ----------
+    edge : int
+        Edge of a square [quanta].
+    first : CellId
+        Column and row of the first square.
+    points : (rows, columns) float64
+        Points of each square [count].
+    touched : (rows, columns) bool
+        Squares that belong to the survey.
+    """
+
+    edge: int
+    first: CellId
+    points: NDArray[np.float64]
+    touched: NDArray[np.bool_]
+
+    def units(self, unit_q: int) -> int:
+        """Units of an absolute grid that own part of a square of the survey [count]."""
+        step = max(unit_q, self.edge)
+        there = self._sums(self._total_touched, step, (step, 0)) > _TOUCHED
+        if step == unit_q:
+            return int(np.count_nonzero(there))
+        points = self._sums(self._total, step, (step, 0))[there]
+        return int(_within(points, (step / unit_q) ** 2).sum())
+
+    def peak(self, unit_q: int, halo_q: int) -> Peak:
+        """The unit that reads most, of those that own part of the survey.
+
+        Where squares are larger than units, one unit of each square is looked at.
+
+        Parameters
+        ----------
+        unit_q, halo_q : int
+            Edge of a unit and its halo [quanta].
+        """
+        step = max(unit_q, self.edge)
+        read = self._sums(self._total, step, (unit_q, halo_q))
+        read[self._sums(self._total_touched, step, (step, 0)) <= _TOUCHED] = -1.0
+        row, column = np.unravel_index(int(np.argmax(read)), read.shape)
+        west = (self.first.i * self.edge // step + int(column)) * step
+        south = (self.first.j * self.edge // step + int(row)) * step
+        return Peak(float(read[row, column]), Bounds(west, south, west + unit_q, south + unit_q))
+
+    def cut(self, shapes: Sequence[tuple[int, int]], halo_q: int, most: float) -> list[Cut]:
+        """Units of several shapes: those of the first, and of those too full their parts.
+
+        Parameters
+        ----------
+        shapes : sequence of (int, int)
+            Width and height of units, the largest first; each divides the one before [quanta].
+        halo_q : int
+            Their halo [quanta].
+        most : float
+            Points beyond which a unit is cut, unless it is of the last shape [count].
+        """
+        found = []
+        above: tuple[NDArray[np.bool_], tuple[int, int]] | None = None
+        for shape in shapes:
+            steps = max(shape[0], self.edge), max(shape[1], self.edge)
+            read = self._shaped_sums(self._total, steps, shape, halo_q)
+            there = self._shaped_sums(self._total_touched, steps, steps, 0) > _TOUCHED
+            if above is not None:
+                columns, rows = (
+                    (np.arange(n) + first * self.edge // step) * step // larger
+                    - first * self.edge // larger
+                    for n, first, step, larger in zip(
+                        there.shape[::-1], self.first, steps, above[1], strict=True
+                    )
+                )
+                there &= above[0][np.ix_(rows, columns)]
+            full = there & (read > most) & (shape != shapes[-1])
+            there &= ~full
+            each = (steps[0] / shape[0]) * (steps[1] / shape[1])
+            units = _within(self._shaped_sums(self._total, steps, steps, 0)[there], each)
+            found.append(Cut(int(units.sum()), float(read[there] @ units)))
+            above = full, steps
+        return found
+
+    @cached_property
+    def _total(self) -> NDArray[np.float64]:
+        return _integral(self.points)
+
+    @cached_property
+    def _total_touched(self) -> NDArray[np.float64]:
+        return _integral(self.touched.astype(np.float64))
+
+    def _sums(
+        self, total: NDArray[np.float64], step: int, reach: tuple[int, int]
+    ) -> NDArray[np.float64]:
+        """What square units hold that begin every so often and are so wide, with a halo."""
+        return self._shaped_sums(total, (step, step), (reach[0], reach[0]), reach[1])
+
+    def _shaped_sums(
+        self, total: NDArray[np.float64], steps: tuple[int, int], shape: tuple[int, int], halo: int
+    ) -> NDArray[np.float64]:
+        """The same of units that are so wide and high and begin every so often along each axis."""
+        along_y = self._between(total, 0, steps[1], (shape[1], halo))
+        return self._between(along_y, 1, steps[0], (shape[0], halo))
+
+    def _between(
+        self, total: NDArray[np.float64], axis: int, step: int, reach: tuple[int, int]
+    ) -> NDArray[np.float64]:
+        """Differences of running totals over the extents of all units along one axis."""
+        first, squares = self.first[1 - axis], total.shape[axis] - 1
+        unit_q, halo_q = reach
+        units = np.arange(first * self.edge // step, -(-(first + squares) * self.edge // step))
+        low = (units * step - halo_q) / self.edge - first
+        high = (units * step + unit_q + halo_q) / self.edge - first
+        return _at(total, high, axis) - _at(total, low, axis)
+
+
+def from_boxes(boxes: Iterable[Box], edge: int) -> Iterator[Piece]:
+    """Pieces of a survey whose points spread evenly over some rectangles.
+
+    Parameters
+    ----------
+    boxes : iterable of Box
+        Bounding boxes of the input files and their points.
+    edge : int
+        Edge of a tile [quanta].
+    """
+    for part in _apart([box for box in boxes if box.points]):
+        hull = _hull(part)
+        sides = hull.xmax - hull.xmin, hull.ymax - hull.ymin
+        size = _coarse(*sides, edge, math.fsum(box.points for box in part))
+        first = CellId(hull.xmin // size, hull.ymin // size)
+        shape = (-(-hull.ymax // size) - first.j, -(-hull.xmax // size) - first.i)
+        points, touched = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        for box in part:
+            rows, of_rows = _shares(box.bounds.ymin, box.bounds.ymax, size, first.j)
+            columns, of_columns = _shares(box.bounds.xmin, box.bounds.xmax, size, first.i)
+            points[rows, columns] += np.outer(of_rows * box.points, of_columns)
+            touched[rows, columns] = True
+        yield Piece(size, first, points, touched)
+
+
+def from_counts(counts: Mapping[CellId, int], edge: int) -> Iterator[Piece]:
+    """Pieces of a survey whose points are counted by tile.
+
+    Parameters
+    ----------
+    counts : mapping of CellId to int
+        Points by tile.
+    edge : int
+        Edge of a tile [quanta].
+    """
+    cells = np.fromiter((v for cell in counts for v in cell), np.int64, 2 * len(counts))
+    cells = cells.reshape(-1, 2)
+    values = np.fromiter(counts.values(), np.float64, len(counts))
+    for rows in far_apart(cells, max(FAR_Q // edge, 1)):
+        extent = (np.ptp(cells[rows], axis=0) + 1) * edge
+        size = _coarse(int(extent[0]), int(extent[1]), edge, math.fsum(values[rows]))
+        square = cells[rows] * edge // size
+        low, high = square.min(axis=0), square.max(axis=0)
+        points = np.zeros((high - low + 1)[::-1])
+        np.add.at(points, (square[:, 1] - low[1], square[:, 0] - low[0]), values[rows])
+        yield Piece(size, CellId(int(low[0]), int(low[1])), points, points > 0)
+
+
+def largest(peaks: Iterable[Peak]) -> Peak:
+    """Peak with most points, the first of equals; of none, one that reads nothing."""
+    return max(peaks, key=lambda peak: peak.points, default=Peak(0.0, Bounds(0, 0, 0, 0)))
+
+
+def _integral(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Running totals with a leading row and column of zeros."""
+    total = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+    np.cumsum(values, axis=0, out=total[1:, 1:])
+    np.cumsum(total[1:, 1:], axis=1, out=total[1:, 1:])
+    return total
+
+
+def _at(total: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Running totals at fractional places along an axis; constant beyond its ends."""
+    at = np.clip(at, 0.0, total.shape[axis] - 1)
+    low = np.minimum(at.astype(np.int64), total.shape[axis] - 2)
+    share = np.expand_dims(at - low, 1 - axis)
+    before, after = np.take(total, low, axis), np.take(total, low + 1, axis)
+    found: NDArray[np.float64] = before + (after - before) * share
+    return found
+
+
+def _shares(low: int, high: int, size: int, first: int) -> tuple[slice, NDArray[np.float64]]:
+    """Squares that an extent touches, and the share of it that lies in each."""
+    start, stop = low // size, -(-high // size)
+    edges = np.clip(np.arange(start, stop + 1, dtype=np.float64) * size, low, high)
+    return slice(start - first, stop - first), np.diff(edges) / (high - low)
+
+
+def _within(points: NDArray[np.float64], each: float) -> NDArray[np.float64]:
+    """Units that hold points in squares of so many units: no more than points [count]."""
+    units: NDArray[np.float64] = np.minimum(np.ceil(each), np.maximum(np.ceil(points), 1.0))
+    return units
+
+
+def _coarse(width: int, height: int, edge: int, points: float) -> int:
+    """Edge of squares that are few enough: the tile's, or a power of two of it."""
+    size, most = edge, min(MAX_SQUARES, max(points, FEW_SQUARES))
+    while width / size * (height / size) > most:
+        size *= 2
+    return size
+
+
+def _hull(boxes: Sequence[Box]) -> Bounds:
+    return Bounds(
+        min(b.bounds.xmin for b in boxes),
+        min(b.bounds.ymin for b in boxes),
+        max(b.bounds.xmax for b in boxes),
+        max(b.bounds.ymax for b in boxes),
+    )
+
+
+def _apart(boxes: list[Box]) -> Iterator[list[Box]]:
+    """Boxes in groups that a wide straight gap keeps apart, again and again."""
+    waiting = [boxes] if boxes else []
+    while waiting:
+        group = waiting.pop()
+        for axis in (0, 1):
+            parts = _split(group, axis)
+            if len(parts) > 1:
+                waiting.extend(reversed(parts))
+                break
+        else:
+            yield group
+
+
+def _split(boxes: Sequence[Box], axis: int) -> list[list[Box]]:
+    """Boxes in groups that no box bridges along an axis."""
+    parts: list[list[Box]] = []
+    end = -math.inf
+    for box in sorted(boxes, key=lambda b: b.bounds[axis]):
+        if box.bounds[axis] > end + FAR_Q:
+            parts.append([])
+        parts[-1].append(box)
+        end = max(end, box.bounds[axis + 2])
+    return parts

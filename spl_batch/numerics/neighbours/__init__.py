@@ -1,0 +1,1 @@
+"""Nearest neighbours on the integer lattice: kd-tree, searches, columns."""

@@ -1,0 +1,1 @@
+"""Planes through points: eigenvectors, robust fits, eight at a time."""

@@ -1,0 +1,1 @@
+"""Delaunay triangulations and linear interpolation on them."""

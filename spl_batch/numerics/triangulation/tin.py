@@ -1,0 +1,220 @@
+"""Triangulated surfaces: Delaunay triangulation, point location, linear interpolation.
+
+Locating points is a visibility walk of our own: `scipy.spatial.Delaunay.find_simplex`
+answers the same question, but starts each walk without the neighbourhood that sorted queries
+offer and holds the GIL.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.triangulation.delaunay import triangles
+
+OUTSIDE = -1
+"""Facet number of a place outside the triangulation."""
+
+_EDGE_SLACK = 1e-12
+"""Barycentric weight below zero that still counts as on the edge."""
+
+
+class Tin(NamedTuple):
+    """Triangulated irregular network.
+
+    Parameters
+    ----------
+    xyz : (v, 3) float64
+        Vertices [m].
+    facets : (t, 3) int32
+        Vertices of each triangle, counter-clockwise.
+    neighbours : (t, 3) int32
+        Triangle across from each vertex; :data:`OUTSIDE` at the hull.
+    planes : (t, 3) float64
+        Height at the first corner and slopes: z = c + a (x - x0) + b (y - y0), as a, b, c.
+    """
+
+    xyz: NDArray[np.float64]
+    facets: NDArray[np.int32]
+    neighbours: NDArray[np.int32]
+    planes: NDArray[np.float64]
+
+
+def triangulate(xyz: NDArray[np.float64]) -> Tin | None:
+    """Delaunay triangulation in the horizontal plane.
+
+    Parameters
+    ----------
+    xyz : (v, 3) float64
+        Vertices [m]; no two at the same place.
+
+    Returns
+    -------
+    Tin or None
+        None where no triangle exists: fewer than three vertices, or all on one line.
+    """
+    facets, neighbours = triangles(xyz[:, :2])
+    return tin_of(xyz, facets, neighbours) if len(facets) else None
+
+
+def tin_of(
+    xyz: NDArray[np.float64], facets: NDArray[np.int32], neighbours: NDArray[np.int32]
+) -> Tin:
+    """Surface of some triangles; ``xyz`` may hold places that none of them needs."""
+    planes = np.empty((len(facets), 3))
+    facet_planes(xyz, facets, planes)
+    return Tin(xyz, facets, neighbours, planes)
+
+
+@njit(nogil=True, cache=True)
+def facet_planes(
+    xyz: NDArray[np.float64], facets: NDArray[np.int32], out: NDArray[np.float64]
+) -> None:
+    """Plane z = c + a (x - x0) + b (y - y0) through each triangle, 0 its first corner.
+
+    Parameters
+    ----------
+    xyz : (v, 3) float64
+        Vertices [m].
+    facets : (t, 3) int32
+        Triangles.
+    out : (t, 3) float64
+        a, b [rise/run] and c [m]; a triangle of no area gets the plane z = mean height.
+    """
+    for t in range(len(facets)):
+        i, j, k = facets[t]
+        ux, uy, uz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
+        vx, vy, vz = xyz[k, 0] - xyz[i, 0], xyz[k, 1] - xyz[i, 1], xyz[k, 2] - xyz[i, 2]
+        area = ux * vy - uy * vx
+        if area == 0.0:
+            out[t, 0], out[t, 1] = 0.0, 0.0
+            out[t, 2] = (xyz[i, 2] + xyz[j, 2] + xyz[k, 2]) / 3.0
+            continue
+        a = (uz * vy - uy * vz) / area
+        b = (ux * vz - uz * vx) / area
+        out[t, 0], out[t, 1] = a, b
+        out[t, 2] = xyz[i, 2]
+
+
+@njit(nogil=True, cache=True)
+def _side(ax: float, ay: float, bx: float, by: float, px: float, py: float) -> float:
+    """Twice the signed area of a, b, p: positive where p is to the left of a -> b."""
+    return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+
+
+@njit(nogil=True, cache=True)
+def _crossing(
+    xyz: NDArray[np.float64], facet: NDArray[np.int32], px: float, py: float, first: int
+) -> int:
+    """Corner whose opposite edge has p on its far side; -1 where the triangle holds p.
+
+    Looking at the edges from a rotating first one keeps a walk over cocircular
+    vertices from going round for ever.
+    """
+    area = _side(
+        xyz[facet[0], 0],
+        xyz[facet[0], 1],
+        xyz[facet[1], 0],
+        xyz[facet[1], 1],
+        xyz[facet[2], 0],
+        xyz[facet[2], 1],
+    )
+    for turn in range(3):
+        k = (first + turn) % 3
+        a, b = facet[(k + 1) % 3], facet[(k + 2) % 3]
+        if _side(xyz[a, 0], xyz[a, 1], xyz[b, 0], xyz[b, 1], px, py) < -_EDGE_SLACK * area:
+            return k
+    return -1
+
+
+@njit(nogil=True, cache=True)
+def locate_one(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    px: float,
+    py: float,
+    start: int,
+) -> tuple[int, int]:
+    """Triangle that holds a place, by walking there.
+
+    Parameters
+    ----------
+    xyz, facets, neighbours
+        The triangulation.
+    px, py : float
+        Place [m].
+    start : int
+        Triangle to start from.
+
+    Returns
+    -------
+    found : int
+        Triangle, or :data:`OUTSIDE`.
+    last : int
+        Triangle where the walk ended: a good start for the next place.
+    """
+    t = start
+    for step in range(len(facets) + 16):
+        k = _crossing(xyz, facets[t], px, py, step)
+        if k < 0:
+            return t, t
+        beyond = neighbours[t, k]
+        if beyond < 0:
+            return OUTSIDE, t
+        t = beyond
+    for t in range(len(facets)):  # a walk that rounding kept going round: look everywhere
+        if _crossing(xyz, facets[t], px, py, 0) < 0:
+            return t, t
+    return OUTSIDE, start
+
+
+@njit(nogil=True, cache=True)
+def locate(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    out: NDArray[np.int32],
+) -> None:
+    """Triangle that holds each place; places near each other should follow each other.
+
+    Parameters
+    ----------
+    xyz, facets, neighbours
+        The triangulation.
+    x, y : (n,) float64
+        Places [m].
+    out : (n,) int32
+        Triangle, or :data:`OUTSIDE`.
+    """
+    last = 0
+    for i in range(len(x)):
+        found, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
+        out[i] = found
+
+
+def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Height of a surface.
+
+    Parameters
+    ----------
+    tin : Tin
+        Surface.
+    x, y : (n,) float64
+        Places [m], near ones following each other.
+
+    Returns
+    -------
+    (n,) float64
+        Height [m]; NaN outside the surface.
+    """
+    facet = np.empty(len(x), dtype=np.int32)
+    locate(tin.xyz, tin.facets, tin.neighbours, x, y, facet)
+    a, b, c = tin.planes[facet].T
+    x0, y0, _ = tin.xyz[tin.facets[facet, 0]].T
+    height: NDArray[np.float64] = c + a * (x - x0) + b * (y - y0)
+    height[facet < 0] = np.nan
+    return height

@@ -1,0 +1,133 @@
+"""Linear interpolation on a Delaunay triangulation, at the centres of raster cells.
+
+The evaluation walks triangles, not queries, because a raster asks for every centre inside
+every triangle once. Rows count from the south.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from spl_batch.numerics.compiled import njit
+from spl_batch.numerics.triangulation.delaunay import triangles
+
+RIM = 1.5
+"""So far from the centre of a cell outside the triangles a vertex lends its height [cells]."""
+
+
+@njit(nogil=True, cache=True)
+def paint_triangles(
+    vertices: NDArray[np.float64],
+    simplices: NDArray[np.int32],
+    size: float,
+    out: NDArray[np.float64],
+) -> None:
+    """Write the plane through each triangle into the cells whose centres it holds.
+
+    A centre on a shared edge takes the triangle that comes first; both give the same
+    height there.
+
+    Parameters
+    ----------
+    vertices : (m, 3) float64
+        x, y, z relative to the raster's south-west corner [any one unit].
+    simplices : (t, 3) int32
+        Vertices of each triangle.
+    size : float
+        Edge of a raster cell [unit of the vertices].
+    out : (rows, cols) float64, written
+        Heights; cells outside every triangle keep what they hold, which must be NaN.
+    """
+    rows, cols = out.shape
+    for t in range(len(simplices)):
+        a, b, c = vertices[simplices[t, 0]], vertices[simplices[t, 1]], vertices[simplices[t, 2]]
+        ux, uy, wx, wy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+        area = ux * wy - uy * wx
+        if area == 0.0:
+            continue
+        first_row = max(int(np.ceil(min(a[1], b[1], c[1]) / size - 0.5)), 0)
+        last_row = min(int(np.floor(max(a[1], b[1], c[1]) / size - 0.5)), rows - 1)
+        first_col = max(int(np.ceil(min(a[0], b[0], c[0]) / size - 0.5)), 0)
+        last_col = min(int(np.floor(max(a[0], b[0], c[0]) / size - 0.5)), cols - 1)
+        for row in range(first_row, last_row + 1):
+            py = (row + 0.5) * size - a[1]
+            for col in range(first_col, last_col + 1):
+                px = (col + 0.5) * size - a[0]
+                wb = (px * wy - py * wx) / area
+                wc = (ux * py - uy * px) / area
+                # The tolerance keeps a centre on an edge from falling between two triangles.
+                if min(wb, wc, 1.0 - wb - wc) >= -1e-9 and np.isnan(out[row, col]):
+                    out[row, col] = a[2] + wb * (b[2] - a[2]) + wc * (c[2] - a[2])
+
+
+def tin_raster(
+    vertices: NDArray[np.float64], size: float, shape: tuple[int, int], reach: float
+) -> NDArray[np.float64]:
+    """Raster of the TIN through some vertices, empty where they are too far.
+
+    Parameters
+    ----------
+    vertices : (m, 3) float64
+        x, y, z relative to the raster's south-west corner; they may lie outside of it.
+    size : float
+        Edge of a raster cell [unit of the vertices].
+    shape : (int, int)
+        Rows and columns.
+    reach : float
+        A centre farther than this from every vertex stays empty [unit of the vertices].
+
+    Returns
+    -------
+    (rows, cols) float64
+        Linear interpolation at cell centres. Outside the triangles (the rim of the survey,
+        vertices on one line) the nearest vertex within :data:`RIM` cells lends its height. NaN
+        elsewhere and beyond ``reach``.
+    """
+    out = np.full(shape, np.nan)
+    if len(vertices) == 0:
+        return out
+    paint_triangles(vertices, triangles(vertices[:, :2])[0], size, out)
+    place = np.floor(vertices[:, :2] / size).astype(np.int64)
+    occupied = _held_near(place, shape, 0)
+    # Only where it may lie too far, or near enough to lend its height, a vertex is searched for.
+    surely_near = int(min(max(reach / (math.sqrt(2.0) * size) - 0.5, 0.0), max(shape)))
+    rim = np.isnan(out) & _held_near(place, shape, math.floor(RIM + 0.5))
+    asked = np.argwhere(rim | ~(np.isnan(out) | occupied | _held_near(place, shape, surely_near)))
+    if not len(asked):
+        return out
+    centres = (asked[:, ::-1] + 0.5) * size
+    distance, found = cKDTree(vertices[:, :2]).query(centres)
+    nearest = np.asarray(found, dtype=np.intp)
+    r, c = asked[:, 0], asked[:, 1]
+    lent = np.isnan(out[r, c]) & (distance <= RIM * size)
+    out[r[lent], c[lent]] = vertices[nearest[lent], 2]
+    far = (distance > reach) & ~occupied[r, c]
+    out[r[far], c[far]] = np.nan
+    return out
+
+
+def _held_near(place: NDArray[np.int64], shape: tuple[int, int], reach: int) -> NDArray[np.bool_]:
+    """Cells with a vertex in themselves or up to ``reach`` cells away along both axes.
+
+    Parameters
+    ----------
+    place : (m, 2) int64
+        Column and row of each vertex's cell; may lie outside the raster.
+    shape : (int, int)
+        Rows and columns.
+    reach : int
+        How far is near [cells].
+    """
+    col, row = (place + reach).T
+    rows, cols = (side + 2 * reach for side in shape)
+    held = np.zeros((rows, cols), np.uint8)
+    within = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    held[row[within], col[within]] = 1
+    if reach:
+        for axis in (0, 1):
+            held = ndimage.maximum_filter1d(held, 2 * reach + 1, axis=axis, mode="constant")
+        held = held[reach : rows - reach, reach : cols - reach]
+    return held.astype(np.bool_)

@@ -1,1 +1,0 @@
-"""Statistics to one JSON and one HTML that opens offline."""

@@ -1,1 +1,0 @@
-"""Tables in, tables out; each module says its domain, columns and reach."""

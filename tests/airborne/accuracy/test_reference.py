@@ -1,0 +1,257 @@
+"""Reference points by square: what is said of a point does not depend on the cutting."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spl_batch import api
+from spl_batch.airborne.accuracy import (
+    Raster,
+    Reference,
+    Tallies,
+    accuracy_report,
+    surface_differences,
+    tallies,
+    terrain_differences,
+)
+from spl_batch.airborne.plan import reference_tasks as planned
+from spl_batch.airborne.tasks.accuracy import compared
+from spl_batch.constants import NODATA
+from spl_batch.engine.tasks.runner import run_task
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.errors import DamagedError, InputError
+from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.verified.parquet_npz import read_arrays
+from tests import surveys
+
+SIDE_M = 120
+
+Columns = dict[str, np.ndarray[Any, Any]]
+
+
+@pytest.fixture(scope="module")
+def points() -> Columns:
+    """Ground with plants and roofs on it, in no order: 4 000 points on 120 m."""
+    rng = np.random.default_rng(5)
+    n = 4000
+    kind = rng.choice([2, 5, 6, 9, 7], n, p=[0.6, 0.2, 0.12, 0.06, 0.02])
+    return {
+        "x": np.round(1000.0 + rng.uniform(0, SIDE_M, n), 3),
+        "y": np.round(2000.0 + rng.uniform(0, SIDE_M, n), 3),
+        "z": np.round(10 + rng.normal(0, 0.2, n) + np.where(kind == 2, 0, 4), 3),
+        "classification": kind.astype(np.uint8),
+    }
+
+
+@pytest.fixture(scope="module")
+def rasters() -> dict[str, Raster]:
+    """Rough rasters with voids."""
+    rng = np.random.default_rng(6)
+    found = {}
+    for name, mean_m, spread_m in (("dtm", 10, 1), ("dsm", 11, 1), ("chm", 0.2, 0.2)):
+        values = rng.normal(mean_m, spread_m, (140, 140)).astype(np.float32)
+        values[rng.random(values.shape) < 0.05] = NODATA
+        found[name] = Raster(values, 990.0, 2130.0, 1.0)
+    return found
+
+
+def whole(points: Columns, rasters: dict[str, Raster]) -> tuple[Tallies, Tallies]:
+    """What all points at once say: the oracle."""
+    xyz = np.column_stack([points[axis] for axis in "xyz"])
+    known = Reference(xyz, points["classification"])
+    terrain = terrain_differences(rasters["dtm"], known, chm=rasters["chm"])
+    return tallies(terrain), tallies(surface_differences(rasters["dsm"], known))
+
+
+@pytest.mark.parametrize("files", [1, 3])
+def test_squares_say_what_all_points_at_once_say(
+    files: int,
+    points: Columns,
+    rasters: dict[str, Raster],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(planned, "SQUARE_POINTS", 300)
+    for k in range(files):
+        part = surveys.take(points, slice(k, None, files))
+        surveys.write_cloud(tmp_path / f"ref_{k}.laz", part, channel=False)
+    surveys.small_survey(tmp_path, reference={"points": "ref_*.laz"})
+    prepared = prepare(tmp_path / "workflow.yaml", [])
+    survey, context = prepared.ledger, prepared.context
+    survey.of("surface").put(Receipt("surface", "0_0", "", "d", "", {}, {}, 0, 0.0, 0.0))
+    for name, raster in rasters.items():
+        write_cog(
+            context.output / f"{name}.tif",
+            raster.values,
+            shape=raster.values.shape,
+            origin_xy_m=(raster.left_m, raster.top_m),
+            cell_m=raster.cell_m,
+            crs=None,
+            description=name,
+        )
+        mosaic = Receipt("mosaic", name, "", "d", "", {}, {}, 0, 0.0, 0.0)
+        survey.of("mosaic").put(mosaic)
+    for kind in ("reference", "accuracy"):
+        for task in list(getattr(planned, kind)(survey)):
+            receipt = run_task(task, "", context)
+            assert not receipt.failed, receipt.reason
+            survey.of(kind).put(receipt)
+    assert len(survey.of("reference")) == files
+    assert len(survey.of("accuracy")) > 9
+    assert sum(r.points for r in survey.of("accuracy").values()) == len(points["x"])
+    assert max(sum(read_arrays(path)["count"]) for path in squares(context.output)) < 800
+    found = compared(survey.done, context)
+    assert found is not None
+    assert found.points == len(points["x"])
+    expected = accuracy_report(*whole(points, rasters))
+    assert expected["dtm"]["open_ground"]["n"] > 10
+    for product in ("dtm", "dsm"):
+        assert found.statistics[product].keys() == expected[product].keys()
+        for name, values in expected[product].items():
+            assert found.statistics[product][name] == pytest.approx(values), (product, name)
+    seen = found.difference.values != NODATA
+    ground = points["classification"] == 2
+    assert 500 < np.count_nonzero(seen) <= np.count_nonzero(ground)
+
+
+def prepared_with(tmp_path: Path, rasters: Sequence[str], memory: str = "4GiB") -> Any:
+    """Ledger of a small survey with a reference, as it is when so many rasters are there."""
+    cloud = surveys.flightline(shots=60)
+    surveys.write_cloud(tmp_path / "ref.laz", cloud)
+    surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    survey = prepare(tmp_path / "workflow.yaml", [], memory=memory).ledger
+    survey.of("surface").put(Receipt("surface", "0_0", "", "d", "", {}, {}, 0, 0.0, 0.0))
+    for name in rasters:
+        survey.of("mosaic").put(Receipt("mosaic", name, "", "d", "", {}, {}, 0, 0.0, 0.0))
+    return survey
+
+
+@pytest.mark.parametrize(
+    ("rasters", "squares"), [(("dtm", "dsm", "chm"), 1), (("dtm", "dsm"), 1), (("dtm", "chm"), 0)]
+)
+def test_nothing_is_compared_with_what_could_not_be_made(
+    rasters: tuple[str, ...], squares: int, tmp_path: Path
+) -> None:
+    survey = prepared_with(tmp_path, rasters)
+    tasks = list(planned.reference(survey))
+    assert len(tasks) == 1, "it is cut while the rasters are made"
+    for task in tasks:
+        facts = {"points": 10, "squares": {"0_0": 10}}
+        survey.of("reference").put(
+            Receipt("reference", task.name, "", "d", "", {}, facts, 10, 0.0, 0.0)
+        )
+    compared = list(planned.accuracy(survey))
+    assert len(compared) == squares
+    for task in compared:
+        assert task.args["rasters"] == list(rasters)
+        assert {name for kind, name in task.needs if kind == "mosaic"} == set(rasters)
+
+
+def test_a_square_that_fits_into_no_worker_is_refused_alone(tmp_path: Path) -> None:
+    survey = prepared_with(tmp_path, ("dtm", "dsm"), memory="1GiB")
+    facts = {"points": 10, "squares": {"0_0": 50_000_000, "0_1": 10}}
+    survey.of("reference").put(Receipt("reference", "1", "", "d", "", {}, facts, 10, 0.0, 0.0))
+    refused = {task.name: task.refused for task in planned.accuracy(survey)}
+    assert "--memory" in refused["0_0"]
+    assert "cut the reference" in refused["0_0"]
+    assert not refused["0_1"]
+
+
+def test_what_a_square_said_is_made_again_where_it_is_damaged(tmp_path: Path) -> None:
+    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    first = api.run(survey, workers=0)
+    for path in squares(first.output):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(bytes(content))
+    with pytest.raises(DamagedError, match="run again"):
+        api.report(first.output)
+    again = api.run(survey, workers=0)
+    assert first.report is not None
+    assert again.report is not None
+    assert again.report.accuracy == first.report.accuracy
+
+
+def squares(output: Path) -> list[Path]:
+    return sorted((output / "store" / "accuracy").glob("*.npz"))
+
+
+def test_a_report_of_what_was_never_compared_says_so(tmp_path: Path) -> None:
+    """As of an output of a version whose receipts do not tell of a comparison."""
+    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    first = api.run(survey, workers=0)
+    store = first.output / "store"
+    for kind in ("reference", "accuracy"):
+        shutil.rmtree(store / "receipts" / kind)
+    kept = json.loads((store / "run.json").read_text())
+    kept["done"] = {k: v for k, v in kept["done"].items() if k not in {"reference", "accuracy"}}
+    (store / "run.json").write_text(json.dumps(kept))
+    again = api.report(first.output)
+    assert again.report is not None
+    assert again.report.accuracy is None
+    said = [text for text in again.report.warnings if "`spl-batch run` computes it" in text]
+    assert len(said) == 1
+    assert said[0] in (first.output / "report.html").read_text()
+    assert "not compared" in dict(again.screen)["accuracy"]
+    repaired = api.run(survey, workers=0)
+    assert first.report is not None
+    assert repaired.report is not None
+    assert repaired.report.accuracy == first.report.accuracy
+    assert repaired.report.warnings == first.report.warnings
+
+
+def test_what_failed_to_be_compared_is_no_earlier_versions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surveys.write_cloud(tmp_path / "ref.laz", surveys.flightline(shots=60))
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+
+    def broken(path: Path, **_: Any) -> None:
+        raise InputError(str(path), "broken")
+
+    monkeypatch.setattr("spl_batch.airborne.tasks.reference.iter_points", broken)
+    found = api.run(survey, workers=0).report
+    assert found is not None
+    assert [str(one.task).split()[0] for one in found.failures] == ["reference"]
+    assert found.accuracy is None
+    assert not [text for text in found.warnings if "comparison" in text]
+
+
+def test_an_empty_reference_says_nothing(tmp_path: Path) -> None:
+    none = {k: np.empty(0) for k in ("x", "y", "z")}
+    surveys.write_cloud(tmp_path / "e.laz", none, channel=False)
+    survey = surveys.small_survey(tmp_path, reference={"points": "e.laz"})
+    result = api.run(survey, workers=0)
+    assert result.report is not None
+    assert result.report.accuracy is not None
+    assert result.report.accuracy.reference_points == 0
+    assert result.report.accuracy.dtm["all"].n == 0
+    assert result.exit_status == 0
+
+
+def test_a_reference_that_changes_is_compared_anew_and_nothing_else(tmp_path: Path) -> None:
+    survey = surveys.small_survey(tmp_path, reference={"points": "ref.laz"})
+    found = []
+    for raised_m in (0.0, 2.5):
+        cloud = {**surveys.flightline(shots=60), "classification": np.full(1, 2, np.uint8)}
+        n = len(cloud["x"])
+        cloud |= {"z": cloud["z"] + raised_m, "classification": np.full(n, 2, np.uint8)}
+        surveys.write_cloud(tmp_path / "ref.laz", cloud)
+        result = api.run(survey, workers=0)
+        assert result.report is not None
+        assert result.report.accuracy is not None
+        found.append((result.report.accuracy.dtm["all"], result.report.performance.stages))
+    (first, _), (second, stages) = found
+    assert first.n == second.n
+    assert first.n > 100
+    assert first.mean is not None
+    assert second.mean == pytest.approx(first.mean - 2.5)
+    assert {name for name, stage in stages.items() if stage.tasks} == {"report"}

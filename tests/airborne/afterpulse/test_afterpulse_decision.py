@@ -1,0 +1,420 @@
+"""Neighbourhoods decide about afterpulse candidates: kernels against loops, and scenes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse import afterpulse_decision, foliage
+from spl_batch.airborne.afterpulse.returns_behind_planes import behind_plane
+from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
+from spl_batch.airborne.settings import AfterpulseSettings
+from spl_batch.airborne.tasks.kinds import KINDS
+from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
+from tests.airborne.filter.test_denoise import as_table
+
+DEFAULT = AfterpulseSettings()
+BEAMLETS_PER_M2 = 20.0
+NOISE_PER_M = 1e-3
+
+
+def survey(
+    first: NDArray[np.float64],
+    second: NDArray[np.float64] | None = None,
+    rate: float = 0.15,
+    afterpulse: float = 0.2,
+) -> tuple[PointTable, NDArray[np.float64]]:
+    """First returns, each of its own beamlet, and followers of some of them [m]."""
+    second = np.empty((0, 4)) if second is None else second
+    n, m = len(first), len(second)
+    xyz = np.rint(1000 * np.concatenate([first, second[:, 1:]]))
+    parent = second[:, 0].astype(np.int64)
+    table = as_table(
+        xyz,
+        gps_time=np.concatenate([np.arange(n), parent]).astype(np.float64),
+        afterpulse=np.concatenate([np.zeros(n), np.full(m, afterpulse)]).astype(np.float32),
+    ).with_columns(
+        afterpulse_rate=np.concatenate([np.zeros(n), np.full(m, rate)]),
+        line_density=np.full(n + m, NOISE_PER_M),
+    )
+    return table, np.full(n + m, NOISE_PER_M * BEAMLETS_PER_M2)
+
+
+def plate(per_m2: float, z: float, slope: float, seed: int) -> NDArray[np.float64]:
+    """Returns of a plane with 5 cm spread, 8 m x 8 m."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, 8, (int(64 * per_m2), 2))
+    return np.column_stack([xy, z + slope * xy[:, 0] + rng.normal(0, 0.05, len(xy))])
+
+
+def followers(
+    first: NDArray[np.float64], rows: NDArray[np.intp], lag: float, spread: float = 0.0
+) -> NDArray[np.float64]:
+    """Returns straight below some of the first ones, with the rows of their parents."""
+    below = first[rows].copy()
+    below[:, 2] -= lag + spread * np.random.default_rng(9).random(len(rows))
+    return np.column_stack([rows, below])
+
+
+def inner(first: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """Rows well inside the plate."""
+    within = np.all((first[:, :2] > 2.5) & (first[:, :2] < 5.5), axis=1)
+    return np.flatnonzero(within)[:count]
+
+
+def echo_of(
+    table: PointTable, density: NDArray[np.float64], given: AfterpulseSettings = DEFAULT
+) -> NDArray[np.bool_]:
+    return afterpulse_decision.resolve(table, density, given).echo
+
+
+def chances(table: PointTable, density: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probability of each return, 0 where nothing can be said."""
+    rows, chance, *_ = afterpulse_decision.probability(table, density)
+    out = np.zeros(len(table))
+    out[rows] = chance
+    return out
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 120))
+@settings(max_examples=40, deadline=None)
+def test_weights_around_are_those_of_a_plain_loop(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.integers(0, [5000, 3000, 4000], (n, 3)).astype(np.int64)
+    time, channel = rng.integers(0, 4, n).astype(np.float64), rng.integers(0, 3, n).astype(np.uint8)
+    weight = rng.integers(0, UNIT + 1, n)
+    radii = np.array([[1500, 1000], [700, 300]])
+    listed = columns(xyz.T, 1500)
+    o = listed.order
+    out = np.empty((n, 2), np.int64)
+    tilt = np.where(rng.random((n, 1)) < 0.5, rng.uniform(-1.5, 1.5, (n, 2)), 0.0)
+    own = int(rng.choice([0, UNIT, 1741]))
+    weigh_around(
+        xyz.T.take(o, axis=1).astype(np.int32), time[o], channel[o], weight[o], listed.starts,
+        listed.shape, listed.edge, np.arange(n), radii, tilt, own, out,
+    )  # fmt: skip
+    for q, row in enumerate(o):
+        d = (xyz - xyz[row]).astype(np.float64)
+        mine = (time == time[row]) & (channel == channel[row])
+        worth = np.where(mine, np.where(d[:, 2] > 0, own / UNIT, 0.0), 1.0)
+        up = d[:, 2] - d[:, :2] @ tilt[q]
+        for k, (a, b) in enumerate(radii):
+            left = np.maximum(1 - (d[:, 0] ** 2 + d[:, 1] ** 2) / a**2 - (up / b) ** 2, 0)
+            expected = (worth * weight * left**2 * UNIT).sum()
+            # kernels and the worth of own returns are rounded down
+            assert out[q, k] == pytest.approx(expected, abs=3 * UNIT * n)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(30, 90), st.floats(-0.8, 0.8))
+@settings(max_examples=25, deadline=None)
+def test_what_lies_behind_a_plane_is_that_of_a_plain_loop(seed: int, n: int, slope: float) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.integers(0, 2500, (n, 3))
+    flat = rng.random(n) < 0.8
+    xyz[flat, 2] = 4000 + slope * xyz[flat, 0] + rng.normal(0, 40, flat.sum())
+    xyz[~flat, 2] += 1000
+    time, channel = rng.integers(0, 9, n).astype(np.float64), rng.integers(0, 2, n).astype(np.uint8)
+    true = rng.random(n) < 0.9
+    lag, wide, high, thick, share, least = 5000, 800, 1000, 150, 0.6, 8
+    xyz[:, 2] -= xyz[:, 2].min()
+    listed = columns(xyz.astype(np.int32).T, 1500)
+    o = listed.order
+    xyz, time, channel, true = xyz[o], time[o], channel[o], true[o]
+    out, tilt, parents = np.empty(n, np.bool_), np.empty((n, 2)), np.empty(n, np.int32)
+    behind_plane(
+        xyz.T.astype(np.int32, order="C"), time, channel, true, listed.starts, listed.shape, 1500,
+        np.arange(n, dtype=np.int32), lag, wide, high, thick, share, least, out, tilt, parents,
+    )  # fmt: skip
+    for q in range(n):
+        d = xyz - xyz[q]
+        above = (time == time[q]) & (channel == channel[q]) & (d[:, 2] > 0) & (d[:, 2] <= lag)
+        # a near parent is taken before one that is lower
+        close = above & (d[:, 2] <= lag // 5) & (d[:, 0] ** 2 + d[:, 1] ** 2 <= (lag // 10) ** 2)
+        above &= d[:, 0] ** 2 + d[:, 1] ** 2 <= 1500**2
+        found = np.flatnonzero(close if close.any() else above)
+        if not len(found):
+            assert parents[q] == -1
+            assert not out[q]
+            continue
+        assert parents[q] in found
+        assert xyz[parents[q], 2] == xyz[found, 2].min()
+        u, v, w = (xyz - xyz[parents[q]]).T
+        near = true & (u**2 + v**2 <= wide**2) & (np.abs(w) <= high)
+        behind, slopes = False, np.zeros(2)
+        if near.sum() >= least:
+            fit = np.column_stack([np.ones(n), u, v])
+            moments = np.cov(np.stack([u, v])[:, near], bias=True)
+            plane = np.linalg.lstsq(fit[near], w[near].astype(np.float64))[0]
+            off = w - fit @ plane
+            spread = np.linalg.det(moments) > 1e-3 * np.trace(moments) ** 2
+            if spread and abs(plane[0]) <= thick and off[q] < -thick:
+                on = near & (np.abs(off) <= thick)
+                there = near & ~on & (np.abs(off - off[q]) <= thick)
+                if on.sum() >= share * near.sum():
+                    slopes, behind = plane[1:], 20 * there.sum() <= near.sum()
+        assert out[q] == behind
+        np.testing.assert_allclose(tilt[q], slopes, atol=1e-9)
+
+
+def test_a_plane_is_found_whatever_its_tilt_and_only_where_it_is_alone() -> None:
+    rng = np.random.default_rng(3)
+    surface = plate(20, 10.0, 0.6, 3)
+    crown = np.column_stack([rng.uniform(0, 8, (900, 2)), rng.uniform(6, 14, 900)])
+    bed = plate(20, 9.0, 0.6, 4)
+    for first, expected in (
+        (surface, True),
+        (crown, False),
+        (np.concatenate([surface, bed]), False),
+    ):
+        rows = inner(first[: len(surface)], 15)
+        table, _ = survey(first, followers(first, rows, 0.9))
+        xyz = np.stack([table[a].astype(np.int64) for a in "xyz"], axis=1)
+        listed = columns(xyz.T, 1500)
+        o, place = listed.order, np.empty(len(xyz), np.int64)
+        place[o] = np.arange(len(o))
+        out, tilt = np.empty(len(rows), np.bool_), np.empty((len(rows), 2))
+        parents = np.empty(len(rows), np.int32)
+        behind_plane(
+            xyz.T.take(o, axis=1).astype(np.int32), table["gps_time"][o], table["channel"][o],
+            (table["afterpulse"] == 0)[o], listed.starts, listed.shape, 1500,
+            place[len(first) :], 5000, 800, 1000, 150, 0.7, 8, out, tilt, parents,
+        )  # fmt: skip
+        np.testing.assert_array_equal(o[parents], rows)
+        assert out.mean() > 0.9 if expected else out.mean() < 0.1
+        if expected:
+            np.testing.assert_allclose(tilt[out], np.tile([0.6, 0.0], (out.sum(), 1)), atol=0.15)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 0.7])
+def test_what_follows_a_surface_is_an_afterpulse(slope: float) -> None:
+    first = plate(15, 20.0, slope, 1)
+    rows = inner(first, 60)
+    for lag in (0.35, 0.8, 2.0):
+        table, density = survey(first, followers(first, rows, lag, spread=1.0))
+        assert echo_of(table, density)[len(first) :].mean() > 0.85
+        assert not echo_of(table, density)[: len(first)].any()
+
+
+def test_close_behind_a_steep_roof_an_afterpulse_is_no_surface() -> None:
+    first = plate(15, 20.0, 1.0, 1)
+    table, density = survey(
+        first, followers(first, inner(first, 60), 0.35, spread=0.3), afterpulse=0.9
+    )
+    assert echo_of(table, density)[len(first) :].mean() > 0.95
+
+
+def test_ground_below_a_shrub_stays() -> None:
+    ground = plate(15, 20.0, 0.1, 1)
+    shrub = ground[inner(ground, 40)] + [0.0, 0.0, 1.2]
+    first = np.concatenate([ground, shrub])
+    rows = np.arange(len(ground), len(first))
+    table, density = survey(first, followers(first, rows, 1.2))
+    assert not echo_of(table, density)[len(first) :].any()
+
+
+def test_in_crowns_the_ratio_of_rates_decides() -> None:
+    rng = np.random.default_rng(2)
+    first = np.column_stack([rng.uniform(0, 8, (3000, 2)), rng.uniform(10, 18, 3000)])
+    rows = np.flatnonzero(np.all(np.abs(first - [4, 4, 14]) < [2, 2, 2], axis=1))[::6]
+    true_rate = 3000 / 8**3 / BEAMLETS_PER_M2
+    for odds in (0.2, 1.0, 30.0):
+        table, density = survey(first, followers(first, rows, 0.6), rate=odds * true_rate)
+        _, chance, hard, _ = afterpulse_decision.probability(table, density)
+        assert not hard.any()
+        assert float(np.median(chance)) == pytest.approx(odds / (odds + foliage.SIGHT[0]), abs=0.04)
+        assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)
+
+
+def test_between_clumps_of_leaves_a_follower_is_suspicious_and_within_one_it_is_not() -> None:
+    rng = np.random.default_rng(5)
+    middle = np.stack(np.meshgrid(*[np.arange(2.0, 7.0, 1.6)] * 2, [11.2, 12.7, 14.2]), axis=-1)
+    middle = middle.reshape(-1, 3)
+    middle[middle[:, 2] == 12.7, :2] += 0.8  # those of the second level hang between the others
+    first = (middle[:, None] + rng.uniform(-0.4, 0.4, (len(middle), 20, 3))).reshape(-1, 3)
+    top = np.flatnonzero(first[:, 2] > 13.7)[::4]
+    chance = {}
+    for lag in (1.5, 3.0):
+        table, density = survey(first, followers(first, top, lag), rate=0.3)
+        chance[lag] = float(np.median(afterpulse_decision.probability(table, density).chance))
+    assert chance[1.5] > 0.5, chance
+    assert chance[3.0] < 0.25, chance
+
+
+@pytest.mark.parametrize("budget", [0.005, 0.016, 0.05])
+def test_the_budget_holds_in_any_foliage_and_is_reached_in_some(budget: float) -> None:
+    given = AfterpulseSettings(vegetation_loss=budget)
+    table, _ = survey(plate(1, 5.0, 0.0, 1))
+    rows, even = np.arange(1), np.zeros(1)
+    for share, scale in ((0.1, 1.0), (0.15, 0.6), (0.2, 0.3)):
+        known = table.with_columns(afterpulse_share=np.full(len(table), share, np.float32))
+        limit = afterpulse_decision._enough(known, rows, even, given)[0]
+        lost = []
+        for true_rate in np.geomspace(1e-4, 100, 400):
+            lag = np.linspace(0, 10 * scale, 4001)[1:]
+            rate = share / scale * np.exp(-lag / scale)
+            believed = rate / (rate + true_rate) >= limit
+            lost.append(true_rate * lag[believed].max(initial=0.0))
+        assert max(lost) == pytest.approx(budget, rel=0.02)
+    by_default = afterpulse_decision._enough(table, rows, even, given)[0]
+    assert by_default == pytest.approx(1 / (1 + np.e * budget / 0.15))
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_the_more_leaves_hang_in_clumps_the_lower_odds_are_enough(a: float, b: float) -> None:
+    table, _ = survey(plate(1, 5.0, 0.0, 1))
+    clumped = np.array([0.0, a, b, 1.0])
+    enough = afterpulse_decision._enough(table, np.zeros(4, np.intp), clumped, AfterpulseSettings())
+    odds = enough / (1 - enough)
+    assert odds[3] == pytest.approx(odds[0] * afterpulse_decision.CLUMPED_ODDS)
+    assert (a <= b) == (odds[1] >= odds[2]) or odds[1] == pytest.approx(odds[2])
+
+
+def test_a_larger_budget_takes_more() -> None:
+    rng = np.random.default_rng(4)
+    first = np.column_stack([rng.uniform(0, 8, (3000, 2)), rng.uniform(10, 18, 3000)])
+    rows = np.flatnonzero(np.all(np.abs(first - [4, 4, 14]) < [2, 2, 2], axis=1))[::6]
+    table, density = survey(first, followers(first, rows, 0.6), rate=0.9)
+    taken = [
+        echo_of(table, density, AfterpulseSettings(vegetation_loss=b)).sum()
+        for b in (0.002, 0.016, 0.2)
+    ]
+    assert taken[0] < taken[1] < taken[2]
+
+
+def test_another_budget_leaves_the_time_domain_as_it_is() -> None:
+    used = {name for kind in ("fit_line", "scatter") for name in KINDS[kind].settings}
+    ours = {f"afterpulse.{key}" for key in AfterpulseSettings.model_fields}
+    assert ours - used == {"afterpulse.vegetation_loss"}
+    assert "afterpulse" not in used
+    assert "afterpulse" in KINDS["denoise"].settings
+
+
+def test_a_bed_lives_although_the_time_domain_takes_it_for_echoes() -> None:
+    surface, bed = plate(6, 10.0, 0.0, 5), plate(12, 8.8, 0.0, 6)
+    first = np.concatenate([surface, bed])
+    rows = inner(surface, 30)
+    table, density = survey(first, followers(first, rows, 1.2), rate=0.06, afterpulse=0.95)
+    late = slice(len(first), None)
+    assert not echo_of(table, density)[late].any()
+    bare, density = survey(surface, followers(surface, rows, 1.2), rate=0.06, afterpulse=0.95)
+    assert echo_of(bare, density)[len(surface) :].all()
+    # A faint bed needs a polygon that says it is water.
+    first = np.concatenate([surface, plate(1.5, 8.8, 0.0, 6)])
+    late = slice(len(first), None)
+    table, density = survey(first, followers(first, rows, 1.2), rate=0.06, afterpulse=0.95)
+    water = table.with_columns(flags=np.full(len(table), PointFlag.WATER))
+    assert echo_of(water, density)[late].mean() < echo_of(table, density)[late].mean()
+
+
+def test_without_rates_or_noise_the_time_domain_decides() -> None:
+    first = plate(10, 5.0, 0.0, 1)
+    rows = inner(first, 20)
+    for share, expected in ((0.2, False), (0.6, True)):
+        table, density = survey(first, followers(first, rows, 0.8), afterpulse=share)
+        assert (echo_of(table, 0 * density)[len(first) :] == expected).all()
+        columns_ = {k: v for k, v in table.columns.items() if k != "afterpulse_rate"}
+        assert (echo_of(PointTable(columns_), density)[len(first) :] == expected).all()
+    bare = PointTable({k: v for k, v in columns_.items() if k != "afterpulse"})
+    assert not echo_of(bare, density).any()
+    gone = table.with_columns(flags=np.full(len(table), PointFlag.WITHHELD))
+    assert not echo_of(gone, density).any()
+
+
+def _wide_crowns() -> tuple[PointTable, NDArray[np.float64]]:
+    """Crowns, even and in clumps, above a floor, with returns behind some; in canonical order."""
+    rng = np.random.default_rng(8)
+    crown = np.column_stack([rng.uniform(0, 24, 4000), rng.uniform(0, 6, 4000),
+                             rng.uniform(10, 15, 4000)])  # fmt: skip
+    clumps = np.repeat(crown[::20], 10, axis=0) + rng.uniform(-0.3, 0.3, (2000, 3))
+    crown = np.concatenate([crown[crown[:, 0] < 12], clumps[clumps[:, 0] > 12]])
+    floor = np.column_stack([rng.uniform(0, 24, 2500), rng.uniform(0, 6, 2500),
+                             rng.normal(9, 0.05, 2500)])  # fmt: skip
+    first = np.concatenate([crown, floor])
+    rows = rng.choice(len(first), 1500, replace=False)
+    lag = 0.3 + rng.exponential(0.7, len(rows))
+    second = np.column_stack([rows, first[rows] - np.column_stack([0 * lag, 0 * lag, lag])])
+    table, density = survey(first, second)
+    return table.take(canonical_order(table)), density
+
+
+def test_halo_and_order_do_not_matter() -> None:
+    rng = np.random.default_rng(8)
+    table, density = _wide_crowns()
+    whole = afterpulse_decision.resolve(table, density, DEFAULT)
+    chance = chances(table, density)
+    assert 0.05 < whole.echo[table["afterpulse"] > 0].mean() < 0.95
+    shuffled = rng.permutation(len(table))
+    np.testing.assert_array_equal(
+        echo_of(table.take(shuffled), density[shuffled]), whole.echo[shuffled]
+    )
+    halo = round(1000 * afterpulse_decision.REACH_M)
+    for low in range(0, 24_000, 3000):
+        near = (table["x"] >= low - halo) & (table["x"] < low + 3000 + halo)
+        own = ((table["x"] >= low) & (table["x"] < low + 3000))[near]
+        part = afterpulse_decision.resolve(table.take(near), density[near], DEFAULT)
+        for got, want in zip(part, whole, strict=True):
+            np.testing.assert_array_equal(got[own], want[near][own])
+        np.testing.assert_array_equal(
+            chances(table.take(near), density[near])[own], chance[near][own]
+        )
+
+
+def test_strips_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    table, density = _wide_crowns()
+    last = int(np.flatnonzero(table["afterpulse_rate"] > 0)[-1]) + 1  # the easternmost is one too
+    table, density = table.take(slice(0, last)), density[:last]
+
+    def by_row() -> list[np.ndarray]:
+        found = afterpulse_decision.probability(table, density)
+        return [values[np.argsort(found.rows)] for values in found]
+
+    whole, said = afterpulse_decision.resolve(table, density, DEFAULT), by_row()
+    monkeypatch.setattr(afterpulse_decision, "STRIP_POINTS", 900)
+    monkeypatch.setattr(afterpulse_decision, "STRIP_M", 2.5)
+    looked: list[int] = []
+    within = afterpulse_decision._within
+    monkeypatch.setattr(
+        afterpulse_decision, "_within", lambda t, *a: looked.append(len(t)) or within(t, *a)
+    )
+    for got, want in zip(afterpulse_decision.resolve(table, density, DEFAULT), whole, strict=True):
+        np.testing.assert_array_equal(got, want)
+    assert len(looked) > 4
+    assert max(looked) < len(table)
+    for got, want in zip(by_row(), said, strict=True):
+        np.testing.assert_array_equal(got, want)
+
+
+def test_no_strip_is_narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dense corridor and a few returns far away: cuts by number alone would be its slices."""
+    monkeypatch.setattr(afterpulse_decision, "STRIP_POINTS", 1000)
+    rng = np.random.default_rng(3)
+    x = np.concatenate([rng.uniform(0, 14, 9000), rng.uniform(0, 4000, 4000)])
+    x = np.sort((1000 * x).astype(np.int64))
+    for along in (x, x[-1] - x[::-1]):
+        owned = [own for own, _, _ in afterpulse_decision._strips(along)]
+        assert len(owned) > 3
+        assert [own.start for own in owned] == [0, *(own.stop for own in owned[:-1])]
+        assert owned[-1].stop == len(along)
+        starts = [along[own.start] for own in owned]
+        assert np.diff([*starts, along[-1] + 1]).min() >= 1000 * afterpulse_decision.STRIP_M
+
+
+def test_of_two_parents_as_high_the_table_does_not_decide() -> None:
+    def parent(edge: int, beyond: int) -> int:
+        """Of a return below two of its beamlet; another one says where columns begin."""
+        at = [[5000, 5000, 0], [4400, 5000, 300], [5600, 5000, 300], [beyond, 0, 900]]
+        xyz = np.array(at, np.int32).T
+        xyz = np.ascontiguousarray(xyz - xyz.min(axis=1, keepdims=True))
+        listed = columns(xyz, edge, lambda key: np.argsort(key, kind="stable"))
+        order = listed.order
+        out, tilt, parents = np.zeros(1, np.bool_), np.zeros((1, 2)), np.zeros(1, np.int32)
+        behind_plane(
+            np.ascontiguousarray(xyz[:, order]), np.array([1.0, 1.0, 1.0, 9.0])[order],
+            np.zeros(4, np.uint8), np.ones(4, np.bool_), listed.starts, listed.shape, edge,
+            np.flatnonzero(order == 0).astype(np.int32), 2000, 900, 800, 150, 0.6, 3, out, tilt,
+            parents,
+        )  # fmt: skip
+        return int(order[parents[0]])
+
+    assert {parent(1000, beyond) for beyond in (0, 300, 500, 700, 900)} == {1}

@@ -1,0 +1,144 @@
+"""Density of returns among leaves: the formula against loops, and evenly spread or clumped."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse import foliage
+from spl_batch.airborne.afterpulse.weighted_counts import UNIT, columns, weigh_around
+
+KERNELS = len(foliage.KERNELS_M)
+VOLUME_M3 = [8 / 35 * 4 / 3 * math.pi * across**2 * up for across, up in foliage.KERNELS_M]
+
+
+def counts_around(xyz: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Kernel sums around some points, each of its own beamlet."""
+    n = len(xyz)
+    places = np.ascontiguousarray((xyz - xyz.min(axis=0)).astype(np.int32).T)
+    listed = columns(places, 1500)
+    order, place = listed.order, np.empty(n, np.int32)
+    place[order] = np.arange(n)
+    radii = np.array([[round(1000 * r) for r in pair] for pair in foliage.KERNELS_M])
+    out = np.empty((len(rows), KERNELS), np.int64)
+    weigh_around(
+        places.take(order, axis=1), np.arange(float(n))[order],
+        np.zeros(n, np.uint8), np.full(n, UNIT, np.int16), listed.starts, listed.shape, listed.edge,
+        place[rows], radii, np.zeros((len(rows), 2)), 0, out,
+    )  # fmt: skip
+    return out
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(0, 40))
+@settings(max_examples=40, deadline=None)
+def test_clumping_is_that_of_a_plain_loop(seed: int, n: int, p: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = (rng.integers(-9000, 9000, n) for _ in range(2))
+    parents = rng.integers(0, n, p)
+    weight, counts = rng.integers(0, UNIT + 1, p), rng.integers(0, 2**30, (p, KERNELS))
+    rows = np.arange(n)
+    got = foliage.clumping(x, y, parents, weight.astype(np.int16), counts, rows)
+    cell = round(1000 * foliage.CELL_M)
+    for row in rows:
+        sums = [0] * KERNELS
+        for parent, worth, found in zip(parents, weight, counts, strict=True):
+            near = abs(x[parent] // cell - x[row] // cell) <= foliage.CELLS
+            if near and abs(y[parent] // cell - y[row] // cell) <= foliage.CELLS:
+                sums = [a + int(worth) * int(b) for a, b in zip(sums, found, strict=True)]
+        for k in range(1, KERNELS):
+            lent = foliage.PAIRS * UNIT**3
+            pairs = (sums[k] + lent) / VOLUME_M3[k]
+            wide = sums[0] / VOLUME_M3[0] + lent / VOLUME_M3[k]
+            assert got[row, k - 1] == pytest.approx(pairs / wide)
+
+
+def test_leaves_that_hang_evenly_have_one_density_and_clumps_the_more_the_smaller_they_are() -> (
+    None
+):
+    rng = np.random.default_rng(1)
+    found = {}
+    for radius in (math.inf, 0.8, 0.4, 0.2):
+        if math.isinf(radius):
+            points = rng.uniform(0, 9, (4000, 3))
+        else:
+            middle = rng.uniform(0, 9, (130, 3))
+            points = np.repeat(middle, 30, axis=0) + rng.uniform(-1, 1, (3900, 3)) * radius
+        xyz = np.rint(1000 * points).astype(np.int64)
+        rows = np.flatnonzero(np.all(np.abs(points - 4.5) < 2.5, axis=1))
+        weight = np.full(len(rows), UNIT, np.int16)
+        near = foliage.clumping(
+            xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows[:1]
+        )
+        found[radius] = near[0]
+    assert found[math.inf] == pytest.approx(1.0, abs=0.05)
+    smallest = [found[radius][-1] for radius in (math.inf, 0.8, 0.4, 0.2)]
+    assert smallest == sorted(smallest)
+    assert smallest[2] > 2.0
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=100, deadline=None)
+def test_density_is_that_of_a_plain_loop_and_between_those_of_the_kernels(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.uniform(0, 50, KERNELS) * rng.integers(0, 2, KERNELS)
+    near = rng.uniform(0.5, 6, KERNELS - 1)
+    surface = near[0] >= foliage.SURFACE_MIN
+    found = (counts[0] + foliage.LEAST) / VOLUME_M3[0]
+    each = [found]
+    for k in range(1, KERNELS):
+        if k == 1 and not surface:
+            clumped = 1.0
+        elif k > 1 and surface:
+            clumped = near[k - 1] / near[0]
+        else:
+            clumped = near[k - 1]
+        prior = foliage.SHAPE / max(clumped - 1, foliage.CLUMPED_MIN) ** 2
+        found = (counts[k] + prior) / (VOLUME_M3[k] + prior / found)
+        each.append(counts[k] / VOLUME_M3[k])
+    more = max(clumped - 1, 0)
+    even, dense = foliage.SIGHT
+    share = more / (more + foliage.HALF)
+    assert foliage.clumped(near[None])[0] == pytest.approx(share)
+    got = foliage.density(counts[None], near[None])[0] / (even ** (1 - share) * dense**share)
+    assert got == pytest.approx(found)
+    assert min(each) * (1 - 1e-9) <= got <= max(each) * (1 + 1e-9)
+
+
+def test_a_few_pairs_of_returns_near_each_other_do_not_make_clumps() -> None:
+    largest = []
+    for seed, per_m3 in ((4, 0.1), (5, 0.1), (3, 30.0)):
+        rng = np.random.default_rng(seed)
+        xyz = np.rint(rng.uniform(0, 9000, (round(per_m3 * 9**3), 3))).astype(np.int64)
+        rows = np.flatnonzero(np.all(np.abs(xyz - 4500) < 3000, axis=1))
+        weight = np.full(len(rows), UNIT, np.int16)
+        near = foliage.clumping(xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows)
+        largest.append(near[:, 1:].max())
+    assert max(largest) < 1.2
+
+
+def test_a_small_count_tells_where_leaves_clump_and_hardly_where_they_do_not() -> None:
+    full = [20 * volume for volume in VOLUME_M3]
+    for near, least, most in ((1.0, 0.97, 1.0), (5.0, 0.0, 0.05)):
+        clumping = np.array([[1.0, near, near]] * 2)
+        even, bare = foliage.density(np.array([full, [*full[:2], 0.0, 0.0]]), clumping)
+        assert least <= bare / even <= most
+
+
+def test_parents_on_a_plane_are_told_from_foliage_and_a_bed_below_is_believed() -> None:
+    rng = np.random.default_rng(2)
+    found = []
+    for spread in (0.05, 3.0):
+        points = np.column_stack([rng.uniform(0, 9, (1500, 2)), rng.normal(0, spread, 1500)])
+        xyz = np.rint(1000 * points).astype(np.int64)
+        rows = np.flatnonzero(np.all(np.abs(points - [4.5, 4.5, 0]) < 2.5, axis=1))
+        weight = np.full(len(rows), UNIT, np.int16)
+        near = foliage.clumping(
+            xyz[:, 0], xyz[:, 1], rows, weight, counts_around(xyz, rows), rows[:1]
+        )
+        found.append(near)
+    assert found[0][0, 0] > 4 > foliage.SURFACE_MIN > 2 > found[1][0, 0]
+    sparse_bed = np.array([[3.0, 3.0, 0.2, 0.0]])
+    assert foliage.density(sparse_bed, found[0]) > 4 * foliage.density(sparse_bed, found[1])

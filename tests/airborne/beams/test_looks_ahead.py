@@ -1,0 +1,127 @@
+"""A trajectory whose times are off is noticed: its sensor is not above what it sees."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spl_batch.airborne.beams.geometry import look_ahead
+from spl_batch.airborne.plan.inputs import findings
+from spl_batch.engine.watch.events import Event, Note
+from spl_batch.formats.gps_clock import leap_seconds
+from spl_batch.lattice.tables import BeamTable
+from tests import surveys
+
+
+def told(folder: Path, shift_m: float) -> list[str]:
+    """Warnings of a run whose sensor is off by so much along the flight."""
+    for k in (1, 2):
+        line = surveys.flightline(shots=1500, psid=k, seed=k)
+        surveys.write_cloud(folder / "lines" / f"line_{k}.laz", line)
+    surveys.write_trajectory(folder / "trajectory.csv", shift_m=shift_m)
+    events: list[Event] = []
+    surveys.run(surveys.write_workflow(folder), until="shots", listener=events.append)
+    texts = [e.text for e in events if isinstance(e, Note)]
+    return [text for text in texts if "trajectory's times" in text]
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "side", "late"),
+    [(120.0, "behind", "2.0 s early"), (-90.0, "ahead of", "1.5 s late")],
+)
+def test_times_that_are_off_are_told_once_for_all_lines(
+    tmp_path: Path, shift_m: float, side: str, late: str
+) -> None:
+    (text,) = told(tmp_path, shift_m)
+    assert text.startswith("00001_371000000, 00002_371000000: the returns lie ")
+    assert side in text
+    assert late in text
+
+
+@pytest.mark.parametrize(("leap_s", "late"), [(18, "18 s early, as UTC is"), (-18, "18 s late")])
+@pytest.mark.parametrize("margin_s", [1.0, 40.0])
+def test_leap_seconds_are_told_as_such(
+    tmp_path: Path, leap_s: int, late: str, margin_s: float
+) -> None:
+    for k in (1, 2):
+        line = surveys.flightline(shots=1500, psid=k, seed=k)
+        surveys.write_cloud(tmp_path / "lines" / f"line_{k}.laz", line)
+    start = surveys.START_S - leap_s
+    surveys.write_trajectory(
+        tmp_path / "trajectory.csv",
+        start_s=start - margin_s,
+        stop_s=start + 1.5 + margin_s,
+        shift_m=leap_s * surveys.SPEED_M_S,
+    )
+    # Further on in the day the trajectory goes on, over another line: it is not refused whole.
+    rest = tmp_path / "trajectory.csv"
+    with rest.open("a") as stream:
+        for t in (surveys.START_S - 500, surveys.START_S + 500):
+            stream.write(f"{t},{surveys.ORIGIN_M[0]},{surveys.ORIGIN_M[1]},{surveys.HEIGHT_M}\n")
+    events: list[Event] = []
+    surveys.run(surveys.write_workflow(tmp_path), until="shots", listener=events.append)
+    texts = [e.text for e in events if isinstance(e, Note)]
+    (text,) = [text for text in texts if "trajectory's times" in text]
+    assert text.startswith("00001_371000000, 00002_371000000: the trajectory's times are ")
+    assert late in text
+    assert not [other for other in texts if "flightline" in other], "what follows from it"
+
+
+@pytest.mark.parametrize(
+    ("time_s", "leap_s"),
+    [
+        (371_000_000.0, 18),
+        (1_167_264_017.0 - 1e9, 17),
+        (1_167_264_018.0 - 1e9, 18),
+        (1_371_000_000.0, 18),
+        (1_100_000_000.0 - 1e9, 16),
+        (90_000.0, 18),
+    ],
+)
+def test_leap_seconds(time_s: float, leap_s: int) -> None:
+    assert leap_seconds(time_s) == leap_s
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 15.0, -15.0])
+def test_what_is_near_above_is_not(tmp_path: Path, shift_m: float) -> None:
+    assert not told(tmp_path, shift_m)
+
+
+@pytest.mark.parametrize(("astern", "off"), [(300_000, {}), (60_000, {"a": 8.0})])
+def test_a_stretch_that_sees_the_survey_ahead_makes_up_for_one_that_sees_it_astern(
+    astern: int, off: dict[str, float]
+) -> None:
+    looks = {"a/0": (610.0, 200_000), "a/1": (570.0, 100_000), "a/3": (-590.0, astern)}
+    receipts: dict[str, Any] = {"a/2": SimpleNamespace(points=50_000, facts={})}
+    for name, (ahead_m, points) in looks.items():
+        receipts[name] = SimpleNamespace(points=points, facts={"ahead": [ahead_m, 2500.0, 49.8]})
+    survey: Any = SimpleNamespace(of=lambda kind: receipts if kind == "gather" else {})
+    assert findings.times_off(survey) == ({}, pytest.approx(off, rel=0.01))
+
+
+def a_scan(seconds: float, speed_m_s: float, ahead_m: float) -> tuple[BeamTable, np.ndarray]:
+    """A cone of 300 m around a place so far ahead of the sensor, flying north-east at 1 km."""
+    time = np.linspace(0.0, seconds, 50_000)
+    flown = (time * speed_m_s)[:, None] * np.array([[np.sqrt(0.5), np.sqrt(0.5), 0.0]])
+    turn = 2 * np.pi * 11.0 * time
+    to_return = np.column_stack(
+        [300 * np.cos(turn), 300 * np.sin(turn), np.full(len(time), -1000.0)]
+    )
+    to_return[:, :2] += ahead_m * np.sqrt(0.5)
+    length = np.linalg.norm(to_return, axis=1)
+    known = np.ones(len(time), np.bool_)
+    return BeamTable(flown, to_return / length[:, None], length, known), time
+
+
+def test_the_mean_of_a_scan_is_where_it_was_put() -> None:
+    beams, time = a_scan(4.0, 80.0, 55.0)
+    found = look_ahead(beams, time)
+    assert found is not None
+    assert found == pytest.approx((55.0, 1000.0, 80.0), abs=2.0)
+    beams.known[: len(time) // 2] = False
+    assert look_ahead(beams, time) is not None
+    beams.known[: 4 * len(time) // 5] = False
+    assert look_ahead(beams, time) is None, "too short to tell"
+    assert look_ahead(*a_scan(4.0, 0.1, 55.0)) is None, "a sensor that stands has no direction"

@@ -1,0 +1,456 @@
+"""The noise filter: labels against a slow twin, rules for odd points, independence of tiling."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import stats
+
+from spl_batch.airborne.afterpulse import afterpulse_decision
+from spl_batch.airborne.filter.denoise import denoise, reach_m
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_test import Spent, judge
+from spl_batch.airborne.filter.ellipsoid.null_distribution import periodic_noise, repeated
+from spl_batch.airborne.filter.filter_interface import Cloud
+from spl_batch.airborne.filter.wires import wire_null, wire_scan
+from spl_batch.airborne.settings import FilterSettings, WireSettings
+from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
+from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
+
+DEFAULT = FilterSettings()
+SHAPE = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)
+ALONE = WireSettings(enabled=False)
+TAIL = FilterSettings(test="tail", neighbours=15, wires=ALONE)
+CLOSE = FilterSettings(
+    test="tail",
+    neighbours=15,
+    neighbour_cap_m=3.0,
+    axis_cap_m=3.0,
+    link_m=1.5,
+    link_count=3,
+    spacing_cap_m=1.0,
+    wires=ALONE,
+)
+"""Short reaches, so that a small cloud has an inside and an outside."""
+
+
+def as_table(xyz: NDArray[Any], **columns: NDArray[Any]) -> PointTable:
+    n = len(xyz)
+    base = {
+        "x": xyz[:, 0].astype(np.int64),
+        "y": xyz[:, 1].astype(np.int64),
+        "z": xyz[:, 2].astype(np.int32),
+        "gps_time": np.arange(n, dtype=np.float64),
+        "channel": np.zeros(n, dtype=np.uint8),
+        "return_number": np.zeros(n, dtype=np.uint8),
+        "flags": np.zeros(n, dtype=np.uint8),
+        "source": np.zeros(n, dtype=np.uint64),
+        "index": np.arange(n, dtype=np.uint32),
+    }
+    return PointTable(base).with_columns(**columns)
+
+
+def peers(xyz: NDArray[Any], filtering: FilterSettings) -> NDArray[np.bool_]:
+    """Whether column is a peer of row."""
+    d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
+    spacing = np.sort(d2, axis=1)[:, filtering.spacing_neighbours]
+    spacing = np.minimum(spacing, round(1000 * filtering.spacing_cap_m) ** 2)
+    own: NDArray[np.bool_] = spacing[None] * filtering.peer_ratio**2 >= spacing[:, None]
+    return own
+
+
+def everything(n: int) -> NDArray[np.bool_]:
+    return np.ones(n, dtype=np.bool_)
+
+
+def labels(
+    table: PointTable, density: float, filtering: FilterSettings = DEFAULT
+) -> NDArray[np.uint8]:
+    n = len(table)
+    return denoise(table, np.full(n, density), everything(n), filtering)["noise_class"]
+
+
+@pytest.mark.parametrize("test", ["tail", "published"])
+@pytest.mark.parametrize("density", [0.02, 0.13, 1.0])
+def test_labels_are_the_slow_twins(test: Any, density: float) -> None:
+    filtering = FilterSettings(test=test, neighbours=15, link_m=1.0, link_count=3, wires=ALONE)
+    xyz = mixed_cloud(21, 500)
+    own = None if test == "published" else peers(xyz, filtering)
+    low, high, volume = brute_counts(xyz, SHAPE, own)
+    assert (low == high).all()
+    mean = density * volume * 1e-9
+    if test == "published":
+        signal = stats.poisson.cdf(low, mean) >= 0.95
+    else:
+        tail = stats.poisson.sf(low - 1, mean)
+        signal = strong = tail <= filtering.alpha / filtering.selection
+        d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
+        linked = ((d2 <= 1000**2) & strong & own).sum(axis=1) >= 3
+        signal = strong | ((tail <= filtering.weak_alpha) & linked)
+        assert (signal != strong).any()
+    found = labels(as_table(xyz), density, filtering)
+    np.testing.assert_array_equal(found, np.where(signal, 0, 1))
+    assert 0 < signal.mean() < 1
+
+
+def test_the_scan_and_the_test_share_alpha(monkeypatch: pytest.MonkeyPatch) -> None:
+    xyz, _, core = periodic_noise(np.random.default_rng(7), 0.2, 9000, DEFAULT)
+    n = len(xyz)
+    cloud = Cloud(xyz, (0, 0, 0), np.full(n, 0.2), core, ~everything(n))
+    half = FilterSettings(alpha=0.025, wires=ALONE)
+    with_half = judge(cloud, half).signal
+    whole = DEFAULT.model_copy(update={"alpha": 0.05})
+    rng = np.random.default_rng(1)
+
+    def all_spend(share: float) -> Spent:
+        return lambda density: np.full(len(density), share)
+
+    # in each density what is spent there; never more than half of alpha
+    for share in (0.025, 0.2):
+        found = judge(cloud, whole, spent=all_spend(share)).signal
+        np.testing.assert_array_equal(found, with_half)
+    without = judge(cloud, whole).signal
+    middle, link = xyz[:, 0].mean(), 1000 * DEFAULT.link_m
+    slightly = np.where(xyz[:, 0] < middle, 0.2, np.nextafter(0.2, 1.0))
+    mixed = judge(
+        replace(cloud, density=slightly), whole, spent=lambda of: np.where(of == 0.2, 0.025, 0.0)
+    ).signal
+    x = xyz[core, 0]
+    # away from the images of the other half too, by a link
+    left = (x < middle - link) & (x > x.min() + link)
+    right = (x > middle + link) & (x < x.max() - link)
+    np.testing.assert_array_equal(mixed[left], with_half[left])
+    np.testing.assert_array_equal(mixed[right], without[right])
+    assert with_half.sum() < without.sum()
+    # the filter gives the test what the scan leaves
+    drawn = rng.uniform(size=int(core.sum())) < 0.01
+    scanned = wire_scan.Found(drawn, drawn, np.where(drawn, 0.01, np.nan).astype(np.float32))
+    monkeypatch.setattr(wire_null, "spent", lambda density, _: np.full(len(density), 0.01))
+    monkeypatch.setattr(wire_scan, "scan", lambda *_: scanned)
+    found = denoise(as_table(xyz), np.full(n, 0.2), core, whole)
+    label = found["noise_class"]
+    assert (label[drawn] == 0).all()
+    rest = judge(cloud, whole, spent=all_spend(0.01))
+    np.testing.assert_array_equal(label == 0, drawn | rest.signal)
+    assert with_half.sum() < rest.signal.sum() < without.sum()
+    # and p says what both keep
+    tested = np.flatnonzero(~drawn & (rest.p_value > 0.02) & (rest.p_value < 0.9))
+    assert len(tested) > 100
+    np.testing.assert_allclose(found["p_value"][tested], rest.p_value[tested] + 0.01, rtol=1e-5)
+
+
+def test_labels_are_the_same_where_p_is_exact() -> None:
+    xyz = mixed_cloud(22, 500)
+    for filtering in (DEFAULT, TAIL, FilterSettings(test="published")):
+        args = as_table(xyz), np.full(500, 0.13), everything(500), filtering
+        exact, quick = denoise(*args, exact=True), denoise(*args)
+        np.testing.assert_array_equal(exact["noise_class"], quick["noise_class"])
+        if filtering.test != "published":
+            assert (exact["p_value"] <= quick["p_value"]).all()
+        assert (exact["p_value"] != quick["p_value"]).any()
+
+
+def test_exact_p_value_goes_below_the_decision() -> None:
+    xyz = mixed_cloud(22, 500)
+    low, _, volume = brute_counts(xyz, SHAPE, peers(xyz, TAIL))
+    tail = stats.poisson.sf(low - 1, 0.13e-9 * volume)
+    lowest = xyz.min(axis=0)
+    cloud = Cloud(
+        (xyz - lowest).astype(np.int32),
+        (int(lowest[0]), int(lowest[1]), int(lowest[2])),
+        np.full(500, 0.13),
+        everything(500),
+        ~everything(500),
+    )
+    exact, quick = judge(cloud, TAIL, exact=True), judge(cloud, TAIL)
+    np.testing.assert_array_equal(exact.signal, quick.signal)
+    shown = tail > 1e-12
+    np.testing.assert_allclose(exact.p_value[shown], tail[shown], rtol=1e-5)
+    assert (exact.p_value[~shown] <= 1e-12).all()
+    assert (exact.p_value <= quick.p_value).all()
+
+
+def test_p_is_exact_down_to_what_the_table_tells() -> None:
+    """Counting goes on beyond the decision, as far as p is tabulated."""
+    xyz, core = wide_noise(0.4, 20_000)
+    rng = np.random.default_rng(3)
+    crown, surface = (rng.uniform(0, (20_000, 20_000, z), (3000, 3)) for z in (8000, 300))
+    xyz = np.unique(np.concatenate([xyz[core], crown, surface]).astype(np.int32), axis=0)
+    n = len(xyz)
+    cloud = Cloud(xyz.astype(np.int32), (0, 0, 0), np.full(n, 0.4), everything(n), ~everything(n))
+    exact, quick = (judge(cloud, DEFAULT, exact=told).p_value for told in (True, False))
+    told = exact > 3e-5
+    assert 0.1 < told.mean() < 0.9
+    assert ((exact < DEFAULT.alpha / 2) & told).sum() > 30
+    np.testing.assert_array_equal(quick[told], exact[told])
+    assert (quick[~told] <= 3e-5).all()
+
+
+def test_p_is_uniform_under_noise_with_the_scan_on() -> None:
+    """Whatever the scan adds to small p: within four times what blocks differ by chance."""
+    xyz, core = wide_noise(0.1, 60_000)
+    p = denoise(as_table(xyz), np.full(len(xyz), 0.1), core, FilterSettings())["p_value"]
+    for level in (1e-4, 3e-4, 6e-4, 1e-3, 0.01, 0.1, 0.5):
+        low = p <= level
+        error = max(standard_error(xyz[core], low), np.sqrt(level / core.sum()))
+        assert low.mean() == pytest.approx(level, abs=4 * error)
+        assert error < max(0.5 * level, 5e-5)
+
+
+def test_pure_noise_is_kept_at_no_more_than_alpha() -> None:
+    for density in (0.05, 0.4):
+        table, inner = pure_noise(density)
+        kept = {
+            test: (
+                denoise(
+                    table,
+                    np.full(len(table), density),
+                    inner,
+                    FilterSettings(test=test, neighbours=15, wires=ALONE),
+                )["noise_class"]
+                == 0
+            ).mean()
+            for test in ("tail", "published")
+        }
+        assert kept["tail"] <= DEFAULT.alpha
+        assert 0.11 < kept["published"] < 0.27
+
+
+@pytest.mark.parametrize(
+    ("alpha", "points", "largest"),
+    [
+        (0.05, 30_000, 0.04),
+        (0.01, 60_000, 0.09),
+        pytest.param(0.001, 150_000, 0.17, marks=pytest.mark.slow),
+    ],
+)
+def test_alpha_is_the_share_of_pure_noise_that_is_kept(
+    alpha: float, points: int, largest: float
+) -> None:
+    """By the whole filter as it ships, within three times what blocks of noise differ by chance."""
+    ratios, errors = [], []
+    for density in (0.05, 0.4):
+        xyz, core = wide_noise(density, points)
+        found = denoise(
+            as_table(xyz), np.full(len(xyz), density), core, FilterSettings(alpha=alpha)
+        )
+        kept = found["noise_class"] == 0
+        ratios.append(kept.mean() / alpha)
+        errors.append(standard_error(xyz[core], kept) / alpha)
+        # without links a part of alpha; p itself is uniform, up to what the scan adds
+        p_share = (found["p_value"] <= alpha).mean()
+        assert p_share == pytest.approx(alpha, abs=4 * errors[-1] * alpha + 3e-4)
+    error = np.hypot(*errors) / 2
+    assert error < largest
+    np.testing.assert_allclose(ratios, 1, atol=3 * max(errors))
+    assert np.mean(ratios) == pytest.approx(1, abs=3 * error)
+
+
+def wide_noise(density: float, points: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Uniform noise that repeats itself farther than the test and two tubes of the scan reach."""
+    side = (points / density / 100) ** 0.5
+    size, around = ([round(1000 * v) for v in box] for box in ((side, side, 100), (28, 28, 13)))
+    xyz, _, core = repeated(np.random.default_rng(6), density, np.array(size), np.array(around))
+    return xyz, core
+
+
+def standard_error(xyz: NDArray[np.int32], kept: NDArray[np.bool_]) -> float:
+    """Of the share kept, from cubes of 20 m: noise is kept in groups, far smaller than those."""
+    _, cube = np.unique(xyz // 20_000, axis=0, return_inverse=True)
+    number, size = np.bincount(cube.reshape(-1)), np.bincount(cube.reshape(-1), weights=kept)
+    return float(np.sqrt(((size - kept.mean() * number) ** 2).sum()) / len(kept))
+
+
+def pure_noise(density: float, n: int = 50_000) -> tuple[PointTable, NDArray[np.bool_]]:
+    """Uniform noise, and its points away from the borders."""
+    side = (n / density) ** (1 / 3) * 1000
+    table = as_table(np.random.default_rng(5).uniform(0, side, (n, 3)))
+    return table, np.all([np.abs(table[a] - side / 2) < side / 2 - 16_000 for a in "xyz"], axis=0)
+
+
+def test_flags_and_afterpulses() -> None:
+    xyz = mixed_cloud(23, 300)
+    flags = np.zeros(300, dtype=np.uint8)
+    flags[:4] = PointFlag.WITHHELD, PointFlag.VENDOR_NOISE, PointFlag.NO_BEAM, PointFlag.OUTSIDE_AOI
+    echo = np.zeros(300, dtype=np.float32)
+    echo[[0, 10, 11]] = 0.5, 0.9, 0.49
+    table = as_table(xyz, flags=flags, afterpulse=echo)
+    result = denoise(table, np.full(300, 0.05), everything(300), DEFAULT)
+    np.testing.assert_array_equal(result["noise_class"][:4], 255)
+    np.testing.assert_array_equal(result["noise_class"] == 2, np.arange(300) == 10)
+    assert np.isnan(result["p_value"][[0, 1, 2, 3, 10]]).all()
+    # Row 11 depends on another return, so it has no p of its own.
+    assert np.isnan(result["p_value"][11])
+    assert np.isfinite(np.delete(result["p_value"], [0, 1, 2, 3, 10, 11])).all()
+
+
+def test_excluded_points_and_afterpulses_shape_nothing() -> None:
+    xyz = mixed_cloud(24, 400)
+    gone = np.arange(400) % 3 == 0
+    flags = np.where(gone & (np.arange(400) % 2 == 0), PointFlag.WITHHELD, 0).astype(np.uint8)
+    echo = np.where(gone & (np.arange(400) % 2 == 1), 1.0, 0.0).astype(np.float32)
+    mixed = denoise(as_table(xyz, flags=flags, afterpulse=echo), np.full(400, 0.1), ~gone, DEFAULT)
+    alone = labels(as_table(xyz[~gone]), 0.1)
+    np.testing.assert_array_equal(mixed["noise_class"], alone)
+
+
+def test_points_that_are_not_decided_serve_as_neighbours() -> None:
+    xyz = mixed_cloud(25, 400)
+    flags = np.zeros(400, dtype=np.uint8)
+    flags[::2] = PointFlag.OUTSIDE_AOI
+    result = labels(as_table(xyz, flags=flags), 0.1)
+    whole = labels(as_table(xyz), 0.1)
+    np.testing.assert_array_equal(result[::2], 255)
+    np.testing.assert_array_equal(result[1::2], whole[1::2])
+
+
+def test_method_none_keeps_all() -> None:
+    flags = np.array([0, PointFlag.WITHHELD, PointFlag.NO_BEAM, 0], dtype=np.uint8)
+    echo = np.array([0, 1, 0, 1], dtype=np.float32)
+    table = as_table(np.zeros((4, 3)), flags=flags, afterpulse=echo)
+    result = labels(table, 0.1, FilterSettings(method="none"))
+    np.testing.assert_array_equal(result, [0, 255, 0, 2])
+    assert reach_m(FilterSettings(method="none")) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("cloud", "density", "expected"),
+    [
+        (np.zeros((0, 3)), 0.1, []),
+        (np.zeros((1, 3)), 0.1, [1]),
+        (np.zeros((1, 3)), 0.0, [0]),
+        (np.zeros((2, 3)), 0.0, [0, 0]),
+        (np.zeros((60, 3)), 0.1, [0] * 60),
+        (np.array([[0, 0, 0], [0, 0, 50_000]]), 6.8e-6, [0, 0]),
+        (np.array([[0, 0, 0], [0, 0, 50_000]]), 7.0e-6, [1, 1]),
+    ],
+    ids=[
+        "none",
+        "one",
+        "one, no noise",
+        "pair, no noise",
+        "all in one place",
+        "hardly expected",
+        "expected",
+    ],
+)
+def test_odd_clouds(cloud: NDArray[Any], density: float, expected: list[int]) -> None:
+    np.testing.assert_array_equal(labels(as_table(cloud), density), expected)
+
+
+def test_every_point_twice_keeps_a_surface() -> None:
+    xyz = mixed_cloud(26, 600)[200:400]
+    twice = np.repeat(xyz, 2, axis=0)
+    assert (labels(as_table(twice), 0.001) == 0).mean() > 0.99
+
+
+def test_reach_is_the_sum_of_the_links() -> None:
+    assert reach_m(CLOSE) == 10.5 + afterpulse_decision.REACH_M
+    alone = FilterSettings(link_count=0, neighbour_cap_m=9.0, axis_cap_m=7.0, wires=ALONE)
+    assert reach_m(alone) == 15.0 + afterpulse_decision.REACH_M
+    assert (
+        reach_m(FilterSettings(test="published", axis_cap_m=13.0))
+        == 13.0 + afterpulse_decision.REACH_M
+    )
+
+
+@given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(-(10**9), 10**9)] * 2))
+@settings(max_examples=15, deadline=None)
+def test_order_and_place_do_not_matter(seed: int, shift: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    # a coarse lattice: ties are everywhere, and canonical order has to break them
+    table = as_table(mixed_cloud(seed % 1000, 300, step=300))
+    density = np.full(300, 0.05)
+    order = canonical_order(table)
+    first = denoise(table.take(order), density, everything(300), CLOSE)["noise_class"]
+    moved = table.take(rng.permutation(300))
+    moved = moved.with_columns(x=moved["x"] + shift[0], y=moved["y"] + shift[1])
+    again = canonical_order(moved)
+    second = denoise(moved.take(again), density, everything(300), CLOSE)["noise_class"]
+    np.testing.assert_array_equal(second, first)
+
+
+@pytest.mark.parametrize("step", [1, 200])
+@pytest.mark.parametrize("filtering", [CLOSE, CLOSE.model_copy(update={"test": "published"})])
+def test_tiles_with_halo_give_the_whole(filtering: FilterSettings, step: int) -> None:
+    rng = np.random.default_rng(31)
+    xyz = np.concatenate(
+        [mixed_cloud(s, 900, step=step) + np.int32([8000 * s, 0, 0]) for s in range(3)]
+    )
+    table = as_table(xyz, channel=rng.integers(0, 9, len(xyz)))
+    table = table.take(canonical_order(table))
+    density = rng.choice([0.5, 4.0], len(table))
+    whole = denoise(table, density, everything(len(table)), filtering)
+    assert 0.1 < (whole["noise_class"] == 0).mean() < 0.9
+    halo = round(reach_m(filtering) * 1000)
+    for low in range(0, 24_000, 3000):
+        own = (table["x"] >= low) & (table["x"] < low + 3000)
+        read = (table["x"] >= low - halo) & (table["x"] < low + 3000 + halo)
+        part = denoise(table.take(read), density[read], own[read], filtering)
+        np.testing.assert_array_equal(part["noise_class"], whole["noise_class"][own])
+        np.testing.assert_array_equal(part["p_value"], whole["p_value"][own])
+
+
+def test_calibrated_labels_depend_on_neither_tiles_nor_order() -> None:
+    rng = np.random.default_rng(32)
+    size = np.array([120_000, 15_000, 15_000])
+    noise = rng.uniform(0, 1, (4000, 3)) * size
+    plane = rng.uniform(0, 1, (9000, 3)) * size
+    plane[:, 2] = 3000 + rng.normal(0, 50, 9000)
+    wire = rng.uniform(0, 1, (250, 3)) * [120_000, 0, 0] + [0, 7000, 11_000]
+    # a coarse lattice: ties are everywhere, and canonical order has to break them
+    xyz = np.rint(np.concatenate([noise, plane, wire]) / 50) * 50
+    table = as_table(xyz)
+    table = table.take(canonical_order(table))
+    density = 0.1 + 0.1 * (table["x"] > 60_000)
+    whole = denoise(table, density, everything(len(table)), DEFAULT)
+    assert 0.6 < (whole["noise_class"] == 0).mean() < 0.9
+    halo = round(reach_m(DEFAULT) * 1000)
+    for low in range(0, 120_000, 30_000):
+        own = (table["x"] >= low) & (table["x"] < low + 30_000)
+        read = np.flatnonzero((table["x"] >= low - halo) & (table["x"] < low + 30_000 + halo))
+        part = table.take(rng.permutation(read))
+        again = canonical_order(part)
+        part = part.take(again)
+        mine = (part["x"] >= low) & (part["x"] < low + 30_000)
+        found = denoise(part, 0.1 + 0.1 * (part["x"] > 60_000), mine, DEFAULT)
+        np.testing.assert_array_equal(found["noise_class"], whole["noise_class"][own])
+        np.testing.assert_array_equal(found["p_value"], whole["p_value"][own])
+
+
+def test_an_ordinary_scene_keeps_its_wires() -> None:
+    rng = np.random.default_rng(41)
+    side, gate = 40.0, 120.0
+    ground = rng.uniform(0, side, (int(15 * side**2), 3))
+    ground[:, 2] = 0.1 * ground[:, 0] + rng.normal(0, 0.05, len(ground))
+    noise = rng.uniform(0, 1, (int(0.13 * gate * side**2), 3)) * [side, side, gate] - [0, 0, 50]
+    along = rng.uniform(0, side, int(2.4 * side))
+    wire = np.stack([along, 0 * along + 20, 18 + 0.01 * (along - 20) ** 2], axis=1)
+    wire += rng.normal(0, 0.05, wire.shape)
+    xyz = np.concatenate([ground, noise, wire])
+    kind = np.repeat([0, 1, 2], [len(ground), len(noise), len(wire)])
+    kept = labels(as_table(np.rint(xyz * 1000)), 0.13) == 0
+    inner = np.all(np.abs(xyz[:, :2] - side / 2) < 0.4 * side, axis=1)
+    assert kept[inner & (kind == 0)].mean() >= 0.995
+    assert kept[inner & (kind == 1)].mean() <= 0.05
+    assert kept[inner & (kind == 2)].mean() >= 0.95
+
+
+def test_noise_above_a_surface_does_not_live_on_the_surface() -> None:
+    rng = np.random.default_rng(42)
+    ground = rng.uniform(0, 40, (32_000, 3))
+    ground[:, 2] = rng.normal(0, 0.05, len(ground))
+    noise = rng.uniform(0, 40, (1600, 3))
+    xyz = np.rint(np.concatenate([ground, noise]) * 1000)
+    near = np.r_[np.zeros(len(ground), np.bool_), (noise[:, 2] > 1) & (noise[:, 2] < 4)]
+    near &= np.all(np.abs(xyz[:, :2] - 20_000) < 15_000, axis=1)
+    assert near.sum() > 50
+    kept = labels(as_table(xyz), 0.025) == 0
+    every = labels(as_table(xyz), 0.025, FilterSettings(test="tail", peer_ratio=1e6)) == 0
+    assert kept[: len(ground)].mean() > 0.999
+    assert kept[near].mean() < 0.1
+    assert every[near].mean() > 0.3

@@ -1,0 +1,145 @@
+"""The null distribution of the noise test: its table, look-ups in it, and its drawing."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import map_coordinates
+
+from spl_batch.airborne.filter.ellipsoid import null_distribution
+from spl_batch.airborne.filter.ellipsoid.evidence import evidence
+from spl_batch.airborne.filter.ellipsoid.null_distribution import (
+    DENSITIES,
+    draw_table,
+    null_table,
+    periodic_noise,
+)
+from spl_batch.airborne.filter.ellipsoid.quantile_table import between, level_of, place_of, value_of
+from spl_batch.airborne.settings import FilterSettings
+
+DEFAULT = FilterSettings()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 6), st.integers(2, 12))
+@settings(max_examples=25, deadline=None)
+def test_look_ups_are_bilinear_and_each_others_inverse(seed: int, rows: int, columns: int) -> None:
+    rng = np.random.default_rng(seed)
+    levels = -np.cumsum(rng.uniform(0.1, 1, columns)) + 0.1
+    quantile = -np.cumsum(rng.uniform(0.1, 1, (rows, columns)), axis=1)
+    at = rng.uniform(0, rows - 1, 50)
+    level = rng.uniform(levels[-1], levels[0], 50)
+    found = value_of(at, level, quantile, levels, 0.7)
+    row = np.minimum(at.astype(int), rows - 2)
+    part = at - row
+    for k in range(50):
+        both = quantile[row[k]] * (1 - part[k]) + quantile[row[k] + 1] * part[k]
+        assert found[k] == pytest.approx(np.interp(-level[k], -levels, both), abs=1e-9)
+    np.testing.assert_allclose(level_of(at, found, quantile, levels, 0.7), level, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 50), st.integers(2, 12))
+@settings(max_examples=40, deadline=None)
+def test_look_ups_are_those_of_numpy_and_scipy_to_the_bit(
+    seed: int, rows: int, columns: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    grid = np.sort(rng.normal(size=rows))
+    values = np.concatenate([grid, rng.normal(size=60) * 1.5, [-np.inf, np.inf]])
+    row = place_of(values, grid)
+    np.testing.assert_array_equal(row, np.interp(values, grid, np.arange(rows)))
+    column = rng.choice([0.0, 1.0, columns - 1.0, *rng.uniform(0, columns - 1, 30)], len(row))
+    table = rng.normal(size=(rows, columns))
+    expected = map_coordinates(table, [row, column], order=1, mode="nearest")
+    np.testing.assert_array_equal(between(row, column, table), expected)
+
+
+def test_look_ups_go_on_beyond_the_last_level_and_stop_at_the_first() -> None:
+    quantile = np.array([[0.0, -1.0, -3.0], [0.0, -2.0, -5.0]])
+    levels = np.array([0.0, -1.0, -2.0])
+    at, level = np.array([0.5]), np.array([-2.7])
+    assert value_of(at, level, quantile, levels, 0.7)[0] == pytest.approx(-4.0 - 1.0)
+    assert level_of(at, np.array([-5.0]), quantile, levels, 0.7)[0] == pytest.approx(-2.7)
+    assert level_of(at, np.array([0.3]), quantile, levels, 0.7)[0] == 0.0
+
+
+def test_the_shipped_table_is_that_of_the_default_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("drawn")
+
+    monkeypatch.setattr(null_distribution, "draw_table", refuse)
+    null_distribution._table.cache_clear()
+    table = null_table(DEFAULT)
+    assert table.score.shape == (len(DENSITIES), len(null_distribution.LEVELS))
+    assert (np.diff(table.score, axis=1) <= 0).all()
+    assert (table.own <= table.alpha).all()
+    least = table.alpha + np.log(1 - DEFAULT.link_share)
+    assert (table.own >= least - 0.05).all()
+    with pytest.raises(AssertionError, match="drawn"):
+        null_table(FilterSettings(radius_m=1.4))
+
+
+def test_other_settings_are_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(null_distribution, "POINTS", 300)
+    monkeypatch.setattr(null_distribution, "DENSITIES", 10.0 ** np.linspace(-2, 0, 9))
+    null_distribution._table.cache_clear()
+    odd = FilterSettings(neighbours=8, link_count=0)
+    first = null_table(odd)
+    assert null_table(odd.model_copy(update={"alpha": 0.02})) is first
+    np.testing.assert_allclose(first.own, np.broadcast_to(first.alpha, first.own.shape))
+    null_distribution._table.cache_clear()
+    np.testing.assert_array_equal(null_table(odd).score, first.score)
+    null_distribution._table.cache_clear()
+
+
+def test_the_shipped_table_is_what_is_drawn() -> None:
+    densities = 10.0 ** np.linspace(-1.4, -0.2, 5)
+    drawn = draw_table(DEFAULT, 15_000, densities)
+    table = null_table(DEFAULT)
+    for share, within in ((0.3, 0.15), (0.05, 0.3), (0.01, 0.6)):
+        shipped = np.log(table.critical(densities, share))
+        found = np.log(drawn.critical(densities, share))
+        np.testing.assert_allclose(found, shipped, atol=within)
+        # the count's own tail is far smaller: the ellipsoid was fitted to what it counts
+        assert (shipped < np.log(share)).all()
+    for of in ("alone", "link"):
+        np.testing.assert_allclose(
+            getattr(drawn, of)(densities, 0.05), getattr(table, of)(densities, 0.05), rtol=0.05
+        )
+
+
+def test_p_values_are_shares_and_vanish_without_noise() -> None:
+    table = null_table(DEFAULT)
+    rng = np.random.default_rng(7)
+    density = 10.0 ** rng.uniform(-5, 1.5, 300)
+    share = 10.0 ** rng.uniform(-7, -0.1, 300)
+    score = table.critical(density, share)
+    found, clear = table.p_value(density, score), score < 1
+    same = np.isclose(found[clear], share[clear], rtol=1e-6)
+    # a few lie where neighbouring levels share a score, and get the larger
+    assert same.mean() > 0.97
+    np.testing.assert_allclose(found[clear], share[clear], rtol=0.3)
+    # where many have no neighbour at all, they share the largest p
+    np.testing.assert_array_equal(found[~clear], 1.0)
+    assert clear.mean() > 0.7
+    np.testing.assert_array_equal(table.p_value(np.zeros(3), np.array([0.0, 0.5, 1.0])), 0.0)
+    own = table.alone(density, 0.001)
+    assert ((own <= 0.001 * (1 + 1e-9)) & (own > 0.0005)).all()
+    assert (table.link(density, 0.001) <= DEFAULT.link_m * 1.001).all()
+
+
+@pytest.mark.parametrize("density", [0.004, 0.2, 3.0])
+def test_a_box_that_repeats_itself_has_no_border(density: float) -> None:
+    rng = np.random.default_rng(8)
+    xyz, source, core = periodic_noise(rng, density, 4000, DEFAULT)
+    number = int(core.sum())
+    side = max((4000 / density) ** (1 / 3), 15.0)
+    assert number == pytest.approx(density * side**3, abs=5 * np.sqrt(number))
+    shift = (xyz - xyz[source]) / (1000 * side)
+    np.testing.assert_allclose(shift, np.rint(shift), atol=2e-3 / side)
+    assert (np.abs(shift).max(axis=1) > 0.5)[~core].all()
+    found = evidence(xyz, np.full(len(xyz), density), core, DEFAULT, 1e-12)
+    middle = np.all(np.abs(xyz[core] / 1000 - 15 - side / 2) < side / 4, axis=1)
+    inner, outer = found.expected[core][middle], found.expected[core][~middle]
+    assert inner.mean() == pytest.approx(outer.mean(), rel=0.05)
+    within = (found.inside[core] >= 1)[middle].mean(), (found.inside[core] >= 1)[~middle].mean()
+    assert within[0] == pytest.approx(within[1], abs=0.06)

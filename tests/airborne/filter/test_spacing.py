@@ -1,0 +1,117 @@
+"""Spacings and peers against all pairs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.numerics.searches import spacings
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_counts import count_inside
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_shape import Shape
+from spl_batch.airborne.filter.ellipsoid.spacing import Spacing, enough_peers, peer_distances
+from spl_batch.numerics.neighbours.kdtree import build
+from tests.airborne.filter.test_ellipsoid import brute_counts, mixed_cloud
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 8))
+@settings(max_examples=30, deadline=None)
+def test_spacings_are_those_of_all_pairs(seed: int, n: int, neighbours: int) -> None:
+    xyz = np.random.default_rng(seed).integers(0, 40, (n, 3)).astype(np.int32)
+    d2 = ((xyz[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
+    expected = np.full(n, 12**2)
+    if n > neighbours:
+        expected = np.minimum(np.sort(d2, axis=1)[:, neighbours], 12**2)
+    np.testing.assert_array_equal(spacings(build(xyz), neighbours, 12), expected)
+    asked = xyz[:, 2] % 2 == 0
+    some = spacings(build(xyz), neighbours, 12, asked)
+    np.testing.assert_array_equal(some, np.where(asked, expected, np.nan))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 9))
+@settings(max_examples=30, deadline=None)
+def test_enough_peers_counts_all_pairs(seed: int, n: int, wanted: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.integers(0, 30, (n, 3)).astype(np.int32)
+    places = rng.integers(-5, 35, (40, 3)).astype(np.int32)
+    spacing = rng.integers(1, 20, n).astype(np.float64) ** 2
+    own = rng.integers(1, 20, 40).astype(np.float64) ** 2
+    d2 = ((places[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2)
+    counted = (d2 <= 8 * 8) & (spacing[None] * 4.0 >= own[:, None])
+    tree = build(xyz)
+    found = enough_peers(tree, tree.by_slot(spacing), places, own, 8, wanted, 2.0)
+    np.testing.assert_array_equal(found, counted.sum(axis=1) >= wanted)
+    radius = rng.integers(1, 16, 40).astype(np.float64)
+    found = enough_peers(tree, tree.by_slot(spacing), places, own, radius, wanted, 2.0)
+    counted = (d2 <= radius[:, None] ** 2) & (spacing[None] * 4.0 >= own[:, None])
+    np.testing.assert_array_equal(found, counted.sum(axis=1) >= wanted)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 9))
+@settings(max_examples=30, deadline=None)
+def test_distances_to_the_last_peer_are_those_of_all_pairs(seed: int, n: int, wanted: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.integers(0, 30, (n, 3)).astype(np.int32)
+    places = rng.integers(-5, 35, (40, 3)).astype(np.int32)
+    spacing = rng.integers(1, 20, n).astype(np.float64) ** 2
+    own = rng.integers(1, 20, 40).astype(np.float64) ** 2
+    d2 = ((places[:, None].astype(np.int64) - xyz[None]) ** 2).sum(axis=2).astype(np.float64)
+    d2[(d2 > 12 * 12) | (spacing[None] * 4.0 < own[:, None])] = np.inf
+    expected = np.full(40, np.inf)
+    if n >= wanted:
+        expected = np.sqrt(np.sort(d2, axis=1)[:, wanted - 1])
+    tree = build(xyz)
+    found = peer_distances(tree, tree.by_slot(spacing), places, own, 12, wanted, 2.0)
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0])
+def test_only_peers_are_counted_inside_the_ellipsoid(ratio: float) -> None:
+    xyz = mixed_cloud(9, 600)
+    shape = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)
+    tree = build(xyz)
+    spacing = spacings(tree, 6, 3000)
+    peers = spacing[None] * ratio**2 >= spacing[:, None]
+    low, high, _ = brute_counts(xyz, shape, peers)
+    everyone, _, _ = brute_counts(xyz, shape)
+    assert (low == high).all()
+    assert (low < everyone).mean() > 0.1
+    count, _, _ = count_inside(
+        xyz,
+        tree,
+        np.ones(len(xyz), np.bool_),
+        np.full(len(xyz), 1e-10),
+        shape,
+        alpha=1e-300,
+        spacing=tree.by_slot(spacing),
+        peer_ratio=ratio,
+    )
+    np.testing.assert_array_equal(count, low)
+
+
+@pytest.mark.parametrize(("neighbours", "cap"), [(6, 3000), (20, 3000), (6, 20_000)])
+def test_spacings_that_are_not_known_are_found_on_the_way(neighbours: int, cap: int) -> None:
+    xyz = mixed_cloud(9, 3000)
+    shape = Shape(15, 1500.0, 30.0, 12_000.0, 12_000, 1.0)
+    tree, density = build(xyz), np.full(len(xyz), 1e-10)
+    known = spacings(tree, neighbours, cap)
+    query = np.random.default_rng(2).random(len(xyz)) < 0.5
+    found = np.full(len(xyz), -1.0)
+    given, on_the_way = (
+        count_inside(
+            xyz, tree, query, density, shape, alpha=1e-9, spacing=spacing,
+            rule=Spacing(neighbours, cap), peer_ratio=2.0, tie=True,
+        )
+        for spacing in (tree.by_slot(known), found)
+    )  # fmt: skip
+    for one, other in zip(given, on_the_way, strict=True):
+        np.testing.assert_array_equal(one, other)
+    found = tree.by_row(found)
+    some = found >= 0
+    assert some[query].all()
+    np.testing.assert_array_equal(found[some], known[some])
+
+
+@pytest.mark.parametrize("cap", [0, 46_341])
+def test_a_cap_outside_the_key_is_refused(cap: int) -> None:
+    with pytest.raises(ValueError, match="must lie in"):
+        spacings(build(np.zeros((2, 3), np.int32)), 1, cap)

@@ -1,0 +1,344 @@
+"""The scan along lines: its kernels against slow twins, planted wires, pure noise, tilings."""
+
+import inspect
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.airborne.filter.denoise import denoise
+from spl_batch.airborne.filter.denoise import reach_m as filter_reach_m
+from spl_batch.airborne.filter.filter_interface import Cloud
+from spl_batch.airborne.filter.wires.cube_counts import cube_counts
+from spl_batch.airborne.filter.wires.line_hough import (
+    PAD,
+    fullest,
+    grid,
+    half_turn,
+    tube_volume,
+    window,
+)
+from spl_batch.airborne.filter.wires.tube_agreement import agreeing, refine, vote
+from spl_batch.airborne.filter.wires.wire_scan import reach_m, scan
+from spl_batch.airborne.products.point_classes import classify
+from spl_batch.airborne.settings import FilterSettings, WireSettings
+from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_WIRE, NOISE_SIGNAL
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds
+from spl_batch.numerics.neighbours.lattice_columns import Columns, columns
+
+FAST = settings(max_examples=15, deadline=None)
+BEND = 0.5 / 700e3
+SETTINGS = WireSettings(classify=True)
+
+
+def made_cloud(
+    xyz: NDArray[np.int64], density: float, asked: NDArray[np.bool_] | None = None
+) -> Cloud:
+    anchor = tuple(int(v) for v in xyz.min(axis=0))
+    n = len(xyz)
+    given: dict[str, Any] = {
+        "xyz": (xyz - xyz.min(axis=0)).astype(np.int32),
+        "anchor": anchor,
+        "density": np.full(n, density),
+        "asked": np.ones(n, np.bool_) if asked is None else asked,
+        "shot_noise": np.zeros(n, np.bool_),
+    }
+    assert set(given) == set(inspect.signature(Cloud).parameters)
+    return Cloud(**given)
+
+
+def noise(rng: np.random.Generator, density: float, *size_m: float) -> NDArray[np.int64]:
+    n = rng.poisson(density * math.prod(size_m))
+    return np.rint(rng.uniform(0, 1, (n, 3)) * np.array(size_m) * 1000).astype(np.int64)
+
+
+def conductor(
+    rng: np.random.Generator, per_m: float, length_m: float, y_m: float, z_m: float
+) -> NDArray[np.int64]:
+    """A hanging wire along x, a little askew, with 5 cm of spread."""
+    x = rng.uniform(0, length_m, rng.poisson(per_m * length_m))
+    middle = x - length_m / 2
+    clean = np.stack([x, y_m + 0.03 * middle, z_m + middle**2 / 1200.0], axis=1)
+    return np.rint((clean + rng.normal(0, 0.05, clean.shape)) * 1000).astype(np.int64)
+
+
+@FAST
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 200), st.integers(-5000, 5000),
+    st.sampled_from([0, 9000, 10**6]),
+)  # fmt: skip
+def test_cubes_hold_what_all_pairs_say(seed: int, n: int, base: int, gap: int) -> None:
+    # wide gaps count as single cells
+    rng = np.random.default_rng(seed)
+    xyz = (rng.integers(0, 6000, (n, 3)) + gap * rng.integers(0, 4, (n, 3))).astype(np.int32)
+    anchor = (base, 2 * base, -base)
+    cell = (xyz.astype(np.int64) + np.array(anchor)) // 1000
+    near = np.all(np.abs(cell[:, None] - cell[None]) <= 1, axis=2)
+    np.testing.assert_array_equal(cube_counts(xyz, anchor, 1000), near.sum(axis=1))
+
+
+def test_half_turn_is_the_arctangent() -> None:
+    angle = np.linspace(0, 2 * np.pi, 3001)
+    found = [half_turn(x, y) for x, y in zip(np.cos(angle), np.sin(angle), strict=True)]
+    apart = np.abs(np.array(found) - angle % np.pi)
+    assert np.minimum(apart, np.pi - apart).max() < 0.0017
+
+
+def slow_fullest(
+    points: NDArray[np.int32], i: int, reach: float, radius: float, least: float, steep: float
+) -> tuple[NDArray[np.int64], int]:
+    """Counts of every cell of direction around one point, and all neighbours of the cone."""
+    step, turns, levels = grid(reach, radius, steep)
+    cells = np.zeros((turns, levels + 2 * PAD), dtype=np.int64)
+    near = 0
+    for j in range(len(points)):
+        d = points[j].astype(np.int64) - points[i].astype(np.int64)
+        flat = float(d[0] * d[0] + d[1] * d[1])
+        dz = d[2] - BEND * flat
+        if not least**2 <= flat <= reach**2 or dz * dz > steep * steep * flat:
+            continue
+        near += 1
+        rise = dz / math.sqrt(flat) * (-1 if d[1] < 0 else 1)
+        half = window(flat, reach)
+        a = min(int(half_turn(float(d[0]), float(d[1])) * (1 / step)), turns - 1)
+        b = min(int((rise + steep) * (1 / step)), levels - 1)
+        for turn in range(a - half, a + half + 1):
+            middle = b if 0 <= turn < turns else levels - 1 - b
+            cells[turn % turns, middle - half + PAD : middle + half + 1 + PAD] += 1
+    return cells, near
+
+
+@FAST
+@given(st.integers(0, 2**32 - 1), st.integers(2, 120), st.sampled_from([3000, 4000, 9000]))
+def test_fullest_tubes_are_the_slow_twins(seed: int, n: int, edge: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = (rng.uniform(0, 1, (n, 3)) * [20e3, 20e3, 5e3]).astype(np.int32)
+    made = columns(xyz, np.arange(n), (7, -13, 5), edge)
+    rows = rng.permutation(n)[: rng.integers(1, n + 1)]
+    m = len(rows)
+    seed_of = np.full(n, -1, np.int32)
+    seed_of[rows] = np.arange(m)
+    length, density = rng.uniform(4000, 9000, m), np.full(m, 1e-11)
+    count, found = np.zeros(m, np.int32), [np.zeros(m) for _ in range(3)]
+    fullest(
+        made.points, made.start, *made.shape, edge, made.corner, seed_of, length, density,
+        np.full(99, np.inf), 250.0, 1500.0, 0.3, BEND, count, *found,
+    )  # fmt: skip
+    azimuth, slope, expected = found
+    for i, row in enumerate(rows):
+        cells, near = slow_fullest(xyz, row, length[i], 250.0, 1500.0, 0.3)
+        assert count[i] == cells.max()
+        step, turns, levels = grid(length[i], 250.0, 0.3)
+        cone = 4 / 3 * math.pi * 0.3 * (length[i] ** 3 - 1500.0**3)
+        crowd = max(1e-11, (near - cells.max()) / cone)
+        assert expected[i] == pytest.approx(crowd * tube_volume(length[i], 1500.0, step))
+        a, b = azimuth[i] / step - 0.5, (slope[i] + 0.3) / step + PAD - 0.5
+        best = np.argwhere(cells == cells.max())
+        assert np.abs(best - [a, b]).max(axis=1).min() <= 2.5
+        assert 0 <= a <= turns
+        assert b <= levels + 2 * PAD
+
+
+def test_a_tube_holds_the_noise_that_is_expected() -> None:
+    rng = np.random.default_rng(4)
+    step, _, _ = grid(9000.0, 250.0, 0.3)
+    points = rng.uniform(-9000, 9000, (2_000_000, 3)) * [1, 0.2, 0.2]
+    h2 = points[:, 0] ** 2 + points[:, 1] ** 2
+    h = np.sqrt(h2)
+    half = np.where(h2 >= 0.25 * 81e6, 1.5, np.where(h2 >= 0.0625 * 81e6, 3.5, 7.5)) * step
+    inside = (h <= 9000) & (h >= 1500) & (np.abs(points[:, 2] / h) <= half)
+    inside &= np.abs(points[:, 1] / points[:, 0]) <= np.tan(half)
+    volume = inside.mean() * 18000.0 * 3600.0**2
+    assert tube_volume(9000.0, 1500.0, step) == pytest.approx(volume, rel=0.02)
+
+
+def drawn_tubes(
+    seed: int, n: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(0, 1, (n, 3)) * [40e3, 40e3, 4e3]
+    half = n // 2
+    middle[:half, 1:] = rng.normal([20e3, 2e3], 400, (half, 2))
+    azimuth, slope = rng.uniform(0, np.pi, n), rng.uniform(-0.3, 0.3, n)
+    azimuth[:half], slope[:half] = rng.normal(0, 0.03, half) % np.pi, rng.normal(0, 0.02, half)
+    return middle, azimuth, slope, rng.uniform(5e3, 12e3, n)
+
+
+def laid(middle: NDArray[np.float64], edge: int) -> tuple[Columns, tuple[Any, ...]]:
+    places = np.rint(middle).astype(np.int32)
+    made = columns(places, np.arange(len(places)), (0, 0, 0), edge)
+    return made, (made.points, made.start, *made.shape, made.edge, made.corner)
+
+
+def along(
+    middle: NDArray[np.float64], azimuth: float, slope: float, start: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    d = middle - start
+    x = d[:, 0] * math.cos(azimuth) + d[:, 1] * math.sin(azimuth)
+    y = d[:, 1] * math.cos(azimuth) - d[:, 0] * math.sin(azimuth)
+    return x, y, d[:, 2] - slope * x - BEND * x * x
+
+
+@FAST
+@given(st.integers(0, 2**32 - 1), st.integers(2, 80))
+def test_agreement_and_votes_are_the_slow_twins(seed: int, n: int) -> None:
+    middle, azimuth, slope, length = drawn_tubes(seed, n)
+    _, where = laid(middle, 8000)
+    inline, abreast, against, votes = (np.zeros(n, np.int32) for _ in range(4))
+    agreeing(
+        *where, middle, azimuth, slope, length, 2 * length, 250.0, 0.01, 6000.0, 2000.0,
+        0.05, 0.05, BEND, inline, abreast, against,
+    )  # fmt: skip
+    vote(*where, middle, azimuth, slope, length, 250.0, 0.01, BEND, votes)
+    expected_votes = np.zeros(n, np.int64)
+    for s in range(n):
+        x, y, v = along(middle, azimuth[s], slope[s], middle[s])
+        width = 250.0 + 0.01 * np.abs(x)
+        on = (np.abs(y) <= width) & (np.abs(v) <= width)
+        rx, ry, rv = along(np.rint(middle), azimuth[s], slope[s], middle[s])
+        width = 250.0 + 0.01 * np.abs(rx)
+        expected_votes += (np.abs(ry) <= width) & (np.abs(rv) <= width) & (np.abs(rx) <= length[s])
+        near = (np.abs(x) <= 2 * length[s]) & (np.abs(y) <= 6000) & (np.abs(v) <= 2000)
+        near[s] = False
+        turn = np.abs(azimuth - azimuth[s]) % np.pi
+        rise = np.where(np.cos(azimuth - azimuth[s]) >= 0, slope, -slope) - slope[s]
+        same = np.minimum(turn, np.pi - turn) <= 0.05
+        same &= np.abs(rise - 2 * BEND * x) <= 0.05
+        short = np.abs(x) <= length[s]
+        assert inline[s] == (near & same & on & ~short).sum()
+        assert abreast[s] == (near & same & ~on).sum()
+        assert against[s] == (near & on & short & ~same).sum() - (near & on & short & same).sum()
+    np.testing.assert_array_equal(votes, expected_votes)
+
+
+def test_a_line_is_laid_through_the_returns() -> None:
+    x = np.linspace(-11e3, 11e3, 23)
+    wire = np.stack([1000 + x, 2000 + 0.02 * x + 100, 3000 - 0.03 * x + BEND * x * x - 80], axis=1)
+    beside = wire[::2] + np.array([0, 600, 0])
+    _, where = laid(np.concatenate([wire, beside]), 4000)
+    azimuth, slope = np.array([0.01]), np.array([-0.02])
+    middle, flank = np.array([[1000.0, 2000.0, 3000.0]]), np.zeros(1, np.int32)
+    for _ in range(2):
+        refine(*where, np.array([12e3]), 250.0, BEND, azimuth, slope, middle, flank)
+    assert azimuth[0] == pytest.approx(math.atan(0.02), abs=2e-4)
+    assert slope[0] == pytest.approx(-0.03, abs=2e-4)
+    np.testing.assert_allclose(middle[0], [998.0, 2100.0, 2920.0], atol=3)
+    assert flank[0] == 12 - 23
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.5, 2.2])
+def test_a_weak_conductor_is_kept_and_noise_is_not(turned: float) -> None:
+    rng = np.random.default_rng(8)
+    wires = [conductor(rng, 0.55, 140.0, y, 20.0) for y in (28.0, 32.0)]
+    xyz = np.concatenate([*wires, noise(rng, 0.12, 140.0, 60.0, 40.0)])
+    turn = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
+    plane = np.rint(xyz[:, :2] @ turn.T).astype(np.int64)
+    xyz = np.column_stack([plane, xyz[:, 2]])
+    truth = np.arange(len(xyz)) < sum(map(len, wires))
+    found = scan(made_cloud(xyz, 0.12), SETTINGS)
+    assert found.signal[truth].mean() > 0.85
+    assert found.signal[~truth].mean() < 0.002
+    assert found.wire[~truth].sum() < 0.1 * found.wire.sum()
+    assert (found.p_value[found.signal] <= SETTINGS.alpha * 1.001).all()
+    assert np.isnan(found.p_value[~found.signal]).all()
+
+
+@pytest.mark.parametrize("density", [0.03, 0.16, 0.6])
+def test_pure_noise_makes_no_lines(density: float) -> None:
+    rng = np.random.default_rng(3)
+    side = (40_000 / density / 40.0) ** 0.5
+    xyz = noise(rng, density, side, side, 40.0)
+    found = scan(made_cloud(xyz, density), SETTINGS)
+    assert found.signal.mean() < 2 * SETTINGS.alpha + 5 / len(xyz)
+    assert not found.wire.any()
+
+
+def test_a_dense_surface_is_left_out() -> None:
+    rng = np.random.default_rng(5)
+    roof = noise(rng, 40.0, 30.0, 30.0, 0.3)
+    assert not scan(made_cloud(roof, 0.1), SETTINGS).signal.any()
+
+
+def test_neither_order_nor_tiling_nor_anchor_matters() -> None:
+    rng = np.random.default_rng(6)
+    wires = [conductor(rng, 0.7, 240.0, y, 12.0) for y in (14.0, 17.0)]
+    xyz = np.concatenate([*wires, noise(rng, 0.1, 240.0, 30.0, 24.0)])
+    xyz = np.unique(xyz, axis=0)
+    whole = scan(made_cloud(xyz, 0.1), SETTINGS)
+    assert whole.signal.sum() > 200
+
+    order = rng.permutation(len(xyz))
+    mixed = scan(made_cloud(xyz[order], 0.1), SETTINGS)
+    for name in ("signal", "wire", "p_value"):
+        np.testing.assert_array_equal(getattr(mixed, name), getattr(whole, name)[order])
+
+    asked = (xyz[:, 0] >= 100_000) & (xyz[:, 0] < 130_000)
+    reach = int(reach_m(SETTINGS) * 1000)
+    near = (xyz[:, 0] >= 100_000 - reach) & (xyz[:, 0] < 130_000 + reach)
+    assert not near.all()
+    part = scan(made_cloud(xyz[near], 0.1, asked[near]), SETTINGS)
+    for name in ("signal", "wire", "p_value"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[asked])
+
+
+def test_nothing_is_asked_or_there() -> None:
+    rng = np.random.default_rng(7)
+    xyz = noise(rng, 0.1, 20.0, 20.0, 20.0)
+    off = scan(made_cloud(xyz, 0.1), WireSettings(enabled=False))
+    assert not off.signal.any()
+    assert reach_m(WireSettings(enabled=False)) == 0.0
+    none = scan(made_cloud(xyz, 0.1, np.zeros(len(xyz), np.bool_)), SETTINGS)
+    assert len(none.signal) == 0
+
+
+def test_the_filter_keeps_what_the_scan_finds() -> None:
+    rng = np.random.default_rng(9)
+    wire = conductor(rng, 0.6, 120.0, 15.0, 20.0)
+    xyz = np.concatenate([wire, noise(rng, 0.12, 120.0, 30.0, 40.0)])
+    columns_of: dict[str, NDArray[Any]] = {
+        "x": xyz[:, 0],
+        "y": xyz[:, 1],
+        "z": xyz[:, 2].astype(np.int32),
+        "flags": np.zeros(len(xyz), dtype=np.uint8),
+        "gps_time": np.arange(len(xyz), dtype=np.float64),
+        "channel": np.zeros(len(xyz), dtype=np.uint8),
+        "return_number": np.zeros(len(xyz), dtype=np.uint8),
+        "source": np.zeros(len(xyz), dtype=np.uint64),
+        "index": np.arange(len(xyz), dtype=np.uint32),
+    }
+    table, every = PointTable(columns_of), np.ones(len(xyz), np.bool_)
+    density = np.full(len(xyz), 0.12)
+    alone = denoise(table, density, every, FilterSettings(wires=WireSettings(enabled=False)))
+    both = denoise(table, density, every, FilterSettings(wires=SETTINGS))
+    found = scan(made_cloud(xyz, 0.12), SETTINGS)
+    kept = both["noise_class"] == NOISE_SIGNAL
+    assert kept[found.signal].all()
+    # what the scan gets of alpha the test does not, so it alone keeps a few more
+    by_test = alone["noise_class"] == NOISE_SIGNAL
+    assert not (kept & ~found.signal & ~by_test).any()
+    assert kept[by_test].mean() > 0.8
+    np.testing.assert_array_equal(both["wire"], found.wire)
+    assert both["wire"].any()
+    assert not alone["wire"].any()
+    signal = both["noise_class"][: len(wire)] == NOISE_SIGNAL
+    assert signal.mean() > (alone["noise_class"][: len(wire)] == NOISE_SIGNAL).mean() + 0.2
+    assert filter_reach_m(FilterSettings()) > reach_m(SETTINGS)
+
+
+def test_sure_conductors_get_their_class_above_the_ground_only() -> None:
+    dtm = np.full((2, 2), 50.0, np.float32)
+    n = 4
+    table = PointTable({
+        "x": np.full(n, 500), "y": np.full(n, 500),
+        "z": np.array([60_000, 51_000, 60_000, 60_000], dtype=np.int32),
+        "flags": np.zeros(n, np.uint8), "input_class": np.ones(n, np.uint8),
+        "noise_class": np.array([0, 0, 0, 1], np.uint8), "ground": np.zeros(n, np.uint8),
+        "wire": np.array([1, 1, 0, 0], np.uint8),
+    })  # fmt: skip
+    cell = Bounds(0, 0, 2000, 2000)
+    assert list(classify(table, cell, dtm)) == [CLASS_WIRE, 1, 1, CLASS_HIGH_NOISE]

@@ -1,0 +1,137 @@
+"""Ground by scales that follow the data: each step against what it must find, and whole scenes."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
+from spl_batch.airborne.ground.multiscale_surface import (
+    agreeing_nodes,
+    low_outliers,
+    lowest_nodes,
+    plane_heights,
+    spread_below,
+)
+from spl_batch.airborne.settings import GroundSettings
+from spl_batch.lattice.tables import PointTable
+
+Float = NDArray[np.float64]
+
+
+def places(n: int, edge_m: float, seed: int = 1) -> tuple[Float, Float]:
+    x, y = np.random.default_rng(seed).uniform(0, edge_m, (2, n))
+    return x, y
+
+
+def default_ground(x: Float, y: Float, z: Float) -> NDArray[np.bool_]:
+    """Ground by the default method, in the order of the points."""
+    columns = [np.rint(v * 1000).astype(np.int64) for v in (x, y, z)]
+    table = PointTable(dict(zip("xyz", columns, strict=True)))
+    return ground_mask(table, np.ones(len(x), dtype=np.bool_), GroundSettings())
+
+
+def test_every_method_of_the_settings_is_in_the_table() -> None:
+    names = get_args(GroundSettings.model_fields["method"].annotation)
+    assert set(METHODS) == set(names)
+    assert {"ptd", "smrf"} < set(names)
+
+
+def test_lowest_nodes_are_the_lowest_of_their_cells() -> None:
+    rng = np.random.default_rng(3)
+    xyz = rng.uniform(-20, 20, (500, 3))
+    chosen = rng.random(500) < 0.7
+    grid = lowest_nodes(xyz, chosen, 4.0)
+    cell = np.floor(xyz[:, :2] / 4.0)
+    low = cell.min(axis=0)
+    for row in range(grid.shape[0]):
+        for column in range(grid.shape[1]):
+            inside = np.flatnonzero(chosen & (cell - low == [column, row]).all(axis=1))
+            expected = inside[xyz[inside, 2].argmin()] if len(inside) else -1
+            assert grid[row, column] == expected
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 2.0])
+def test_planes_of_a_plane_are_that_plane(slope: float) -> None:
+    x, y = places(4000, 60)
+    xyz = np.column_stack([x + 1e5, y - 2e5, 300 + slope * x - 0.3 * y])
+    found = plane_heights(xyz, lowest_nodes(xyz, np.ones(4000, np.bool_), 2.0), 2.0, own=False)
+    # A slope is damped a little; at the rim there are few neighbours to tell it.
+    off = np.abs(found - xyz[:, 2])[(np.abs(x - 30) < 26) & (np.abs(y - 30) < 26)]
+    assert off.max() < 0.05 + 0.1 * slope
+
+
+def test_low_outliers_are_found_side_by_side_and_a_ditch_is_not() -> None:
+    x, y = places(20_000, 100)
+    z = np.where(np.abs(y - 70) < 2, -3.0, 0.0)
+    low = (np.abs(x - 31) < 3) & (np.abs(y - 30) < 1)
+    z[low] = -20.0
+    assert np.array_equal(low_outliers(np.column_stack([x, y, z])), low)
+
+
+def test_under_crowns_nodes_are_those_of_larger_cells() -> None:
+    """West of x = 64 m every return is ground; east of it one of twelve."""
+    x, y = places(24_000, 128)
+    rng = np.random.default_rng(2)
+    leaf = (x > 64) & (rng.random(len(x)) > 1 / 12)
+    xyz = np.column_stack([x, y, np.where(leaf, rng.uniform(4, 18, len(x)), 0.0)])
+    cell = np.floor(xyz[:, :2]).astype(int) @ (1, 1000)
+    order = np.lexsort([xyz[:, 2], cell])
+    nodes = order[np.r_[True, np.diff(cell[order]) > 0]]
+    chosen = agreeing_nodes(xyz[nodes], np.ones(len(nodes), np.bool_))
+    open_ground = x[nodes] < 40
+    assert chosen[open_ground].all()
+    shade = (x[nodes] > 90) & chosen
+    assert shade.sum() > 100
+    assert leaf[nodes][x[nodes] > 90].mean() > 0.6
+    assert leaf[nodes][shade].mean() < 0.2
+
+
+def test_spread_is_that_of_the_noise_whatever_grows_above() -> None:
+    x, y = places(20_000, 64)
+    rng = np.random.default_rng(4)
+    off = rng.normal(0, 0.04, len(x))
+    off += np.where(rng.random(len(x)) < 0.7, rng.uniform(0.2, 1.5, len(x)), 0.0)
+    assert spread_below(off, x, y, 0.5) == pytest.approx(0.04, rel=0.15)
+
+
+def test_roofs_of_a_thinned_town_are_no_ground() -> None:
+    """One return per four square metres: four of five cells of a metre are empty."""
+    x, y = places(22_500, 300)
+    rng = np.random.default_rng(5)
+    z = 0.03 * x + rng.normal(0, 0.03, len(x))
+    roof = np.zeros(len(x), dtype=np.bool_)
+    for cx, cy in rng.uniform(30, 270, (40, 2)):
+        across, along, eave = rng.uniform(4, 6), rng.uniform(5, 14), rng.uniform(2.8, 7)
+        ridge = np.clip(across - np.abs(x - cx), 0, None) * 0.6
+        inside = (np.abs(x - cx) < across) & (np.abs(y - cy) < along)
+        z[inside & ~roof] += (eave + ridge)[inside & ~roof]
+        roof |= inside
+    found = default_ground(x, y, z)
+    assert found[roof].mean() < 0.01
+    assert found[~roof].mean() > 0.98
+
+
+def test_forest_floor_is_found_between_rare_ground_returns() -> None:
+    """1.5 returns per m2, a tenth of them of the ground."""
+    x, y = places(60_000, 200)
+    rng = np.random.default_rng(6)
+    floor = 3 * np.sin(x / 30) + 2 * np.cos(y / 25)
+    leaf = rng.random(len(x)) > 0.1
+    height = rng.normal(0, 0.03, len(x)) + np.where(leaf, rng.uniform(2, 20, len(x)), 0.0)
+    found = default_ground(x, y, floor + height)
+    assert np.quantile(height[found], 0.99) < 0.5
+    assert found[~leaf].mean() > 0.95
+
+
+def test_shrubs_of_a_dense_heath_are_no_ground() -> None:
+    """40 returns per m2, a sixth of them of the ground, the rest in shrubs up to a metre."""
+    x, y = places(36_000, 30)
+    rng = np.random.default_rng(7)
+    shrub = rng.random(len(x)) > 1 / 6
+    height = rng.normal(0, 0.03, len(x)) + np.where(shrub, rng.uniform(0.05, 1.0, len(x)), 0.0)
+    found = default_ground(x, y, 0.05 * x + height)
+    assert found[~shrub].mean() > 0.95
+    assert found[height > 0.3].mean() < 0.01
+    assert np.median(height[found & ~shrub]) == pytest.approx(0.0, abs=0.01)

@@ -1,0 +1,254 @@
+"""Pits below smooth ground, what is buried below hard surfaces, and cuts that must not show."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.airborne.ground.ground_methods import ground_mask, spacing_around_m, spacing_m
+from spl_batch.airborne.ground.lowest_layers import lowest_layers
+from spl_batch.airborne.ground.pits import in_pits
+from spl_batch.airborne.ground.smrf import fill_gaps
+from spl_batch.airborne.settings import GroundSettings
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+from spl_batch.numerics.cell_groups import group_by_cell
+
+
+def pits(
+    xyz: np.ndarray,
+    cell: np.ndarray,
+    shape: tuple[int, int],
+    doubtful: np.ndarray | None = None,
+) -> np.ndarray:
+    out = np.empty(len(cell), dtype=np.bool_)
+    if doubtful is None:
+        doubtful = np.zeros(len(cell), dtype=np.bool_)
+    in_pits(xyz, cell, np.ones(len(cell), dtype=np.bool_), doubtful, *shape, 2, out)
+    return out
+
+
+def plain_pit(
+    xyz: np.ndarray, cell: np.ndarray, shape: tuple[int, int], doubtful: np.ndarray, i: int
+) -> bool:
+    """The rule once more, pair by pair, with dictionaries and no sorting tricks."""
+    lowest: dict[tuple[int, int], int] = {}
+    for j, c in enumerate(cell):
+        lowest.setdefault((int(c) // shape[1], int(c) % shape[1]), j)
+    row, column = int(cell[i]) // shape[1], int(cell[i]) % shape[1]
+    heights, ends = [], []
+    for dr in range(-2, 3):
+        for dc in range(-2, 3):
+            a, b = lowest.get((row - dr, column - dc)), lowest.get((row + dr, column + dc))
+            if (dr, dc) <= (0, 0) or a is None or b is None:
+                continue
+            u = xyz[b, :2] - xyz[a, :2]
+            t = (xyz[i, :2] - xyz[a, :2]) @ u / (u @ u)
+            heights.append(xyz[a, 2] + t * (xyz[b, 2] - xyz[a, 2]))
+            ends.append(np.mean([not doubtful[a], not doubtful[b]]))
+    h, firm = np.array(heights), np.array(ends)
+    own = np.sum(np.abs(h - xyz[i, 2]) <= 0.2) if len(h) else 0
+    for low in h[h > xyz[i, 2] + 0.25]:
+        agree = (h >= low) & (h <= low + 0.4)
+        if agree.sum() < max(4, 6 * own):
+            continue
+        if low <= xyz[i, 2] + 2 and agree.sum() >= np.sum(h <= low + 0.4) / 2:
+            return True
+        told = not doubtful[i] or firm[agree].mean() >= 0.5
+        if agree.sum() >= len(h) / 2 and told:
+            return True
+    return False
+
+
+def sparse_grid(seed: int, rough_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes in most cells of a 9 x 9 grid on a tilted plane, some of them low."""
+    rng = np.random.default_rng(seed)
+    cell = np.flatnonzero(rng.random(81) < 0.8)
+    x, y = cell % 9 + rng.uniform(0, 1, len(cell)), cell // 9 + rng.uniform(0, 1, len(cell))
+    z = 0.6 * x - 0.3 * y + rng.normal(0, rough_m, len(cell))
+    z[rng.random(len(cell)) < 0.15] -= rng.uniform(0.2, 5)
+    z[rng.random(len(cell)) < 0.2] += rng.uniform(1, 9)
+    return np.column_stack([x, y, z]), cell
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.03, 0.3, 2.0]), st.sampled_from([0.0, 0.4, 0.9]))
+def test_pits_agree_with_a_plain_twin(seed: int, rough_m: float, share: float) -> None:
+    xyz, cell = sparse_grid(seed, rough_m)
+    doubtful = np.random.default_rng(seed + 1).random(len(cell)) < share
+    expected = [plain_pit(xyz, cell, (9, 9), doubtful, i) for i in range(len(cell))]
+    assert pits(xyz, cell, (9, 9), doubtful).tolist() == expected
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 2.0])
+def test_a_low_node_of_a_smooth_slope_is_a_pit_and_its_neighbours_are_none(slope: float) -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = slope * x
+    z[40] -= 0.6
+    found = pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))
+    assert np.flatnonzero(found).tolist() == [40]
+
+
+def test_ground_below_rough_leaves_is_no_pit() -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.random.default_rng(3).uniform(2, 12, 81)
+    z[40] = 0.0
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9)).any()
+
+
+@pytest.mark.parametrize(
+    ("height_m", "doubtful", "below"),
+    [
+        (3.5, "all", False),  # lowest leaves of a crown that happen to agree
+        (3.5, "node", True),  # a roof, and trees over it
+        (3.5, "none", True),  # open ground far above what noise left
+        (1.5, "all", True),  # no crown begins so low
+    ],
+)
+def test_what_agrees_high_above_returns_below_leaves_must_be_firm(
+    height_m: float, doubtful: str, *, below: bool
+) -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.where((x.astype(int) + y.astype(int)) % 2, height_m, height_m + 0.1)
+    z[40] = 0.0
+    asked = {"all": np.ones(81, bool), "node": np.arange(81) == 40, "none": np.zeros(81, bool)}
+    assert pits(np.column_stack([x, y, z]), np.arange(81), (9, 9), asked[doubtful])[40] == below
+
+
+def test_a_pit_at_the_edge_of_a_crown_is_one() -> None:
+    """Most heights around it are of leaves, metres above; the others agree on the ground."""
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    crown = (x > 6) | (y > 6)
+    z = np.where(crown, np.random.default_rng(5).uniform(9, 30, 81), 0.0)
+    z[40] = -1.7
+    found = pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))
+    assert found[40]
+    z[40] = 0.0
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[40]
+
+
+def test_the_bottom_of_a_ditch_is_no_pit() -> None:
+    x, y = (v.ravel() + 0.5 for v in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    z = np.where(np.abs(x - 4.5) < 0.6, -1.0, 0.0)
+    bottom = np.abs(x - 4.5) < 0.6
+    inner = (y > 2) & (y < 7)
+    assert not pits(np.column_stack([x, y, z]), np.arange(81), (9, 9))[bottom & inner].any()
+
+
+@pytest.mark.parametrize(
+    ("above", "buried"),
+    [
+        (np.linspace(1.0, 1.5, 8), True),  # a meadow on a slope
+        (np.linspace(7.0, 7.6, 8), True),  # a roof
+        (np.linspace(1.0, 5.0, 8), False),  # leaves
+        (np.linspace(1.0, 1.5, 5), False),  # too few to tell
+    ],
+)
+def test_a_single_return_is_buried_by_a_sheet_only(above: np.ndarray, *, buried: bool) -> None:
+    z = np.concatenate([[0.0], above])
+    x = np.linspace(0.1, 0.9, len(z))
+    nodes = lowest_layers(x, x, z, group_by_cell(x, x, 1.0), 0.3)
+    assert nodes.xyz[0, 2] == 0.0
+    assert nodes.buried[0] == buried
+    assert not nodes.buried[1:].any()
+
+
+def survey(seed: int = 5, edge_m: float = 70.0, density: float = 8.0) -> dict[str, np.ndarray]:
+    """Rolling meadow with a roof and trees; returns behind it that follow its own."""
+    rng = np.random.default_rng(seed)
+    n = int(density * edge_m**2)
+    x, y = rng.uniform(0, edge_m, (2, n))
+    base = 50 + 0.3 * x + 2 * np.sin(x / 9) * np.cos(y / 11)
+    z = base + rng.normal(0, 0.04, n)
+    roof = (np.abs(x - 20) < 7) & (np.abs(y - 30) < 5)
+    z[roof] = 62 + rng.normal(0, 0.04, int(roof.sum()))
+    wood = (x > 45) & (rng.random(n) < 0.8)
+    z[wood] = base[wood] + rng.uniform(2, 15, int(wood.sum()))
+    late = rng.random(n) < 0.2
+    z[late] = base[late] - 0.3 - rng.exponential(0.7, int(late.sum()))
+    ground = ~(roof | wood | late)
+    afterpulse = np.where(late, 0.4, 0.0).astype(np.float32)
+    return {"x": x, "y": y, "z": z, "base": base, "ground": ground, "afterpulse": afterpulse}
+
+
+def table_of(points: dict[str, np.ndarray], *, probability: bool) -> PointTable:
+    columns = {
+        "x": np.rint(points["x"] * 1000).astype(np.int64),
+        "y": np.rint(points["y"] * 1000).astype(np.int64),
+        "z": np.rint(points["z"] * 1000).astype(np.int32),
+    }
+    if probability:
+        columns["afterpulse"] = points["afterpulse"]
+    return PointTable(columns)
+
+
+@pytest.mark.parametrize("method", ["ptd", "smrf"])
+def test_followers_hold_each_other_up_but_pull_no_ground_down(method: str) -> None:
+    points = survey()
+    low = points["z"] < points["base"] - 1.5
+    usable = np.ones(len(low), dtype=np.bool_)
+    chosen = GroundSettings(method=method)
+    told = ground_mask(table_of(points, probability=True), usable, chosen)
+    untold = ground_mask(table_of(points, probability=False), usable, chosen)
+    assert told[points["ground"]].mean() > 0.995
+    assert told[low].mean() < 0.01
+    assert untold[low].mean() > 2 * told[low].mean()
+
+
+def test_where_every_return_follows_another_they_are_all_there_is() -> None:
+    points = survey(edge_m=30.0)
+    points["afterpulse"][:] = 0.9
+    usable = np.ones(len(points["x"]), dtype=np.bool_)
+    told = ground_mask(table_of(points, probability=True), usable, GroundSettings())
+    untold = ground_mask(table_of(points, probability=False), usable, GroundSettings())
+    assert np.array_equal(told, untold)
+
+
+def test_the_cuts_between_ground_cells_change_no_label() -> None:
+    points = survey(seed=6, edge_m=150.0, density=5.0)
+    table = table_of(points, probability=True)
+    usable = np.ones(len(table), dtype=np.bool_)
+    chosen = GroundSettings()
+    whole = ground_mask(table, usable, chosen)
+    owned = Bounds(0, 0, quanta(75.0), quanta(75.0))
+    part = np.flatnonzero(inside(table["x"], table["y"], grow(owned, quanta(chosen.buffer_m))))
+    assert len(part) < len(table)
+    found = ground_mask(table.take(part), usable[part], chosen)
+    mine = inside(table["x"][part], table["y"][part], owned)
+    assert np.mean(found[mine] != whole[part][mine]) < 1e-4
+
+
+def test_filled_gaps_do_not_depend_on_what_else_is_in_sight() -> None:
+    rng = np.random.default_rng(8)
+    surface = rng.normal(0, 5, (80, 80))
+    surface[rng.random((80, 80)) < 0.4] = np.nan
+    cutout = fill_gaps(surface[20:, 10:])
+    whole = fill_gaps(surface)[40:-10, 30:-10]
+    np.testing.assert_allclose(cutout[20:-10, 20:-10], whole, atol=1e-9)
+
+
+def test_mean_spacing_leaves_voids_out() -> None:
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.25, 32, 0.5), np.arange(0.25, 32, 0.5)))
+    assert spacing_m(x, y) == pytest.approx(0.5)
+    far = np.concatenate([x, x + 1600]), np.concatenate([y, y])
+    assert spacing_m(*far) == pytest.approx(0.5)
+
+
+def test_spacing_around_a_place_is_that_of_nine_squares_whatever_else_is_in_sight() -> None:
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-100, 150, 3000), rng.uniform(40, 330, 3000)
+    keep = (x > -40) | (y > 200)
+    x, y = x[keep], y[keep]
+    at = rng.uniform(0, 90, 50), rng.uniform(130, 240, 50)
+    found = spacing_around_m(x, y, *at)
+    square = [np.floor(v / 16).astype(int) for v in (x, y)]
+    for k, (i, j) in enumerate(np.floor(np.transpose(at) / 16).astype(int)):
+        near = (abs(square[0] - i) <= 1) & (abs(square[1] - j) <= 1)
+        held = len(set(zip(square[0][near], square[1][near], strict=True)))
+        assert found[k] == pytest.approx(16 * math.sqrt(held / near.sum()))
+    part = (x > -33) & (x < 130) & (y > 90) & (y < 290)
+    np.testing.assert_array_equal(spacing_around_m(x[part], y[part], *at), found)
+    nowhere = spacing_around_m(x, y, np.array([900.0]), np.array([900.0]))
+    np.testing.assert_array_equal(nowhere, 16.0)

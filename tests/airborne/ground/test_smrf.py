@@ -1,0 +1,53 @@
+"""The simple morphological filter's grid steps."""
+
+import numpy as np
+
+from spl_batch.airborne.ground.smrf import (
+    fill_gaps,
+    low_outliers,
+    object_cells,
+    provisional_terrain,
+)
+
+
+def test_objects_by_size_and_height() -> None:
+    surface = np.add.outer(np.zeros(60), 0.1 * np.arange(60))
+    surface[10:16, 10:16] += 4
+    surface[30:50, 20:50] += 4
+    small = object_cells(surface, 1.0, 0.15, 5.0)
+    assert small[10:16, 10:16].all()
+    assert not small[32:48, 22:48].any()
+    assert object_cells(surface, 1.0, 0.15, 20.0)[30:50, 20:50].all()
+
+
+def test_a_step_limit_finds_low_wide_objects() -> None:
+    surface = np.zeros((100, 100))
+    surface[25:76, 25:76] = 5.0
+    assert not object_cells(surface, 1.0, 0.25, 30.0)[50, 50]
+    assert object_cells(surface, 1.0, 0.25, 30.0, step_m=3.0)[50, 50]
+
+
+def test_low_outliers_are_pits() -> None:
+    surface = np.add.outer(0.5 * np.arange(20), np.zeros(20))
+    surface[7, 9] -= 30
+    assert np.argwhere(low_outliers(surface, 1.0)).tolist() == [[7, 9]]
+
+
+def test_gaps_are_filled_linearly() -> None:
+    plane = np.add.outer(0.3 * np.arange(20), -0.2 * np.arange(30))
+    holed = plane.copy()
+    holed[5:12, 8:20] = np.nan
+    np.testing.assert_allclose(fill_gaps(holed), plane, atol=1e-5)
+
+
+def test_gaps_at_the_edge_take_the_nearest_height() -> None:
+    grid = np.full((4, 6), np.nan)
+    grid[:, 0] = [1, 2, 3, 4]
+    assert np.array_equal(fill_gaps(grid), np.repeat(grid[:, :1], 6, axis=1))
+
+
+def test_terrain_under_a_roof() -> None:
+    plane = np.add.outer(0.05 * np.arange(60), np.zeros(60))
+    roofed = plane.copy()
+    roofed[20:40, 20:40] += 6
+    np.testing.assert_allclose(provisional_terrain(roofed, 1.0, 0.15, 18.0), plane, atol=1e-5)

@@ -1,0 +1,411 @@
+"""Line noise density, gate and gains of one flightline."""
+
+from collections.abc import Iterable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.airborne.beams import geometry
+from spl_batch.airborne.beams.shot_runs import interval_rows, lag_behind, run_starts, share_out
+from spl_batch.airborne.noise import line_noise
+from spl_batch.airborne.noise.channel_gains import active_channels
+from spl_batch.airborne.noise.gate import fit_gate
+from spl_batch.airborne.noise.line_model import LineModel
+from spl_batch.airborne.noise.line_statistics import BUFFER_LADDER, SUMMARY
+from spl_batch.airborne.noise.noise_intervals import densest_window
+from spl_batch.airborne.report.summarise import _flightlines
+from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.airborne.settings import NoiseSettings
+from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.errors import Remark
+from spl_batch.lattice.tables import PointTable
+from tests.flightlines import ALTITUDE_M, Flight, cut, fly, relief
+
+SETTINGS = NoiseSettings()
+SENSOR = load_preset("spl100")
+
+
+def texts(warnings: Iterable[Remark]) -> list[str]:
+    return [one.text for one in warnings]
+
+
+def model_of(flight: Flight, gate_m: float | None = None) -> LineModel:
+    beams = geometry.beams(flight.table, flight.trajectory)
+    stats = line_noise.merge([line_noise.observe(flight.table, beams, SETTINGS)])
+    return line_noise.fit(stats, SETTINGS, SENSOR.model_copy(update={"gate_m": gate_m}))
+
+
+@pytest.mark.parametrize(
+    ("scene", "gate_m", "tolerance"),
+    [
+        ({}, 300, 0.03),
+        ({"surface": relief}, 300, 0.03),
+        ({"surface": relief, "gate_kind": "surface"}, 300, 0.03),
+        ({"gate_m": 85}, 85, 0.03),
+        ({"gate_m": 85, "canopy_m": 25}, 85, 0.03),
+        ({"detection": 0.01, "noise_per_m": 7e-5, "shots": 9000}, 300, 0.03),
+        ({"gate_m": 25, "canopy_m": 8}, 25, 0.06),
+    ],
+)
+def test_rate_and_gate(scene: dict[str, object], gate_m: float, tolerance: float) -> None:
+    # Gates too short to be told from a scene have to be stated.
+    model = model_of(fly(**scene), gate_m if gate_m < 60 else None)  # type: ignore[arg-type]
+    truth = scene.get("noise_per_m", 1.3e-3)
+    assert model.mean_rate == pytest.approx(truth, rel=tolerance)
+    assert model.gate_m == pytest.approx(gate_m, rel=0.02)
+
+
+def test_steep_relief_stays_out_of_the_noise_region() -> None:
+    def steep(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 340.0 + 300.0 * np.sin(x / 80.0) * np.cos(y / 90.0)
+
+    flight = fly(surface=steep, gate_m=1000, scan_m=1200.0, shots=1200, noise_per_m=8e-4)
+    assert model_of(flight).mean_rate == pytest.approx(8e-4, rel=0.015)
+
+
+@pytest.mark.parametrize("noise_per_m", [3e-4, 1.5e-3])
+def test_rate_of_shots_without_channels(noise_per_m: float) -> None:
+    flight = fly(shots=1500, noise_per_m=noise_per_m)
+    table = flight.table.with_columns(channel=np.zeros(len(flight.table)))
+    beams = geometry.beams(table, flight.trajectory)
+    stats = line_noise.merge([line_noise.observe(table, beams, SETTINGS)])
+    model = line_noise.fit(stats, SETTINGS, SENSOR.model_copy(update={"beamlets": 1}))
+    assert model.mean_rate == pytest.approx(100 * noise_per_m, rel=0.02)
+
+
+def test_gate_cut_at_heights_is_told_from_one_in_range() -> None:
+    flight = fly(surface=relief, gate_kind="height", gate_m=280, gate_ahead_m=220, scan_m=900)
+    model = model_of(flight)
+    assert model.kind == "range"  # one cone angle: the same thing
+    tilted = fly(gate_kind="height", gate_m=280, scan_m=200, shots=1500)
+    other = fly(gate_kind="height", gate_m=280, scan_m=1100, shots=1500, first_shot=13_845)
+    columns = {k: np.concatenate([tilted.table[k], other.table[k]]) for k in tilted.table.columns}
+    both = Flight(PointTable(columns), tilted.trajectory, np.empty(0, dtype=np.bool_))
+    path = both.trajectory
+    long = type(path)(
+        path.time_s + np.array([0, 1]), path.xyz_m + np.array([[0, 0, 0], [90, 0, 0]]), 1e6
+    )
+    model = model_of(Flight(both.table, long, both.noise))
+    assert model.kind == "height"
+    top, bottom = ALTITUDE_M - (ALTITUDE_M - 40 - 140), 180 - 280
+    assert np.median(model.near) == pytest.approx(top, abs=3)
+    assert np.median(model.far) == pytest.approx(bottom, abs=3)
+
+
+def test_points_without_noise_keep_a_negligible_rate() -> None:
+    model = model_of(fly(noise_per_m=0.0, canopy_m=25, detection=0.4))
+    assert model.mean_rate < 1e-7
+    assert (model.gate_m, model.gate_basis) == (pytest.approx(300.0), "assumed")
+    assert "state acquisition.gate_m" in model.warnings[0].text
+
+
+def test_stated_gate_is_used_and_contradiction_reported() -> None:
+    flight = fly(shots=600)
+    stated = model_of(flight, 300.0)
+    assert (stated.gate_m, stated.gate_basis) == (pytest.approx(300.0, abs=1e-6), "stated")
+    wrong = model_of(flight, 150.0)
+    assert (wrong.gate_m, wrong.gate_basis) == (pytest.approx(300, abs=2), "estimated")
+    assert model_of(flight).gate_basis == "estimated"
+    assert "150 m stated" in wrong.warnings[0].text
+
+
+def windows(extents_m: dict[float, int], *, noise: int) -> tuple[np.ndarray, ...]:
+    """Intervals, extremes and counts of noise of windows that fill so much of the range."""
+    interval = np.concatenate(
+        [64 * w + np.arange(n) for w, n in enumerate(extents_m.values())], dtype=np.int64
+    )
+    filled = np.repeat([*extents_m], [*extents_m.values()])
+    summary = np.zeros((len(interval), len(SUMMARY)))
+    column = {name: k for k, name in enumerate(SUMMARY)}
+    summary[:, column["cosine"]] = 1.0
+    for low, high in (("range_min", "range_max"), ("z_min", "z_max"), ("behind_min", "behind_max")):
+        summary[:, column[low]], summary[:, column[high]] = -filled / 2, filled / 2
+    outside = np.full((len(interval), 2, len(BUFFER_LADDER)), noise, dtype=np.int32)
+    return interval, summary, outside
+
+
+@pytest.mark.parametrize("stated", [None, 300.0])
+@pytest.mark.parametrize("noise", [1000, 0])
+def test_a_gate_has_one_length_whatever_is_said_of_it(stated: float | None, noise: int) -> None:
+    # The longer window is shorter: the median over windows is none of what intervals have.
+    counted = windows({400.0: 64, 520.0: 10}, noise=noise)
+    gate = fit_gate(*counted, buffer_m=50.0, gate_m=stated)
+    assert gate.length_m == pytest.approx(400.0, abs=0.1)
+    if stated is not None:
+        assert "fill a gate of 400 m, not the 300 m stated" in gate.warnings[0].text
+    elif not noise:
+        assert "400 m is assumed" in gate.warnings[0].text
+    else:
+        assert gate.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("found", "given", "sensor", "basis"),
+    [
+        ("stated", {"gate_m": 300.0, "prf_hz": 6e4}, "spl100", "given"),
+        ("stated", {}, {"gate_m": 300.0, "prf_hz": 6e4}, "given"),
+        ("stated", {}, "spl100", "sensor"),
+        ("estimated", {"gate_m": 150.0, "prf_hz": 3e4}, "spl100", "estimated"),
+        ("assumed", {}, "spl100", "assumed"),
+    ],
+)
+def test_the_report_says_where_gate_and_pulse_rate_come_from(
+    found: str, given: dict[str, float], sensor: str | dict[str, float], basis: str
+) -> None:
+    facts: dict[str, object] = dict.fromkeys(
+        ("points", "prf_hz", "seen_fraction", "noise_per_m"), 1
+    )
+    facts |= {"span_s": (0.0, 1.0), "basis": "vertical", "gate_m": 300.0}
+    facts |= {"gate_basis": found, "prf_basis": found.replace("stated", "given")}
+    content = {"survey": {"flightlines": "x.laz", "sensor": sensor}, "acquisition": given}
+    workflow = parse_workflow({**content, "output": "out"}, "w.yaml")
+    (line,) = _flightlines(
+        {"fit_line": {"1": SimpleNamespace(facts=facts)}},  # type: ignore[dict-item]
+        SimpleNamespace(workflow=workflow),  # type: ignore[arg-type]
+    )
+    assert (line.gate_basis, line.prf_basis) == (basis, basis)
+
+
+def test_dead_and_weak_channels() -> None:
+    gains = np.ones(100)
+    gains[[3, 52]] = 0.0
+    gains[[7, 8]] = 0.1
+    model = model_of(fly(gains=gains))
+    assert model.mean_rate == pytest.approx(1.3e-3 * gains.mean(), rel=0.02)
+    assert model.gain[[4, 53]].tolist() == [0.0, 0.0]
+    per_channel = model.gain[1:101] * model.mean_rate / 1.3e-3
+    assert per_channel[[7, 8]] == pytest.approx([0.1, 0.1], abs=0.04)
+    assert per_channel[20:50] == pytest.approx(np.ones(30), abs=0.15)
+    assert "2 of 100 channels give no returns: 4, 53" in texts(model.warnings)
+
+
+@pytest.mark.parametrize(
+    ("live", "said"),
+    [
+        ([2, 3, 5, 8], "3 of 7 channels give no returns: 4, 6, 7"),
+        ([3, 4, 5, 7], "3 of 7 channels give no returns: 6, and 2 below 3 or above 7"),
+        ([3, 4, 5, 6], "3 of 7 channels give no returns: 3 below 3 or above 6"),
+        ([0, 40, 41, 90], "3 of 7 channels give no returns: 3 among 1, 2, 3, 4, 5 and 82 more"),
+    ],
+)
+def test_dead_channels_are_named(live: list[int], said: str) -> None:
+    seen = np.zeros(256, dtype=np.int64)
+    seen[live] = 100
+    assert texts(active_channels(seen, 7)[2]) == [said]
+
+
+def test_channels_that_are_too_many_are_named_by_the_rarest() -> None:
+    seen = np.zeros(256, dtype=np.int64)
+    seen[1:8] = 100
+    seen[[3, 200]] = 1
+    _, _, ((text, _),) = active_channels(seen, 6)
+    assert text.startswith("returns come from 8 channels, but the sensor has 6")
+    assert text.endswith("least often seen: 3, 200")
+
+
+def test_rate_follows_the_sky_and_density_the_model() -> None:
+    def sky(shot: np.ndarray) -> np.ndarray:
+        return 1e-3 * (1 + 0.6 * np.sin(shot / 2000))
+
+    flight = fly(noise_per_m=sky, shots=9000)
+    model = model_of(flight)
+    middle = model.interval * 60 + 30
+    assert model.rate == pytest.approx(sky(middle), rel=0.25)
+    density = line_noise.line_density(flight.table, model)
+    assert density.dtype == np.float32
+    first = flight.table["shot"][0] // 60 == model.interval[0]
+    assert first
+    assert density[0] == pytest.approx(model.rate[0] * model.gain[flight.table["channel"][0]])
+
+
+def test_hole_in_the_data_is_no_silence_and_silence_is_no_hole() -> None:
+    flight = fly(shots=3000)
+    keep = (flight.table["shot"] < 13_005) | (flight.table["shot"] > 14_500)
+    holed = Flight(flight.table.take(keep), flight.trajectory, flight.noise[keep])
+    assert model_of(holed).mean_rate == pytest.approx(1.3e-3, rel=0.03)
+    assert np.diff(model_of(holed).interval).max() > 20
+    quiet = model_of(fly(shots=9000, detection=0.0003, noise_per_m=1e-6))
+    assert np.all(np.diff(quiet.interval) == 1)
+    assert np.sum(quiet.seen_fraction == 0) > 3
+    assert "interval_shots" in quiet.warnings[-1].text
+
+
+def test_unfolds_to_nothing_without_points() -> None:
+    flight = fly(shots=60)
+    empty = flight.table.take(slice(0, 0))
+    beams = geometry.beams(empty, flight.trajectory)
+    stats = line_noise.merge([line_noise.observe(empty, beams, SETTINGS)])
+    model = line_noise.fit(stats, SETTINGS, SENSOR)
+    assert model.mean_rate == 0.0
+    assert line_noise.line_density(flight.table, model).max() == 0.0
+
+
+def test_one_shot_and_one_return_are_finite() -> None:
+    flight = fly(shots=60)
+    model = model_of(Flight(flight.table.take(slice(0, 1)), flight.trajectory, flight.noise[:1]))
+    assert np.isfinite(model.rate).all()
+    assert np.isfinite(model.near).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(1, 9), st.randoms(use_true_random=False))
+def test_cutting_changes_no_bit(intervals: int, order: object) -> None:
+    flight = fly(shots=700, surface=relief)
+    parts = [
+        line_noise.observe(t, geometry.beams(t, flight.trajectory), SETTINGS)
+        for t in cut(flight.table, 60 * intervals)
+    ]
+    order.shuffle(parts)  # type: ignore[attr-defined]
+    model = line_noise.fit(line_noise.merge(parts), SETTINGS, SENSOR)
+    whole = model_of(flight)
+    for name, values in whole.to_arrays().items():
+        assert np.array_equal(values, model.to_arrays()[name]), name
+
+
+def test_parts_must_not_share_an_interval() -> None:
+    flight = fly(shots=120)
+    part = line_noise.observe(
+        flight.table, geometry.beams(flight.table, flight.trajectory), SETTINGS
+    )
+    with pytest.raises(ValueError, match="share an interval"):
+        line_noise.merge([part, part])
+
+
+def test_model_survives_npz(tmp_path: object) -> None:
+    model = model_of(fly(shots=600, gate_m=85))
+    np.savez(f"{tmp_path}/m.npz", **model.to_arrays())
+    with np.load(f"{tmp_path}/m.npz") as stored:
+        again = LineModel.from_arrays(dict(stored))
+    assert texts(again.warnings) == texts(model.warnings)
+    assert again.gate_basis == model.gate_basis
+    assert again.kind == model.kind
+    assert again.gate_m == model.gate_m
+    assert np.array_equal(again.rate, model.rate)
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=40), st.floats(0.1, 20))
+def test_densest_window_against_trying_all(values: list[float], width: float) -> None:
+    ordered = np.sort(np.array(values))
+    _, count = densest_window(ordered, width)
+    assert count == max(int(np.sum((ordered >= v) & (ordered - v <= width))) for v in ordered)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 3), st.floats(0, 12)), min_size=1, max_size=30))
+def test_lag_is_to_the_nearest_parent(rows: list[tuple[int, float]]) -> None:
+    rows = sorted(rows, key=lambda row: row[0])
+    channel, range_m = (np.array(v) for v in zip(*rows, strict=True))
+    lag = np.empty(len(rows), dtype=np.float32)
+    lag_behind(run_starts(channel), range_m.astype(float), 0.2, 5.0, lag)
+    for i, (c, r) in enumerate(rows):
+        lags = [r - q for d, q in rows if d == c and 0.2 <= r - q <= 5.0]
+        assert lag[i] == pytest.approx(min(lags, default=0.0), rel=1e-6)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.integers(-40, 40), max_size=60),
+    st.sets(st.integers(-4, 4), min_size=1),
+    st.integers(1, 12),
+)
+def test_shots_find_their_interval_or_the_one_before(
+    shots: list[int], numbers: set[int], length: int
+) -> None:
+    shot, interval = np.array(shots, np.int64), np.array(sorted(numbers), np.int64)
+    row = np.full(len(shot), -1)
+    interval_rows(shot, length, interval, row)
+    expected = np.searchsorted(interval, shot // length, side="right") - 1
+    np.testing.assert_array_equal(row, np.maximum(expected, 0))
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(-30, 30), st.integers(0, 1)), min_size=1, max_size=60),
+    st.sampled_from([1, 2, 5]),
+    st.lists(st.integers(0, 9), min_size=14, max_size=14),
+)
+def test_windows_count_the_shots_fired_and_the_beamlets_seen(
+    beamlets: list[tuple[int, int]], window: int, ends: list[int]
+) -> None:
+    # Two shots may share a number: the second of each pair is a little later.
+    shot, late = np.array(sorted(beamlets), np.int64).T.copy()
+    time = shot + 0.25 * late
+    low, high = np.sort(np.array(ends).reshape(2, 7), axis=0)
+    fired, seen = np.empty((2, len(shot)), np.int64)
+    row = shot // 10 + 3
+    share_out(shot, time, window, 10, row, low, high, fired, seen)
+    for i in range(len(shot)):
+        mine = shot // window == shot[i] // window
+        start = shot[i] // window * window - shot[i] // 10 * 10
+        span = min(start + window - 1, high[row[i]]) - max(start, low[row[i]]) + 1
+        assert seen[i] == mine.sum()
+        assert fired[i] == max(span, len(set(time[mine])))
+
+
+def test_intervals_with_signal_in_their_noise_region_are_no_background() -> None:
+    rng = np.random.default_rng(5)
+    interval = np.arange(400)
+    exposure = np.full(400, 5e4)
+    counted = rng.poisson(20.0, 400)
+    tower = (interval >= 200) & (interval < 215)
+    counted[tower] += 60
+    quiet = line_noise._quiet(interval, counted, exposure, 40, np.ones(400, np.bool_))
+    assert not quiet[tower].any()
+    assert quiet[~tower].mean() > 0.99
+    assert line_noise._quiet(interval, counted, exposure, 40, ~tower)[tower].all()
+
+
+def test_signal_beyond_the_buffer_is_told_from_a_bright_sky() -> None:
+    rng = np.random.default_rng(6)
+    exposure = np.full((500, 2), 9e4)
+    flat = np.zeros((500, 10))
+    even = rng.poisson(90.0, (500, 2))
+    light = np.where(np.arange(500) % 50 < 25, 3.0, 1.0)[:, None]
+    for sky in (1.0, light):
+        for sides in (90.0, (2300.0, 2000.0)):
+            counted = rng.poisson(sky * np.broadcast_to(sides, (500, 2)))
+            assert line_noise._torn(counted, exposure, flat, 30.0).mean() < 0.02
+    roofs = even.copy()
+    roofs[:50, 0] += 90
+    for sides in (roofs, roofs[:, ::-1]):
+        torn = line_noise._torn(sides, exposure, flat, 30.0)
+        assert torn[:50].mean() > 0.8
+        assert torn[50:].mean() < 0.03
+    exposure[:, 0] = 0.0
+    assert not line_noise._torn(even * np.array([0, 1]), exposure, flat, 30.0).any(), (
+        "nothing to compare with"
+    )
+    both = flat + np.eye(10)[line_noise.SUMMARY.index("signal_sd")] * 8.0
+    assert line_noise._torn(even, exposure, both, 30.0).all()
+    assert not line_noise._torn(even * np.array([0, 1]), exposure, both, 40.0).any()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_short_gate_keeps_what_the_sky_and_bright_ground_add(seed: int) -> None:
+    """One side of the scan's turn twice as bright as the other, 17 intervals each."""
+
+    def sky(shot: np.ndarray) -> np.ndarray:
+        return 1e-3 * np.where(np.sin(2 * np.pi * 25.0 * shot / 50_000) > 0, 2.0, 1.0)
+
+    model = model_of(fly(noise_per_m=sky, shots=9000, gate_m=85, seed=seed), 85.0)
+    assert any("the range gate is short" in text for text in texts(model.warnings))
+    assert model.mean_rate == pytest.approx(1.5e-3, rel=0.03)
+    bright = sky(model.interval * 60 + 30) > 1.5e-3
+    assert model.rate[bright].mean() == pytest.approx(2e-3, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_towers_add_little_to_a_short_gate(seed: int) -> None:
+    def towers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        place = (np.floor(x / 60) * 73 + np.floor(y / 60) * 151) % 17 < 5
+        return 40.0 + np.where(place & (x % 60 < 35) & (y % 60 < 35), 36.0, 0.0)
+
+    flight = fly(surface=towers, noise_per_m=3e-4, shots=9000, gate_m=85, seed=seed)
+    assert model_of(flight, 85.0).mean_rate == pytest.approx(3e-4, rel=0.2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(line_noise, "CLIP_SIGMA", 1e9)
+        assert model_of(flight, 85.0).mean_rate > 1.3 * 3e-4

@@ -1,0 +1,370 @@
+"""Noise expected where a flightline listens: shares, edges, gaps, and what is out of reach."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from spl_batch.airborne.noise import local_noise
+from spl_batch.airborne.noise.beamlet_counts import square_shares, unpack
+from spl_batch.airborne.noise.voxel_chords import cover
+from spl_batch.airborne.noise.voxel_noise import sphere_radius_m
+from spl_batch.lattice.tables import VOXEL_FIXED_POINT
+
+PER_M3 = 0.2
+SIZE = (9, 8, 5)
+MIDDLE = 2
+RADIUS = sphere_radius_m(10.0)
+
+
+def pack(squares: np.ndarray) -> np.ndarray:
+    """Counts of squares, voxel by voxel."""
+    nx, ny, nz = (n // f for n, f in zip(squares.shape, (4, 4, 1), strict=True))
+    out = np.zeros((nx, ny, nz, 16), dtype=np.uint32)
+    for x, y, z in np.argwhere(squares):
+        out[x // 4, y // 4, z, x % 4 * 4 + y % 4] = squares[x, y, z]
+    return out
+
+
+def spheres(until_m: float) -> np.ndarray:
+    """Part of the sphere of each voxel along x that lies below x = until_m."""
+    centres = (np.arange(SIZE[0]) + 0.5) * 10.0
+    fine = np.linspace(-6.2035, 6.2035, 4001)
+    disc = 6.2035**2 - fine**2
+    return np.array([disc[c + fine < until_m].sum() / disc.sum() for c in centres])
+
+
+def made(share: np.ndarray, squares: np.ndarray) -> local_noise.Listened:
+    """A line with that share of the noise in each sphere, by x and z, and beamlets over squares."""
+    share = share.reshape(SIZE[0], 1, -1)
+    amount = np.broadcast_to(share, SIZE) * PER_M3 * 1000.0 * VOXEL_FIXED_POINT
+    heard = local_noise.listened(np.rint(amount).astype(np.int64), pack(squares), 10.0)
+    assert heard is not None
+    return heard
+
+
+def listened(until_m: float, *, holes: np.ndarray | None = None) -> np.ndarray:
+    """Density at every square of a line of few beamlets that listens up to x = until_m, evenly."""
+    squares = np.zeros((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), dtype=bool)
+    squares[: int(np.ceil(until_m / 2.5))] = True
+    if holes is not None:
+        squares &= ~holes
+    found = at_centres(made(spheres(until_m), squares))
+    return found[:, 8:-8]
+
+
+def at_centres(heard: local_noise.Listened) -> np.ndarray:
+    """Density in the middle of every square of one layer."""
+    shape = heard.density.shape[:2]
+    x, y = np.indices(shape).reshape(2, -1)
+    voxel = (x // 4, y // 4, np.full(len(x), MIDDLE))
+    return local_noise.around([heard], voxel, (x, y), (np.zeros(len(x)),) * 3).reshape(shape)
+
+
+def along_x(heard: local_noise.Listened, x_m: np.ndarray, z_m: float = 25.0) -> np.ndarray:
+    """Density at places along a line."""
+    n = len(x_m)
+    square, layer = np.floor(x_m / 2.5).astype(int), int(z_m // 10)
+    voxel = (square // 4, np.full(n, 4), np.full(n, layer))
+    beside = (x_m / 2.5 % 1 - 0.5, np.full(n, 0.3), np.full(n, z_m / 10 % 1 - 0.5))
+    return local_noise.around([heard], voxel, (square, np.full(n, 17)), beside)
+
+
+def lean(until_m: float, rise_m: float = 0.0, beamlets: float = 200.0) -> np.ndarray:
+    """Beamlets over squares up to x = until_m in the middle layer, and so much farther each up."""
+    edge = until_m + rise_m * (np.arange(SIZE[2]) - MIDDLE)
+    left = 2.5 * np.arange(SIZE[0] * 4)
+    part = np.clip((edge - left[:, None]) / 2.5, 0, 1)
+    return np.rint(np.repeat(part[:, None] * beamlets, SIZE[1] * 4, axis=1)).astype(np.uint32)
+
+
+@pytest.mark.parametrize("until_m", np.arange(40.3, 50.0, 0.9).tolist())
+def test_across_a_clear_edge_the_density_rises_over_two_squares(until_m: float) -> None:
+    heard = made(spheres(until_m), lean(until_m))
+    inside = np.array([-12.0, -6.0, -4.0, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 4.0, 8.0])
+    found = along_x(heard, until_m - inside) / PER_M3
+    assert (np.diff(found) > -0.1).all()
+    np.testing.assert_array_equal(found[inside < -5.1], 0)
+    np.testing.assert_allclose(found[inside > 5.1], 1, atol=0.04)
+    # linear between squares, which the true edge cuts anywhere
+    linear = np.interp(inside, [-3.2, -2, -1, 0, 1, 2, 3.2], [0, 0.03, 0.2, 0.5, 0.8, 0.97, 1])
+    some = (found > 0) & (found != local_noise.LEAST)
+    np.testing.assert_allclose(found[some], linear[some], atol=0.3)
+
+
+def test_beside_an_edge_flightlines_add_up() -> None:
+    x = np.linspace(42, 52, 200)
+    cut, whole = made(spheres(47.0), lean(47.0)), made(np.full(SIZE[0], 0.3), lean(1e3))
+    alone = along_x(cut, x)
+    square = np.floor(x / 2.5).astype(int)
+    place = (square // 4, np.full(200, 4), np.full(200, MIDDLE)), (square, np.full(200, 17))
+    beside = (x / 2.5 % 1 - 0.5, np.full(200, 0.3), np.zeros(200))
+    together = local_noise.around([cut, whole], *place, beside)
+    np.testing.assert_allclose(together, 0.3 * PER_M3 + alone, rtol=1e-5)
+    heard = alone > 0
+    assert alone[heard].min() > 0.5 * local_noise.LEAST * PER_M3
+    assert 47.0 < x[heard].max() < 47.0 + 2 * 2.5
+
+
+def test_up_to_the_end_of_a_gate_nothing_is_taken_off() -> None:
+    squares = np.full((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), 200, dtype=np.uint32)
+    squares[:, :, MIDDLE + 1 :] = 0
+    heard = made(np.ones(SIZE[0]), squares)
+    for z in (25.0, 29.9):
+        np.testing.assert_allclose(along_x(heard, np.linspace(20, 70, 50), z), PER_M3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("end_m", np.arange(20.3, 30.0, 0.8).tolist())
+@pytest.mark.parametrize("upper", [True, False])
+def test_where_a_gate_ends_in_a_layer_it_counts_up_to_there(end_m: float, *, upper: bool) -> None:
+    centres = (np.arange(SIZE[2]) + 0.5) * 10.0
+    depth = np.clip((end_m - centres) / RADIUS, -1, 1)
+    share = (2 + 3 * depth - depth**3) / 4
+    squares = np.where(centres - RADIUS < end_m, 200, 0)
+    way = 1 if upper else -1
+    share, squares = np.tile(share[::way], (SIZE[0], 1)), squares[::way]
+    squares = np.tile(squares, (SIZE[0] * 4, SIZE[1] * 4, 1)).astype(np.uint32)
+    heard = made(share, squares)
+    x = np.linspace(20, 70, 20)
+    for inside in (-0.9, -0.3, 0.4, 0.9, 2.5, 8.0):
+        z = end_m - inside
+        # an end in the last metre of a layer cannot be told from a difference between layers
+        part = np.clip(0.5 + inside / 2.5, 0.5, 1) if end_m < 28.9 else 1.0
+        if z // 10 == end_m // 10:
+            height = 25.0 + way * (z - 25.0)
+            np.testing.assert_allclose(along_x(heard, x, height), part * PER_M3, rtol=0.03)
+
+
+def test_counts_and_squares() -> None:
+    squares = np.random.default_rng(1).poisson(1.5, (12, 8, 3))
+    np.testing.assert_array_equal(unpack(pack(squares)), squares)
+
+
+def test_shares_of_a_sphere_by_chance() -> None:
+    rng = np.random.default_rng(2)
+    ball = rng.normal(size=(400_000, 3))
+    ball *= 6.2035 * (rng.random((len(ball), 1)) ** (1 / 3)) / np.linalg.norm(ball, axis=1)[:, None]
+    index = np.clip(np.floor((ball[:, :2] + 5.0) / 2.5).astype(int), 0, 3)
+    counts = np.zeros((4, 4))
+    np.add.at(counts, tuple(index.T), 1)
+    np.testing.assert_allclose(square_shares(), counts / len(ball), atol=2e-3)
+
+
+@pytest.mark.parametrize("until_m", np.arange(40.5, 51.0, 1.3).tolist())
+def test_up_to_an_edge_the_density_is_that_of_the_part_listened_to(until_m: float) -> None:
+    found = listened(until_m)
+    last = int(until_m // 2.5)
+    assert found[8 : last - 1].min() > 0.75 * PER_M3
+    # what is left of a square that the edge cuts shows in the voxel's noise, not in one beamlet
+    assert found[8 : last + 1].min() > 0.4 * PER_M3
+    assert found[8 : last + 1].max() < 1.6 * PER_M3
+    assert np.all(found[int(np.ceil(until_m / 2.5)) + 1 :] == 0.0)
+
+
+def test_far_from_edges_it_is_the_mean_with_gaps_or_without() -> None:
+    holes = np.zeros((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), dtype=bool)
+    holes[::3, ::3] = True
+    np.testing.assert_allclose(listened(90.0)[8:-8], PER_M3, rtol=0.01)
+    # one beamlet or none over a square says next to nothing
+    found = listened(90.0, holes=holes)[8:-8] / PER_M3
+    assert np.abs(found - 1).max() < 0.06
+
+
+@pytest.mark.parametrize("direction", [(0.0, 0.0, -1.0), (0.2, -0.3, -0.93), (0.9, 0.1, -0.4)])
+def test_a_beam_marks_squares_half_way_up(direction: tuple[float, float, float]) -> None:
+    unit = np.array(direction) / np.linalg.norm(direction)
+    point, voxel = np.array([3.1, -2.2, 1.7]), np.array([6, 6, 6])
+    counts = np.zeros((12, 12, 12, 16), dtype=np.uint16)
+    cover(voxel, point, unit, -12.0, 21.0, 10.0, RADIUS, counts)
+    assert set(np.unique(counts)) == {0, 1}
+    squares = unpack(counts) > 0
+    expected = np.zeros_like(squares)
+    for s in np.linspace(-12.0, 21.0, 5001):
+        z = point[2] + s * unit[2]
+        layer = int(np.floor((z + 5.0) / 10.0))
+        if abs(unit[2]) > 0.7:
+            for reached in (layer - 1, layer, layer + 1):
+                if abs(z - 10.0 * reached) < RADIUS:
+                    at = (reached * 10.0 - point[2]) / unit[2]
+                    x, y = np.floor((point[:2] + at * unit[:2] + 65.0) / 2.5).astype(int)
+                    expected[x, y, reached + 6] = True
+            continue
+        i, j = np.floor((point[:2] + s * unit[:2] + 65.0) / 10.0).astype(int) * 4
+        expected[i : i + 4, j : j + 4, layer + 6] = True
+    if abs(unit[2]) > 0.7:
+        np.testing.assert_array_equal(squares, expected)
+    else:
+        assert squares.sum() >= 0.6 * expected.sum()
+        assert not np.any(squares & ~expected)
+
+
+def test_counts_stop_where_they_are_full() -> None:
+    counts = np.zeros((3, 3, 3, 16), dtype=np.uint16)
+    counts[1, 1, 1] = 65534
+    down, middle = np.array([0.0, 0.0, -1.0]), np.array([1, 1, 1])
+    for _ in range(3):
+        cover(middle, np.zeros(3), down, -3.0, 3.0, 10.0, RADIUS, counts)
+    assert sorted(np.unique(counts)) == [0, 65534, 65535]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_lies_beyond_the_margin_changes_nothing(seed: int) -> None:
+    rng = np.random.default_rng([8, seed])
+    shape = (9, 9, 8)
+    number = rng.poisson(10.0 ** rng.uniform(-1, 2), (36, 36, 8)) * (rng.random((36, 36, 8)) < 0.9)
+    number[:, :, 5:] *= rng.random(3) < 0.5
+    amount = np.rint(number.reshape(9, 4, 9, 4, 8).sum(axis=(1, 3)) * 1e6 * rng.random(shape))
+    counts = pack(number)
+
+    def density(first: int) -> np.ndarray:
+        inner = (slice(first, 9 - first), slice(first, 9 - first), slice(first, 8 - first))
+        found = local_noise.listened(amount[inner].astype(np.int64), counts[inner], 10.0)
+        assert found is not None
+        keep = local_noise.MARGIN_VOXELS - first + 1
+        n = found.density.shape
+        cut = (slice(4 * keep, n[0] - 4 * keep), slice(4 * keep, n[1] - 4 * keep))
+        voxel = np.stack(np.indices(n), -1)[*cut, keep : n[2] - keep].reshape(-1, 3)
+        place = (voxel[:, 0] // 4, voxel[:, 1] // 4, voxel[:, 2]), (voxel[:, 0], voxel[:, 1])
+        offset = tuple(np.random.default_rng(1).uniform(-0.5, 0.5, (3, len(voxel))))
+        return local_noise.around([found], *place, offset)
+
+    np.testing.assert_array_equal(density(0), density(1))
+
+
+def strip(rate: np.ndarray, beamlets: np.ndarray) -> local_noise.Listened:
+    """A line of that relative rate by x and layer, and so many beamlets over squares."""
+    rates = np.repeat(rate[:, None], SIZE[1] * 4, axis=1).reshape(SIZE[0], 4, SIZE[1], 4, -1)
+    amount = np.einsum("xiyjz,ij->xyz", rates, square_shares())
+    fixed = np.rint(amount * PER_M3 * 1000.0 * VOXEL_FIXED_POINT).astype(np.int64)
+    heard = local_noise.listened(np.broadcast_to(fixed, SIZE).copy(), pack(beamlets), 10.0)
+    assert heard is not None
+    return heard
+
+
+def ridge(x_m: np.ndarray, wide_m: float) -> np.ndarray:
+    """Relative rate across a ridge as high as two thirds of it."""
+    return 1.0 + 2.0 * np.exp(-(((x_m - 46.3) / wide_m) ** 2))
+
+
+@pytest.mark.parametrize(("wide_m", "within"), [(4.0, 0.1), (6.0, 0.08), (12.0, 0.04)])
+def test_over_a_ridge_of_beamlets_the_noise_is_theirs(wide_m: float, within: float) -> None:
+    """It was that of the fullest square near by: half as much again on the flanks."""
+    fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
+    rate = ridge(fine, wide_m).reshape(-1, 50).mean(axis=1)
+    rate = np.repeat(rate[:, None], SIZE[2], axis=1)
+    beamlets = np.repeat(np.rint(rate[:, None] * 400).astype(int), SIZE[1] * 4, axis=1)
+    x = np.linspace(25, 65, 300)
+    ratio = along_x(strip(rate, beamlets), x) / PER_M3 / ridge(x, wide_m)
+    assert np.abs(ratio - 1).mean() < within / 2
+    assert np.abs(ratio - 1).max() < 2 * within
+    top = np.abs(x - 46.3) < 1.25
+    assert ratio[top].mean() == pytest.approx(1, abs=within)
+
+
+@pytest.mark.parametrize("per_square", [1.0, 5.0, 25.0, 100.0])
+def test_chance_makes_no_ridge(per_square: float) -> None:
+    even = np.ones((SIZE[0] * 4, SIZE[2]))
+    beamlets = np.random.default_rng(3).poisson(per_square, (SIZE[0] * 4, SIZE[1] * 4, 1)) + 1
+    beamlets = beamlets.repeat(SIZE[2], axis=2)
+    found = at_centres(strip(even, beamlets))[8:-8, 8:-8] / PER_M3
+    assert found.mean() == pytest.approx(1, abs=0.03)
+    assert found.std() < 0.17
+    assert np.quantile(found, 0.99) < 1.7
+
+
+@pytest.mark.parametrize(("per_square", "most"), [(25.0, 1.9), (100.0, 1.45)])
+def test_at_the_foot_of_a_slope_the_mean_of_the_voxel_counts_little(
+    per_square: float, most: float
+) -> None:
+    rate = np.interp((np.arange(SIZE[0] * 4) + 0.5) * 2.5, [40.0, 50.0], [0.1, 1.9])
+    rate = np.repeat(rate[:, None], SIZE[2], axis=1)
+    even = np.rint(rate[:, None] * per_square).astype(int).repeat(SIZE[1] * 4, axis=1)
+    found = at_centres(strip(rate, even))[:, 12:-12] / PER_M3 / rate[:, :1]
+    # the more beamlets there are, the less the mean of the voxel is worth
+    assert found.min() > 0.85
+    assert found[14:22].max() < most
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.3, 0.9, 1.8])
+def test_along_a_leaning_edge_that_rises_over_metres_the_noise_is_the_true_one_behind_the_last(
+    shift_m: float,
+) -> None:
+    """As the edges of scans. In the last two metres few beamlets tell, and too much is expected."""
+    fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
+
+    def rise(x_m: np.ndarray, z_m: float) -> np.ndarray:
+        inside = 48.0 + shift_m + 0.3 * (z_m - 25.0) - x_m
+        return np.clip(inside / 6.5, 0, 1) ** 1.5
+
+    rates = [rise(fine, 10.0 * k + 5.0).reshape(-1, 50).mean(axis=1) for k in range(SIZE[2])]
+    rate = np.array(rates).T
+    heard = strip(rate, np.rint(rate[:, None] * 200).astype(int).repeat(SIZE[1] * 4, axis=1))
+    off = []
+    for z in (20.5, 22.5, 25.0, 27.5, 29.5):
+        edge = 48.0 + shift_m + 0.3 * (z - 25.0)
+        for low, high in ((0.0, 2.0), (2.0, 5.0), (5.0, 10.0)):
+            x = edge - np.linspace(low, high, 41)
+            true = rise(x, z)
+            # as many points are there as there is noise
+            off.append((along_x(heard, x, z) / PER_M3 / true.mean()).mean() - 1)
+    last, near, behind = np.mean([off[k::3] for k in range(3)], axis=1)
+    assert 0.0 < last < 2.6
+    assert abs(near) < 0.2
+    assert abs(behind) < 0.05
+
+
+def test_beyond_the_end_of_a_gate_the_next_layer_only_tells_where() -> None:
+    """A layer in which half of the beamlets end does not take from the one that all cross."""
+    counts = np.full((SIZE[0] * 4, SIZE[1] * 4, SIZE[2]), 200, dtype=np.uint32)
+    counts[:, :, MIDDLE + 1 :] = 100
+    share = np.where(np.arange(SIZE[2]) > MIDDLE, 0.5, 1.0)
+    heard = made(np.tile(share, (SIZE[0], 1)), counts)
+    x = np.linspace(20, 70, 20)
+    for z in (21.0, 25.0):
+        np.testing.assert_allclose(along_x(heard, x, z), PER_M3, rtol=1e-3)
+    # between layers it is linear
+    np.testing.assert_allclose(along_x(heard, x, 30.0), 0.75 * PER_M3, rtol=1e-3)
+    np.testing.assert_allclose(along_x(heard, x, 41.0), 0.5 * PER_M3, rtol=1e-3)
+
+
+def test_between_layers_a_leaning_ridge_goes_on() -> None:
+    """As far from layer to layer as a beam that leans 15 degrees: what is linear follows it."""
+    fine = (np.arange(SIZE[0] * 4 * 50) + 0.5) / 20.0
+    rates = [ridge(fine - 2.7 * (k - MIDDLE), 8.0).reshape(-1, 50) for k in range(SIZE[2])]
+    rate = np.array([r.mean(axis=1) for r in rates]).T
+    heard = strip(rate, np.rint(rate[:, None] * 400).astype(int).repeat(SIZE[1] * 4, axis=1))
+    x = np.linspace(30, 60, 300)
+    for z in (20.5, 22.0, 25.0, 28.0, 29.5):
+        ratio = along_x(heard, x, z) / PER_M3 / ridge(x - 0.27 * (z - 25.0), 8.0)
+        assert np.abs(ratio - 1).mean() < 0.05, z
+        assert np.abs(ratio - 1).max() < 0.1, z
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_point_lies_between_the_centres_of_squares_and_of_layers(seed: int) -> None:
+    rng = np.random.default_rng([9, seed])
+    n, shape = 300, (12, 16, 5)
+    density = rng.uniform(0.2, 1, shape).astype(np.float32)
+    side = rng.choice([-1, 0, 1], (3, 4, 5), p=[0.1, 0.8, 0.1]).astype(np.int8)
+    end = rng.uniform(-0.5, 0.5, side.shape).astype(np.float32)
+    place = rng.uniform(0, 1, (3, n)) * np.array(shape)[:, None]
+    square, offset = np.floor(place).astype(np.int64), place % 1 - 0.5
+    voxel = square // np.array([4, 4, 1])[:, None]
+    found = local_noise.around(
+        [local_noise.Listened(density, side, end)], tuple(voxel), tuple(square[:2]), tuple(offset)
+    )
+    for p in range(n):
+        layer = [
+            ndimage.map_coordinates(
+                density[:, :, z].astype(float), place[:2, p, None] - 0.5, order=1, mode="nearest"
+            )[0]
+            for z in range(shape[2])
+        ]
+        at, z = tuple(voxel[:, p]), square[2, p]
+        beside = min(max(z + (1 if offset[2, p] > 0 else -1), 0), shape[2] - 1)
+        expected = layer[z]
+        if side[at]:
+            over = side[at] * (offset[2, p] - end[at]) * 4
+            expected *= np.clip(0.5 - over, 0.5, 1.0)
+        elif not side[at[0], at[1], beside]:
+            expected += abs(offset[2, p]) * (layer[beside] - expected)
+        assert found[p] == pytest.approx(expected, rel=1e-5), p

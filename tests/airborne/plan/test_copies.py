@@ -1,0 +1,98 @@
+"""Returns that two files hold count once."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spl_batch.engine.plan.input_files import source_key
+from spl_batch.engine.watch.events import Event, Note
+from spl_batch.errors import grouped
+from tests import surveys
+
+
+def lines(survey: Path) -> list[Path]:
+    return sorted((survey.parent / "lines").glob("*.laz"))
+
+
+def assessed(output: Path) -> dict[str, np.ndarray]:
+    clouds = surveys.delivered(output)
+    return {name: columns["noise_class"] != 255 for name, columns in clouds.items()}
+
+
+def test_a_file_that_is_delivered_twice_counts_once(small: Path, small_output: Path) -> None:
+    path = lines(small)[0]
+    twin = path.with_name("another.laz")
+    shutil.copy(path, twin)
+    result = surveys.run(small)
+    assert result.exit_status == 0
+    names = [f"lines/{path.name}", "lines/another.laz"]
+    kept, copy = sorted(names, key=source_key)
+    got, alone = surveys.labels(result.output), surveys.labels(small_output)
+    wanted = alone[names[0]]
+    for key, values in wanted.items():
+        assert np.array_equal(got[kept][key], values, equal_nan=values.dtype.kind == "f"), key
+    assert not assessed(result.output)[copy].any()
+    assert assessed(result.output)[kept].sum() == assessed(small_output)[names[0]].sum() > 0
+    for name, raster in surveys.rasters(small_output).items():
+        assert np.array_equal(surveys.rasters(result.output)[name][0], raster[0]), name
+    counts = result.report.counts
+    size = len(surveys.cloud(path)["X"])
+    assert counts.points_in == counts.points_out
+    assert counts.not_assessed >= size
+    (said,) = [text for text in result.report.warnings if "returns are in" in text]
+    assert said.startswith(f"{copy}: {grouped(size)} of its returns are in {kept} too")
+
+
+def test_files_that_overlap(small: Path, small_output: Path) -> None:
+    path = lines(small)[0]
+    columns = surveys.flightline(shots=120, psid=1, seed=1)
+    assert len(columns["x"]) == len(surveys.cloud(path)["X"]), "the survey's first line"
+    half, some = len(columns["x"]) // 2, 100
+    first = surveys.write_cloud(path, surveys.take(columns, slice(0, half + some)))
+    second = surveys.write_cloud(
+        path.with_name("rest.laz"), surveys.take(columns, slice(half, None))
+    )
+    result = surveys.run(small, until="deliver")
+    classes = surveys.delivered(result.output)
+    whole = surveys.delivered(small_output)[f"lines/{path.name}"]["noise_class"]
+    a, b = (classes[f"lines/{p.name}"]["noise_class"] for p in (first, second))
+    twice = np.stack([a[half:], b[:some]])
+    assert np.all(np.count_nonzero(twice == 255, axis=0) == 1)
+    assert np.array_equal(np.concatenate([a[:half], twice.min(axis=0), b[some:]]), whole)
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_equal_returns_of_one_file_stay(small: Path, times: int) -> None:
+    path = lines(small)[0]
+    columns = surveys.flightline(psid=1)
+    again = surveys.join(*[surveys.take(columns, slice(0, 20))] * times)
+    surveys.write_cloud(path, surveys.join(columns, again))
+    result = surveys.run(small, until="deliver")
+    assert assessed(result.output)[f"lines/{path.name}"].all()
+
+
+def test_of_many_files_that_overlap_few_are_named(small: Path) -> None:
+    path = lines(small)[0]
+    columns = surveys.flightline(shots=120, psid=1, seed=1)
+    path.unlink()
+    shared = 10
+    for k in range(8):
+        piece = surveys.take(columns, slice(k * 100, (k + 1) * 100 + shared + k))
+        surveys.write_cloud(path.with_name(f"tile_{k}.laz"), piece)
+    events: list[Event] = []
+    surveys.run(small, until="shots", listener=events.append)
+    texts = [e.text for e in events if isinstance(e, Note)]
+    named = [text for text in texts if "of its returns are in" in text]
+    assert len(named) == 5
+    assert [text.split(" of its")[0].split(": ")[1] for text in named] == [
+        "16",
+        "15",
+        "14",
+        "13",
+        "12",
+    ]
+    (rest,) = [text for text in texts if "returns in common" in text]
+    assert rest.startswith("2 more pairs of files have returns in common, up to 11")
+    assert rest.endswith("21 in all")

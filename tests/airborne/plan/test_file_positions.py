@@ -1,0 +1,230 @@
+"""Files that lie where those of one survey do not: far apart, astray, in degrees."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+
+from spl_batch.airborne.plan.block_size import blocks, choose_sizes, layout_of
+from spl_batch.airborne.plan.inputs.file_positions import far_positions
+from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.constants import NODATA
+from spl_batch.formats.crs import look_like_degrees
+from spl_batch.formats.las.reader import LasFacts
+from spl_batch.lattice.density import Box, from_boxes, from_counts
+from spl_batch.lattice.tiles import Bounds, CellId, far_apart
+from tests import surveys
+
+FAR_M = 1_500_000.0
+TINY = 60
+"""Shots of the flightlines here."""
+
+
+class Looked(dict[CellId, int]):
+    """Counts of tiles that do not bear to be asked for empty ones without end."""
+
+    MOST = 200_000
+
+    def __init__(self, counts: dict[CellId, int]) -> None:
+        super().__init__(counts)
+        self.looked = 0
+
+    def __contains__(self, tile: object) -> bool:
+        self.looked += 1
+        assert self.looked < self.MOST, "empty tiles are looked at one by one"
+        return super().__contains__(tile)
+
+
+def facts(name: str, box: tuple[float, float, float, float], points: int = 10_000_000) -> LasFacts:
+    return LasFacts(
+        path=Path(name),
+        size_bytes=1,
+        n_points=points,
+        version=(1, 4),
+        point_format=6,
+        scales=(0.001, 0.001, 0.001),
+        offsets=(0.0, 0.0, 0.0),
+        mins_m=(box[0], box[1], 0.0),
+        maxs_m=(box[2], box[3], 50.0),
+        crs=None,
+        adjusted_standard_bit=True,
+        has_gps_time=True,
+        dimensions=(),
+        warnings=(),
+        layers_can_be_copied=True,
+    )
+
+
+def raster(path: Path) -> NDArray[np.float32]:
+    with rasterio.open(path) as source:
+        values: NDArray[np.float32] = source.read(1)
+    return values
+
+
+def told(**boxes: tuple[float, float, float, float]) -> list[str]:
+    return list(far_positions([(name, facts(name, box)) for name, box in boxes.items()]))
+
+
+def test_blocks_of_tiles_far_apart_cost_what_the_tiles_do(tmp_path: Path) -> None:
+    surveys.write_workflow(tmp_path)
+    workflow = load_workflow(tmp_path / "workflow.yaml")
+    counts = {CellId(i + x, j): 5000 for x, y in ((0, 0), (15_000, 9_000)) for i in (0, 1)
+              for j in (y, y + 1)}  # fmt: skip
+    looked = Looked(counts)
+    layout = layout_of(looked, workflow)
+    sizes = choose_sizes(list(from_counts(counts, 100_000)), workflow, 1 << 33, 2)
+    found = blocks(layout, sizes, workflow, 1 << 33)
+    assert {t for b in found for t in counts if b.holds(t)} == set(counts)
+    both = layout.join(layout.squares(20_000), np.inf)
+    layout.divide(both[0], 3)
+    assert len(list(layout.cut(both, 4000))) == 8, "each tile by itself"
+    assert looked.looked < 20_000
+
+
+def test_a_stray_point_makes_a_plan_of_no_more_tiles_than_there_are_points() -> None:
+    whole = Bounds(0, 0, 1_500_000_000, 1_500_000_000)
+    (piece,) = from_boxes([Box(whole, 30_000)], 100_000)
+    assert piece.points.size <= 30_000
+    assert piece.points.sum() == pytest.approx(30_000)
+    assert piece.units(100_000) <= 60_000
+    cut = piece.cut([(800_000, 800_000), (100_000, 100_000)], 0, 1e9)
+    assert sum(c.units for c in cut) <= 60_000
+    assert sum(c.read for c in cut) <= 60_000
+
+
+def test_places_far_apart_are_found_however_they_lie() -> None:
+    places = np.array([[0, 0], [90, 5], [5, 800], [0, 805], [95, 0]])
+    groups = sorted(sorted(rows.tolist()) for rows in far_apart(places, 50))
+    assert groups == [[0], [1, 4], [2, 3]]
+    assert list(far_apart(np.empty((0, 2), np.int64), 50)) == []
+
+
+def test_two_plots_far_apart_are_run_each_by_itself_and_named(tmp_path: Path) -> None:
+    near = surveys.flightline(shots=TINY)
+    far = surveys.flightline(
+        shots=TINY // 2, psid=2, start_s=surveys.START_S + 500, seed=1,
+        origin_m=(surveys.ORIGIN_M[0] + FAR_M, surveys.ORIGIN_M[1] + FAR_M),
+    )  # fmt: skip
+    surveys.write_cloud(tmp_path / "lines/near.laz", near)
+    surveys.write_cloud(tmp_path / "lines/wrong.laz", far)
+    workflow = surveys.write_workflow(tmp_path)
+    for verb, options in (("plan", ()), ("run", ("--workers", 0))):
+        ended = surveys.command(verb, workflow, *options)
+        assert ended.status == 0, ended.text
+        flat = " ".join(ended.text.split())
+        assert "lines/wrong.laz: 2 121 km from the rest of the survey (lines/near.laz)" in flat
+        assert "check its CRS and coordinates" in flat
+    for name in ("dtm.tif", "dtm_2.tif"):
+        assert raster(tmp_path / "out" / name).size < 10_000
+
+
+def test_a_stray_point_costs_nothing_and_its_file_is_named(tmp_path: Path) -> None:
+    cloud = surveys.flightline(shots=TINY)
+    for axis in "xy":
+        cloud[axis][7] += FAR_M
+    surveys.write_cloud(tmp_path / "lines/astray.laz", cloud)
+    workflow = surveys.write_workflow(tmp_path)
+    ended = surveys.command("plan", workflow)
+    assert ended.status == 0
+    assert "lines/astray.laz: its" in ended.text
+    ended = surveys.command("run", workflow, "--workers", 0)
+    assert ended.status == 0, ended.text
+    flat = " ".join(ended.text.split())
+    assert "span 1 500 km; some of them must lie astray" in flat
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["counts"]["points_out"] == len(cloud["x"])
+    values = raster(tmp_path / "out/dtm.tif")
+    assert np.count_nonzero(values > NODATA) > 10, "the piece with most points comes first"
+
+
+def test_groups_of_flightlines_some_kilometres_apart_are_no_reason_to_warn() -> None:
+    assert told(a=(0, 0, 4000, 500), b=(0, 4500, 4000, 5000), c=(9000, 0, 13_000, 500)) == []
+    assert told(a=(0, 0, 30_000, 500), b=(50_000, 0, 80_000, 500)) == []
+    assert told(plot=(0, 0, 20, 20), other=(8000, 0, 8020, 20)) == []
+    assert told(alone=(0, 0, 60_000, 40_000)) == []
+    assert told() == []
+
+
+def test_the_farthest_part_is_told_first_and_by_its_files() -> None:
+    found = told(
+        a=(0, 0, 1000, 1000), b=(1000, 0, 2000, 1000), c=(0, 1000, 1000, 2000),
+        d=(90_000, 0, 91_000, 1000), e=(900_000, 0, 901_000, 1000), f=(900_000, 999, 901_000, 1999),
+    )  # fmt: skip
+    assert len(found) == 2
+    assert found[0].startswith("e, f: 898 km from the rest of the survey (a and 2 more)")
+    assert found[1].startswith("d: 88 km")
+    many = told(**{f"p{k}": (k * 1e5, 0, k * 1e5 + 20, 20) for k in range(9)})
+    assert len(many) == 4
+    assert many[-1].startswith("5 more parts")
+
+
+def test_a_file_too_wide_for_its_points_is_named_and_hides_no_other() -> None:
+    found = told(
+        a=(0, 0, 1000, 1000), b=(1000, 0, 2000, 1000), c=(0, 0, 250_000, 250_000),
+        d=(700_000, 0, 701_000, 1000),
+    )  # fmt: skip
+    assert found[0].startswith("c: its 10 000 000 points span 250 km")
+    assert found[1].startswith("d: 698 km")
+
+
+def degrees(folder: Path, crs: str | None = None) -> Path:
+    """A survey of two files in degrees."""
+    for k in (1, 2):
+        cloud = surveys.flightline(shots=TINY, psid=k, start_s=surveys.START_S + 3 * k, seed=k)
+        cloud["x"] = 11.5 + (cloud["x"] - surveys.ORIGIN_M[0]) / 7e4
+        cloud["y"] = 48.1 + (cloud["y"] - surveys.ORIGIN_M[1]) / 1.1e5
+        path = folder / f"lines/{k}.laz"
+        surveys.write_cloud(path, cloud, crs=crs, scale=1e-7)
+    return surveys.write_workflow(folder)
+
+
+@pytest.mark.parametrize("verb", ["plan", "run"])
+def test_degrees_without_a_crs_are_refused(tmp_path: Path, verb: str) -> None:
+    ended = surveys.command(verb, degrees(tmp_path))
+    assert ended.status == 2, ended.text
+    (line,) = (x for x in ended.err.splitlines() if x.startswith("spl-batch: "))
+    for word in ("lines/1.laz", "lines/2.laz", "look like degrees; reproject", "set survey.crs"):
+        assert word in line
+    assert line.count("look like degrees") == 1, "once for both files"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stated_crs_is_taken_at_its_word(tmp_path: Path) -> None:
+    workflow = degrees(tmp_path)
+    ended = surveys.command("plan", workflow, "--set", f"survey.crs={surveys.CRS_NAME}")
+    assert ended.status == 0, ended.text
+    workflow = degrees(tmp_path / "named", crs=surveys.CRS_NAME)
+    assert surveys.command("plan", workflow).status == 0
+
+
+def test_a_file_in_degrees_among_others_is_set_aside(tmp_path: Path) -> None:
+    workflow = degrees(tmp_path)
+    surveys.write_cloud(tmp_path / "lines/good.laz", surveys.flightline(shots=TINY, psid=7))
+    ended = surveys.command("run", workflow, "--workers", 0)
+    assert ended.status == 1, ended.text
+    assert "2 files: lines/1.laz, lines/2.laz" in " ".join(ended.text.split()).replace(
+        f"{tmp_path}/", ""
+    )
+    assert (tmp_path / "out/laz/lines/good.laz").exists()
+
+
+def test_a_reference_in_degrees_is_refused(tmp_path: Path) -> None:
+    degrees(tmp_path / "other")
+    surveys.write_cloud(tmp_path / "lines/good.laz", surveys.flightline(shots=TINY))
+    workflow = surveys.write_workflow(tmp_path, reference={"points": "other/lines/1.laz"})
+    ended = surveys.command("plan", workflow)
+    assert ended.status == 2, ended.text
+    assert "look like degrees" in ended.err
+    assert "set reference.crs" in ended.err
+
+
+def test_small_tiles_of_a_large_scene_in_local_metres_are_no_degrees() -> None:
+    assert look_like_degrees((11.5, 48.1), (11.6, 48.2))
+    assert look_like_degrees((355.0, -10.0, 1e4), (356.0, -9.0, 2e4))
+    assert not look_like_degrees((11.5, 48.1), (11.6, 48.2), [(0.0, 0.0), (90.0, 80.0)])
+    assert not look_like_degrees((0.0, 0.0), (5.0, 3.0)), "an extent of five"
+    assert not look_like_degrees((500.0, 20.0), (501.0, 21.0))
+    assert not look_like_degrees((100.0, 91.0), (101.0, 92.0))

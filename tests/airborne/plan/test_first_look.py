@@ -1,0 +1,169 @@
+"""A plan tells from both ends of the files what a run would find out."""
+
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from spl_batch import api
+from spl_batch.errors import InputError
+from spl_batch.formats.las.reader import read_ends
+from spl_batch.formats.trajectory.ends import ends
+from spl_batch.formats.trajectory.sbet import SBET_RECORD
+from tests import surveys
+
+DAY_S = 86_400.0
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    surveys.write_trajectory(tmp_path / "trajectory.csv")
+    return surveys.small_survey(tmp_path)
+
+
+def test_a_survey_that_is_well_is_told_nothing(survey: Path) -> None:
+    plan = api.plan(survey)
+    assert plan.faults == ()
+    assert not [text for text in plan.warnings if not text.startswith("output")]
+
+
+def test_a_trajectory_of_another_day_is_a_fault(survey: Path) -> None:
+    start = surveys.START_S + DAY_S
+    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 10)
+    (fault,) = api.plan(survey).faults
+    assert fault.startswith("lines/line_1.laz, lines/line_2.laz: gps_time ")
+    assert "86396.9 s or more outside trajectory.csv" in fault
+    assert fault.endswith("name the trajectory of this flight, or none")
+    assert surveys.command("plan", survey).status == 1
+
+
+def test_a_file_beside_the_trajectory_is_a_warning(survey: Path) -> None:
+    surveys.write_trajectory(survey.parent / "trajectory.csv", stop_s=surveys.START_S + 2)
+    plan = api.plan(survey)
+    assert plan.faults == ()
+    (said,) = [text for text in plan.warnings if "trajectory" in text]
+    assert said.startswith("lines/line_2.laz: ")
+
+
+def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:
+    start = (surveys.START_S + 1e9 - 1) % 604_800
+    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 11)
+    assert api.plan(survey).faults == ()
+    start += 2 * DAY_S
+    surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 11)
+    assert len(api.plan(survey).faults) == 1
+
+
+def test_a_trajectory_without_its_columns_is_a_fault(survey: Path) -> None:
+    (survey.parent / "trajectory.csv").write_text("time,x,y,z\n1,2,3,4\n")
+    (fault,) = api.plan(survey).faults
+    assert fault.startswith("survey.trajectory: ")
+    assert "has no column gps_time" in fault
+
+
+def test_a_channel_that_is_all_zero_is_told(survey: Path) -> None:
+    line = surveys.flightline(shots=120, psid=2, start_s=surveys.START_S + 3)
+    line["channel"] = np.zeros_like(line["channel"])
+    path = surveys.write_cloud(survey.parent / "lines" / "line_2.laz", line)
+    with laspy.open(path, "r") as reader:
+        las = reader.read()
+    las["channel"] = line["channel"]
+    las.write(path)
+    (said,) = [text for text in api.plan(survey).warnings if "channel" in text]
+    assert said.startswith("survey.channel_dimension: channel holds only 0 in the first and last")
+    assert "lines/line_2.laz" in said
+    assert "lines/line_1.laz" not in said
+
+
+def test_files_without_times_are_told_by_their_headers(survey: Path) -> None:
+    line = surveys.flightline(shots=120, psid=2)
+    lines = survey.parent / "lines"
+    surveys.write_cloud(lines / "line_2.laz", line, version="1.2", point_format=0)
+    plan = api.plan(survey)
+    assert plan.faults == ()
+    (said,) = [text for text in plan.warnings if "gps_time" in text]
+    assert said.startswith("lines/line_2.laz: point format 0 has no gps_time")
+    surveys.write_cloud(lines / "line_1.laz", line, version="1.2", point_format=0)
+    (fault,) = api.plan(survey).faults
+    assert "lines/line_1.laz, lines/line_2.laz: point format 0" in fault
+    settings = ["filter.method=none", "afterpulse.enabled=false"]
+    assert api.plan(survey, overrides=settings).faults == ()
+
+
+def test_times_that_are_all_the_same_are_told(survey: Path) -> None:
+    line = surveys.flightline(shots=120, psid=2)
+    line["gps_time"] = np.zeros(len(line["gps_time"]))
+    surveys.write_cloud(survey.parent / "lines" / "line_2.laz", line)
+    (said,) = [text for text in api.plan(survey).warnings if "gps_time" in text]
+    assert said.startswith("lines/line_2.laz: the first and last points have no usable gps_time")
+
+
+def test_points_that_cannot_be_decoded_are_a_fault(survey: Path) -> None:
+    path = survey.parent / "lines" / "line_2.laz"
+    content = bytearray(path.read_bytes())
+    with laspy.open(path) as reader:
+        start = reader.header.offset_to_point_data + 8
+    content[start : start + 400] = bytes(400)
+    path.write_bytes(content)
+    (fault,) = api.plan(survey).faults
+    assert str(path) in fault
+    assert "copy it again" in fault
+    # a run says it once more, with what is to be done after that
+    result = surveys.run(survey)
+    assert result.report is not None
+    (failure,) = result.report.failures
+    assert failure.place == "lines/line_2.laz"
+    assert failure.remedy == "copy it again, then run again: only what failed is tried"
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("n", [0, 1, 5, 30, 120_000])
+def test_both_ends_of_a_file_are_looked_at(tmp_path: Path, suffix: str, n: int) -> None:
+    line = surveys.flightline(shots=2)
+    rows = np.arange(n) % len(line["x"])
+    columns = surveys.take(line, rows)
+    columns["gps_time"] = np.arange(n, dtype=np.float64)
+    columns["user_data"] = (np.arange(n) % 200).astype(np.uint8)
+    path = surveys.write_cloud(tmp_path / f"cloud.{suffix}", columns)
+    found = read_ends(path, "user_data", 20)
+    assert np.array_equal(found.channel, found.gps_time.astype(np.int64) % 200)
+    assert np.array_equal(found.gps_time, np.unique(found.gps_time)), "no point comes twice"
+    if n:
+        assert found.gps_time[0] == 0
+    if n == 120_000:
+        last = 119_980 if suffix == "las" else 100_000  # where the last LAZ chunk starts
+        assert found.gps_time[20:].tolist() == list(range(last, last + 20))
+
+
+@pytest.mark.parametrize("records", [1, 2, 9000])
+def test_ends_of_trajectories(tmp_path: Path, records: int) -> None:
+    time = 1000.0 + np.arange(records) / 4
+    expected = (float(time[0]), float(time[-1]))
+    rows = np.column_stack([time, *np.zeros((3, records))])
+    path = tmp_path / "t.csv"
+    np.savetxt(path, rows, "%.4f", delimiter=";", header="GPS_Time;x;y;z")
+    assert ends(path) == expected
+    path = tmp_path / "t.parquet"
+    table = pa.table(dict(zip(("gps_time", "x", "y", "z"), rows.T, strict=True)))
+    pq.write_table(table, path, row_group_size=1000)
+    assert ends(path) == expected
+    path = tmp_path / "t.sbet"
+    sbet = np.zeros(records, SBET_RECORD)
+    sbet["time"] = time
+    sbet.tofile(path)
+    assert ends(path) == expected
+
+
+def test_ends_that_do_not_tell(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("gps_time,x,y,z\n")
+    assert ends(path) is None
+    path.write_text("gps_time,x,y,z\n1,2,3,4\n\nend\n")
+    assert ends(path) is None
+    (tmp_path / "t.sbet").write_bytes(b"short")
+    assert ends(tmp_path / "t.sbet") is None
+    with pytest.raises(InputError, match="no such file"):
+        ends(tmp_path / "none.csv")

@@ -1,0 +1,78 @@
+"""What a plan says of a task is what is done: its halo, and what its raster holds."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan import space_tasks
+from spl_batch.airborne.products.product_table import (
+    NAMES,
+    PRODUCTS,
+    REFLECTANCE,
+    Product,
+    products,
+)
+from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.airborne.tasks import space_domain
+from spl_batch.lattice.tiles import Bounds, grow
+from tests import surveys
+
+CORE = Bounds(0, 0, 100_000, 100_000)
+
+
+class ReadError(Exception):
+    """Ends a task where it would read its points."""
+
+
+@pytest.mark.parametrize("kind", ["denoise", "ground", "surface"])
+@pytest.mark.parametrize("halo", [12_000, 56_789])
+def test_a_task_reads_as_far_as_its_plan_says(
+    kind: str, halo: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    regions = []
+
+    def read(_store: Any, _cells: Any, region: Bounds, *_: Any, **__: Any) -> None:
+        regions.append(region)
+        raise ReadError
+
+    monkeypatch.setattr(space_domain, "read_region", read)
+    workflow = load_workflow(surveys.write_workflow(tmp_path))
+    context = Context(workflow, tmp_path, tmp_path / "out", "", "code")
+    args = {
+        "core": list(CORE), "tiles": [], "halo": halo, "block": "b", "cell": "0_0", "noise": {},
+        "ground": {}, "fired": None, "voxels": [], "beamlets": 1,
+    }  # fmt: skip
+    with pytest.raises(ReadError):
+        getattr(space_domain, kind)(args, context)
+    assert regions == [grow(CORE, halo)]
+
+
+def mosaics(monkeypatch: pytest.MonkeyPatch, *, reflectance: bool) -> dict[str, dict[str, Any]]:
+    """Arguments of the mosaics of a survey of one piece."""
+    cells = SimpleNamespace(keeper=lambda cell: cell)
+    monkeypatch.setattr(space_tasks, "mosaic_parts", lambda _: [([], CORE)])
+    monkeypatch.setattr(space_tasks, "knows_reflectance", lambda _: reflectance)
+    survey: Any = SimpleNamespace(ground_cells=cells)
+    return {task.name: dict(task.args) for task in space_tasks.mosaic(survey)}
+
+
+@pytest.mark.parametrize("reflectance", [False, True])
+def test_a_mosaic_says_what_it_holds(monkeypatch: pytest.MonkeyPatch, reflectance: bool) -> None:  # noqa: FBT001
+    found = mosaics(monkeypatch, reflectance=reflectance)
+    assert tuple(found) == NAMES
+    for product in products(reflectance=reflectance):
+        args = found[product.name]
+        said = (args["product"], args["meaning"], args["unit"], args["delivered"])
+        assert said == product
+    assert (found["intensity"]["meaning"] == REFLECTANCE.meaning) is reflectance
+    assert [name for name in NAMES if not found[name]["delivered"]] == ["noise"]
+
+
+def test_a_new_raster_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    quality = Product("quality", "distance to the nearest ground return", "m")
+    monkeypatch.setattr("spl_batch.airborne.products.product_table.PRODUCTS", (*PRODUCTS, quality))
+    args = mosaics(monkeypatch, reflectance=True)["quality"]
+    assert (args["meaning"], args["unit"], args["delivered"]) == quality[1:]

@@ -1,0 +1,178 @@
+"""Users are warned of what is wrong, once, in words that say what to do."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+import yaml
+
+from spl_batch import api
+from spl_batch.airborne.plan.inputs.channel_dimension import are_beamlets, unnamed_channels
+from spl_batch.airborne.plan.inputs.findings import beams_without_trajectory
+from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.engine.watch.events import Note
+from spl_batch.errors import InputError, Said, shared, told_together
+from spl_batch.formats.las.number_dimensions import Numbers
+from spl_batch.geiger.water.ranges.silence import CHANCE_MIN, empty_share, too_many_empty
+from tests import surveys
+
+SENSOR = load_preset("spl100")
+
+
+def notes_of(workflow: Path) -> list[str]:
+    """Warnings that a run gives, in order."""
+    told: list[Any] = []
+    api.run(workflow, workers=0, until="shots", listener=told.append)
+    return [e.text for e in told if isinstance(e, Note) and e.level == "warning"]
+
+
+def test_equal_warnings_are_given_once_with_a_count() -> None:
+    told = [Said("b", "is late"), Said("a", "is late"), Said("c", "is early")]
+    assert [*shared(told, "lines", "line")] == ["2 lines: b, a: is late", "line c: is early"]
+    assert [*shared(told)] == ["b, a: is late", "c: is early"]
+
+
+def test_warnings_that_differ_in_numbers_are_given_once_the_worst_first() -> None:
+    told = [
+        Said(name, f"{n} of 1 000 are lost", n)
+        for name, n in zip("abcde", (3, 9, 1, 4, 2), strict=True)
+    ]
+    said = shared([*told, Said("f", "7 of 1 000 are found", 7)], "files")
+    assert [*said] == [
+        "5 files, worst first: b, d, a and 2 more: 9 of 1 000 are lost (the numbers of b)",
+        "f: 7 of 1 000 are found",
+    ]
+
+
+def test_faults_with_other_numbers_stay_apart() -> None:
+    bad = [InputError("a", "point 7 is damaged"), InputError("b", "point 8 is damaged")]
+    assert [*told_together(bad)] == ["a: point 7 is damaged", "b: point 8 is damaged"]
+
+
+def ledger(found: Sequence[bool], headings: Sequence[float | None]) -> Any:
+    """Flightlines without a trajectory, as they are after their sensor was sought."""
+    paths = {str(k): SimpleNamespace(facts={"found": one}) for k, one in enumerate(found)}
+    courses = {str(k): SimpleNamespace(facts={"heading_rad": h}) for k, h in enumerate(headings)}
+    known = {"sensor_path": paths, "heading": courses}
+    return SimpleNamespace(of=known.__getitem__)
+
+
+MIXED = (
+    "taken from where lines of sight meet on 1 of 3 flightlines, "
+    "taken from scan_angle and the flight direction on 1, taken as vertical on 1"
+)
+
+
+@pytest.mark.parametrize(
+    ("found", "headings", "said"),
+    [
+        ([False] * 8, [None] * 8, "taken as vertical on all 8 flightlines"),
+        ([False], [None], "taken as vertical on the only flightline"),
+        (
+            [True, False, False],
+            [0.1, 0.2, None],
+            MIXED,
+        ),
+    ],
+)
+def test_what_beams_are_taken_from(
+    found: list[bool], headings: list[float | None], said: str
+) -> None:
+    assert beams_without_trajectory(ledger(found, headings)) == f"no trajectory: beams {said}"
+
+
+def survey_without_channels(folder: Path, first: int) -> Path:
+    """Two flightlines whose 25 beamlets are numbered in user_data, and no word of that."""
+    for k in (1, 2):
+        line = surveys.flightline(shots=100 + 25 * k, psid=k, start_s=surveys.START_S + 3 * k)
+        line["user_data"] = (line["channel"] - 1 + first).astype(np.uint8)
+        surveys.write_cloud(folder / "lines" / f"line_{k}.laz", line, channel=False)
+    unnamed = {"channel_dimension": None, "sensor": {"beamlets": 25, "array_columns": 5}}
+    # So few shots that an interval holds few of them, if each counts as one beamlet.
+    return surveys.write_workflow(folder, survey=unnamed, noise={"interval_shots": 12})
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_beamlet_numbers_that_are_not_named_are_proposed_once(tmp_path: Path, first: int) -> None:
+    survey = survey_without_channels(tmp_path, first)
+    (planned,) = [text for text in api.plan(survey).warnings if "channel" in text]
+    assert (
+        f"user_data holds {first} to {first + 24} in lines/line_1.laz, lines/line_2.laz" in planned
+    )
+    assert planned.endswith("write `channel_dimension: user_data` under survey")
+    told = notes_of(survey)
+    assert [text for text in told if "channel" in text] == [planned]
+    assert not [text for text in told if "interval_shots" in text]
+
+
+def test_intervals_with_few_returns_are_told_where_no_beamlets_explain_it(tmp_path: Path) -> None:
+    survey = survey_without_channels(tmp_path, 0)
+    for path in (tmp_path / "lines").iterdir():
+        with laspy.open(path) as reader:
+            las = reader.read()
+        las["user_data"] = np.zeros(len(las), np.uint8)
+        las.write(path)
+    told = [text for text in notes_of(survey) if "raise noise.interval_shots" in text]
+    assert len(told) == 1, "two flightlines, one warning"
+    assert told[0].startswith("2 flightlines, worst first: ")
+
+
+def test_extra_bytes_may_hold_beamlet_numbers(small: Path) -> None:
+    content = yaml.safe_load(small.read_text())
+    del content["survey"]["channel_dimension"]
+    content["survey"]["sensor"] = {"beamlets": 25, "array_columns": 5}
+    small.write_text(yaml.safe_dump(content))
+    (said,) = [text for text in api.plan(small).warnings if "channel_dimension" in text]
+    assert "but channel holds 1 to 25 in lines/line_1.laz" in said
+
+
+@pytest.mark.parametrize(
+    ("numbers", "yes"),
+    [
+        (Numbers(1, 100, 100, 8192, 120), True),
+        (Numbers(0, 99, 100, 8192, 120), True),
+        (Numbers(1, 100, 96, 8192, 120), True),  # four dead channels
+        (Numbers(0, 100, 101, 8192, 120), False),  # a percentage
+        (Numbers(1, 100, 90, 8192, 120), False),
+        (Numbers(1, 100, 100, 1999, 30), False),  # too few points to say
+        (Numbers(0, 99, 100, 8192, 2000), False),  # intensities crowd
+        (Numbers(0, 255, 256, 8192, 50), False),
+    ],
+)
+def test_which_numbers_are_those_of_beamlets(numbers: Numbers, yes: bool) -> None:  # noqa: FBT001
+    assert are_beamlets(numbers, SENSOR) is yes
+
+
+def test_files_that_count_from_0_and_from_1_are_told_together() -> None:
+    held = {
+        "a.laz": {"user_data": Numbers(1, 100, 100, 8192, 120)},
+        "b.laz": {"user_data": Numbers(0, 99, 100, 8192, 120)},
+        "c.laz": {"user_data": Numbers(0, 0, 1, 8192, 8192)},
+    }
+    (said,) = unnamed_channels(held, SENSOR)
+    assert "user_data holds 1 to 100 in a.laz and 0 to 99 in b.laz, as the 100 beamlets" in said
+    assert unnamed_channels({"c.laz": held["c.laz"]}, SENSOR) == ()
+
+
+@pytest.mark.parametrize("rate", [0.5, 5.0])
+def test_empty_frames_are_expected_as_often_as_they_come(rate: float) -> None:
+    hits = np.random.default_rng(3).poisson(rate, 200_000)
+    share = empty_share(int(hits.sum()), int(np.count_nonzero(hits)))
+    assert share == pytest.approx(np.mean(hits == 0), rel=0.03)
+
+
+def test_empty_frames_are_told_only_beyond_chance() -> None:
+    # 1000 frames with 5 hits on average: 6.7 empty ones by chance, 18 are the 1 in 10 000.
+    def hits(empty: int) -> int:
+        return round((1000 - empty) * 5.0 / -np.expm1(-5.0))
+
+    below, above = 18, 19
+    assert not too_many_empty(5, 1000, hits(5))
+    assert not too_many_empty(below, 1000, hits(below))
+    assert too_many_empty(above, 1000, hits(above))
+    assert not too_many_empty(0, 1000, hits(0))
+    assert CHANCE_MIN == 1e-4

@@ -1,0 +1,45 @@
+"""Where the report's profile is cut: over what stands, never through an empty place."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.report.profile_strips import tallest_strip
+from spl_batch.constants import NODATA
+from spl_batch.formats.rasters.parts import Part
+from spl_batch.lattice.tiles import Bounds
+
+
+def strip(values: NDArray[np.float64]) -> Bounds:
+    """Strip of a CHM of 1 m cells with its lower left corner at (0, 0) [m]."""
+    found = tallest_strip(Part(values.astype(np.float32), 0.0, float(len(values)), 1.0))
+    return Bounds(*(edge // 500 for edge in found))
+
+
+def test_runs_through_the_trees() -> None:
+    height = np.zeros((60, 300))
+    height[20, 120:200] = 12.0
+    # Row 20 of 60: its middle is 39.5 m north, the strip half of 3 m on each side.
+    found = strip(height)
+    assert (found.ymin, found.ymax) == (2 * 38, 2 * 41)
+    assert found.xmin <= 2 * 120
+    assert found.xmax >= 2 * 200
+
+
+def test_a_bare_survey_is_cut_where_it_is_covered() -> None:
+    height = np.full((60, 300), NODATA)
+    height[40, 150:290] = 0.0
+    found = strip(height)
+    assert (found.ymin, found.ymax) == (2 * 18, 2 * 21)
+    assert found.xmin == 2 * 150
+
+
+def test_a_mast_at_the_empty_edge_does_not_decide() -> None:
+    height = np.full((60, 300), NODATA)
+    height[10:] = 1.0
+    height[2, 5] = 140.0
+    found = strip(height)
+    assert found.ymax <= 2 * 51
+
+
+def test_a_small_raster_gives_a_strip() -> None:
+    assert strip(np.ones((3, 7))).xmin == 0

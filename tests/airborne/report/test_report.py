@@ -1,0 +1,374 @@
+"""What the report says: its model, its numbers in words, its verdicts, its JSON."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from spl_batch.airborne.accuracy.accuracy_report import USGS_LEVELS
+from spl_batch.airborne.report.model import Accuracy, Counts, Report, Survey
+from spl_batch.airborne.report.survey_files import read_report
+from spl_batch.airborne.report.survey_page import render
+from spl_batch.airborne.report.verdicts import (
+    USGS_LIMITS,
+    noise_removed,
+    screen_summary,
+    terrain_statistics,
+    verdicts,
+)
+from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report.parts import (
+    Number,
+    Parameters,
+    Part,
+    Provenance,
+    Statistics,
+    finite_or_none,
+)
+from spl_batch.engine.report.schema import schemas
+from spl_batch.engine.report.write import report_json
+from tests.report_data import make_failures, make_report
+
+NARROW = text.THIN
+
+
+def smallest() -> Report:
+    return Report(
+        survey=Survey(name="nothing"),
+        counts=Counts(points_in=0, points_out=0),
+        provenance=Provenance(version="0", created="2026-01-01T00:00:00+00:00"),
+    )
+
+
+def with_rmse(rmse: float, name: str = "open_ground") -> Report:
+    return make_report(accuracy=Accuracy(dtm={name: Statistics(n=10, rmse=rmse, mean=0.0)}))
+
+
+def refuse_constant(name: str) -> float:
+    raise AssertionError(f"{name} is no JSON")
+
+
+class TestModel:
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float32("nan"), None])
+    def test_a_number_that_is_not_finite_becomes_null(self, value: Any) -> None:
+        assert Statistics(n=0, mean=value).mean is None
+
+    def test_numpy_scalars_become_plain_numbers(self) -> None:
+        made = Statistics(n=np.int64(3), mean=np.float32(0.5), rmse=np.int16(2))
+        assert type(made.n) is int
+        assert type(made.mean) is float
+        assert made.rmse == 2
+
+    @pytest.mark.parametrize("count", [-1, 2.5, math.nan, "many"])
+    def test_a_count_is_a_whole_number(self, count: Any) -> None:
+        with pytest.raises(ValidationError):
+            Counts(points_in=count, points_out=0)
+
+    def test_a_number_is_not_a_word(self) -> None:
+        with pytest.raises(ValidationError):
+            Statistics(n=1, mean="small")  # type: ignore[arg-type]
+
+    def test_unknown_fields_are_refused(self) -> None:
+        with pytest.raises(ValidationError, match="extra"):
+            Counts(points_in=1, points_out=1, ghosts=3)  # type: ignore[call-arg]
+
+    def test_nothing_can_be_changed(self) -> None:
+        with pytest.raises(ValidationError, match="frozen"):
+            smallest().survey.name = "other"  # type: ignore[misc]
+
+    @given(
+        st.recursive(
+            st.none() | st.booleans() | st.text() | st.integers() | st.floats(),
+            lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+            max_leaves=12,
+        )
+    )
+    def test_cleaning_leaves_only_json(self, value: Any) -> None:
+        clean = finite_or_none(value)
+        assert json.loads(json.dumps(clean, allow_nan=False)) == clean
+
+    def test_parameters_are_cleaned_to_their_depth(self) -> None:
+        class Holder(Part):
+            parameters: Parameters
+            value: Number
+
+        made = Holder(parameters={"a": {"b": (1, math.nan)}, "c": np.float64(2)}, value=math.inf)
+        assert made.parameters == {"a": {"b": [1, None]}, "c": 2.0}
+        assert made.value is None
+
+
+class TestJson:
+    @pytest.mark.parametrize("report", [make_report(), smallest()], ids=["full", "smallest"])
+    def test_it_keeps_to_its_schema(self, report: Report) -> None:
+        schema = json.loads(schemas()["report.schema.json"])
+        validator = jsonschema.Draft202012Validator(schema)
+        content = json.loads(report_json(report), parse_constant=refuse_constant)
+        validator.validate(content)
+        for broken in ({**content, "counts": {}}, {**content, "more": 1}):
+            assert not validator.is_valid(broken)
+
+    def test_it_has_what_the_contract_names(self) -> None:
+        content = json.loads(report_json(make_report()))
+        assert {"points_in", "points_out", "signal", "background", "afterpulse", "ground"} <= set(
+            content["counts"]
+        )
+        expected = {"n", "mean", "median", "rmse", "sd", "nmad", "p95", "min", "max"}
+        for model in ("dtm", "dsm"):
+            assert set(content["accuracy"][model]["all"]) == expected
+        assert {"wall_s", "points_per_s", "peak_rss_mb", "stages"} <= set(content["performance"])
+        assert content["failures"] == []
+        assert content["provenance"]["inputs"][0]["hash"].startswith("sha256:")
+
+    def test_it_can_be_read_again(self, tmp_path: Path) -> None:
+        report = make_report(failures=make_failures())
+        (tmp_path / "report.json").write_text(report_json(report), encoding="utf-8")
+        assert read_report(tmp_path / "report.json") == report
+
+    def test_the_same_report_gives_the_same_text(self) -> None:
+        assert report_json(make_report()) == report_json(make_report())
+
+
+class TestVerdicts:
+    @pytest.mark.parametrize(
+        ("rmse", "level", "tone"),
+        [
+            (0.041, "QL0", "good"),
+            (0.05, "QL0", "good"),
+            (0.0501, "QL1 and QL2", "good"),
+            (0.2, "QL3", "good"),
+            (0.201, "above", "attention"),
+        ],
+    )
+    def test_accuracy_is_measured_against_the_levels(
+        self, rmse: float, level: str, tone: str
+    ) -> None:
+        verdict = verdicts(with_rmse(rmse))[0]
+        assert level in verdict.text
+        assert verdict.tone == tone
+        assert "open ground" in verdict.text
+
+    def test_the_levels_are_those_of_the_accuracy_statistics(self) -> None:
+        assert [limit for limit, _ in USGS_LIMITS] == [limit for limit, _ in USGS_LEVELS]
+
+    def test_open_ground_goes_before_everything(self) -> None:
+        made = Accuracy(
+            dtm={"all": Statistics(n=9, rmse=0.3), "open_ground": Statistics(n=5, rmse=0.04)}
+        )
+        terrain = terrain_statistics(make_report(accuracy=made))
+        assert terrain is not None
+        assert terrain[0] == "open_ground"
+
+    def test_a_class_without_values_is_passed_over(self) -> None:
+        made = Accuracy(dtm={"open_ground": Statistics(n=0), "all": Statistics(n=5, rmse=0.3)})
+        terrain = terrain_statistics(make_report(accuracy=made))
+        assert terrain is not None
+        assert terrain[0] == "all"
+
+    def test_no_reference_is_said(self) -> None:
+        assert "No reference" in verdicts(make_report(accuracy=None))[0].text
+        assert "covers no terrain" in verdicts(make_report(accuracy=Accuracy()))[0].text
+
+    def test_a_reference_that_was_not_compared_is_said(self) -> None:
+        report = make_report(accuracy=None)
+        parameters = {**report.provenance.parameters, "reference": {"points": "r.laz"}}
+        whole = report.provenance.model_copy(update={"parameters": parameters})
+        report = report.model_copy(update={"provenance": whole})
+        first = verdicts(report)[0]
+        assert first.tone == "attention"
+        assert first.text.startswith("The rasters were not compared with the reference")
+        assert not dict(screen_summary(report))["accuracy"].endswith("does it")
+        told = ["reference: the store holds no comparison; `spl-batch run` computes it"]
+        asked = report.model_copy(update={"warnings": told})
+        assert dict(screen_summary(asked))["accuracy"].endswith("; `spl-batch run` does it")
+        shown = render(report, {})
+        assert "were not compared with the reference.</p>" in shown
+        assert "No reference was given" not in shown
+
+    def test_lost_points_come_first(self) -> None:
+        first = verdicts(make_report(counts=Counts(points_in=100, points_out=97)))[0]
+        assert first.tone == "bad"
+        assert first.text.startswith("3 points fewer out than in")
+        first = verdicts(make_report(counts=Counts(points_in=100, points_out=101)))[0]
+        assert first.text.startswith("1 points more")
+
+    def test_what_was_not_read_is_said_beside_what_is_delivered(self) -> None:
+        counts = Counts(points_in=100, points_out=100, signal=100, not_read=40)
+        report = make_report(counts=counts)
+        (said,) = [v for v in verdicts(report) if "delivered" in v.text]
+        assert said.tone == "attention"
+        assert "about 40 in files that cannot be read are not" in said.text
+        assert dict(screen_summary(report))["points"] == "100 in, 100 out, about 40 not read"
+
+    def test_a_survey_that_is_mostly_unfiltered_is_told_loudly(self) -> None:
+        report = make_report(
+            counts=Counts(points_in=100, points_out=100, signal=49, not_assessed=51, no_beam=51)
+        )
+        (said,) = [v for v in verdicts(report) if "delivered" in v.text]
+        assert said.tone == "bad"
+        told = dict(screen_summary(report))["attention"]
+        assert told.startswith("51.0 % of the points have no usable time or no trajectory")
+        assert told.isascii()
+        half = Counts(points_in=100, points_out=100, signal=50, not_assessed=50, no_beam=50)
+        assert "attention" not in dict(screen_summary(make_report(counts=half)))
+        aside = Counts(points_in=100, points_out=100, signal=40, not_assessed=60, outside_aoi=60)
+        assert "attention" not in dict(screen_summary(make_report(counts=aside))), "as asked for"
+
+    def test_no_survey_of_which_nothing_was_assessed_looks_well(self) -> None:
+        counts = Counts(points_in=100, points_out=100, not_assessed=100)
+        (said,) = [v for v in verdicts(make_report(counts=counts)) if "delivered" in v.text]
+        assert (said.tone, "none was assessed" in said.text) == ("bad", True)
+        none = make_report(
+            counts=counts, noise=make_report().noise.model_copy(update={"method": "none"})
+        )
+        (said,) = [v for v in verdicts(none) if "delivered" in v.text]
+        assert said.tone == "good", "linear-mode clouds are not filtered"
+
+    def test_failures_come_first(self) -> None:
+        first = verdicts(make_report(failures=make_failures()))[0]
+        assert first.tone == "bad"
+        assert first.text.startswith("2 failures, 1 warning:")
+
+    def test_a_survey_without_points_is_bad(self) -> None:
+        assert verdicts(smallest())[0].text == "No points were read."
+
+
+class TestSummary:
+    def test_it_holds_the_few_numbers(self) -> None:
+        rows = dict(screen_summary(make_report()))
+        assert rows["points"] == "11 284 033 in, 11 284 033 out"
+        assert rows["signal"] == "7 012 655 (62.1 % of all points)"
+        assert rows["background noise"] == "3 894 201 (34.5 % of all points)"
+        assert rows["ground"] == "2 977 310 (26.4 % of all points)"
+        assert rows["DTM accuracy"].startswith("RMSE 4.")
+        assert rows["run time"] == "1 min 44 s (108 k points/s)"
+        assert rows["failures"] == "none"
+
+    def test_it_names_what_has_failed_and_what_helps(self) -> None:
+        first, second = make_failures()
+        rows = screen_summary(make_report(failures=(first, second)))
+        assert ("failures", "2") in rows
+        assert [value for label, value in rows if label == "failed"] == [
+            f"{first.place}: {first.reason}; {first.remedy}",
+            "cell 2501_16502: worker ran out of memory",
+        ]
+        said = second.model_copy(
+            update={"reason": f"{second.place}: cut off, copy it again",
+                    "remedy": "copy it again or remove it"}
+        )  # fmt: skip
+        rows = screen_summary(make_report(failures=(said, first, first, first, second)))
+        failed = [value for label, value in rows if label == "failed"]
+        assert failed[0] == said.reason, "as named, with its remedy"
+        assert len(failed) == 3
+        assert ("", "and 2 more, see the report") in rows
+
+    def test_the_time_names_what_a_first_run_compiles(self) -> None:
+        work = make_report().performance.model_copy(update={"compile_s": 31.0})
+        report = make_report(performance=work)
+        rows = dict(screen_summary(report))
+        assert rows["run time"] == "1 min 44 s (108 k points/s), 31.0 s of it compiling, once"
+        page = render(report, {})
+        assert f"{text.duration(31.0)} of that time went into compiling for this machine" in page
+
+    @pytest.mark.parametrize(
+        "report", [make_report(), smallest(), make_report(failures=make_failures())]
+    )
+    def test_any_console_can_show_it(self, report: Report) -> None:
+        for label, value in screen_summary(report):
+            assert (label + value).isascii()
+
+    def test_noise_is_a_share_of_all_points_as_every_share_is(self) -> None:
+        counts = Counts(
+            points_in=20, points_out=20, signal=6, background=1, afterpulse=1, not_assessed=12
+        )
+        assert noise_removed(make_report(counts=counts)) == 0.1
+        assert noise_removed(smallest()) is None
+
+
+class TestFormat:
+    @pytest.mark.parametrize(
+        ("shown", "expected"),
+        [
+            (text.number(1234567), "1 234 567"),
+            (text.number(-0.004, 2), "0.00"),
+            (text.number(-1.5, 1), "\N{MINUS SIGN}1.5"),
+            (text.significant(0.09312), "0.0931"),
+            (text.significant(58.449), "58.4"),
+            (text.significant(1234.5), "1 230"),
+            (text.significant(9.999), "10.0"),
+            (text.significant(0), "0"),
+            (text.significant(3.2e-7, 2), "3.2\N{MULTIPLICATION SIGN}10\u207b\u2077"),
+            (text.percent(0.345), "34.5 %"),
+            (text.percent(0.00001), "< 0.1 %"),
+            (text.percent(0.0), "0.0 %"),
+            (text.large(99_949), "99 949"),
+            (text.large(99_950), "100 k"),
+            (text.large(999_600), "1.00 M"),
+            (text.large(11_284_033), "11.3 M"),
+            (text.large(2.5e9), "2.50 G"),
+            (text.duration(59.94), "59.9 s"),
+            (text.duration(59.96), "1 min 00 s"),
+            (text.duration(3599.6), "1 h 00 min"),
+            (text.duration(50 * 3600), "2 d 2 h"),
+            (text.size(999), "999 B"),
+            (text.size(38_000_001), "38.0 MB"),
+            (text.centimetres(0.0412), "4.1 cm"),
+            (text.centimetres(-1.5), "\N{MINUS SIGN}150.0 cm"),
+            (text.metres(1234.567), "1 234.57 m"),
+            (text.millimetres(-0.00801), "\N{MINUS SIGN}8.0 mm"),
+            (text.scaled(0.0346, 100, 1), "3.5"),
+            (text.of_all(411, 1000), "41.1 % of all points"),
+            (text.of_all(1, 0, "photons"), "\N{EN DASH} of all photons"),
+            (text.as_ascii(text.significant(-6.43e-6)), "-6.43x10^-6"),
+            (text.as_ascii(f"5 m\u00b2 {text.significant(2e12)}"), "5 m\u00b2 2.00x10^12"),
+            (text.plain(1.0), "1"),
+            (text.plain(0.25), "0.25"),
+            (text.surface_name("open_ground"), "open ground"),
+            (text.surface_name("all"), "all surfaces"),
+            (text.surface_name("slope_5_15"), "slope 5\N{EN DASH}15\N{DEGREE SIGN}"),
+        ],
+    )
+    def test_numbers_read_well(self, shown: str, expected: str) -> None:
+        assert shown.replace(NARROW, " ") == expected
+
+    @pytest.mark.parametrize(
+        "function",
+        [
+            text.number,
+            text.significant,
+            text.plain,
+            text.percent,
+            text.large,
+            text.duration,
+            text.size,
+            text.centimetres,
+            text.metres,
+            text.millimetres,
+        ],
+    )
+    def test_nothing_is_a_dash(self, function: Any) -> None:
+        assert function(None) == text.DASH
+
+    @given(st.floats(min_value=1e-12, max_value=1e15))
+    def test_significant_keeps_three_figures(self, value: float) -> None:
+        shown = text.significant(value).replace(NARROW, "").replace(text.MINUS, "-")
+        back = float(text.as_ascii(shown).replace("x10^", "e"))
+        assert back == pytest.approx(value, rel=5.001e-3)
+
+
+def test_the_model_does_not_load_matplotlib() -> None:
+    code = (
+        "import sys, spl_batch.airborne.report.model, spl_batch.airborne.report.verdicts;"
+        "import spl_batch.engine.report.write;"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], check=False)  # noqa: S603
+    assert finished.returncode == 0

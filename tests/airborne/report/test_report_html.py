@@ -1,0 +1,408 @@
+"""The page and its pictures: complete, self-contained, safe, the same every time."""
+
+import html.parser
+import io
+import re
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from spl_batch.airborne.report import plots
+from spl_batch.airborne.report.model import Accuracy, Counts, Noise, Report, Survey
+from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
+from spl_batch.airborne.report.survey_files import write_report
+from spl_batch.airborne.report.survey_page import render
+from spl_batch.engine.report import maps, style
+from spl_batch.engine.report.parts import Performance, Statistics
+from spl_batch.engine.report.picture import Picture
+from spl_batch.errors import StoppedError
+from tests.report_data import EXTENT, make_failures, make_inputs, make_profile, make_report
+
+KEYS = (
+    "dtm",
+    "dsm",
+    "chm",
+    "difference",
+    "histogram",
+    "profile",
+    "noise_density",
+    "density",
+)
+VOID_ELEMENTS = {"meta", "img", "br", "hr", "link", "input"}
+
+
+class Page(html.parser.HTMLParser):
+    """Tags, attributes and text of a page; complains about tags that do not match."""
+
+    def __init__(self, content: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.text = ""
+        self.feed(content)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in VOID_ELEMENTS:
+            self.open.append(tag)
+        for name, value in attrs:
+            assert not name.startswith("on"), f"{tag} carries the script {name}"
+            if name in {"src", "href", "action", "data", "srcset", "poster"}:
+                self.links.append(value or "")
+            if name == "id":
+                self.ids.append(value or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.text += data
+
+
+@pytest.fixture(scope="module")
+def pictures() -> Mapping[str, Picture]:
+    return make_pictures(make_inputs(), make_report())
+
+
+@pytest.fixture(scope="module")
+def page(pictures: Mapping[str, Picture]) -> str:
+    return render(make_report(), pictures)
+
+
+class TestPage:
+    def test_it_is_one_file_without_any_reference(self, page: str) -> None:
+        parsed = Page(page)
+        assert parsed.open == []
+        for link in parsed.links:
+            assert link.startswith(("data:image/png;base64,", "#")), link
+        assert not {"script", "link", "iframe", "object", "base"} & set(parsed.tags)
+        style_text = page[: page.index("</style>")]
+        assert "url(" not in style_text
+        assert "@import" not in style_text
+        assert "http" not in re.sub(r"base64,[^\"]*", "", page)
+
+    def test_each_inner_link_has_its_aim(self, page: str) -> None:
+        parsed = Page(page)
+        inner = [link[1:] for link in parsed.links if link.startswith("#")]
+        assert len(inner) >= 6
+        assert set(inner) <= set(parsed.ids)
+
+    def test_it_holds_every_picture_and_section(self, page: str) -> None:
+        parsed = Page(page)
+        assert parsed.tags.count("img") == len(KEYS)
+        for heading in ("Failures", "Accuracy", "Surfaces", "Noise", "Method", "Provenance"):
+            assert heading in parsed.text
+        assert "Weak Echo Detection" in parsed.text
+        assert "Filtering of Single Photon Lidar Data" in parsed.text
+        assert "sha256:1111" in parsed.text
+
+    def test_it_stays_small(self, page: str) -> None:
+        assert len(page.encode()) < 5_000_000
+
+    def test_it_stays_small_with_pictures_that_do_not_compress(self) -> None:
+        rng = np.random.default_rng(3)
+        noisy = Raster(rng.normal(50, 20, (900, 900)), (0.0, 900.0, 0.0, 900.0))
+        inputs = PictureInputs(noisy, noisy, noisy, noisy, noisy, noisy, None, make_profile(rng))
+        made = make_pictures(inputs, make_report())
+        assert len(render(make_report(), made).encode()) < 5_000_000
+
+    def test_the_same_input_gives_the_same_page(self, page: str) -> None:
+        assert render(make_report(), make_pictures(make_inputs(), make_report())) == page
+
+    def test_names_cannot_become_markup(self) -> None:
+        evil = "<script>alert(1)</script>\"'&"
+        failures = tuple(
+            f.model_copy(update={"reason": evil, "remedy": evil, "place": evil})
+            for f in make_failures()
+        )
+        report = make_report(
+            survey=make_report().survey.model_copy(update={"name": evil, "crs_name": evil}),
+            failures=failures,
+            warnings=(evil,),
+            provenance=make_report().provenance.model_copy(
+                update={"parameters": {evil: evil}, "command": evil}
+            ),
+        )
+        made = {"dtm": Picture(evil, evil, evil, b"x", 1, 1), "dsm": Picture(evil, evil)}
+        parsed = Page(render(report, made))
+        assert parsed.open == []
+        assert "script" not in parsed.tags
+        assert evil in parsed.text
+
+    def test_no_value_shows_as_nan_or_none(self, page: str) -> None:
+        for content in (page, render(smallest_report(), {})):
+            words = set(re.findall(r"[A-Za-z]+", Page(content).text))
+            assert not {"nan", "NaN", "inf", "None", "Undefined"} & words
+
+    def test_a_report_of_nothing_is_still_a_page(self) -> None:
+        parsed = Page(render(smallest_report(), {}))
+        assert parsed.open == []
+        assert "No points were read." in parsed.text
+        assert "Failures: none. Warnings: none." in parsed.text
+        assert "No reference was given." in parsed.text
+
+    def test_rows_of_the_surface_are_explained_before_they_are_read(self) -> None:
+        text = Page(render(make_report(), {})).text
+        surface = text[text.index("Surface (DSM)") :]
+        told = "“All surfaces” takes every such cell"
+        assert surface.index(told) < surface.index("All surfaces", surface.index(told) + len(told))
+        assert surface.index(told) < surface.index("RMSE")
+
+    def test_rows_of_the_surface_are_explained_where_they_are(self) -> None:
+        told = "every cell in which the reference met nothing above the ground"
+        for names, there in ((("all", "ground"), True), (("all", "water"), False)):
+            dsm = {name: Statistics(n=5, rmse=1.87, median=0.06) for name in names}
+            shown = Page(render(make_report(accuracy=Accuracy(dsm=dsm)), {})).text
+            assert (told in shown) == there
+            assert "whose class gives the row" in shown
+            assert "Building edge" not in shown
+
+    def test_failures_are_named_with_what_to_do(self) -> None:
+        parsed = Page(render(make_report(failures=make_failures()), {}))
+        assert "Failures: 2" in parsed.text
+        for failure in make_failures():
+            assert failure.place in parsed.text
+            assert failure.reason in parsed.text
+        assert "copy the file again" in parsed.text
+
+    def test_long_tables_are_cut_and_say_so(self) -> None:
+        report = make_report(warnings=tuple(f"warning number {n}" for n in range(350)))
+        shown = Page(render(report, {})).text
+        assert "warning number 199" in shown
+        assert "warning number 200" not in shown
+        assert "150 more are in report.json" in shown
+
+    def test_without_a_filter_nothing_is_said_of_what_survives(self) -> None:
+        assert "No noise filter was asked for" in Page(render(make_report(noise=Noise()), {})).text
+
+    def test_bars_are_shares_of_the_largest(self) -> None:
+        shown = render(make_report(), {})
+        widths = [float(w) for w in re.findall(r'style="width:([0-9.]+)%"', shown)]
+        assert len(widths) == 16
+        assert max(widths) == 100.0
+        assert shown.count('style="width:100.0%"') == 2
+
+    def test_a_time_stamp_that_is_none_is_left_alone(self) -> None:
+        made = make_report().provenance.model_copy(update={"created": "yesterday"})
+        assert "yesterday" in render(make_report(provenance=made), {})
+
+
+def smallest_report() -> Report:
+    return Report(
+        survey=Survey(name="nothing"),
+        counts=Counts(points_in=0, points_out=0),
+        performance=Performance(),
+        provenance=make_report().provenance,
+    )
+
+
+class TestWrite:
+    def test_both_files_are_there_and_nothing_else(self, tmp_path: Path) -> None:
+        out = tmp_path / "a" / "b"
+        write_report(out, make_report(), {})
+        assert sorted(p.name for p in out.iterdir()) == ["report.html", "report.json"]
+
+    def test_a_failed_write_keeps_the_earlier_report(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        write_report(tmp_path, make_report(), {})
+        before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+
+        def full(_: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr("os.fsync", full)
+        with pytest.raises(StoppedError, match="disk full"):
+            write_report(tmp_path, make_report(warnings=()), {})
+        assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+class TestPictures:
+    def test_each_is_a_picture_of_the_size_it_says(self, pictures: Mapping[str, Picture]) -> None:
+        assert tuple(pictures) == KEYS
+        for made in pictures.values():
+            image = Image.open(io.BytesIO(made.png))
+            assert image.format == "PNG"
+            assert image.size == (made.width_px, made.height_px)
+            assert made.caption
+            assert made.title in made.alt
+
+    def test_what_is_missing_says_why(self) -> None:
+        made = make_pictures(PictureInputs(), make_report())
+        assert tuple(made) == KEYS
+        for picture in made.values():
+            assert picture.png == b""
+            assert picture.caption.endswith(".")
+        shown = Page(render(make_report(), made)).text
+        assert all(picture.caption in shown for picture in made.values())
+
+    def test_rasters_without_a_value_are_missing(self) -> None:
+        nothing = Raster(np.full((5, 5), -9999.0, dtype=np.float32), EXTENT)
+        inputs = PictureInputs(*[nothing] * 6, np.full(3, np.nan), None)
+        made = make_pictures(inputs, make_report(accuracy=None))
+        assert all(picture.png == b"" for picture in made.values())
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (300, 2), (2, 300)])
+    def test_odd_shapes_can_be_drawn(self, shape: tuple[int, int]) -> None:
+        extent = (0.0, float(shape[1]), 0.0, float(shape[0]))
+        flat = Raster(np.full(shape, 7.25), extent)
+        picture = make_pictures(PictureInputs(dtm=flat, difference=flat), make_report())
+        assert picture["dtm"].png
+        assert picture["difference"].png
+
+    def test_one_point_makes_a_profile(self) -> None:
+        one = np.ones(1)
+        profile = Profile(one, one, one.astype(np.uint8), one.astype(np.uint8), 2.0)
+        assert make_pictures(PictureInputs(profile=profile), make_report())["profile"].png
+
+    def test_the_order_of_points_does_not_show(self) -> None:
+        profile = make_profile(np.random.default_rng(1))
+        order = np.random.default_rng(2).permutation(profile.along_m.size)
+        columns = (profile.along_m, profile.z_m, profile.noise_class, profile.classification)
+        shuffled = Profile(*[c[order] for c in columns], width_m=profile.width_m)
+        first, second = (
+            make_pictures(PictureInputs(profile=p), make_report())["profile"].png
+            for p in (profile, shuffled)
+        )
+        assert first == second
+
+    def test_a_huge_profile_is_thinned(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(plots, "MOST_POINTS", 1000)
+        profile = make_profile(np.random.default_rng(1))
+        thin = plots._thinned(profile)
+        assert 900 < thin.along_m.size <= 1000
+        assert set(thin.along_m) <= set(profile.along_m)
+        assert np.ptp(thin.along_m) > 0.95 * np.ptp(profile.along_m)
+
+    def test_a_profile_shows_the_scene_and_not_the_gate(self) -> None:
+        z = np.array([-100.0, 10.0, 12.0, 14.0, 200.0])
+        kept = np.array([False, True, True, True, False])
+        low, high = plots._height_limits(z, kept)
+        assert -10 < low < 10
+        assert 14 < high < 40
+        assert plots._height_limits(z[1:4], kept[1:4]) == (9.0, 15.0)
+        assert plots._height_limits(z, np.zeros(5, dtype=bool)) == (-101.0, 201.0)
+
+    def test_two_threads_draw_what_one_draws(self, pictures: Mapping[str, Picture]) -> None:
+        inputs, report = make_inputs(), make_report()
+        part = PictureInputs(chm=inputs.chm, differences_m=inputs.differences_m)
+        with ThreadPoolExecutor(2) as pool:
+            for made in pool.map(lambda _: make_pictures(part, report), range(2)):
+                for key in ("chm", "histogram"):
+                    assert made[key].png == pictures[key].png
+
+    def test_drawing_leaves_settings_alone(self) -> None:
+        import matplotlib as mpl  # noqa: PLC0415
+
+        before = dict(mpl.rcParams)
+        make_pictures(PictureInputs(density=make_inputs().density), make_report())
+        assert dict(mpl.rcParams) == before
+
+    def test_a_large_png_is_reduced(self) -> None:
+        drawn = style.figure(2.0, 2.0)
+        axes = drawn.subplots()
+        axes.imshow(np.random.default_rng(4).random((360, 360, 3)))
+        whole, width, height = style.to_png(drawn, largest=10_000_000)
+        small, *size = style.to_png(drawn, largest=60_000)
+        assert len(small) <= 60_000 < len(whole)
+        assert tuple(size) == (width, height)
+
+
+class TestMaps:
+    def test_reduction_is_the_mean_of_what_is_there(self) -> None:
+        rng = np.random.default_rng(5)
+        values = rng.normal(10, 3, (23, 37))
+        values[rng.random(values.shape) < 0.3] = -9999.0
+        values[:4, :4] = np.nan
+        made = maps.reduce_raster(Raster(values, (0.0, 37.0, 0.0, 23.0)), largest=10)
+        assert made.values.shape == (6, 10)
+        for row in range(6):
+            for column in range(10):
+                block = values[row * 4 : row * 4 + 4, column * 4 : column * 4 + 4].ravel()
+                block = [v for v in block if np.isfinite(v) and v != -9999.0]
+                expected = np.mean(block) if block else np.nan
+                np.testing.assert_allclose(made.values[row, column], expected, rtol=1e-12)
+        assert made.extent_m == pytest.approx((0.0, 40.0, -1.0, 23.0))
+
+    def test_a_small_raster_is_left_as_it_is(self) -> None:
+        values = np.arange(12.0).reshape(3, 4)
+        made = maps.reduce_raster(Raster(values, EXTENT), largest=4)
+        np.testing.assert_array_equal(made.values, values)
+        assert made.extent_m == EXTENT
+
+    @pytest.mark.parametrize(
+        ("east", "south", "compare"),
+        [(0.0, 0.0, "equal"), (1.0, 1.0, "brighter"), (-1.0, -1.0, "darker")],
+    )
+    def test_slopes_that_face_the_north_west_are_bright(
+        self, east: float, south: float, compare: str
+    ) -> None:
+        column, row = np.meshgrid(np.arange(6.0), np.arange(6.0))
+        shade = maps.hillshade(0.4 * (east * column + south * row), 1.0)
+        assert np.ptp(shade) < 1e-12
+        difference = {"equal": 0.0, "brighter": 1.0, "darker": -1.0}[compare]
+        assert np.sign(np.round(shade[0, 0] - 0.78, 9)) == difference
+
+    def test_shading_against_the_angle_between_normal_and_sun(self) -> None:
+        heights = np.random.default_rng(6).normal(0, 1, (9, 8))
+        shade = maps.hillshade(heights, 2.0, exaggeration=3.0)
+        row, column = 4, 5
+        to_east = 3.0 * (heights[row, column + 1] - heights[row, column - 1]) / 4.0
+        to_north = 3.0 * (heights[row - 1, column] - heights[row + 1, column]) / 4.0
+        normal = np.array([-to_east, -to_north, 1.0])
+        normal /= np.linalg.norm(normal)
+        sun = np.array([-0.5, 0.5, np.sqrt(0.5)])
+        direct = max(normal @ sun, 0.0) / np.sqrt(0.5)
+        expected = min(0.78 * (0.55 * direct + 0.15 * normal[2] + 0.30), 1.0)
+        assert shade[row, column] == pytest.approx(expected, rel=1e-12)
+
+    @pytest.mark.parametrize(
+        ("slope", "factor"), [(0.001, 8.0), (0.1, 3.0), (0.3, 1.0), (2.0, 1.0)]
+    )
+    def test_gentle_terrain_is_exaggerated(self, slope: float, factor: float) -> None:
+        plane = slope * np.arange(20.0)[None, :] * np.ones((20, 1))
+        assert maps.relief_exaggeration(plane, 1.0) == factor
+
+    @pytest.mark.parametrize(
+        ("value", "expected"), [(1.0, 1), (1.99, 1), (2.0, 2), (49, 20), (50, 50), (0.07, 0.05)]
+    )
+    def test_nice_numbers(self, value: float, expected: float) -> None:
+        assert maps.nice(value) == pytest.approx(expected)
+
+    @pytest.mark.parametrize("shape", [0.001, 0.1, 0.29, 0.31, 0.75, 1.0, 3.0, 40.0, 5000.0])
+    def test_map_and_colour_bar_lie_on_the_picture_apart(self, shape: float) -> None:
+        layout = maps._layout((0.0, 100.0, 0.0, 100.0 * shape))
+        assert layout.width == maps.WIDTH_IN
+        assert layout.height < 6.5
+        (x, y, wide, high), (bar_x, bar_y, bar_wide, bar_high) = layout.map_box, layout.bar_box
+        for left, bottom, width, height in (layout.map_box, layout.bar_box):
+            assert min(left, bottom, width, height) > 0
+            assert left + width < layout.width
+            assert bottom + height < layout.height
+        assert x + wide < bar_x or bar_y + bar_high < y
+        assert max(bar_wide, bar_high) > 0.1
+        if 0.3 < shape < 3.0:
+            assert high / wide == pytest.approx(shape)
+
+    def test_a_ramp_never_has_equal_ends(self) -> None:
+        for values in (np.zeros(4), np.full(4, 1e6), np.array([1.0, np.nan, 3.0])):
+            low, high = maps.spread(values, 0, 100)
+            assert high > low
+
+    @pytest.mark.parametrize(
+        "ramp", [style.TERRAIN, style.CANOPY, style.DENSITY, style.SKY], ids=lambda r: r.name
+    )
+    def test_ramps_change_steadily_in_lightness(self, ramp: Any) -> None:
+        colours = ramp(np.linspace(0, 1, 64))[:, :3]
+        lightness = colours @ np.array([0.2126, 0.7152, 0.0722])
+        steps = np.diff(lightness)
+        assert (steps > 0).all() or (steps < 0).all()

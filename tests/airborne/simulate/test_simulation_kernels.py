@@ -1,0 +1,367 @@
+"""Scene and receiver kernels against slow twins and against the theory."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize, stats
+
+from spl_batch.airborne.beams import link_budget
+from spl_batch.airborne.simulate import detector, shots, wedge_scan
+from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
+from spl_batch.airborne.simulate.scene.objects import building_solid, catenary
+from spl_batch.airborne.simulate.scene.scene_file import Building
+from spl_batch.airborne.simulate.scene.terrain import Ground
+from spl_batch.numerics import attitude
+
+
+def slanted(rng, off_nadir_deg=18.0):
+    turn, lean = rng.uniform(0, 2 * np.pi), math.radians(rng.uniform(0, off_nadir_deg))
+    return np.array(
+        [math.sin(lean) * math.cos(turn), math.sin(lean) * math.sin(turn), -math.cos(lean)]
+    )
+
+
+def origin_for(target, direction, range_m=2000.0):
+    return np.asarray(target) - range_m * direction
+
+
+def test_ground_hit_agrees_with_root_finding():
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[0:81, 0:81] * 1.0
+    z = 20 + 5 * np.sin(x / 9) * np.cos(y / 11)
+    grid = np.array([0.0, 0.0, 1.0])
+    for _ in range(50):
+        d = slanted(rng)
+        o = origin_for([rng.uniform(15, 65), rng.uniform(15, 65), 20.0], d)
+
+        def above(t, o=o, d=d):
+            p = o + t * d
+            return p[2] - ray_trace.bilinear(z, grid, p[0], p[1])[0]
+
+        t, cosine = ray_trace.hit_ground(z, grid, o, d)
+        assert t == pytest.approx(optimize.brentq(above, 1900, 2100), abs=1e-3)
+        p = o + t * d
+        _, sx, sy = ray_trace.bilinear(z, grid, p[0], p[1])
+        normal = np.array([-sx, -sy, 1.0]) / math.sqrt(1 + sx**2 + sy**2)
+        assert cosine == pytest.approx(-normal @ d, abs=1e-3)
+
+
+def test_bilinear_interpolates_a_plane_exactly_and_gives_its_slope():
+    y, x = np.mgrid[0:9, 0:7] * 2.0
+    value = ray_trace.bilinear(3 + 0.25 * x - 0.5 * y, np.array([10.0, 20.0, 2.0]), 13.3, 27.7)
+    assert value == pytest.approx((3 + 0.25 * 3.3 - 0.5 * 7.7, 0.25, -0.5))
+
+
+@pytest.mark.parametrize("roof", ["flat", "gable", "shed"])
+def test_a_building_is_hit_where_marching_along_the_ray_enters_it(roof):
+    ground = Ground(
+        np.zeros((60, 60)), np.zeros((60, 60)), np.ones((60, 60), np.uint8), np.array([-30, -30, 1])
+    )
+    solid = building_solid(
+        Building(centre_m=(3, 4), size_m=(16, 9), heading_deg=33, eave_m=6, roof=roof), ground
+    )
+    rng, hits = np.random.default_rng(2), 0
+    for _ in range(200):
+        d = slanted(rng)
+        o = origin_for([rng.uniform(-8, 14), rng.uniform(-8, 14), rng.uniform(0, 8)], d, 100.0)
+        enter, leave, face = ray_trace.clip_convex(solid.planes, len(solid.planes), o, d)
+        t = np.arange(80.0, 130.0, 0.01)
+        p = o + t[:, None] * d
+        within = (p @ solid.planes[:, :3].T <= solid.planes[:, 3]).all(axis=1)
+        if within.any():
+            hits += 1
+            assert enter == pytest.approx(t[within][0], abs=0.011)
+            assert solid.planes[face, :3] @ (o + enter * d) == pytest.approx(solid.planes[face, 3])
+        else:
+            assert leave - enter < 0.011 or enter > 130  # walls go on below the ground
+    assert 40 < hits < 190
+
+
+def test_gable_roof_peaks_half_a_width_times_its_pitch_above_the_eaves():
+    flat = Ground(
+        np.full((9, 9), 2.0), np.zeros((9, 9)), np.ones((9, 9), np.uint8), np.array([0, 0, 10])
+    )
+    solid = building_solid(
+        Building(centre_m=(40, 40), size_m=(20, 10), eave_m=6, roof="gable", pitch_deg=30), flat
+    )
+    down = np.array([0.0, 0.0, -1.0])
+    for across, expected in ((0.0, 8 + 5 * math.tan(math.radians(30))), (4.999, 8.0)):
+        o = np.array([40 + across, 40, 100.0])
+        enter, _, _ = ray_trace.clip_convex(solid.planes, 6, o, down)
+        assert 100 - enter == pytest.approx(expected, abs=1e-3)
+    assert solid.top_m == pytest.approx(8 + 5 * math.tan(math.radians(30)))
+
+
+def test_crown_chord_is_the_quadratic_of_the_ellipsoid():
+    rng = np.random.default_rng(3)
+    crown = np.array([5.0, -3.0, 12.0, 3.0, 5.0, 0.4, 0.3, 0.0])
+    size = np.array([3.0, 3.0, 5.0])
+    for _ in range(100):
+        d = slanted(rng)
+        o = origin_for(crown[:3] + rng.uniform(-4, 4, 3), d, 300.0)
+        p, u = (o - crown[:3]) / size, d / size
+        roots = np.roots([u @ u, 2 * p @ u, p @ p - 1])
+        enter, leave = ray_trace.clip_crown(crown, o, d)
+        if np.iscomplex(roots).any():
+            assert leave <= enter
+        else:
+            np.testing.assert_allclose([enter, leave], np.sort(roots), atol=1e-6)
+
+
+def test_gaps_take_their_share_of_a_crown():
+    crown = np.array([0.0, 0.0, 10.0, 50.0, 5.0, 0.4, 0.3, 0.3])
+    down = np.array([0.0, 0.0, -1.0])
+    cells = [(i + 0.25, j + 0.25) for i in range(-30, 30) for j in range(-30, 30)]
+    through = sum(
+        ray_trace.clip_crown(crown, np.array([x / 2, y / 2, 100.0]), down)[1] < 0 for x, y in cells
+    )
+    assert through / len(cells) == pytest.approx(0.3, abs=4 * math.sqrt(0.21 / len(cells)))
+
+
+@given(
+    span=st.floats(20, 300),
+    rise=st.floats(-10, 10),
+    sag=st.floats(0.2, 8),
+)
+@settings(max_examples=60, deadline=None)
+def test_catenary_passes_its_ends_with_its_sag(span, rise, sag):
+    a, vertex, offset = catenary(span, 20.0, 20.0 + rise, sag)
+    wire = np.array([0, 0, 1, 0, span, a, vertex, offset, 0.01, 0.4])
+    z = [ray_trace.catenary_z(wire, s) for s in (0.0, span / 2, span)]
+    # a nearly straight wire has a huge parameter: 1e-16 of it is what cosh leaves
+    assert z == pytest.approx([20.0, 20 + rise / 2 - sag, 20 + rise], abs=1e-4)
+
+
+def test_distance_of_a_ray_from_a_wire_is_the_smallest_one():
+    rng = np.random.default_rng(4)
+    a, vertex, offset = catenary(90.0, 25.0, 28.0, 3.0)
+    heading = 0.7
+    ux, uy = math.cos(heading), math.sin(heading)
+    wire = np.array([2.0, 3.0, ux, uy, 90.0, a, vertex, offset, 0.015, 0.4])
+
+    def place(s):
+        return np.array([2 + s * ux, 3 + s * uy, ray_trace.catenary_z(wire, s)])
+
+    for _ in range(60):
+        d = slanted(rng)
+        o = origin_for(place(rng.uniform(5, 85)) + rng.uniform(-0.3, 0.3, 3), d)
+
+        def miss(s, o=o, d=d):
+            q = place(s) - o
+            return np.linalg.norm(q - (q @ d) * d)
+
+        best = optimize.minimize_scalar(
+            miss, bounds=(0, 90), method="bounded", options={"xatol": 1e-9}
+        )
+        t, distance = ray_trace.meet_wire(wire, o, d)
+        assert distance == pytest.approx(best.fun, abs=1e-3)
+        assert t == pytest.approx((place(best.x) - o) @ d, abs=0.3)
+
+
+def test_a_ray_beyond_the_ends_of_a_span_misses():
+    wire = np.array([0, 0, 1.0, 0, 50, 200.0, 25.0, -180.0, 0.01, 0.4])
+    o = np.array([-1.0, 0.0, 500.0])
+    assert ray_trace.meet_wire(wire, o, np.array([0, 0, -1.0]))[1] == math.inf
+
+
+def test_lit_share_integrates_the_beam_over_the_wire():
+    for distance in (0.0, 0.04, 0.1):
+        expected = stats.norm.cdf(distance + 0.015, scale=0.05) - stats.norm.cdf(
+            distance - 0.015, scale=0.05
+        )
+        assert ray_trace.lit_share(distance, 0.015, 0.05) == pytest.approx(expected)
+
+
+def test_signal_follows_equation_2_1():
+    constant = link_budget.signal_constant(0.8 * 0.2 * 0.05, 0.83e-6, 532.0, 0.076)
+    h_nu = 6.62607015e-34 * 299792458 / 532e-9
+    area = math.pi * 0.038**2
+    expected = 0.8 * 0.2 * 0.05 * 0.83e-6 / h_nu * 0.25 * area / (math.pi * 2588**2)
+    assert constant * 0.25 / 2588**2 == pytest.approx(expected)
+
+
+def test_sunlight_without_an_atmosphere_comes_from_the_ground_alone():
+    atmosphere, surface = link_budget.solar_rate_hz(
+        efficiency=0.01,
+        wavelength_nm=532.0,
+        aperture_m=0.076,
+        fov_rad=120e-6,
+        bandwidth_nm=0.5,
+        irradiance_w_m2_nm=1.84,
+        zenith_rad=0.7,
+        off_nadir_rad=0.26,
+        altitude_m=2500.0,
+        scale_height_m=8000.0,
+        transmission=1.0,
+        reflectance=0.25,
+    )
+    power = 1.84 * 0.5 * math.pi * (60e-6) ** 2 * math.pi * 0.038**2 * 0.25 / math.pi
+    assert atmosphere == 0.0
+    assert surface == pytest.approx(0.01 * power / link_budget.photon_energy_j(532.0))
+
+
+def test_transmission_is_the_integral_of_extinction():
+    z = np.linspace(2500.0, 200_000.0, 400_001)
+    depth = np.trapezoid(1e-4 * np.exp(-z / 8000.0), z)
+    assert link_budget.transmission_above(1e-4, 2500.0, 8000.0) == pytest.approx(
+        math.exp(-depth), rel=1e-6
+    )
+
+
+def test_central_vector_follows_equation_2_12():
+    cone = math.radians(15)
+    for angle in (0.0, 0.8, 2.5, 5.0):
+        c, s = math.cos(-angle), math.sin(-angle)
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        c, s = math.cos(2 * math.pi - cone), math.sin(2 * math.pi - cone)
+        tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+        expected = turn @ tilt @ np.array([0, 0, -1.0])
+        # Eq. 2.12 as printed puts y on the other side than Eq. 2.13, which is used
+        got = wedge_scan.central_vectors(np.array([angle]), cone)[0]
+        np.testing.assert_allclose(np.abs(got), np.abs(expected), atol=1e-12)
+        np.testing.assert_allclose(
+            got, [np.sin(cone) * np.sin(angle), np.sin(cone) * np.cos(angle), -np.cos(cone)]
+        )
+
+
+def test_the_array_turns_with_the_scan():
+    x, y = wedge_scan.pixel_offsets(10, 200e-6, 0.0)
+    cone, out, first = math.radians(15), np.empty(3), None
+    for angle in (0.0, 1.0, 3.0):
+        radial = np.array([math.sin(angle), math.cos(angle)])
+        tangent = np.array([radial[1], -radial[0]])
+        seen = []
+        for px, py in zip(x, y, strict=True):
+            shots.beam_direction(np.eye(3), angle, cone, px, py, out)
+            assert np.linalg.norm(out) == pytest.approx(1.0)
+            seen.append([out[:2] @ radial, out[:2] @ tangent])
+        first = np.array(seen) if first is None else first
+        np.testing.assert_allclose(seen, first, atol=1e-12)
+
+
+def test_pixels_are_numbered_row_by_row_and_centred():
+    x, y = wedge_scan.pixel_offsets(10, 1.0, 0.0)
+    assert (x[0], y[0]) == (4.5, -4.5)  # Eq. 2.9 at i = j = 1
+    assert (x[1], y[1]) == (4.5, -3.5)
+    assert x.sum() == pytest.approx(0)
+    assert y.sum() == pytest.approx(0)
+
+
+def test_heading_roll_and_pitch_turn_the_body_the_way_pilots_mean():
+    quarter = np.array([math.pi / 2])
+    zero = np.array([0.0])
+    small = np.array([0.1])
+    np.testing.assert_allclose(
+        attitude.rotations(quarter, zero, zero)[0] @ [0, 1, 0], [1, 0, 0], atol=1e-12
+    )
+    assert (attitude.rotations(zero, small, zero)[0] @ [1, 0, 0])[2] < 0
+    assert (attitude.rotations(zero, zero, small)[0] @ [0, 1, 0])[2] > 0
+
+
+def test_poisson_counts_have_the_poisson_law():
+    rng = np.random.default_rng(5)
+    n, mean = 20_000, 1.7
+    counts = np.bincount([detector.poisson_count(rng, mean) for _ in range(n)], minlength=12)
+    expected = stats.poisson.pmf(np.arange(7), mean) * n
+    seen = np.append(counts[:7], counts[7:].sum())
+    assert stats.chisquare(seen, np.append(expected, n - expected.sum())).pvalue > 1e-4
+
+
+def room(n=400):
+    return (
+        np.empty(n),
+        np.empty((n, 3), dtype=np.int64),
+        np.empty(n, dtype=np.int64),
+        np.empty(n, dtype=np.int64),
+    )
+
+
+def test_background_is_uniform_along_the_gate():
+    rng, (ranges, facts, _, _) = np.random.default_rng(6), room()
+    seen, counts = [], []
+    for _ in range(4000):
+        n = detector.add_background(rng, ranges, facts, 1000.0, 1300.0, 0.01)
+        counts.append(n)
+        seen.extend(ranges[:n])
+    assert np.mean(counts) == pytest.approx(3.0, abs=4 * math.sqrt(3 / 4000))
+    assert stats.kstest(seen, stats.uniform(1000, 300).cdf).pvalue > 1e-4
+
+
+def test_dead_time_is_kept_and_what_falls_into_it_is_counted():
+    rng, (ranges, facts, kept, electrons) = np.random.default_rng(7), room()
+    receiver = detector.Receiver(0.24, 0.0, 0.7, 3.0)
+    for _ in range(200):
+        n = detector.add_background(rng, ranges, facts, 0.0, 30.0, 3.0)
+        before = ranges[:n].copy()
+        count = detector.record(rng, ranges, facts, n, 30.0, receiver, kept, electrons)
+        expected, last = [], -np.inf
+        for k, at in enumerate(before):
+            if at >= last + 0.24:
+                expected.append(k)
+                last = at
+        np.testing.assert_array_equal(kept[:count], expected)
+        assert electrons[:count].sum() == n
+
+
+def test_afterpulses_follow_their_law_and_name_their_parents():
+    rng, (ranges, facts, kept, electrons) = np.random.default_rng(8), room()
+    receiver, lags, generations, n_shots = detector.Receiver(0.24, 0.15, 0.7, 3.0), [], [], 20_000
+    for _ in range(n_shots):
+        n = detector.add_event(ranges, facts, 0, 50.0, 2, detector.NO_PARENT, -1)
+        count = detector.record(rng, ranges, facts, n, 300.0, receiver, kept, electrons)
+        generations.append(count - 1)
+        assert (facts[1:count, 0] == detector.EVENT_AFTERPULSE).all()
+        assert (facts[1:count, 1] == 2).all()  # the surface, through every generation
+        lags.extend(ranges[k] - ranges[facts[k, 2]] for k in range(1, count))
+    started = np.bincount(generations, minlength=3)
+    # every recorded detection starts one with p: a geometric number of generations
+    for k in range(3):
+        p = 0.85 * 0.15**k
+        assert started[k] / n_shots == pytest.approx(p, abs=4 * math.sqrt(p / n_shots))
+    law = stats.truncexpon(b=(3.0 - 0.24) / 0.7, loc=0.24, scale=0.7)
+    assert stats.kstest(lags, law.cdf).pvalue > 1e-4
+
+
+def test_nothing_is_recorded_behind_the_gate():
+    rng, (ranges, facts, kept, electrons) = np.random.default_rng(9), room()
+    receiver = detector.Receiver(0.24, 0.9, 0.7, 3.0)
+    for _ in range(100):
+        n = detector.add_event(ranges, facts, 0, 99.5, 1, detector.NO_PARENT, -1)
+        count = detector.record(rng, ranges, facts, n, 100.0, receiver, kept, electrons)
+        assert (ranges[kept[:count]] <= 100.0).all()
+
+
+def test_too_many_events_are_an_error_not_a_loss():
+    ranges, facts, _, _ = room(2)
+    for n in range(2):
+        detector.add_event(ranges, facts, n, float(n), 1, detector.NO_PARENT, -1)
+    with pytest.raises(ValueError, match="room"):
+        detector.add_event(ranges, facts, 2, 2.0, 1, detector.NO_PARENT, -1)
+
+
+def test_clear_water_is_a_surface_a_column_and_a_bottom():
+    ground = np.full((20, 20), 8.0)
+    kind = np.full((20, 20), ray_trace.KIND_BOTTOM, dtype=np.uint8)
+    empty = np.zeros((0, 8))
+    scene = ray_trace.SceneArrays(
+        ground, np.full((20, 20), 0.2), kind, np.zeros((20, 20), np.uint8),
+        np.array([[10.0, 0.3, 0.04]]), np.array([0.0, 0.0, 1.0]), np.zeros((0, 6, 4)),
+        np.zeros(0, np.int64), np.zeros((0, 4)), empty, np.zeros((0, 10)),
+        np.array([0.0, 0.0, 20.0]), np.zeros((1, 2), np.int64), np.zeros(0, np.int64),
+    )  # fmt: skip
+    d = np.array([math.sin(0.2), 0.0, -math.cos(0.2)])
+    o = origin_for([10.0, 10.0, 8.0], d, 500.0)
+    layers = shots.empty_layers(scene)
+    n, hard, _, rho, what = beam_layers.look(scene, o, d, d, 1e-4, layers)
+    assert (n, what, rho) == (2, ray_trace.KIND_BOTTOM, pytest.approx(0.2))
+    assert hard == pytest.approx(500.0)
+    length = 2.0 / math.cos(0.2)
+    assert layers[:2, 0] == pytest.approx([500.0 - length] * 2)
+    assert layers[0, 2] * layers[0, 3] == pytest.approx(0.04), "the surface's reflectance"
+    assert 1 - layers[1, 2] == pytest.approx(math.exp(-2 * 0.3 * length)), "both ways"
+    assert layers[1, 3] == 0.0
+    kind[:] = ray_trace.KIND_WATER
+    assert beam_layers.look(scene, o, d, d, 1e-4, layers)[0] == 0, "opaque water is its surface"

@@ -1,0 +1,176 @@
+"""Labels find their points again, however the units are cut."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from spl_batch.airborne.store.label_tables import (
+    GROUP_ROWS,
+    OPEN_FILES,
+    LabelFiles,
+    read_labelled_tile,
+    read_region,
+    write_labels,
+)
+from spl_batch.engine.store.working_store import Store
+from spl_batch.formats.verified.parquet_npz import write_table
+from spl_batch.lattice.tables import CANONICAL_ORDER, COLUMNS, PointTable, canonical_order
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cell_index, cells_touching, inside
+
+TILE = 100
+
+
+def scene(n: int, seed: int) -> PointTable:
+    rng = np.random.default_rng(seed)
+    columns = {
+        "x": rng.integers(-250, 250, n),
+        "y": rng.integers(-250, 250, n),
+        "z": rng.integers(-9, 9, n),
+        "gps_time": rng.integers(0, 5, n),
+        "channel": rng.integers(0, 5, n),
+        "return_number": rng.integers(1, 3, n),
+        "source": rng.integers(1, 3, n),
+        "index": np.arange(n),
+    }
+    table = PointTable({k: v.astype(COLUMNS[k].dtype) for k, v in columns.items()})
+    return table.take(canonical_order(table))
+
+
+def write_tiles(store: Store, table: PointTable) -> list[CellId]:
+    i, j = (cell_index(table[a], TILE) for a in "xy")
+    tiles = sorted({CellId(a, b) for a, b in zip(i.tolist(), j.tolist(), strict=True)})
+    for tile in tiles:
+        write_table(store.tile(str(tile)), table.take((i == tile.i) & (j == tile.j)))
+    return tiles
+
+
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(n=st.integers(1, 150), unit=st.sampled_from([70, 100, 260]), seed=st.integers(0, 99))
+def test_labels_of_other_units_come_back_to_each_point(
+    tmp_path_factory: object, n: int, unit: int, seed: int
+) -> None:
+    store = Store(tmp_path_factory.mktemp("store"))  # type: ignore[attr-defined]
+    table = scene(n, seed)
+    tiles = write_tiles(store, table)
+    units = {u for t in tiles for u in cells_touching(cell_bounds(t, TILE), unit)}
+    for u in units:
+        core = cell_bounds(u, unit)
+        near = [t for t in tiles if t in set(cells_touching(core, TILE))]
+        found, origin = read_region(store, near, core, CANONICAL_ORDER, {})
+        # The label is a function of the point alone, so that it can be recomputed.
+        all_of_it = origin.of(np.ones(len(found), np.bool_))
+        write_labels(store.labels("ground", str(u)), *all_of_it, {"ground": found["index"] % 7})
+    holders = {
+        t: [("ground", str(u)) for u in cells_touching(cell_bounds(t, TILE), unit) if u in units]
+        for t in tiles
+    }
+    seen = 0
+    for tile in tiles:
+        back = read_labelled_tile(store, tile, CANONICAL_ORDER, {"ground": holders[tile]})
+        assert np.array_equal(back["ground"], back["index"] % 7)
+        seen += len(back)
+    assert seen == n
+    region = Bounds(-120, -33, 155, 101)
+    got, _ = read_region(store, tiles, region, CANONICAL_ORDER, {"ground": holders})
+    mine = table.take(inside(table["x"], table["y"], region))
+    assert np.array_equal(got["index"], mine["index"]), "canonical order, nothing lost"
+    assert np.array_equal(got["ground"], mine["index"] % 7)
+
+
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(n=st.integers(1, 150), seed=st.integers(0, 99), other=st.sampled_from([None, 0, 1]))
+def test_points_as_they_lie_are_the_same_and_labelled_alike(
+    tmp_path_factory: object, n: int, seed: int, other: int | None
+) -> None:
+    folder: Path = tmp_path_factory.mktemp("store")  # type: ignore[attr-defined]
+    store = Store(folder)
+    tiles = write_tiles(store, scene(n, seed))
+    region = Bounds(-120, -33, 155, 101)
+    paths, seen = [], []
+    for number, ordered in enumerate((True, False)):
+        table, origin = read_region(store, tiles, region, CANONICAL_ORDER, {}, ordered=ordered)
+        names, rows = origin.of(np.ones(len(table), np.bool_))
+        value = table["index"] % 7
+        if other is not None and len(table) > 1:  # neither order: two neighbours changed places
+            swap = np.arange(len(table))
+            swap[[other, -1]] = swap[[-1, other]]
+            names, rows, value = names[swap], rows[swap], value[swap]
+        paths.append(folder / f"{number}.parquet")
+        write_labels(paths[-1], names, rows, {"ground": value})
+        seen.append(table["index"][canonical_order(table)].tolist())
+    assert seen[0] == seen[1]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_points_without_labels_say_so(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    table = scene(50, 1)
+    tile = write_tiles(store, table)[0]
+    names = ("noise_class", "p_value", "classification", "ground")
+    back = read_labelled_tile(store, tile, ("x",), dict.fromkeys(names, ()))
+    assert np.all(back["noise_class"] == 255)
+    assert np.all(back["classification"] == 255)
+    assert np.all(back["ground"] == 0)
+    assert np.all(np.isnan(back["p_value"]))
+
+
+def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    path = store.labels("ground", "u")
+    write_labels(path, np.empty((0, 2), np.int32), np.empty(0, np.uint32), {"ground": np.empty(0)})
+    assert len(labels_of(store, "u", CellId(0, 0))["row"]) == 0
+    tiles = np.array([[1, 0], [0, 1], [1, 0]], np.int32)
+    write_labels(path, tiles, np.array([7, 3, 2], np.uint32), {"ground": np.array([1, 2, 3])})
+    back = labels_of(store, "u", CellId(1, 0))
+    assert back["row"].tolist() == [2, 7]
+    assert back["ground"].tolist() == [3, 1]
+    assert len(labels_of(store, "u", CellId(1, 1))["row"]) == 0
+
+
+def labels_of(
+    store: Store, unit: str, tile: CellId, rows: tuple[int, int] = (0, 2**32)
+) -> dict[str, NDArray[Any]]:
+    with LabelFiles(store) as files:
+        return files.read(("ground", unit), tile, ["ground"], rows)
+
+
+def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> None:
+    store, count = Store(tmp_path), 3 * GROUP_ROWS + 5
+    ground = (np.arange(count) % 5 == 0).astype(np.uint8)
+    whole = np.arange(count, dtype=np.uint32)
+    # Where rows are left out they are read; elsewhere they are counted.
+    gaps = np.delete(whole, [4, 2 * GROUP_ROWS + 9])
+    for unit, row in {"whole": whole, "gaps": gaps}.items():
+        tiles = np.zeros((len(row), 2), np.int32)
+        write_labels(store.labels("ground", unit), tiles, row, {"ground": ground[row]})
+        for low, high in ((0, 0), (GROUP_ROWS - 1, GROUP_ROWS), (3 * GROUP_ROWS, count - 1)):
+            back = labels_of(store, unit, CellId(0, 0), (low, high))
+            assert np.array_equal(back["ground"], ground[back["row"]])
+            assert np.array_equal(np.intersect1d(back["row"], [low, high]), np.unique([low, high]))
+            assert len(back["row"]) <= 2 * GROUP_ROWS
+
+
+def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
+    store, tile = Store(tmp_path), CellId(0, 0)
+    units = [f"u{k}" for k in range(OPEN_FILES + 2)]
+    for k, unit in enumerate(units):
+        label = {"ground": np.array([k])}
+        write_labels(store.labels("ground", unit), np.array([tile]), np.array([0]), label)
+    with LabelFiles(store) as files:
+        for k, unit in [*enumerate(units), *enumerate(units)]:
+            back = files.read(("ground", unit), tile, ["ground"], (0, 0))
+            assert back["ground"].tolist() == [k]
+
+
+def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
+    table, origin = read_region(Store(tmp_path), [], Bounds(0, 0, 9, 9), CANONICAL_ORDER, {})
+    tiles, rows = origin.of(np.empty(0, np.bool_))
+    assert len(table) == len(tiles) == len(rows) == 0

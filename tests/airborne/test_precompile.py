@@ -1,0 +1,146 @@
+"""Compiling ahead: what is listed is what the chain calls, and each worker gets its share."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from spl_batch.airborne import precompile
+from spl_batch.engine.flow.cluster import SETTINGS
+from spl_batch.engine.flow.executor import Ahead
+
+Tell = Callable[[int, int], None]
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.slow
+def test_the_list_is_what_a_run_calls() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "benchmarks.airborne.signatures", "--check"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, (
+        f"python -m benchmarks.airborne.signatures\n{ended.stdout}{ended.stderr}"
+    )
+
+
+def test_types_are_read_as_they_are_written() -> None:
+    for name, listed in precompile.signatures().items():
+        kernel = precompile.find(name)
+        for text in listed:
+            assert "; ".join(map(str, precompile.parse(text, kernel))) == text
+    assert any("readonly" in text for listed in precompile.signatures().values() for text in listed)
+    assert any("Rules(" in text for listed in precompile.signatures().values() for text in listed)
+
+
+@pytest.mark.parametrize("shares", [1, 2, 3, 16, 100])
+def test_shares_are_all_kernels_once_and_about_equal(shares: int) -> None:
+    names = precompile.signatures()
+    found = precompile.divided(names, shares)
+    assert len(found) == shares
+    assert sorted(name for share in found for name in share) == sorted(names)
+    if 1 < shares < 4:
+        sizes = [
+            len({c for n in share for c in precompile._called(precompile.find(n))})
+            for share in found
+        ]
+        assert max(sizes) < 1.2 * min(sizes)
+        every = {c for name in names for c in precompile._called(precompile.find(name))}
+        assert sum(sizes) < 1.1 * len(every), "what calls the same is compiled together"
+
+
+def test_a_share_that_is_compiled_is_loaded_by_another_process() -> None:
+    told: list[tuple[int, int]] = []
+    precompile.compile_share(15, 16, lambda done, of: told.append((done, of)))
+    names = precompile.divided(precompile.signatures(), 16)[15]
+    whole = len({called for name in names for called in precompile._called(precompile.find(name))})
+    assert told == sorted(told), "what is done grows"
+    assert (told[0], told[-1]) == ((0, whole), (whole, whole))
+    assert len(told) == len(names) + 1
+    assert all(
+        precompile.find(n).signatures for n in precompile.divided(precompile.signatures(), 16)[15]
+    )
+    ended = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from spl_batch.airborne import precompile; print(precompile.compile_share(15, 16))",
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ended.stdout.split() == ["0"]
+
+
+class Told:
+    """An observer that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+        self.counts: list[tuple[int, int]] = []
+
+    def noted(self, text: str) -> None:
+        self.notes.append(text)
+
+    def compiled(self, done: int, of: int) -> None:
+        self.counts.append((done, of))
+
+
+def left_behind(share: int, shares: int, _tell: Tell) -> int:
+    """Share number one fails, the others leave a file."""
+    if share == 1:
+        raise ValueError(f"share {share} of {shares}")
+    return share
+
+
+def all_of_it(share: int, shares: int, _tell: Tell) -> int:
+    """Fails to tell that it was called."""
+    raise ValueError(f"{shares} share" if share == 0 else "another")
+
+
+def some_left(share: int, shares: int, tell: Tell) -> int:
+    """The last share has something to do; each has two steps."""
+    tell(2, 2)
+    time.sleep(0.2 + 0.2 * (share + 1 == shares))
+    return int(share + 1 == shares)
+
+
+def none_left(share: int, shares: int, _tell: Tell) -> int:
+    """Everything is found done."""
+    return 0 * share * shares
+
+
+def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
+    import dask  # noqa: PLC0415 - slow
+    from distributed import Client, LocalCluster  # noqa: PLC0415
+
+    told, alone = Told(), Ahead(all_of_it, "alone")
+    with (
+        dask.config.set(SETTINGS),
+        LocalCluster(
+            n_workers=2, processes=False, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+        ) as two,
+        Client(two) as client,
+    ):
+        client.wait_for_workers(2)
+        addresses = sorted(client.sync(client.scheduler.identity)["workers"])
+        alone.share_out(client, addresses[:1], told)  # type: ignore[arg-type]
+        again = Ahead(left_behind, "compiling")
+        again.share_out(client, addresses, told)  # type: ignore[arg-type]
+        again.share_out(client, addresses, told)  # type: ignore[arg-type]
+        compiled, loaded = Ahead(some_left, "compiling"), Ahead(none_left, "loading")
+        compiled.share_out(client, addresses, told)  # type: ignore[arg-type]
+        loaded.share_out(client, addresses, told)  # type: ignore[arg-type]
+    assert told.notes == ["alone: 1 share", "compiling: share 1 of 2"]
+    assert compiled.took_s is not None
+    assert compiled.took_s >= 0.2
+    assert told.counts[-1] == (4, 4), "steps of both shares, added up"
+    assert loaded.took_s is None

@@ -1,0 +1,540 @@
+"""A complete workflow: nothing lost, nothing done twice, and always the same result."""
+
+import errno
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import laspy
+import numpy as np
+import pytest
+import rasterio
+import shapely
+
+from spl_batch import api
+from spl_batch.airborne.filter import denoise as denoise_stage
+from spl_batch.airborne.ground import ground_methods as ground_stage
+from spl_batch.airborne.noise import line_noise as line_noise_stage
+from spl_batch.airborne.simulate.file_writers import write_polygons
+from spl_batch.airborne.tasks import delivery
+from spl_batch.constants import NODATA
+from spl_batch.engine.store.output_lock import locked
+from spl_batch.engine.verbs import preparing
+from spl_batch.engine.watch.events import Note, PhaseStarted, TaskEnded
+from tests import surveys
+
+SCHEMAS = Path(__file__).parents[2] / "schemas"
+RENAMED = {"classification": "input_classification"}
+
+
+class Watcher:
+    """Collects what a run tells."""
+
+    def __init__(self) -> None:
+        self.events: list[Any] = []
+
+    def __call__(self, event: Any) -> None:
+        self.events.append(event)
+
+    @property
+    def done(self) -> dict[str, int]:
+        """Tasks that were done, by kind; kinds without any are left out."""
+        counts: dict[str, int] = {}
+        for event in self.events:
+            if isinstance(event, TaskEnded):
+                counts[event.kind] = counts.get(event.kind, 0) + 1
+        return counts
+
+    @property
+    def skipped(self) -> int:
+        return sum(e.skipped for e in self.events if isinstance(e, PhaseStarted))
+
+    @property
+    def notes(self) -> list[str]:
+        return [e.text for e in self.events if isinstance(e, Note)]
+
+
+def watched(workflow: Path, *overrides: str, **options: Any) -> tuple[api.RunResult, Watcher]:
+    watcher = Watcher()
+    return surveys.run(workflow, *overrides, listener=watcher, **options), watcher
+
+
+# What is delivered
+
+
+def test_every_point_comes_back_once_in_order_with_all_attributes(
+    tiny_survey: Path, tiny_output: Path
+) -> None:
+    clouds = surveys.delivered(tiny_output)
+    inputs = sorted((tiny_survey.parent / "flightlines").glob("*.laz"))
+    assert list(clouds) == [f"flightlines/{p.name}" for p in inputs]
+    for path in inputs:
+        given, got = surveys.cloud(path), clouds[f"flightlines/{path.name}"]
+        for name, values in given.items():
+            assert values.tobytes() == got[RENAMED.get(name, name)].tobytes(), name
+        with laspy.open(path) as a, laspy.open(tiny_output / "laz/flightlines" / path.name) as b:
+            assert list(a.header.scales) == list(b.header.scales)
+            assert list(a.header.offsets) == list(b.header.offsets)
+            assert a.header.parse_crs() == b.header.parse_crs()
+            assert str(b.header.version) == "1.4"
+
+
+def test_labels_are_classes_of_the_contract(tiny_output: Path) -> None:
+    for columns in surveys.labels(tiny_output).values():
+        noise, classes = columns["noise_class"], columns["classification"]
+        assert set(np.unique(noise)) <= {0, 1, 2, 255}
+        assert set(np.unique(classes)) <= {1, 2, 6, 7, 9, 18}
+        assert np.array_equal(np.isin(noise, (1, 2)), np.isin(classes, (7, 18)))
+        assert np.all(noise[classes == 2] == 0)
+        assert (noise == 0).mean() > 0.5
+        p_value = columns["p_value"]
+        assert np.all(np.isnan(p_value) | ((p_value >= 0) & (p_value <= 1)))
+        density = columns["noise_density"]
+        assert np.all(np.isfinite(density[noise != 255]))
+        assert 0.02 < np.median(density) < 0.08, "the scene has 0.04 per m3"
+
+
+def test_the_report_is_what_its_schema_says(tiny_output: Path) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    text = (tiny_output / "report.json").read_text(encoding="utf-8")
+    report = json.loads(text, parse_constant=refuse)
+    schema = json.loads((SCHEMAS / "report.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator(schema).validate(report)
+    counts = report["counts"]
+    clouds = surveys.labels(tiny_output).values()
+    noise = np.concatenate([c["noise_class"] for c in clouds])
+    classes = np.concatenate([c["classification"] for c in clouds])
+    assert counts["points_in"] == counts["points_out"] == len(noise)
+    for name, value in (("signal", 0), ("background", 1), ("afterpulse", 2), ("not_assessed", 255)):
+        assert counts[name] == np.count_nonzero(noise == value), name
+    assert counts["ground"] == np.count_nonzero(classes == 2)
+    for line in report["survey"]["flightlines"]:
+        fired = (line["end_s"] - line["start_s"]) * line["prf_hz"] + 1
+        assert line["shots"] == pytest.approx(fired, abs=0.5)
+    density = report["density"]
+    area_m2 = report["survey"]["area_km2"] * 1e6
+    assert density["ground_per_m2"] == pytest.approx(counts["ground"] / area_m2)
+    assert density["mean_per_m2"] == pytest.approx(counts["signal"] / area_m2, rel=1e-3)
+    assert report["failures"] == []
+    assert set(report["accuracy"]["dtm"]["all"]) >= {"n", "rmse", "nmad", "p95", "min", "max"}
+    assert report["accuracy"]["dtm"]["open_ground"]["rmse"] < 0.1
+    assert set(report["performance"]["stages"]) >= {"index", "shots", "shuffle", "denoise"}
+    assert "<html" in (tiny_output / "report.html").read_text(encoding="utf-8")[:200].lower()
+
+
+def test_rasters_are_aligned_and_cloud_optimised(tiny_output: Path) -> None:
+    transforms = set()
+    for product in surveys.PRODUCTS:
+        with rasterio.open(tiny_output / f"{product}.tif") as source:
+            assert source.dtypes == ("float32",)
+            assert source.nodata == NODATA
+            assert source.crs.to_epsg() == 32615
+            assert source.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+            assert source.transform.c % 1.0 == 0
+            assert source.transform.f % 1.0 == 0
+            assert (source.transform.a, source.transform.e) == (1.0, -1.0)
+            values = source.read(1)
+            assert np.all(np.isfinite(values))
+            assert (values != NODATA).mean() > 0.3
+            assert source.units == ({"density": "1/m2", "intensity": "1"}.get(product, "m"),)
+            transforms.add((source.transform, source.shape))
+    assert len(transforms) == 1
+
+
+def test_surfaces_lie_as_they_should(tiny_output: Path) -> None:
+    values = {}
+    for product in ("dtm", "dsm", "chm"):
+        with rasterio.open(tiny_output / f"{product}.tif") as source:
+            values[product] = source.read(1)
+    both = (values["dtm"] != NODATA) & (values["dsm"] != NODATA)
+    height = values["dsm"][both] - values["dtm"][both]
+    assert np.percentile(height, 1) > -0.3
+    assert height.max() < 15, "no cell is set by noise"
+    assert np.abs(np.maximum(height, 0) - values["chm"][both]).max() < 0.5
+
+
+def test_the_log_is_one_event_a_line(tiny_output: Path) -> None:
+    events = [json.loads(line) for line in (tiny_output / "log.jsonl").read_text().splitlines()]
+    assert {"PhaseStarted", "TaskEnded"} <= {e["event"] for e in events}
+    assert all("time" in e for e in events)
+    status = {s.stage: s for s in api.status(tiny_output).stages.values()}
+    assert status["denoise"].done == status["denoise"].total > 0
+    assert sum(s.failed + s.left for s in status.values()) == 0
+
+
+def test_the_report_can_be_written_again(small_lines: Path, tmp_path: Path) -> None:
+    workflow = surveys.copy_of(small_lines, tmp_path)
+    (surveys.run(workflow).output / "report.html").unlink()
+    output = surveys.run(workflow).output
+    before = json.loads((output / "report.json").read_text())
+    assert 0 < before["performance"]["earlier_wall_s"] < before["performance"]["wall_s"]
+    for name in ("report.json", "report.html"):
+        (output / name).unlink()
+    api.report(output)
+    after = json.loads((output / "report.json").read_text())
+    for part in ("survey", "counts", "accuracy", "density", "noise", "failures", "warnings"):
+        assert after[part] == before[part], part
+    assert after["performance"] == before["performance"]
+
+
+# Doing nothing twice
+
+
+def test_a_second_run_does_nothing(small: Path) -> None:
+    first, watcher = watched(small)
+    tasks = sum(watcher.done.values())
+    before = surveys.results(first.output)
+    times = {name: (first.output / name).stat().st_mtime_ns for name in before}
+    second, watcher = watched(small)
+    assert second.exit_status == 0
+    assert watcher.done == {}
+    assert watcher.skipped == tasks
+    assert surveys.results(first.output) == before
+    assert {name: (first.output / name).stat().st_mtime_ns for name in before} == times
+    assert second.report is not None
+    assert first.report is not None
+    assert second.report.counts == first.report.counts
+
+
+def test_what_does_not_wait_for_each_other_is_done_at_once(small: Path) -> None:
+    _, watcher = watched(small, "outputs.tiles=laz", until="deliver")
+    left: dict[str, int] = {}
+    beside: set[str] = set()
+    for event in watcher.events:
+        if isinstance(event, PhaseStarted):
+            beside |= {event.kind} if any(left.values()) else set()
+            left[event.kind] = event.tasks
+        elif isinstance(event, TaskEnded):
+            left[event.kind] -= 1
+    assert beside == {"deliver_tile", "mosaic"}, "all others wait for those before"
+    assert not any(left.values())
+
+
+def test_a_report_stands_until_it_would_say_something_else(small: Path) -> None:
+    output = surveys.run(small).output
+
+    def written() -> tuple[int, bytes]:
+        page = output / "report.html"
+        return page.stat().st_mtime_ns, page.read_bytes()
+
+    first = written()
+    again = surveys.run(small)
+    assert written() == first
+    *rows, (label, value) = again.screen
+    assert tuple(rows) == surveys.run(small).screen[:-1] != ()
+    assert (label, value[:19]) == ("now", "nothing was left to")
+    (output / "report.html").unlink()
+    surveys.run(small)
+    second = written()
+    (output / "report.json").write_text("{}")
+    surveys.run(small)
+    assert written()[0] > second[0]
+    assert json.loads((output / "report.json").read_text())["counts"]["points_in"] > 0
+
+
+def test_fresh_does_everything_again_and_gives_the_same_bytes(small: Path) -> None:
+    first, watcher = watched(small)
+    before, tasks = surveys.results(first.output), watcher.done
+    _, watcher = watched(small, fresh=True)
+    assert watcher.done == tasks
+    assert watcher.skipped == 0
+    assert surveys.results(first.output) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "untouched", "touched"),
+    [
+        ("outputs.diagnostics=true", {"gather", "scatter", "build_tile"}, "denoise"),
+        ("products.cell_m=0.5", {"gather", "scatter", "denoise", "ground"}, "surface"),
+        ("ground.method=smrf", {"gather", "scatter", "build_tile", "denoise"}, "ground"),
+        ("filter.alpha=0.05", {"index_file", "gather", "fit_line", "scatter"}, "denoise"),
+        ("tiling.tile_m=40", {"index_file", "gather", "fit_line"}, "scatter"),
+        ("noise.buffer_m=20", {"index_file"}, "gather"),
+        ("survey.name=other", {"index_file", "deliver_file", "mosaic"}, ""),
+    ],
+)
+def test_a_change_redoes_what_depends_on_it(
+    small: Path, change: str, untouched: set[str], touched: str
+) -> None:
+    surveys.run(small, until="deliver")
+    result, watcher = watched(small, change, until="deliver")
+    assert result.exit_status == 0
+    assert not untouched & set(watcher.done)
+    assert touched in watcher.done or not touched
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), change, until="deliver")
+    assert surveys.results(result.output) == surveys.results(clean.output), "nothing stale is left"
+
+
+def test_a_touched_file_is_read_again_and_a_changed_one_changes_the_rest(small: Path) -> None:
+    surveys.run(small, until="deliver")
+    path = small.parent / "lines/line_1.laz"
+    stat = path.stat()
+    path.write_bytes(path.read_bytes())
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns + 10**9))
+    _, watcher = watched(small, until="deliver")
+    assert watcher.done == {"index_file": 1}, "its content is the same"
+    line = surveys.flightline(psid=1, seed=77)
+    surveys.write_cloud(path, line)
+    result, watcher = watched(small, until="deliver")
+    assert watcher.done["index_file"] == 1
+    assert watcher.done["gather"] == 1, "the other line stays"
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), until="deliver")
+    assert surveys.results(result.output) == surveys.results(clean.output)
+
+
+def test_what_is_missing_from_the_store_is_made_again(small: Path) -> None:
+    result = surveys.run(small, until="deliver")
+    before = surveys.results(result.output)
+    store = result.output / "store"
+    next((store / "noise").glob("*.parquet")).unlink()
+    next((store / "receipts/gather").rglob("*.json")).write_text("{half")
+    (result.output / "dtm.tif").unlink()
+    (result.output / "laz/lines/.line_1.laz.99.tmp").write_bytes(b"half a file")
+    again, watcher = watched(small, until="deliver")
+    assert again.exit_status == 0
+    assert (watcher.done["gather"], watcher.done["denoise"]) == (1, 1)
+    assert surveys.results(again.output) == before
+
+
+@pytest.mark.parametrize("stage", ["index", "shots", "shuffle", "denoise", "ground", "surfaces"])
+def test_until_stops_after_a_stage_and_continues(
+    small: Path, small_output: Path, stage: str
+) -> None:
+    result, watcher = watched(small, until=stage)
+    assert (result.exit_status, result.report) == (0, None)
+    stages = [e.stage for e in watcher.events if isinstance(e, PhaseStarted)]
+    assert stages[-1] == stage
+    assert not (result.output / "laz").exists()
+    done = set(watcher.done)
+    result, watcher = watched(small, until="deliver")
+    assert not done & set(watcher.done)
+    assert surveys.results(result.output) == surveys.results(small_output)
+
+
+def test_no_two_runs_in_one_output(small: Path) -> None:
+    with locked(small.parent / "out"):
+        ended = surveys.command("run", small, "--workers", 0)
+    assert ended.status == 2
+    assert "another run is working" in ended.text
+
+
+# Always the same result; tests/engine/runs/test_equivalence.py has the ways of running
+
+
+IDENTITY = ("X", "Y", "Z", "gps_time", "channel", "intensity", "return_number")
+LABELS = ("classification", "noise_class", "noise_density", "p_value")
+
+
+def labelled(output: Path) -> Any:
+    """All labelled points as one sorted array of records, whatever file they are in."""
+    parts = [surveys.point_rows(c, IDENTITY + LABELS) for c in surveys.delivered(output).values()]
+    return np.sort(np.concatenate(parts)).tobytes()
+
+
+def split(path: Path) -> None:
+    """Cut a file into two, the points dealt out in turns."""
+    las = laspy.read(path)
+    for k in (0, 1):
+        part = laspy.LasData(las.header, las.points[np.arange(k, len(las.points), 2)])
+        part.write(path.with_name(f"{path.stem}_{k}.laz"))
+    path.unlink()
+
+
+def halve(path: Path) -> None:
+    """Cut a file into two in the middle of a shot."""
+    las = laspy.read(path)
+    middle = len(las.points) // 2 + 1
+    for k, part in enumerate((slice(0, middle), slice(middle, None))):
+        laspy.LasData(las.header, las.points[part]).write(path.with_name(f"{path.stem}_{k}.laz"))
+    path.unlink()
+
+
+def shuffle(path: Path) -> None:
+    """Put a file's points into another order."""
+    las = laspy.read(path)
+    order = np.random.default_rng(5).permutation(len(las.points))
+    laspy.LasData(las.header, las.points[order]).write(path)
+
+
+@pytest.mark.parametrize("change", [split, halve, shuffle])
+def test_files_and_their_order_do_not_matter(
+    tiny_survey: Path, tiny_output: Path, tmp_path: Path, change: Callable[[Path], None]
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    change(tmp_path / "flightlines/line_01.laz")
+    result = surveys.run(workflow, "outputs.diagnostics=true", until="deliver")
+    assert result.exit_status == 0
+    assert labelled(result.output) == labelled(tiny_output)
+    assert surveys.rasters(result.output) == surveys.rasters(tiny_output)
+
+
+# Places
+
+
+def test_an_area_of_interest_is_honoured(
+    tiny_survey: Path, tiny_output: Path, tmp_path: Path
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    west, south, east, north = 272_010.0, 3_290_020.0, 272_040.0, 3_290_055.0
+    write_polygons(tmp_path / "aoi.gpkg", [shapely.box(west, south, east, north)], "EPSG:32615")
+    result = surveys.run(workflow, "aoi=aoi.gpkg", "outputs.diagnostics=true")
+    assert result.exit_status == 0
+    outside_points = 0
+    for name, got in surveys.delivered(result.output).items():
+        las = laspy.read(result.output / "laz" / name)
+        x, y = np.asarray(las.x), np.asarray(las.y)
+        # Points on the very edge belong to whoever draws it.
+        inside = (x > west) & (x < east) & (y > south) & (y < north)
+        outside = (x < west) | (x > east) | (y < south) | (y > north)
+        assert np.count_nonzero(inside) > 5000
+        full = surveys.delivered(tiny_output)[name]
+        for label in ("noise_class", "p_value", "noise_density"):
+            same = got[label][inside].tobytes() == full[label][inside].tobytes()
+            assert same, f"{label}: points outside are still neighbours"
+        assert np.all(got["noise_class"][outside] == 255)
+        assert np.array_equal(got["classification"][outside], got["input_classification"][outside])
+        outside_points += int(np.count_nonzero(got["noise_class"] == 255))
+    assert result.report is not None
+    assert result.report.counts.outside_aoi == outside_points
+    assert result.report.counts.points_out == result.report.counts.points_in
+    with rasterio.open(result.output / "dtm.tif") as source:
+        rows, columns = np.nonzero(source.read(1) != NODATA)
+        x, y = source.xy(rows, columns)
+    assert (min(x), max(x), min(y), max(y)) == (west + 0.5, east - 0.5, south + 0.5, north - 0.5)
+
+
+def test_points_by_tile_are_all_points_once(small: Path, small_output: Path) -> None:
+    result = surveys.run(small, "outputs.tiles=laz", "tiling.tile_m=7", until="deliver")
+    parts = [laspy.read(p) for p in sorted((result.output / "tiles").glob("*.laz"))]
+    assert len(parts) > 2
+    for part, path in zip(parts, sorted((result.output / "tiles").glob("*.laz")), strict=True):
+        i, j = (int(v) for v in path.stem.split("_"))
+        assert np.all((part.x >= i * 7 - 1e-6) & (part.x < (i + 1) * 7))
+        assert np.all((part.y >= j * 7 - 1e-6) & (part.y < (j + 1) * 7))
+
+    def rows(clouds: Sequence[Any]) -> Any:
+        names = ("gps_time", "intensity", "classification", "noise_class")
+        columns = {n: np.concatenate([np.array(c[n]) for c in clouds]) for n in names}
+        return surveys.point_rows(columns, names).tobytes()
+
+    assert rows(parts) == rows(list(surveys.delivered(small_output).values()))
+
+
+def test_too_little_memory_is_refused_before_any_work(tiny_survey: Path, tmp_path: Path) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    ended = surveys.command("run", workflow, "--workers", 0, "--memory", "300MiB")
+    assert ended.status == 2
+    assert "more than a task may use of --memory 300 MiB (270 MiB); raise it" in ended.err
+    assert not (tmp_path / "out/store/receipts").exists()
+
+
+def test_a_plan_tells_whose_share_of_the_memory_is_too_little_or_too_much(
+    tiny_survey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workflow = surveys.copy_of(tiny_survey, tmp_path)
+    monkeypatch.setattr(preparing, "machine_memory", lambda: 2 * 2**30)
+    ended = surveys.command("plan", workflow, "--workers", 4)
+    assert ended.status == 2
+    assert "the share of each of 4 workers, 256 MiB" in ended.err
+    assert "use fewer workers, raise --memory to" in ended.err
+    one = surveys.command("plan", workflow, "--workers", 1)
+    assert "by default, as --memory is not given" in " ".join(one.out.split())
+    for memory, told in (("1GiB", False), ("1.1GiB", True)):
+        ended = surveys.command("plan", workflow, "--workers", 2, "--memory", memory)
+        assert ended.status == 0
+        assert (
+            "2 workers may take 2.2 GiB together, this machine has 2.0 GiB" in ended.out
+        ) == told
+
+
+# Failures
+
+
+def raising(function: Callable[..., Any], on_call: int) -> Callable[..., Any]:
+    """The function, but one of its calls fails."""
+    calls = 0
+
+    def sometimes(*args: Any, **kwargs: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == on_call:
+            raise RuntimeError("broken\non purpose")
+        return function(*args, **kwargs)
+
+    return sometimes
+
+
+BREAKS = [
+    (denoise_stage, "judge", "denoise"),
+    (ground_stage, "ground_mask", "ground"),
+    (line_noise_stage, "observe", "observe"),
+    (line_noise_stage, "fit", "fit_line"),
+    (line_noise_stage, "line_density", "scatter"),
+]
+
+
+@pytest.mark.parametrize(("module", "function", "kind"), BREAKS, ids=[b[2] for b in BREAKS])
+def test_a_failing_task_is_isolated_and_tried_again(
+    small: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    module: Any,
+    function: str,
+    kind: str,
+) -> None:
+    cells = ("ground.cell_m=10", "ground.buffer_m=1")
+    settings = ("tiling.tile_m=10", "tiling.block_tiles=1", *cells)
+    with monkeypatch.context() as patch:
+        patch.setattr(module, function, raising(getattr(module, function), 2))
+        result, watcher = watched(small, *settings)
+    assert result.exit_status == 1
+    assert result.report is not None
+    (failure,) = result.report.failures
+    assert failure.task is not None
+    assert failure.task.startswith(kind)
+    assert "broken on purpose" in failure.reason
+    counts = result.report.counts
+    assert counts.points_in == counts.points_out
+    assert watcher.done[kind] >= 2
+    if kind not in {"ground", "denoise"}:
+        assert counts.not_assessed > 0
+    assert counts.not_assessed < counts.points_in
+    second, watcher = watched(small, *settings)
+    assert second.exit_status == 0
+    assert watcher.done[kind] == 1, "only what failed is tried again"
+    assert second.report is not None
+    assert second.report.failures == ()
+    assert second.report.counts.not_assessed == 0
+    clean = surveys.run(surveys.copy_of(small, small.parent / "clean"), *settings, until="deliver")
+    assert surveys.results(second.output) == surveys.results(clean.output)
+
+
+def test_a_failed_delivery_is_counted(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(delivery, "write_classified", raising(delivery.write_classified, 1))
+        result = surveys.run(small)
+    assert result.exit_status == 1
+    assert result.report is not None
+    counts = result.report.counts
+    assert 0 < counts.points_out < counts.points_in
+    assert len(list((result.output / "laz").rglob("*.laz"))) == 1
+    assert surveys.run(small).exit_status == 0
+
+
+def test_a_full_disk_stops_everything_and_can_be_continued(
+    small: Path, small_output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("spl_batch.formats.verified.parquet_npz.GroupWriter.write", full)
+        ended = surveys.command("run", small, "--workers", 0)
+    assert ended.status == 3
+    assert "disk full" in ended.text
+    result = surveys.run(small)
+    assert surveys.results(result.output) == surveys.results(small_output)

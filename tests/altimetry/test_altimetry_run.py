@@ -1,0 +1,392 @@
+"""Whole runs on photon files: labels, profiles, reports, cuts, damage and mistakes."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow.csv
+import pytest
+import rasterio
+import yaml
+
+from spl_batch.altimetry.filter.signal import score_bins
+from spl_batch.altimetry.settings import TrackWorkflow
+from spl_batch.altimetry.simulate import SceneFile, simulate_file
+from spl_batch.altimetry.tasks import heights
+from spl_batch.altimetry.tasks import photons as photons_runner
+from spl_batch.engine.settings.workflow_file import parse_any
+from spl_batch.errors import WorkflowError
+from tests import surveys
+from tests.altimetry.tracks import (
+    labels,
+    small_track,
+    write_atl03,
+    write_atl08,
+    write_csv,
+    write_workflow,
+)
+from tests.workflow_files import unshown
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(workflow: Path, *options: Any) -> Any:
+    return surveys.command("run", workflow, "--workers", 0, *options)
+
+
+def report(workflow: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((workflow.parent / "out/report.json").read_text())
+    return content
+
+
+@pytest.fixture(scope="module")
+def granule(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The workflow of a finished run on an ATL03 file with two beams."""
+    folder = tmp_path_factory.mktemp("granule")
+    tracks = {"gt1r": small_track(1, canopy=0.3), "gt2l": small_track(2)}
+    atl03 = write_atl03(folder / "atl03.h5", tracks)
+    write_atl08(folder / "atl08.h5", atl03, tracks)
+    workflow = write_workflow(
+        folder, "atl03.h5", reference={"labels": "atl08.h5"}, work={"segment_photons": 2000}
+    )
+    ended = run(workflow)
+    assert ended.status == 0, ended.text
+    assert "F1" in ended.out
+    return workflow
+
+
+def test_every_photon_is_delivered_with_a_label(granule: Path) -> None:
+    output = granule.parent / "out"
+    found = report(granule)
+    assert found["counts"]["points_in"] == found["counts"]["points_out"]
+    assert found["counts"]["not_assessed"] == 0
+    for beam, seed, canopy in (("gt1r", 1, 0.3), ("gt2l", 2, 0.0)):
+        track = small_track(seed, canopy=canopy)
+        table = labels(output, f"atl03/{beam}")
+        np.testing.assert_allclose(table["height"], track.height_m, atol=2e-3)
+        assert set(np.unique(table["signal"])) == {0, 1}
+        signal = track.truth > 0
+        both = np.count_nonzero((table["signal"] == 1) & signal)
+        assert both / table["signal"].sum() > 0.75
+        assert both / signal.sum() > 0.75
+        assert ((table["confidence"] >= 0) & (table["confidence"] <= 1)).all()
+        sure = table["confidence"][table["signal"] == 1].mean()
+        assert sure > table["confidence"][table["signal"] == 0].mean() + 0.5
+
+
+def test_the_copy_is_the_input_with_labels(granule: Path) -> None:
+    output = granule.parent / "out"
+    with (
+        h5py.File(granule.parent / "atl03.h5") as before,
+        h5py.File(output / "hdf5/atl03.h5") as after,
+    ):
+        names: list[str] = []
+        before.visit(names.append)
+        more: list[str] = []
+        after.visit(more.append)
+        added = {
+            f"{b}/heights/{n}" for b in ("gt1r", "gt2l") for n in ("spl_signal", "spl_confidence")
+        }
+        assert set(more) - set(names) == added
+        for name in names:
+            if isinstance(before[name], h5py.Dataset):
+                np.testing.assert_array_equal(before[name][()], after[name][()])
+        for beam in ("gt1r", "gt2l"):
+            table = labels(output, f"atl03/{beam}")
+            np.testing.assert_array_equal(after[f"{beam}/heights/spl_signal"][()], table["signal"])
+            np.testing.assert_array_equal(
+                after[f"{beam}/heights/spl_confidence"][()], table["confidence"]
+            )
+
+
+def test_the_profile_follows_the_ground(granule: Path) -> None:
+    columns = pyarrow.csv.read_csv(granule.parent / "out/profiles/atl03/gt2l.csv").to_pydict()
+    track = small_track(2)
+    at = np.array(columns["along_track"]) - 14_000_020.0
+    error = np.array(columns["ground"], float) - np.interp(at, *track.reference_m.T)
+    assert len(at) >= 29
+    assert np.nanmax(np.abs(error)) < 0.5
+    assert np.abs(np.array(columns["latitude"]) - 30.0 - at / 111_000.0).max() < 3e-4
+
+
+def test_agreement_with_atl08_is_reported_beside_mdbscan_s(granule: Path) -> None:
+    beams = {beam["name"]: beam for beam in report(granule)["beams"]}
+    for beam in beams.values():
+        assert set(beam["labels"]) == {"ours", "mdbscan"}
+        for found in beam["labels"].values():
+            assert found["f1"] > 0.7
+            expected = 2 * found["precision"] * found["recall"]
+            assert found["f1"] == pytest.approx(expected / (found["precision"] + found["recall"]))
+    assert beams["gt1r"]["rate_basis"] == "product and window"
+    page = (granule.parent / "out/report.html").read_text()
+    assert "Labels against ATL08" in page
+    assert page.count("data:image/png") == 4
+
+
+def test_a_second_run_does_nothing_again(granule: Path) -> None:
+    page = granule.parent / "out/report.html"
+    before = page.stat().st_mtime_ns
+    assert run(granule).status == 0
+    assert page.stat().st_mtime_ns == before, "it says what it said"
+    page.unlink()
+    assert run(granule).status == 0
+    stages = report(granule)["performance"]["stages"]
+    assert all(stage["tasks"] == 0 for stage in stages.values()), stages
+    assert sum(stage["skipped"] for stage in stages.values()) > 10
+
+
+def test_results_do_not_depend_on_segments_and_passes(
+    granule: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(heights, "PASS_PHOTONS", 700)
+    monkeypatch.setattr(photons_runner, "SELECT_WINDOWS", 1)
+    photons = granule.parent / "atl03.h5"
+    workflow = write_workflow(
+        tmp_path,
+        str(photons),
+        reference={"labels": str(granule.parent / "atl08.h5")},
+        work={"segment_photons": 1_000_000},
+    )
+    assert run(workflow).status == 0
+    whole, cut = tmp_path / "out", granule.parent / "out"
+    segments = len(list((cut / "store/scores").rglob("*.parquet")))
+    assert segments > len(list((whole / "store/scores").rglob("*.parquet")))
+    for folder in ("photons", "profiles", "hdf5"):
+        for path in (p for p in (whole / folder).rglob("*") if p.is_file()):
+            twin = cut / path.relative_to(whole)
+            assert path.read_bytes() == twin.read_bytes(), path
+    mine, theirs = (report(w)["beams"] for w in (workflow, granule))
+    assert [b["labels"] for b in mine] == [b["labels"] for b in theirs]
+    assert [b["far_per_km2"] for b in mine] == [b["far_per_km2"] for b in theirs]
+
+
+def test_a_csv_is_labelled_whatever_its_order(tmp_path: Path) -> None:
+    track = small_track(3)
+    order = np.random.default_rng(0).permutation(len(track.along_m))
+    mixed = type(track)(
+        *(values[order] for values in (track.along_m, track.height_m, track.truth, track.ground_m)),
+        track.background,
+        track.reference_m,
+    )
+    write_csv(tmp_path / "sorted.csv", track)
+    write_csv(tmp_path / "mixed.csv", mixed)
+    workflow = write_workflow(tmp_path, "*.csv", work={"segment_photons": 1500})
+    assert run(workflow).status == 0
+    one, other = (labels(tmp_path / "out", f"{n}/track") for n in ("sorted", "mixed"))
+    for name in one:
+        np.testing.assert_array_equal(one[name][order], other[name], err_msg=name)
+    beam = report(workflow)["beams"][0]
+    assert beam["rate_basis"] == "window"
+    assert not (tmp_path / "out/hdf5").exists()
+
+
+def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    content = yaml.safe_load((ROOT / "workflows/altimetry_scene.yaml").read_text())
+    content["track"] |= {"length_m": 1000, "canopy": 0.0}
+    scene.write_text(yaml.safe_dump(content))
+    ended = surveys.command("simulate", scene, tmp_path / "hills")
+    assert ended.status == 0, ended.text
+    workflow = tmp_path / "hills/workflow.yaml"
+    planned = surveys.command("plan", workflow)
+    assert planned.status == 0
+    assert "beams" in planned.out
+    ended = run(workflow)
+    assert ended.status == 0
+    assert re.search(r"ground accuracy +median -?[\d.]+ m, NMAD [\d.]+ m, RMSE [\d.]+ m", ended.out)
+    assert "by mDBSCAN" in ended.out
+    assert "Ground NMAD" in (workflow.parent / "out/report.html").read_text()
+    found = report(workflow)
+    assert [beam["name"] for beam in found["beams"]] == ["channel006", "channel043"]
+    for beam in found["beams"]:
+        assert beam["ground"]["rmse"] < 1.5
+        assert beam["ground"]["n"] >= 45
+        assert beam["baseline_ground"]["n"] >= 40
+    sums = [b["ground"]["mean"] * b["ground"]["n"] for b in found["beams"]]
+    assert found["ground"]["n"] == sum(b["ground"]["n"] for b in found["beams"])
+    assert found["ground"]["mean"] * found["ground"]["n"] == pytest.approx(sum(sums))
+    assert found["ground"]["nmad"] < found["ground"]["rmse"]
+    with h5py.File(tmp_path / "hills/out/hdf5/track.h5") as file:
+        group = file["photon/channel043"]
+        hit = group["truth"][()] > 0
+        kept = group["spl_signal"][()] == 1
+        assert np.count_nonzero(hit & kept) > 0.9 * np.count_nonzero(hit)
+
+
+def test_ground_is_compared_with_a_terrain_raster(tmp_path: Path) -> None:
+    track = small_track(3)
+    degree = track.along_m / 111_000.0
+    rows = zip(track.along_m, track.height_m, degree, strict=True)
+    lines = [f"{x:.3f},{z:.3f},{y:.9f},10.0" for x, z, y in rows]
+    head = "along_track,height,latitude,longitude"
+    (tmp_path / "photons.csv").write_text("\n".join([head, *lines]) + "\n")
+    step = 5.0 / 111_000.0
+    at = 620.0 - 5.0 * (np.arange(128) + 0.5)
+    heights = np.repeat(np.interp(at, *track.reference_m.T)[:, None], 3, axis=1)
+    with rasterio.open(
+        tmp_path / "dtm.tif", "w", driver="GTiff", height=128, width=3, count=1, dtype="float32",
+        crs="EPSG:4326",
+        transform=rasterio.Affine(step, 0, 10.0 - 1.5 * step, 0, -step, 620.0 / 111_000.0),
+    ) as raster:  # fmt: skip
+        raster.write(heights.astype(np.float32), 1)
+    workflow = write_workflow(tmp_path, "photons.csv", reference={"dtm": "dtm.tif"})
+    assert run(workflow).status == 0
+    (beam,) = report(workflow)["beams"]
+    assert beam["ground"]["n"] >= 28
+    assert beam["ground"]["rmse"] < 0.3
+    (tmp_path / "dtm.tif").write_text("no raster")
+    ended = run(workflow)
+    assert ended.status == 1
+    assert "dtm.tif" in " ".join(f["reason"] for f in report(workflow)["failures"])
+
+
+def test_mdbscan_can_be_the_method(tmp_path: Path) -> None:
+    write_csv(tmp_path / "photons.csv", small_track(4))
+    workflow = write_workflow(tmp_path, "photons.csv", signal={"method": "mdbscan"})
+    assert run(workflow).status == 0
+    table = labels(tmp_path / "out", "photons/track")
+    signal = small_track(4).truth > 0
+    assert np.count_nonzero((table["signal"] == 1) & signal) > 0.9 * np.count_nonzero(signal)
+    assert set(np.unique(table["confidence"]).tolist()) == {0.0, 1.0}
+
+
+def test_a_damaged_beam_is_named_and_the_others_go_on(tmp_path: Path) -> None:
+    path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(1), "gt2l": small_track(2)})
+    with h5py.File(path, "r+") as file:
+        values = file["gt1r/heights/h_ph"][()]
+        del file["gt1r/heights/h_ph"]
+        made = file["gt1r/heights"].create_dataset(
+            "h_ph", data=values, chunks=(512,), compression="gzip", fletcher32=True
+        )
+        place = made.id.get_chunk_info(1).byte_offset
+    content = bytearray(path.read_bytes())
+    content[place + 40 : place + 60] = bytes(20)
+    path.write_bytes(content)
+    (tmp_path / "b.h5").write_text("no photons")
+    workflow = write_workflow(tmp_path, "*.h5")
+    ended = run(workflow)
+    assert ended.status == 1
+    assert "Traceback" not in ended.text
+    found = report(workflow)
+    assert [beam["name"] for beam in found["beams"]] == ["gt2l"]
+    reasons = " ".join(f["reason"] for f in found["failures"])
+    assert "damaged HDF5" in reasons
+    assert "is no HDF5 file" in reasons
+
+
+@pytest.mark.parametrize(
+    ("sections", "words"),
+    [
+        ({"track": {"photons": "*.nothing"}}, "matches no file"),
+        ({"track": {"photons": "photons.csv", "beam": ["gt1r"]}}, "nearest known key"),
+        ({"track": {"photons": "photons.csv", "beams": ["gt1r"]}}, "it has track"),
+        ({"rate": {"source": "guess"}}, "rate.source"),
+        ({"signal": {"neighbours": 0}}, "signal.neighbours"),
+        ({"reference": {"points": "none.csv"}}, "does not exist"),
+        ({"reference": {"points": "photons.csv", "dtm": "photons.csv"}}, "name one of them"),
+    ],
+)
+def test_mistakes_are_said_in_one_line(
+    tmp_path: Path, sections: dict[str, Any], words: str
+) -> None:
+    (tmp_path / "photons.csv").write_text("along_track,height\n1,2\n3,4\n")
+    workflow = write_workflow(tmp_path, "photons.csv", **sections)
+    ended = run(workflow)
+    assert ended.status == 2
+    assert words in ended.text
+    assert "Traceback" not in ended.text
+
+
+def test_files_without_photons_start_nothing(tmp_path: Path) -> None:
+    (tmp_path / "photons.csv").write_text("along_track,height\n")
+    ended = run(write_workflow(tmp_path, "photons.csv"))
+    assert ended.status == 2
+    assert "they hold no photons" in ended.text
+
+
+def test_a_beam_without_photons_is_delivered_empty(tmp_path: Path) -> None:
+    path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(1), "gt3r": small_track(2)})
+    with h5py.File(path, "r+") as file:
+        for name in ("h_ph", "dist_ph_along", "lat_ph", "lon_ph"):
+            del file[f"gt3r/heights/{name}"]
+            file[f"gt3r/heights/{name}"] = np.empty(0)
+        file["gt3r/geolocation/segment_ph_cnt"][:] = 0
+    workflow = write_workflow(tmp_path, "a.h5", reference={"baseline": False})
+    assert run(workflow).status == 0
+    assert [b["photons"] > 0 for b in report(workflow)["beams"]] == [True, False]
+    assert len(labels(tmp_path / "out", "a/gt3r")["signal"]) == 0
+
+
+def test_too_little_memory_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    write_csv(tmp_path / "photons.csv", small_track(1))
+    workflow = write_workflow(tmp_path, "photons.csv")
+    ended = surveys.command("plan", workflow, "--memory", "500MiB")
+    assert ended.status == 2
+    assert "work.segment_photons" in ended.text
+
+
+def test_photons_without_a_height_stay_without_a_label(tmp_path: Path) -> None:
+    path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(1)}, rate=False)
+    with h5py.File(path, "r+") as file:
+        file["gt1r/heights/h_ph"][100:103] = np.finfo(np.float32).max
+    workflow = write_workflow(tmp_path, "a.h5", rate={"source": "product"})
+    ended = run(workflow)
+    assert ended.status == 0
+    found = report(workflow)
+    assert found["counts"]["not_assessed"] == 3
+    assert any("3 photons have no height or place" in text for text in found["warnings"])
+    assert any("states no noise rate" in text for text in found["warnings"])
+    table = labels(tmp_path / "out", "a/gt1r")
+    assert (table["signal"][100:103] == 255).all()
+
+
+def test_scores_keep_their_order_in_bins() -> None:
+    score = -np.geomspace(1e-4, 100.0, 500).astype(np.float32)
+    assert np.all(np.diff(score_bins(score)) >= 0)
+    assert len(np.unique(score_bins(score))) == 500
+
+
+def test_the_workflow_file_names_every_key_with_its_default() -> None:
+    text = (ROOT / "workflows/altimetry.yaml").read_text(encoding="utf-8")
+    assert unshown(text, TrackWorkflow) == []
+    given = parse_any(yaml.safe_load(text), "altimetry.yaml").model_dump()
+    bare = parse_any(
+        {
+            "kind": "altimetry",
+            "track": {"photons": "photons/*.h5"},
+            "reference": {"labels": "labels/*.h5"},
+            "output": "out",
+        },
+        "bare",
+    )
+    assert given == bare.model_dump()
+
+
+def test_the_workflow_file_runs(tmp_path: Path) -> None:
+    for name in ("photons", "labels"):
+        (tmp_path / name).mkdir()
+    tracks = {"gt1r": small_track(1, canopy=0.3)}
+    atl03 = write_atl03(tmp_path / "photons/granule.h5", tracks)
+    write_atl08(tmp_path / "labels/granule.h5", atl03, tracks)
+    workflow = tmp_path / "altimetry.yaml"
+    shutil.copyfile(ROOT / "workflows/altimetry.yaml", workflow)
+    ended = run(workflow)
+    assert ended.status == 0, ended.text
+    (beam,) = report(workflow)["beams"]
+    assert beam["labels"]["ours"]["f1"] > 0.7
+    assert (tmp_path / "out/hdf5/granule.h5").exists()
+
+
+def test_the_scene_file_is_accepted(tmp_path: Path) -> None:
+    scene = SceneFile.model_validate(
+        yaml.safe_load((ROOT / "workflows/altimetry_scene.yaml").read_text(encoding="utf-8"))
+    )
+    assert len(scene.channels) == 2
+    wrong = tmp_path / "scene.yaml"
+    wrong.write_text("kind: altimetry\ntrack: {lenght_m: 5}\n")
+    with pytest.raises(WorkflowError, match="length_m"):
+        simulate_file(wrong, tmp_path)

@@ -1,0 +1,146 @@
+"""Noise that passes for signal: what places without photons tell of it, and what is made of it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from spl_batch.altimetry.filter import chance
+from spl_batch.altimetry.filter import signal as signals
+from spl_batch.altimetry.filter.likelihood import ratios
+from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.photon_table import Cells, Scale
+from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
+from spl_batch.altimetry.simulate import Track, scene, simulate_track
+from tests.altimetry.tracks import lattice, small_track
+
+RATE, SIGNAL = RateSettings(), SignalSettings()
+TABLE = ratios(SIGNAL.neighbours, SIGNAL.contrast_max)
+
+
+def prepared(track: Track) -> tuple[Cells, Scale, np.ndarray]:
+    """Cells of a track, its scaled axis, and the prior of each cell."""
+    cells = rates.observe(*lattice(track), RATE)
+    density = rates.density_from_both(cells, track.background, RATE, SIGNAL.window_m)
+    scale = rates.scale(cells, density, RATE, SIGNAL)
+    return cells, scale, signals.log_prior(cells, scale, RATE, SIGNAL.window_m)
+
+
+def test_a_place_has_the_score_of_a_photon_there() -> None:
+    along, height = lattice(small_track(5, canopy=0.4))
+    _, scale, prior = prepared(small_track(5, canopy=0.4))
+    for row in range(0, len(along), len(along) // 25):
+        query = np.arange(len(along)) == row
+        (expected,) = signals.score(along, height, query, scale, prior, RATE, SIGNAL)
+        others = along[~query], height[~query]
+        at = along[query], height[query]
+        (found,) = chance.score_places(at, others, scale, prior, RATE, TABLE, SIGNAL)
+        assert found == pytest.approx(expected, rel=1e-5)
+
+
+def test_nothing_is_scored_without_photons_or_places() -> None:
+    _, scale, prior = prepared(small_track(5))
+    none, some = lattice(small_track(5)), lattice(small_track(5))
+    none = none[0][:0], none[1][:0]
+    assert len(chance.score_places(none, some, scale, prior, RATE, TABLE, SIGNAL)) == 0
+    assert (chance.score_places(some, none, scale, prior, RATE, TABLE, SIGNAL) == 0).all()
+
+
+@given(cut=st.integers(0, 30))
+def test_places_lie_evenly_in_their_cells_wherever_the_track_is_cut(cut: int) -> None:
+    cells, scale, _ = prepared(small_track(2))
+    first = np.arange(len(cells.index)) < cut
+    every = chance.places(cells, scale, np.ones(len(first), np.bool_), RATE)
+    parts = [chance.places(cells, scale, owned, RATE) for owned in (first, ~first)]
+    for whole, pieces in zip(every, zip(*parts, strict=True), strict=True):
+        np.testing.assert_array_equal(whole, np.concatenate(pieces))
+    along, height, noise = every
+    cell = np.searchsorted(cells.index, along // 20_000)
+    np.testing.assert_array_equal(cells.index[cell] * 20_000 + along % 20_000, along)
+    assert ((height >= cells.low[cell]) & (height <= cells.high[cell])).all()
+    share = np.bincount(cell, noise) / chance.SHARE_QUANTA
+    # By depth below a level surface noise is not the same everywhere.
+    np.testing.assert_allclose(share, scale.noise, rtol=0.1)
+    assert share.sum() == pytest.approx(scale.noise.sum(), rel=0.03)
+    level = (height - cells.low[cell]) / (cells.high - cells.low)[cell]
+    for values in (level, along % 20_000 / 20_000):
+        assert np.abs(np.sort(values) - np.linspace(0, 1, len(values))).max() < 0.02
+
+
+@pytest.mark.parametrize(("colour", "canopy"), [("green", 0.4), ("infrared", 0.0)])
+def test_places_tell_how_much_noise_passes(colour: str, canopy: float) -> None:
+    expected, found = [], []
+    for seed in (21, 22, 23):
+        track = simulate_track(scene("flat", colour, seed, length_m=2000.0, canopy=canopy))  # type: ignore[arg-type]
+        along, height = lattice(track)
+        cells, scale, prior = prepared(track)
+        every = np.ones(len(along), np.bool_)
+        bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
+        *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
+        score = chance.score_places(
+            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
+        )
+        for least in (850, 950, 1050, 1150):
+            passed = signals.score_bins(score) >= least
+            expected.append(noise[passed].sum() / chance.SHARE_QUANTA)
+            found.append(np.count_nonzero((bins >= least) & (track.truth == 0)))
+    sums = np.array(expected).reshape(3, 4).sum(0), np.array(found).reshape(3, 4).sum(0)
+    assert (sums[1] > 30).all()
+    assert np.abs(sums[0] - sums[1]).max() < 0.1 * sums[1].max()
+
+
+COUNTS = arrays(np.int64, (2, 30), elements=st.integers(0, 40))
+
+
+@given(counts=COUNTS, noise=COUNTS, far=COUNTS, wanted=st.floats(0, 900), share=st.floats(0, 0.5))
+def test_the_threshold_is_that_of_the_largest_f1(
+    counts: np.ndarray, noise: np.ndarray, far: np.ndarray, wanted: float, share: float
+) -> None:
+    noise, far = np.minimum(noise, counts), np.minimum(far, counts)
+    limits = (np.full(2, wanted), share)
+    least = chance.best_thresholds(*(t.astype(float) for t in (counts, noise, far)), *limits)
+    for i in range(2):
+        best, gained = counts.shape[1], 0.0
+        for b in range(counts.shape[1] - 1, -1, -1):
+            above, below = counts[i, b:].sum(), noise[i, b:].sum()
+            signal = min(above - below, wanted)
+            f1 = 2.0 * signal / max(above + wanted, 1.0)
+            if signals.surely(far[i, b:].sum()) <= share * above and f1 > gained:
+                best, gained = b, f1
+        assert least[i] == max(best, 1)
+
+
+@pytest.mark.parametrize("colour", ["green", "infrared"])
+def test_what_is_taken_under_trees_agrees_better_with_the_truth(colour: str) -> None:
+    """Better than as many as the noise rate leaves over [W17], and than mDBSCAN."""
+    found: dict[str, list[float]] = {"f1": [], "number": [], "mdbscan": []}
+    for seed in (21, 22, 23):
+        track = simulate_track(scene("flat", colour, seed, length_m=2000.0, canopy=0.4))  # type: ignore[arg-type]
+        along, height = lattice(track)
+        cells, scale, prior = prepared(track)
+        every = np.ones(len(along), np.bool_)
+        bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
+        *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
+        score = chance.score_places(
+            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
+        )
+        far = rates.far(along, height, cells, RATE) > 0
+        chosen = (bins, 1.0), (bins[far], 1.0), (signals.score_bins(score), noise / 2**20)
+        counts, away, expected = (
+            np.bincount(b, np.broadcast_to(w, b.shape), signals.SCORE_BINS)[None] for b, w in chosen
+        )
+        wanted = np.array([len(along) - scale.noise.sum()])
+        limits = (wanted, SIGNAL.false_share)
+        mean = signals.mean_density(cells, scale, RATE, SIGNAL)
+        kept = {
+            "f1": bins >= chance.best_thresholds(counts, expected, away, *limits)[0],
+            "number": bins >= signals.thresholds(counts, away, *limits)[0],
+            "mdbscan": signals.mdbscan(along, height, scale, mean, RATE, BaselineSettings()),
+        }
+        for name, mask in kept.items():
+            both = np.count_nonzero(mask & (track.truth > 0))
+            found[name].append(2 * both / (mask.sum() + np.count_nonzero(track.truth)))
+    mean_f1 = {name: np.mean(values) for name, values in found.items()}
+    assert mean_f1["f1"] > mean_f1["number"] + 0.002
+    assert mean_f1["f1"] > mean_f1["mdbscan"]

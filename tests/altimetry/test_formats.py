@@ -1,0 +1,275 @@
+"""Photon files of every layout, and what is said of those that are wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import rasterio
+from rasterio import Affine
+
+from spl_batch.altimetry.formats import atl08 as atl08_io
+from spl_batch.altimetry.formats.atl08 import find_labels
+from spl_batch.altimetry.formats.photons import Photons, inspect, iter_photons, read_background
+from spl_batch.altimetry.formats.terrain import sample_terrain
+from spl_batch.altimetry.formats.track_csv import read_profile
+from spl_batch.altimetry.simulate import SceneFile, TrackScene, simulate
+from spl_batch.errors import InputError
+from tests.altimetry.tracks import (
+    ORIGIN_M,
+    SPEED_M_S,
+    lattice,
+    small_track,
+    write_atl03,
+    write_atl08,
+    write_csv,
+)
+
+
+def whole(path: Path, layout: str, beam: str, chunk: int = 1000) -> Photons:
+    parts = list(iter_photons(path, layout, beam, chunk))  # type: ignore[arg-type]
+    assert all(p.read <= chunk for p in parts)
+    columns = [
+        np.concatenate([getattr(p, name) for p in parts])
+        for name in ("row", "along", "height", "latitude", "longitude")
+    ]
+    return Photons(*columns, read=sum(p.read for p in parts))
+
+
+def test_atl03_photons_lie_where_their_segments_are(tmp_path: Path) -> None:
+    track = small_track()
+    path = write_atl03(tmp_path / "atl03.h5", {"gt1r": track, "gt2l": small_track(2)})
+    file = inspect(path, None)
+    assert file.layout == "atl03"
+    assert [(b.name, b.background) for b in file.beams] == [("gt1r", True), ("gt2l", True)]
+    photons = whole(path, "atl03", "gt1r")
+    along, height = lattice(track)
+    np.testing.assert_array_equal(photons.row, np.arange(len(along)))
+    assert np.abs(photons.along - along - round(ORIGIN_M * 1000)).max() <= 2, "float32 within 20 m"
+    assert np.abs(photons.height - height).max() <= 1
+
+
+def test_the_background_of_a_clip_is_cut_to_its_photons(tmp_path: Path) -> None:
+    track = small_track()
+    path = write_atl03(tmp_path / "atl03.h5", {"gt1r": track})
+    with h5py.File(path, "r+") as file:
+        group = file["gt1r/bckgrd_atlas"]
+        time, rate = group["delta_time"][()], group["bckgrd_rate"][()]
+        del group["delta_time"], group["bckgrd_rate"]
+        group["delta_time"] = np.concatenate([time - 500.0, time, time + 500.0])
+        group["bckgrd_rate"] = np.concatenate([rate, rate, rate])
+    found = read_background(path, "atl03", "gt1r", None)
+    assert found is not None
+    assert len(found.along_m) == len(time)
+    np.testing.assert_allclose(found.along_m, time * SPEED_M_S, atol=0.5)
+    np.testing.assert_allclose(found.per_m2, track.background.per_m2, rtol=1e-3)
+
+
+def test_photons_without_height_or_place_are_left_out(tmp_path: Path) -> None:
+    path = write_atl03(tmp_path / "atl03.h5", {"gt1r": small_track()})
+    with h5py.File(path, "r+") as file:
+        file["gt1r/heights/h_ph"][5] = np.finfo(np.float32).max
+        file["gt1r/heights/dist_ph_along"][7] = np.nan
+    photons = whole(path, "atl03", "gt1r")
+    assert photons.read == len(photons.row) + 2
+    assert not {5, 7} & set(photons.row.tolist())
+
+
+def test_mabel_photons_lie_where_their_times_are(tmp_path: Path) -> None:
+    scene = SceneFile(kind="altimetry", track=TrackScene(length_m=500.0, noise_per_m2=0.005))
+    made = simulate(scene, tmp_path)
+    path = tmp_path / "track.h5"
+    file = inspect(path, None)
+    assert file.layout == "mabel"
+    assert {b.name: b.photons for b in file.beams} == made.photons
+    photons = whole(path, "mabel", "channel006")
+    with h5py.File(path) as stored:
+        north = stored["photon/channel006/latitude"][()] * 110_574.0
+    assert np.abs(photons.along / 1000 - north).max() < 0.2
+    found = read_background(path, "mabel", "channel006", None)
+    assert found is not None
+    assert found.per_m2.mean() == pytest.approx(scene.channels["channel006"].noise_per_m2, rel=1.5)
+
+
+def test_csv_columns_are_found_by_name(tmp_path: Path) -> None:
+    track = small_track()
+    path = write_csv(tmp_path / "photons.csv", track)
+    photons = whole(path, "csv", "track")
+    along, height = lattice(track)
+    np.testing.assert_array_equal(photons.along, along)
+    np.testing.assert_array_equal(photons.height, height)
+    assert inspect(path, None).beams[0].photons == pytest.approx(len(along), rel=0.2)
+
+
+@pytest.mark.parametrize("order", ["as it is", "mixed"])
+def test_atl08_says_what_is_signal(
+    tmp_path: Path, order: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(atl08_io, "SLICE_PHOTONS", 97)
+    track = small_track()
+    atl03 = write_atl03(tmp_path / "atl03.h5", {"gt1r": track})
+    atl08 = write_atl08(tmp_path / "atl08.h5", atl03, {"gt1r": track})
+    with h5py.File(atl08, "r+") as file:
+        for column in file["gt1r/signal_photons"].values() if order == "mixed" else ():
+            column[:] = np.random.default_rng(5).permutation(column[()])
+    found = find_labels(atl03, [atl08], "gt1r")
+    assert found is not None
+    assert len(found.slices) > 3
+    low, high = found.rows
+    assert high - low > 0.9 * len(track.truth)
+    np.testing.assert_array_equal(found.signal(low, high), track.truth[low:high] > 0)
+    parts = [found.signal(k, min(k + 301, high)) for k in range(low, high, 301)]
+    np.testing.assert_array_equal(np.concatenate(parts), found.signal(low, high))
+    assert find_labels(atl03, [], "gt1r") is None
+    other = write_atl08(tmp_path / "other_day.h5", atl03, {"gt1r": track})
+    with h5py.File(other, "r+") as file:
+        file["gt1r/signal_photons/delta_time"][:] += 86_400.0
+        file["gt1r/signal_photons/classed_pc_flag"][:] = 0
+    assert find_labels(atl03, [other], "gt1r") is None
+    again = find_labels(atl03, [other, atl08], "gt1r")
+    assert again is not None
+    np.testing.assert_array_equal(again.signal(low, high), found.signal(low, high))
+
+
+def test_terrain_is_read_between_cell_centres(tmp_path: Path) -> None:
+    path = tmp_path / "dtm.tif"
+    rows, columns = np.mgrid[0:700, 0:600]
+    plane = (1000.0 + 2.0 * columns - 3.0 * rows).astype(np.float32)
+    plane[650, 30] = -9999.0
+    with rasterio.open(
+        path, "w", driver="GTiff", height=700, width=600, count=1, dtype="float32",
+        crs="EPSG:4326", transform=Affine(0.001, 0.0, 10.0, 0.0, -0.001, 50.0), nodata=-9999.0,
+    ) as raster:  # fmt: skip
+        raster.write(plane, 1)
+    column, row = np.array([3.25, 511.5, 512.0, 598.9]), np.array([2.5, 511.75, 600.0, 698.9])
+    longitude, latitude = 10.0 + (column + 0.5) * 0.001, 50.0 - (row + 0.5) * 0.001
+    found = sample_terrain(path, latitude, longitude)
+    np.testing.assert_allclose(found, 1000.0 + 2.0 * column - 3.0 * row, atol=1e-3)
+    outside = sample_terrain(path, np.array([51.0, np.nan, 50.0 - 650.5e-3]), np.full(3, 10.0305))
+    assert np.isnan(outside).all()
+
+
+def _shorten(path: Path) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def _text(path: Path) -> None:
+    path.write_text("no photons")
+
+
+def _drop(name: str) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            del file[name]
+
+    return change
+
+
+def _count(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file["gt1r/geolocation/segment_ph_cnt"][0] += 3
+
+
+def _nothing(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file.create_group("orbit_info")
+
+
+def _unequal(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        values = file["gt1r/heights/lat_ph"][()]
+        del file["gt1r/heights/lat_ph"]
+        file["gt1r/heights/lat_ph"] = values[:-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_shorten, "damaged HDF5"),
+        (_text, "is no HDF5 file"),
+        (_drop("gt1r/heights/h_ph"), "no dataset gt1r/heights/h_ph"),
+        (_drop("gt1r/geolocation/segment_ph_cnt"), "no dataset gt1r/geolocation/segment_ph_cnt"),
+        (_count, "subset it again"),
+        (_nothing, "neither gtxx/heights"),
+        (_unequal, "differ in length"),
+    ],
+)
+def test_a_wrong_hdf5_file_is_named_in_one_line(
+    tmp_path: Path, change: Callable[[Path], None], words: str
+) -> None:
+    path = write_atl03(tmp_path / "atl03.h5", {"gt1r": small_track()})
+    change(path)
+    with pytest.raises(InputError, match=words) as caught:
+        inspect(path, None)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x,z\n1,2\n", "no column along_track and height"),
+        ("along_track,height\n1,high\n", "cannot be read as numbers"),
+        ("along_track,height\n1,2e7\n", "at most 20000 m"),
+        ("along_track;height\n1;2\n", "with commas between"),
+    ],
+)
+def test_a_wrong_csv_file_is_named_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "photons.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        list(iter_photons(path, inspect(path, None).layout, "track", 100))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_reference_of_one_height_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "reference.csv"
+    path.write_text("along_track,height\n1,2\n")
+    with pytest.raises(InputError, match="at least 2"):
+        read_profile(path)
+
+
+@pytest.mark.parametrize("layout", ["atl03", "mabel"])
+def test_whatever_is_damaged_there_is_one_line_or_photons(tmp_path: Path, layout: str) -> None:
+    if layout == "atl03":
+        path = write_atl03(tmp_path / "a.h5", {"gt1r": small_track(length_m=100.0)})
+    else:
+        path = tmp_path / "track.h5"
+        track = TrackScene(length_m=100.0, above_m=50.0, below_m=50.0)
+        simulate(SceneFile(kind="altimetry", track=track), tmp_path)
+    sound = path.read_bytes()
+    refused = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        content = bytearray(sound)
+        for at in rng.integers(8, 6000, 4):
+            content[at : at + 4] = rng.bytes(4)
+        path.write_bytes(content)
+        try:
+            file = inspect(path, None)
+            for beam in file.beams:
+                whole(path, file.layout, beam.name)
+                read_background(path, file.layout, beam.name, None)
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error)  # noqa: PT017 - most of these files are refused
+    assert refused > 10
+
+
+def test_a_damaged_chunk_is_found_where_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "atl03.h5"
+    write_atl03(path, {"gt1r": small_track()})
+    with h5py.File(path, "r+") as file:
+        values = file["gt1r/heights/h_ph"][()]
+        del file["gt1r/heights/h_ph"]
+        made = file["gt1r/heights"].create_dataset(
+            "h_ph", data=values, chunks=(512,), compression="gzip", fletcher32=True
+        )
+        place = made.id.get_chunk_info(1).byte_offset
+    content = bytearray(path.read_bytes())
+    content[place + 40 : place + 60] = bytes(20)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="damaged HDF5"):
+        list(iter_photons(path, "atl03", "gt1r", 1000))

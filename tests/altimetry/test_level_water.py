@@ -1,0 +1,205 @@
+"""Water by night and by day: gate, noise by depth, floors, and what must stay as it was."""
+
+import json
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import isotonic_regression
+
+from benchmarks.altimetry.photon_beams import Beam
+from spl_batch.altimetry.filter import peer_filters
+from spl_batch.altimetry.filter import signal as signals
+from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.photon_table import Cells
+from spl_batch.altimetry.settings import RateSettings
+from spl_batch.altimetry.simulate import scene, simulate_track
+from spl_batch.altimetry.water.column_noise import falling_density
+from spl_batch.altimetry.water.level_water import NO_WATER
+from spl_batch.altimetry.water.refraction import AIR, WATER, refracted
+from spl_batch.errors import WorkflowError
+from tests import surveys
+from tests.altimetry.tracks import labels, lattice, quanta, write_workflow
+
+RATE = RateSettings()
+NIGHT, DAY = 2e-4, 0.015
+GATE_M = (-70.0, 30.0)
+NOISE, SURFACE, FLOOR = 1, 2, 3
+
+
+class WaterTrack(NamedTuple):
+    """Photons along the track, their heights [m], and what they are."""
+
+    x: np.ndarray
+    z: np.ndarray
+    kind: np.ndarray
+
+
+def water_track(noise_per_m2: float, seed: int = 1, length_m: float = 4000.0) -> WaterTrack:
+    """Level water at 0 over a floor 3 to 17 m deep, and the light that the water scatters."""
+    rng = np.random.default_rng(seed)
+    n = [rng.poisson(rate * length_m) for rate in (1.2, 0.35, 0.1, noise_per_m2 * 100.0)]
+    x = [rng.uniform(0.0, length_m, count) for count in n]
+    z = [
+        rng.normal(0.0, 0.12, n[0]),
+        -10.0 + 7.0 * np.sin(x[1] / 400.0) + rng.normal(0.0, 0.2, n[1]),
+        -rng.exponential(4.0, n[2]),
+        rng.uniform(*GATE_M, n[3]),
+    ]
+    kind = np.repeat([SURFACE, FLOOR, NOISE, NOISE], n)
+    order = np.argsort(np.concatenate(x), kind="stable")
+    return WaterTrack(*(np.concatenate(v)[order] for v in (x, z)), kind[order])
+
+
+def photons(track: WaterTrack) -> tuple[np.ndarray, np.ndarray]:
+    return quanta(np.stack([track.x, track.z], axis=1))
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+def test_the_gate_is_seen_where_a_cell_holds_hardly_any_noise(noise: float) -> None:
+    cells = rates.observe(*photons(water_track(noise)), RATE)
+    assert np.median(cells.gate_m) == pytest.approx(100.0, rel=0.15)
+    found = rates.density_from_window(cells, RATE)
+    # By night some ten photons tell of it.
+    assert abs(np.log(np.median(found) / noise)) < np.log(2.0)
+    assert (found > 0).all()
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+def test_a_floor_is_kept_and_noise_is_not(noise: float) -> None:
+    track = water_track(noise)
+    beam = Beam(photons(track), None)
+    kept = beam.keep(beam.score())
+    share = {kind: kept[track.kind == kind].mean() for kind in (NOISE, SURFACE, FLOOR)}
+    assert share[SURFACE] > 0.98
+    assert share[FLOOR] > 0.93
+    assert (share[SURFACE] + 1.0 - share[NOISE]) / 2.0 > 0.8
+    false = np.count_nonzero(kept & (track.kind == NOISE))
+    assert beam.told == pytest.approx(false, rel=0.5)
+
+
+def test_noise_below_a_surface_is_counted_by_depth_and_the_floor_left_out() -> None:
+    cells = rates.observe(*photons(water_track(NIGHT)), RATE)
+    wet = cells.level != NO_WATER
+    assert wet.mean() > 0.95
+    assert np.abs(cells.level[wet]).max() < 200
+    column = cells.column[wet].mean(axis=0)
+    assert (np.diff(cells.column[wet], axis=1) <= 0).all()
+    depth = np.arange(1, 13)
+    true = NIGHT + 0.1 * (np.exp(-depth / 4.0) - np.exp(-(depth + 1.0) / 4.0))
+    assert np.abs(np.log(column[:12] / true)).max() < np.log(2.5)
+
+
+def test_a_plain_with_trees_is_no_water() -> None:
+    track = simulate_track(scene("flat", "infrared", 4, length_m=1500.0, canopy=1.0))
+    cells = rates.observe(*lattice(track), RATE)
+    assert (cells.level != NO_WATER).mean() < 0.1
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(1, 3), st.integers(20, 180))
+def test_water_does_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:
+    along, height = photons(water_track(NIGHT, seed))
+    whole = rates.observe(along, height, RATE)
+    parts = []
+    for low, high in ((-(10**9), cut), (cut, 10**9)):
+        halo = rates.HALO_CELLS
+        rows = (along >= (low - halo) * 20_000) & (along < (high + halo) * 20_000)
+        seen = rates.observe(along[rows], height[rows], RATE)
+        mine = (seen.index >= low) & (seen.index < high)
+        parts.append(Cells(**{k: v[mine] for k, v in seen.to_arrays().items()}))
+    joined = rates.join(parts).to_arrays()
+    for name, values in whole.to_arrays().items():
+        np.testing.assert_array_equal(values, joined[name], err_msg=name)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 30))
+def test_falling_densities_are_isotonic_regression(seed: int, depths: int) -> None:
+    rng = np.random.default_rng(seed)
+    count = rng.poisson(3.0, (2, depths)).astype(float)
+    area = rng.uniform(0.5, 4.0, (2, depths))
+    out = np.empty((2, depths))
+    falling_density(count, area, out)
+    for r in range(2):
+        expected = isotonic_regression(count[r] / area[r], weights=area[r], increasing=False).x
+        np.testing.assert_allclose(out[r], expected, atol=1e-12)
+    falling_density(count, np.zeros_like(area), out)
+    assert (out == 0).all()
+
+
+def test_a_single_stray_photon_does_not_take_a_stretch_away() -> None:
+    counts, far = np.zeros((1, 50), np.int64), np.zeros((1, 50), np.int64)
+    counts[0, 40], counts[0, 20:22] = 1000, 500
+    far[0, 41] = counts[0, 41] = 1
+    least = signals.thresholds(counts, far, np.array([2100.0]), 0.0005)
+    assert least[0] <= 20
+    far[0, 20] = counts[0, 20] = 200
+    assert signals.thresholds(counts, far, np.array([2100.0]), 0.0005)[0] > 20
+
+
+def test_refraction_is_that_of_vectors() -> None:
+    depth = np.array([-1.0, 0.0, 5.0, 20.0])
+    across, up = refracted(depth, 0.0)
+    np.testing.assert_allclose(up, np.maximum(depth, 0.0) * (1.0 - AIR / WATER))
+    assert (across == 0).all()
+    across, up = refracted(depth, 10.0)
+    # The law of cosines of the paper: P^2 = R^2 + S^2 - 2 R S cos(t1 - t2).
+    one = np.radians(10.0)
+    two = np.arcsin(AIR * np.sin(one) / WATER)
+    s = np.maximum(depth, 0.0) / np.cos(one)
+    r = s * AIR / WATER
+    np.testing.assert_allclose(
+        across**2 + up**2, r**2 + s**2 - 2.0 * r * s * np.cos(one - two), atol=1e-12
+    )
+
+
+def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:
+    track = water_track(NIGHT, length_m=2500.0)
+    rows = [f"{x:.3f},{z:.3f}" for x, z in zip(track.x, track.z, strict=True)]
+    (tmp_path / "photons.csv").write_text("\n".join(["along_track,height", *rows]) + "\n")
+    workflow = write_workflow(tmp_path, "photons.csv", outputs={"refraction": True})
+    ended = surveys.command("run", workflow, "--workers", 0)
+    assert ended.status == 0, ended.text
+    table = labels(tmp_path / "out", "photons/track")
+    assert (table["water"][track.kind == SURFACE] == 41).mean() > 0.95
+    assert (table["water"][track.kind == FLOOR] == 40).mean() > 0.9
+    assert set(np.unique(table["water"])) == {0, 40, 41, 45}
+    lifted = table["height_refracted"] - table["height"]
+    floor = table["water"] == 40
+    np.testing.assert_allclose(
+        lifted[floor], -table["height"][floor] * (1.0 - AIR / WATER), atol=0.1
+    )
+    assert (lifted[table["water"] == 41] == 0).all()
+
+
+def test_a_rate_that_is_not_seen_is_said(tmp_path: Path) -> None:
+    track = water_track(0.0, length_m=1500.0)
+    alone = track.kind == SURFACE
+    rows = [f"{x:.3f},{z:.3f}" for x, z in zip(track.x[alone], track.z[alone], strict=True)]
+    (tmp_path / "photons.csv").write_text("\n".join(["along_track,height", *rows]) + "\n")
+    workflow = write_workflow(tmp_path, "photons.csv")
+    assert surveys.command("run", workflow, "--workers", 0).status == 0
+    said = " ".join(json.loads((tmp_path / "out/report.json").read_text())["warnings"])
+    assert "no noise is seen" in said
+    assert "photons are kept as signal" in said
+
+
+def test_published_filters_keep_a_surface() -> None:
+    pytest.importorskip("sklearn")
+    track = water_track(DAY, length_m=600.0)
+    for name in peer_filters.PEERS:
+        kept = peer_filters.keep(name, track.x, track.z)
+        assert kept[track.kind == SURFACE].mean() > 0.9, name
+        assert kept[track.kind == NOISE].mean() < 0.6, name
+        assert len(peer_filters.keep(name, track.x[:0], track.z[:0])) == 0
+
+
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "sklearn", None)
+    with pytest.raises(WorkflowError, match=r"spl-batch\[peers\]"):
+        peer_filters.keep("yapc", np.zeros(3), np.zeros(3))

@@ -1,0 +1,156 @@
+"""Ground and canopy top of simple and of simulated tracks."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.altimetry.ground.cell_ground import fit_ground, lowest_layers
+from spl_batch.altimetry.ground.profile import agree, profile, reach_cells
+from spl_batch.altimetry.settings import ProfileSettings
+from spl_batch.altimetry.simulate import scene, simulate_track
+from spl_batch.altimetry.tasks.heights import REFERENCE_GAP_M, between
+from tests.altimetry.tracks import lattice, quanta
+
+SETTINGS = ProfileSettings(layer_m=1.5)
+EVERYTHING = (-(10**9), 10**9)
+
+
+def in_order(along: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows = np.lexsort((height, along))
+    return along[rows], height[rows]
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-0.6, 0.6), st.floats(0.0, 0.8), st.integers(0, 10_000))
+def test_a_slope_under_trees_is_found(slope: float, cover: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0.0, 400.0, 2400)
+    leaf = rng.uniform(size=len(x)) < cover
+    z = 500.0 + slope * x + rng.normal(0.0, 0.15, len(x))
+    z += np.where(leaf, rng.uniform(6.0, 15.0, len(x)), 0.0)
+    along, height = in_order(*quanta(np.stack([x, z], axis=1)))
+    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, SETTINGS).columns
+    inner = slice(1, -1)
+    error = np.abs(columns["ground"] - 500.0 - slope * columns["along_track"])
+    lean = np.abs(columns["slope"] - slope)
+    assert np.nanmedian(error[inner]) < 0.2
+    assert np.nanmedian(lean[inner]) < 0.05
+    found = error < 0.5
+    if cover <= 0.6:  # beneath denser leaves a column may hold too few photons of the ground
+        assert found[inner].all()
+        assert lean[inner].max() < 0.05
+    wooded = (columns["canopy_photons"] > 30) & found
+    assert (
+        (columns["canopy_height"][wooded] > 12.0) & (columns["canopy_height"][wooded] < 15.7)
+    ).all()
+    if not cover:
+        assert not columns["canopy_photons"].any()
+
+
+def test_stray_photons_below_the_ground_do_not_pull_it_down() -> None:
+    rng = np.random.default_rng(4)
+    x = np.concatenate([rng.uniform(0.0, 400.0, 800), rng.uniform(0.0, 400.0, 40)])
+    z = np.concatenate([rng.normal(50.0, 0.1, 800), rng.uniform(20.0, 49.0, 40)])
+    along, height = in_order(*quanta(np.stack([x, z], axis=1)))
+    columns = profile(along, height, np.ones(len(x), np.bool_), EVERYTHING, SETTINGS).columns
+    assert np.abs(columns["ground"] - 50.0).max() < 0.15
+
+
+def test_a_cell_that_its_neighbours_contradict_is_put_right() -> None:
+    index = np.arange(9)
+    found = np.stack([10.0 + 2.0 * index, np.full(9, 0.1)], axis=1)
+    found[4, 0] -= 30.0
+    found[7] = np.nan
+    out, asked = agree(index, found, SETTINGS)
+    assert out[4, 0] == pytest.approx(18.0)
+    assert np.isnan(out[7]).all()
+    assert asked.tolist() == [3, 4, 5, 6, 5, 5, 4, 0, 2]
+    kept = [0, 1, 2, 3, 5, 6, 8]
+    np.testing.assert_array_equal(out[kept], found[kept])
+
+
+def test_a_lonely_clump_needs_photons_that_are_labelled_signal() -> None:
+    rng = np.random.default_rng(5)
+    x, z = rng.uniform(105.0, 115.0, 12), rng.normal(30.0, 0.2, 12)
+    along, height = in_order(*quanta(np.stack([x, z], axis=1)))
+    for sure, there in ((True, True), (False, False)):
+        flags = np.full(12, sure)
+        columns = profile(along, height, flags, EVERYTHING, SETTINGS).columns
+        assert np.isfinite(columns["ground"]).any() == there
+
+
+def slow_layer(x: np.ndarray, z: np.ndarray, layer_m: float, photons_min: int) -> tuple[float, int]:
+    """Slope in tenths and count of the fullest layer of three bins, the gentlest of equals."""
+    best = (0, 0.0)
+    for tenth in sorted(range(-10, 11), key=lambda t: (abs(t), -t)):
+        bins = np.floor((z - 0.1 * tenth * x) / (layer_m / 3.0))
+        middles = np.arange(bins.min(), bins.max() + 1)
+        most = max(np.count_nonzero(np.abs(bins - b) <= 1) for b in middles)
+        if most > best[0] and most >= photons_min:
+            best = (most, 0.1 * tenth)
+    return best[1], best[0]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 60))
+def test_the_layer_is_what_counting_by_hand_gives(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, z = np.sort(rng.uniform(-30.0, 30.0, n)), rng.normal(0.0, rng.uniform(0.2, 10.0), n)
+    out = np.empty((1, 2))
+    bounds = np.array([0]), np.array([n])
+    along, height = quanta(np.stack([x, z], axis=1))
+    x, z = along / 1000.0, height / 1000.0
+    lowest_layers(along, z, *bounds, np.zeros(1, np.int64), 1.5, 1.0, 3, out)
+    slope, most = slow_layer(x, z, 1.5, 3)
+    if most < 3:
+        assert np.isnan(out).all()
+        return
+    assert out[0, 1] == pytest.approx(slope)
+    bins = np.floor((z - slope * x) / 0.5)
+    middle = np.floor(out[0, 0] / 0.5)
+    inside = np.count_nonzero(np.abs(bins - middle) <= 1)
+    assert inside >= max(0.3 * most, 3)
+    lower = [np.count_nonzero(np.abs(bins - b) <= 1) for b in np.arange(bins.min(), middle - 2)]
+    assert all(count < max(0.3 * most, 3) for count in lower)
+
+
+def test_a_line_is_fitted_as_by_least_squares_where_nothing_strays() -> None:
+    rng = np.random.default_rng(2)
+    x = np.sort(rng.uniform(-30.0, 30.0, 300))
+    z = 3.0 + 0.2 * x + rng.normal(0.0, 0.1, 300)
+    out = np.empty((1, 4))
+    bounds = np.array([0]), np.array([300])
+    along = np.rint(x * 1000).astype(np.int64)
+    fit_ground(along, z, *bounds, np.zeros(1, np.int64), 1.5, 3, np.array([[3.2, 0.2]]), out)
+    slope, level = np.polyfit(x, z, 1)
+    assert out[0, 0] == pytest.approx(level, abs=0.01)
+    assert out[0, 1] == pytest.approx(slope, abs=0.001)
+    assert out[0, 2] == pytest.approx(0.1 / np.sqrt(300), rel=0.3)
+    assert out[0, 3] == 300
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(1, 4), st.integers(2, 45))
+def test_heights_do_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:
+    track = simulate_track(scene("mountain", "infrared", seed, length_m=1000.0, canopy=0.4))
+    along, height = lattice(track)
+    some = track.truth > 0
+    along, height = in_order(along[some], height[some])
+    sure = np.arange(len(along)) % 7 > 0
+    whole = profile(along, height, sure, EVERYTHING, SETTINGS).columns
+    reach, size = reach_cells(SETTINGS), 20_000
+    parts = []
+    for owned in ((EVERYTHING[0], cut), (cut, EVERYTHING[1])):
+        rows = (along >= (owned[0] - reach) * size) & (along < (owned[1] + reach) * size)
+        parts.append(profile(along[rows], height[rows], sure[rows], owned, SETTINGS).columns)
+    for name, values in whole.items():
+        joined = np.concatenate([p[name] for p in parts])
+        np.testing.assert_array_equal(values, joined, err_msg=name)
+
+
+def test_a_reference_says_nothing_of_its_wide_gaps() -> None:
+    known = np.array([[0.0, 1.0], [100.0, 3.0], [101.0 + REFERENCE_GAP_M, 9.0]])
+    at = np.array([-1.0, 0.0, 50.0, 100.0, 200.0, 101.0 + REFERENCE_GAP_M, 400.0])
+    np.testing.assert_equal(between(at, known), [np.nan, 1.0, 2.0, 3.0, np.nan, 9.0, np.nan])
+    np.testing.assert_equal(between(at[1:3], known[:1]), [1.0, np.nan])

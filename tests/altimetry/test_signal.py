@@ -1,0 +1,205 @@
+"""Noise along the track, scores, thresholds, mDBSCAN: right, and the same however it is cut."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.altimetry.filter import signal as signals
+from spl_batch.altimetry.noise import noise_rate as rates
+from spl_batch.altimetry.photon_table import Cells
+from spl_batch.altimetry.settings import BaselineSettings, RateSettings, SignalSettings
+from spl_batch.altimetry.simulate import scene, simulate_track
+from spl_batch.altimetry.water.level_water import NO_WATER
+from tests.altimetry.tracks import lattice, small_track
+
+RATE = RateSettings()
+SIGNAL = SignalSettings()
+
+
+def test_the_empty_window_gives_the_noise_density() -> None:
+    ratios = []
+    for seed in range(1, 5):
+        track = simulate_track(scene("mountain", "green", seed, length_m=1200.0))
+        cells = rates.observe(*lattice(track), RATE)
+        true = np.interp((cells.index + 0.5) * 20.0, *_rate(track))
+        found = rates.density_from_window(cells, RATE)
+        ratios.append(found.sum() / true.sum())
+        assert np.abs(cells.gate_m - 1200.0).max() < 120.0
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.02)
+
+
+def _rate(track: object) -> tuple[np.ndarray, np.ndarray]:
+    background = track.background  # type: ignore[attr-defined]
+    return background.along_m, background.per_m2
+
+
+def test_a_biased_product_is_put_at_the_level_of_the_window() -> None:
+    track = small_track(noise_per_m2=0.2)
+    cells = rates.observe(*lattice(track), RATE)
+    stated = track.background
+    twice = type(stated)(stated.along_m, 2.0 * stated.per_m2)
+    both = rates.density_from_both(cells, twice, RATE, SIGNAL.window_m)
+    alone = rates.density_from_product(cells, twice, RATE)
+    ratio = both / alone
+    assert ratio.max() - ratio.min() < 1e-9, "its variation stays"
+    assert ratio.mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_noise_is_equally_dense_on_the_scaled_axis() -> None:
+    track = simulate_track(
+        scene("flat", "green", 2, length_m=2000.0, patch=6.0, patch_share=0.3, signal_per_m=0.01)
+    )
+    along, height = lattice(track)
+    cells = rates.observe(along, height, RATE)
+    density = rates.density_from_product(cells, track.background, RATE)
+    scale = rates.scale(cells, density, RATE, SIGNAL)
+    u, _, _ = signals.scaled(along, height, scale, RATE)
+    raw = np.histogram(along, 20)[0]
+    even = np.histogram(u, 20)[0]
+    assert raw.std() / raw.mean() > 0.5
+    assert even.std() / even.mean() < 0.06
+    assert np.all(np.diff(u) >= 0), "the order along the track stays"
+
+
+def pieces(along: np.ndarray, cuts: list[int], reach: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rows of each piece with its halo, and which of them it owns."""
+    edges = [-(10**12), *sorted(cuts), 10**12]
+    found = []
+    for low, high in pairwise(edges):
+        rows = np.flatnonzero((along >= low - reach) & (along < high + reach))
+        found.append((rows, (along[rows] >= low) & (along[rows] < high)))
+    return found
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(1, 5), st.lists(st.integers(0, 29), max_size=4, unique=True))
+def test_scores_do_not_depend_on_where_the_track_is_cut(seed: int, cuts: list[int]) -> None:
+    track = small_track(seed, canopy=0.3)
+    along, height = lattice(track)
+    cells = rates.observe(along, height, RATE)
+    scale = rates.scale(cells, rates.density_from_window(cells, RATE), RATE, SIGNAL)
+    prior = signals.log_prior(cells, scale, RATE, SIGNAL.window_m)
+    mean = signals.mean_density(cells, scale, RATE, SIGNAL)
+    every = np.ones(len(along), np.bool_)
+    whole = signals.score(along, height, every, scale, prior, RATE, SIGNAL)
+    base = signals.mdbscan(along, height, scale, mean, RATE, SIGNAL.mdbscan)
+    marks = [20_000 * cut for cut in cuts]
+    reach = int((SIGNAL.reach_m + 1.0) * 1000)
+    for rows, mine in pieces(along, marks, reach):
+        if mine.any():
+            part = signals.score(along[rows], height[rows], mine, scale, prior, RATE, SIGNAL)
+            np.testing.assert_array_equal(part, whole[rows[mine]])
+    reach = int((signals.baseline_reach_m(scale, SIGNAL.mdbscan) + 1.0) * 1000)
+    for rows, mine in pieces(along, marks, reach):
+        part = signals.mdbscan(along[rows], height[rows], scale, mean, RATE, SIGNAL.mdbscan)
+        np.testing.assert_array_equal(part[mine], base[rows[mine]])
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(1, 5), st.integers(3, 26))
+def test_cells_do_not_depend_on_where_the_track_is_cut(seed: int, cut: int) -> None:
+    along, height = lattice(small_track(seed))
+    whole = rates.observe(along, height, RATE)
+    parts: list[Cells] = []
+    for rows, _ in pieces(along, [20_000 * cut], rates.HALO_CELLS * 20_000):
+        seen = rates.observe(along[rows], height[rows], RATE)
+        first = (seen.index < cut) if not parts else (seen.index >= cut)
+        parts.append(Cells(**{k: v[first] for k, v in seen.to_arrays().items()}))
+    joined = rates.join(parts)
+    for name, values in whole.to_arrays().items():
+        np.testing.assert_array_equal(values, joined.to_arrays()[name], err_msg=name)
+
+
+def test_a_beam_without_photons_has_no_cells() -> None:
+    cells = rates.observe(np.empty(0, np.int64), np.empty(0, np.int32), RATE)
+    scale = rates.scale(cells, rates.density_from_window(cells, RATE), RATE, SIGNAL)
+    assert len(scale.index) == 0
+
+
+def test_mdbscan_is_counting_by_hand() -> None:
+    track = small_track(3)
+    along, height = lattice(track)
+    few = slice(0, 1200)
+    along, height = along[few], height[few]
+    cells = rates.observe(along, height, RATE)
+    scale = rates.scale(cells, rates.density_from_window(cells, RATE), RATE, SIGNAL)
+    ellipse = BaselineSettings(scaled=False, along_m=9.0, height_m=3.0)
+    unscaled = SIGNAL.model_copy(update={"mdbscan": ellipse})
+    mean = signals.mean_density(cells, scale, RATE, unscaled)
+    found = signals.mdbscan(along, height, scale, mean, RATE, ellipse)
+    x, z = along / 1000 / 9.0, height / 1000 / 3.0
+    near = (x[:, None] - x) ** 2 + (z[:, None] - z) ** 2 <= 1.0
+    cell = np.searchsorted(cells.index, along // 20_000)
+    core = near.sum(axis=1) >= 4.0 * mean[cell] * np.pi * 27.0
+    np.testing.assert_array_equal(found, (near & core).any(axis=1))
+    assert 0 < core.sum() < found.sum() < len(found)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.0, 400.0), st.floats(0.0005, 0.2))
+def test_no_more_is_taken_than_is_estimated_or_allowed(
+    seed: int, wanted: float, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.poisson(rng.uniform(0.0, 1.0, (3, 200)) ** 4 * 5)
+    far = rng.binomial(counts, 0.02)
+    least = signals.thresholds(counts, far, np.full(3, wanted), share)
+    for i in range(3):
+        taken = counts[i, least[i] :].sum()
+        false = signals.surely(far[i, least[i] :].sum())
+        assert taken <= wanted
+        assert false <= share * taken + 1e-9
+        more = least[i] - 1
+        if more >= 1:
+            grown = counts[i, more:].sum()
+            worse = signals.surely(far[i, more:].sum())
+            assert grown > wanted or worse > share * grown or grown == taken
+
+
+@pytest.mark.parametrize("kind", ["mountain", "flat"])
+@pytest.mark.parametrize("colour", ["green", "infrared"])
+def test_kept_photons_lie_nearer_to_the_ground_than_mdbscan_s(kind: str, colour: str) -> None:
+    """W17 Fig. 4-9 and 4-11: RMSE of what is kept, on bare ground."""
+    track = simulate_track(scene(kind, colour, 21, length_m=2000.0))  # type: ignore[arg-type]
+    along, height = lattice(track)
+    cells = rates.observe(along, height, RATE)
+    density = rates.density_from_both(cells, track.background, RATE, SIGNAL.window_m)
+    scale = rates.scale(cells, density, RATE, SIGNAL)
+    prior = signals.log_prior(cells, scale, RATE, SIGNAL.window_m)
+    every = np.ones(len(along), np.bool_)
+    score = signals.score(along, height, every, scale, prior, RATE, SIGNAL)
+    bins = signals.score_bins(score)
+    far = rates.far(along, height, cells, RATE) > 0
+    counts, away = (np.bincount(b, minlength=signals.SCORE_BINS)[None] for b in (bins, bins[far]))
+    wanted = len(along) - scale.noise.sum()
+    least = signals.thresholds(counts, away, np.array([wanted]), SIGNAL.false_share)
+    off = track.height_m - track.ground_m
+
+    def rmse(kept: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(off[kept] ** 2)))
+
+    ours = rmse(bins >= least[0])
+    for scaled in (True, False):
+        mdbscan = BaselineSettings(scaled=scaled)
+        mean = signals.mean_density(
+            cells, scale, RATE, SIGNAL.model_copy(update={"mdbscan": mdbscan})
+        )
+        assert ours < rmse(signals.mdbscan(along, height, scale, mean, RATE, mdbscan))
+    assert ours < 2.0
+
+
+def test_a_segment_of_few_photons_fits_the_lattice() -> None:
+    index = np.arange(40_000, dtype=np.int64) * 13
+    one = np.ones(len(index), np.int64)
+    ends = (one.astype(np.int32) * 0, one.astype(np.int32) * 100_000)
+    none = np.full(len(index), NO_WATER, np.int32)
+    column = np.zeros((len(index), 60), np.float32)
+    sparse = Cells(index, one, *ends, ends[0], one, one, none, column)
+    scaled = rates.scale(sparse, np.full(len(index), 1e-6), RATE, SIGNAL)
+    cells = signals.most_cells(scaled, RATE)
+    assert (scaled.start[-1] - scaled.start[0]) * signals.UNIT_QUANTA > 2**30
+    assert 10_000 < cells < len(index)
+    assert (scaled.start[cells] - scaled.start[0]) * signals.UNIT_QUANTA < 2**30

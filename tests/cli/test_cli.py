@@ -1,0 +1,213 @@
+"""The command line: help, exit statuses, and what a person sees."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+
+import spl_batch
+from spl_batch.airborne.tasks.kinds import STAGES
+from spl_batch.cli import _STAGES, cli, live, main
+from spl_batch.engine.flow import cluster
+from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError, storage
+from tests import surveys
+
+COMMANDS = sorted(cli.commands)
+
+
+def test_the_commands_of_the_contract_are_there() -> None:
+    assert set(COMMANDS) >= {"quickstart", "simulate", "plan", "run", "status", "report"}
+    assert tuple(_STAGES.split(", ")) == STAGES
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_each_command_explains_itself(command: str) -> None:
+    ended = surveys.command(*([command] if command else []), "--help")
+    assert ended.status == 0
+    assert "Usage: spl-batch" in ended.out
+    for parameter in cli.commands[command].params if command else ():
+        if isinstance(parameter, click.Option):
+            assert parameter.help, f"{command}: {parameter.name} says nothing about itself"
+            assert parameter.opts[0] in ended.out
+
+
+def test_version_and_module_entry() -> None:
+    assert spl_batch.__version__ in surveys.command("--version").out
+    found = subprocess.run(
+        [sys.executable, "-m", "spl_batch", "--version"], capture_output=True, check=True, text=True
+    )
+    assert spl_batch.__version__ in found.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nonsense"],
+        ["run"],
+        ["run", "a", "b"],
+        ["run", "a", "--workers", "many"],
+        ["run", "a", "--only", "denoise 0_0", "--fresh"],
+        ["run", "a", "--only", "denoise 0_0", "--until", "ground"],
+    ],
+)
+def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
+    ended = surveys.command(*arguments)
+    assert ended.status == 2
+    assert "Error: " in ended.err
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (SplBatchError("wrong"), 2),
+        (InputError("a.laz", ["one", "two"]), 2),
+        (PlanError("too large"), 2),
+        (StoreError("damaged"), 2),
+        (StoppedError("disk full"), 3),
+        (click.Abort(), 3),
+    ],
+)
+def test_every_error_has_its_status(
+    error: Exception, status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise error
+
+    monkeypatch.setattr("spl_batch.api.run", fail)
+    ended = surveys.command("run", "w.yaml")
+    assert ended.status == status
+    assert str(error) in ended.err
+    assert len(ended.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("lost", [False, True])
+def test_the_end_of_a_queue_systems_time_is_taken_like_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, sign: signal.Signals, *, lost: bool
+) -> None:
+    def wait(*_: Any, **__: Any) -> None:
+        try:
+            os.kill(os.getpid(), sign)
+            time.sleep(10)
+        except KeyboardInterrupt as interrupt:
+            if lost:
+                raise RuntimeError("no compiled object yet") from interrupt
+            raise
+
+    monkeypatch.setattr("spl_batch.api.run", wait)
+    before = signal.signal(sign, signal.SIG_DFL)  # of tests in the background it is ignored
+    try:
+        ended = surveys.command("run", "w.yaml")
+        assert signal.getsignal(sign) == signal.SIG_DFL
+    finally:
+        signal.signal(sign, before)
+    assert ended.status == 3
+    assert ended.err.strip() == "interrupted; the same command continues"
+
+
+def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, Any] = {}
+
+    def remember(workflow: Path, **options: Any) -> None:
+        seen.update(options, workflow=workflow)
+        raise StoppedError("enough")
+
+    monkeypatch.setattr("spl_batch.api.run", remember)
+    line = (
+        "run w.yaml --workers 3 --memory 1GiB --scheduler tcp://h:1 --fresh --verify --until ground"
+    )
+    surveys.command(*line.split(), "--set", "a.b=1", "--set", "c=2")
+    assert seen.pop("listener")
+    assert seen == {
+        "workflow": Path("w.yaml"),
+        "workers": 3,
+        "memory": "1GiB",
+        "scheduler": "tcp://h:1",
+        "fresh": True,
+        "verify": True,
+        "until": "ground",
+        "overrides": ("a.b=1", "c=2"),
+    }
+
+
+def test_a_scheduler_that_is_not_there(
+    small_lines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(cluster.SETTINGS, "distributed.comm.timeouts.connect", "1s")
+    workflow = surveys.copy_of(small_lines, tmp_path)
+    ended = surveys.command("run", workflow, "--scheduler", "tcp://127.0.0.1:9")
+    assert ended.status == 3
+    assert "tcp://127.0.0.1:9" in ended.err
+    ended = surveys.command("run", workflow, "--scheduler", "no address at all")
+    assert ended.status in {2, 3}
+    assert "no address at all" in ended.err
+
+
+def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> None:
+    workflow = surveys.copy_of(small_lines, tmp_path)
+    ended = surveys.command("plan", workflow)
+    assert ended.status == 0
+    for word in ("files", "points", "tiles", "tasks", "disk", "memory", "time"):
+        assert word in ended.out
+    assert re.search(r"disk +[1-9][\d.]* [KM]iB", ended.out)
+    assert re.search(r"time +under 10 s \(typical rates\)", ended.out)
+    assert not (tmp_path / "out").exists(), "a plan writes nothing"
+    (tmp_path / "lines/bad_1.laz").write_text("no")
+    (tmp_path / "lines/bad_2.laz").write_text("no")
+    ended = surveys.command("plan", workflow)
+    assert ended.status == 1
+    assert "bad_1.laz" in ended.out
+    assert "bad_2.laz" in ended.out
+
+
+def test_what_is_expected_is_told_in_units_that_show_it() -> None:
+    sizes = {0: "0 KiB", 1: "1 KiB", 3 * 2**20: "3.0 MiB", 2**30: "1.00 GiB", 5e12: "4 656.61 GiB"}
+    assert {n: storage(n) for n in sizes} == sizes
+    times = {0.0: "under 10 s", 9.9: "under 10 s", 10.0: "10 s", 3700.0: "1 h 01 min"}
+    assert {t: live.expected(t) for t in times} == times
+
+
+def test_run_status_and_report(small_lines: Path, tmp_path: Path) -> None:
+    workflow = surveys.copy_of(small_lines, tmp_path)
+    assert surveys.command("run", workflow, "--workers", 0, "--until", "shots").status == 0
+    ended = surveys.command("run", workflow, "--workers", 0)
+    assert ended.status == 0
+    for name in ("report.html", "dtm.tif", "laz"):
+        assert str(tmp_path / "out" / name) in ended.out
+    ended = surveys.command("status", tmp_path / "out")
+    assert ended.status == 0
+    for stage in STAGES:
+        assert stage in ended.out
+    (tmp_path / "out/report.html").unlink()
+    assert surveys.command("report", tmp_path / "out").status == 0
+    assert (tmp_path / "out/report.html").exists()
+
+
+def test_simulate_writes_a_survey_that_can_be_planned(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        "name: mini\nextent_m: [30, 30]\nflights:\n  - {heading_deg: 0, speed_m_s: 100}\n"
+        "acquisition: {prf_hz: 5000, gate_m: 100}\n"
+    )
+    ended = surveys.command("simulate", scene, tmp_path / "out")
+    assert ended.status == 0, ended.text
+    assert str(tmp_path / "out/workflow.yaml") in ended.out
+    assert surveys.command("plan", tmp_path / "out/workflow.yaml").status == 0
+    scene.write_text("extent: 5\n")
+    ended = surveys.command("simulate", scene, tmp_path / "no")
+    assert ended.status == 2
+    assert "extent" in ended.err
+
+
+def test_main_without_arguments_is_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([])
+    said = capsys.readouterr()
+    assert "Usage: spl-batch" in said.out + said.err

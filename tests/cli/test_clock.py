@@ -1,0 +1,112 @@
+"""The time that is printed is that from Enter to prompt, and nothing is silent for long."""
+
+import io
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from spl_batch.cli import view
+from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
+from spl_batch.engine.watch.events import Compiling
+from tests import surveys
+
+
+def test_the_age_of_a_process_counts_from_its_start() -> None:
+    code = "import time as t; t.sleep(0.5); from spl_batch.cli import clock as c; "
+    code += "print(c.process_age_s())"
+    began = time.monotonic()
+    ended = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert 0.5 < float(ended.stdout) <= time.monotonic() - began + 0.05
+    assert process_age_s() > 0
+    assert CommandClock(100.0).took_s >= 100.0
+
+
+def test_a_run_prints_the_time_of_the_whole_command(small: Path) -> None:
+    surveys.run(small)
+    began = time.monotonic()
+    ended = subprocess.run(  # noqa: S603
+        [sys.executable, "-m", "spl_batch", "run", str(small), "--workers", "0"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    whole_s = time.monotonic() - began
+    match = re.search(r"^time +([0-9.]+) s for the whole command", ended.stdout, re.MULTILINE)
+    assert match, ended.stdout
+    assert 0.5 * whole_s < float(match[1]) <= whole_s + 0.1
+    looked = re.search(r"looked at in ([0-9.]+) s", ended.stdout)
+    assert looked
+    assert float(match[1]) > float(looked[1]) + 0.2, "imports count"
+    assert "run time" in ended.stdout
+
+
+def lines_of(console: Console) -> list[str]:
+    return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """What the plain view takes for the time [s]."""
+    now = [1000.0]
+    monkeypatch.setattr(view.time, "monotonic", lambda: now[0])
+    return now
+
+
+@pytest.fixture
+def console() -> Console:
+    return Console(file=io.StringIO(), width=80)
+
+
+def test_a_simulation_that_is_piped_says_how_far_it_is(
+    console: Console, clock: list[float]
+) -> None:
+    plain = view.PlainView(console)
+    for k in range(101):
+        plain.simulated(k / 100)
+        clock[0] += 0.5
+    lines = lines_of(console)
+    assert lines[0] == "simulate: begun"
+    assert lines[1:] == [f"simulate: {k} %" for k in range(10, 101, 10)]
+
+
+def test_a_quick_simulation_takes_two_lines(console: Console, clock: list[float]) -> None:
+    plain = view.PlainView(console)
+    for k in range(101):
+        plain.simulated(k / 100)
+        clock[0] += 0.001
+    assert lines_of(console) == ["simulate: begun", "simulate: 100 %"]
+
+
+def test_compiling_that_is_piped_says_how_far_it_is_now_and_then(
+    console: Console, clock: list[float]
+) -> None:
+    plain = view.PlainView(console)
+    for k in range(70):
+        plain.on_event(Compiling(k, 70))
+        clock[0] += 1.0
+    assert lines_of(console) == ["compiling: 31 of 70 kernels", "compiling: 62 of 70 kernels"]
+
+
+def test_compiling_is_drawn_on_a_terminal(console: Console) -> None:
+    drawn = view.View(console)
+    drawn.on_event(Compiling(12, 70))
+    console.print(drawn.draw())
+    assert "12 of 70 kernels ready" in "\n".join(lines_of(console))
+
+
+def test_what_takes_long_is_said_and_what_does_not_is_not(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with saying_if_slow("reading", after_s=5.0):
+        pass
+    assert capsys.readouterr().err == ""
+    with saying_if_slow("reading", after_s=0.01):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == "info: reading\n"

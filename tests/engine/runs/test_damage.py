@@ -1,0 +1,254 @@
+"""Damage to the working store: noticed where it is read, and made good within the run."""
+
+import contextlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spl_batch import api
+from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
+from spl_batch.airborne.store.voxel_parts import add_voxels, write_voxels
+from spl_batch.constants import NODATA
+from spl_batch.engine.flow import job
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.watch.events import Event, TaskEnded
+from spl_batch.errors import DamagedError
+from spl_batch.formats.verified.parquet_npz import (
+    group_ranges,
+    read_arrays,
+    read_columns,
+    write_arrays,
+    writing,
+)
+from spl_batch.lattice.tables import VoxelPart
+from spl_batch.lattice.tiles import CellId, cell_bounds
+from tests import surveys
+
+
+def columns(n: int = 60) -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    return {
+        "x": rng.integers(0, 10**9, n),
+        "channel": rng.integers(0, 25, n).astype(np.uint8),
+    }
+
+
+def parquet(path: Path) -> Callable[[], Any]:
+    wanted = columns()
+    with writing(path, {k: v.dtype for k, v in wanted.items()}) as writer:
+        for rows in (slice(0, 20), slice(20, 60)):
+            writer.write({k: v[rows] for k, v in wanted.items()})
+
+    def read() -> Any:
+        found = [read_columns(path, [name]) for name in wanted]
+        return [np.concatenate(list(f.values())).tolist() for f in found], group_ranges(path, "x")
+
+    return read
+
+
+def npz(path: Path) -> Callable[[], Any]:
+    write_arrays(path, {"a": np.arange(6.0), "b": np.array([1, 2], np.int8)})
+    return lambda: {k: v.tolist() for k, v in read_arrays(path).items()}
+
+
+def voxels(path: Path) -> Callable[[], Any]:
+    amount = np.random.default_rng(1).integers(0, 2**40, (3, 4, 2))
+    write_voxels(path, VoxelPart((5, 6, 7), amount))
+
+    def read() -> Any:
+        box = np.zeros((4, 4, 4), np.int64)
+        add_voxels(path, (5, 6, 6), {"amount": box})
+        return box.tolist()
+
+    return read
+
+
+def cells(path: Path) -> Callable[[], Any]:
+    create_raster_store(path, ["dtm"], ground_cell=4000, raster_cell=1000)
+    values = np.arange(16, dtype=np.float32).reshape(4, 4)
+    write_cell(path, CellId(1, 2), {"dtm": values})
+    return lambda: read_window(path, "dtm", cell_bounds(CellId(1, 2), 4000)).tolist()
+
+
+@pytest.mark.parametrize(("write", "step"), [(parquet, 1), (npz, 1), (voxels, 5), (cells, 5)])
+def test_no_bit_changes_unnoticed(tmp_path: Path, write: Callable[[Path], Any], step: int) -> None:
+    read = write(tmp_path / "file")
+    expected = read()
+    kinds = [p for p in (tmp_path / "file").rglob("*") if p.is_file()] or [tmp_path / "file"]
+    noticed = 0
+    for file in kinds:
+        content = file.read_bytes()
+        for place in range(0, len(content), step):
+            damaged = bytearray(content)
+            damaged[place] ^= 1 << place % 8
+            file.write_bytes(damaged)
+            found = None
+            with contextlib.suppress(DamagedError):
+                found = read()
+            assert found in (None, expected), f"byte {place} of {file.name}"
+            noticed += found is None
+        file.write_bytes(content)
+    assert read() == expected
+    assert noticed > 100
+
+
+@pytest.mark.parametrize("write", [parquet, npz, voxels])
+def test_nothing_is_cut_off_or_lost_unnoticed(tmp_path: Path, write: Callable[[Path], Any]) -> None:
+    read = write(tmp_path / "file")
+    chunk = tmp_path / "file" / "amount" / "c" / "0" / "0" / "0"
+    file = chunk if chunk.exists() else tmp_path / "file"
+    content = file.read_bytes()
+    for length in (0, 3, len(content) // 2, len(content) - 1):
+        file.write_bytes(content[:length])
+        with pytest.raises(DamagedError):
+            read()
+    file.unlink()
+    with pytest.raises(DamagedError):
+        read()
+
+
+def test_a_damaged_description_of_cells_is_written_again(tmp_path: Path) -> None:
+    read = cells(tmp_path / "file")
+    expected = read()
+    (tmp_path / "file" / "dtm" / "zarr.json").write_text("{}")
+    with pytest.raises(DamagedError):
+        read()
+    create_raster_store(tmp_path / "file", ["dtm"], ground_cell=4000, raster_cell=1000)
+    assert read() == expected
+    assert expected[0][0] != NODATA
+
+
+# Whole runs
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(content)
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-3])
+
+
+def receipt_at(path: Path) -> Receipt:
+    content = json.loads(path.read_bytes())
+    return Receipt(**{k: content[k] for k in Receipt.__slots__})
+
+
+def files_of(receipt: Receipt, output: Path) -> list[Path]:
+    """Files of the store that a task wrote, one of each sort."""
+    sorts: dict[str, Path] = {}
+    for name in sorted(receipt.outputs):
+        path = output / name
+        inside = sorted(p for p in path.rglob("c/**/*") if p.is_file())
+        if name.startswith("store/"):
+            sorts[name.split("/")[1]] = inside[0] if path.is_dir() else path
+    return list(sorts.values())
+
+
+SORTS = {
+    *("index", "trajectory.parquet", "points", "observed", "lines", "scatter", "voxels"),
+    *("fired", "tiles", "noise", "ground", "classes", "rasters_50000_1000.zarr"),
+}
+"""Names in the store that tasks read from."""
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("damage")
+    line = surveys.flightline(shots=60, seed=1)
+    surveys.write_cloud(folder / "lines" / "1.laz", line)
+    surveys.write_trajectory(folder / "trajectory.csv")
+    return surveys.write_workflow(folder)
+
+
+@pytest.fixture(scope="module")
+def expected(survey: Path) -> dict[str, bytes]:
+    return surveys.results(surveys.run(survey, until="deliver").output)
+
+
+@pytest.mark.parametrize("harm", [flip, Path.unlink])
+def test_what_is_damaged_while_a_run_goes_on_is_made_again_in_it(
+    survey: Path,
+    expected: dict[str, bytes],
+    monkeypatch: pytest.MonkeyPatch,
+    harm: Callable[[Path], None],
+) -> None:
+    harmed: set[str] = set()
+    run_task = job.run_task
+
+    def harming(*args: Any) -> Receipt:
+        receipt = run_task(*args)
+        for path in files_of(receipt, survey.parent / "out"):
+            sort = path.relative_to(survey.parent / "out" / "store").parts[0]
+            if sort in SORTS - harmed and (receipt.points or receipt.kind == "trajectory"):
+                harmed.add(sort)
+                harm(path)
+        return receipt
+
+    monkeypatch.setattr(job, "run_task", harming)
+    result = surveys.run(survey, until="deliver", fresh=True)
+    assert harmed == SORTS
+    assert result.exit_status == 0
+    assert surveys.results(result.output) == expected
+
+
+@pytest.mark.parametrize("harm", [cut, Path.unlink])
+def test_what_was_damaged_since_is_made_again(
+    survey: Path, expected: dict[str, bytes], harm: Callable[[Path], None]
+) -> None:
+    output = survey.parent / "out"
+    harmed = []
+    for kind in ("gather", "scatter", "denoise", "surface", "deliver_file"):
+        path = next((output / "store/receipts" / kind).glob("*.json"))
+        receipt = receipt_at(path)
+        for name in sorted(receipt.outputs)[:1]:
+            inside = [p for p in (output / name).rglob("*") if p.is_file()]
+            harm((inside or [output / name])[0])
+            harmed.append((receipt.kind, receipt.name))
+    done: list[tuple[str, str]] = []
+
+    def listen(event: Event) -> None:
+        if isinstance(event, TaskEnded):
+            done.append((event.kind, event.name))
+
+    result = api.run(survey, workers=0, until="deliver", listener=listen)
+    assert result.exit_status == 0
+    assert set(done) == set(harmed), "and nothing else: what depends on it is as before"
+    assert surveys.results(result.output) == expected
+
+
+def test_delivered_files_are_looked_at_closely_where_they_were_written_to(
+    survey: Path, expected: dict[str, bytes]
+) -> None:
+    path = survey.parent / "out" / "laz" / "lines" / "1.laz"
+    flip(path)
+    assert surveys.results(surveys.run(survey, until="deliver").output) == expected
+    flip(path)
+    (receipt,) = (survey.parent / "out/store/receipts/deliver_file").glob("*.json")
+    os.utime(path, ns=(0, receipt_at(receipt).written_ns["laz/lines/1.laz"]))
+    damaged = surveys.results(surveys.run(survey, until="deliver").output)
+    assert damaged != expected, "by size and time alone it cannot be told"
+    assert surveys.results(surveys.run(survey, until="deliver", verify=True).output) == expected
+
+
+@pytest.mark.parametrize("folder", ["tiles", "noise"])
+def test_what_the_report_finds_damaged_is_made_again_in_the_same_run(
+    survey: Path, expected: dict[str, bytes], folder: str
+) -> None:
+    """Every task is finished, and only the report's profile reads the file."""
+    output = survey.parent / "out"
+    assert surveys.run(survey).exit_status == 0
+    (output / "report.json").unlink()
+    for path in sorted((output / "store" / folder).rglob("*.parquet")):
+        flip(path)
+    result = surveys.run(survey)
+    assert result.exit_status == 0
+    assert (output / "report.json").exists()
+    assert surveys.results(result.output) == expected

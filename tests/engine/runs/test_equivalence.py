@@ -1,0 +1,179 @@
+"""The same bytes, whatever a run is like.
+
+``python -m benchmarks.engine.equivalence`` is the longer script.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from spl_batch import api
+from spl_batch.airborne.plan import block_size
+from spl_batch.airborne.plan import survey_ledger as survey_module
+from spl_batch.airborne.plan.flightlines import find_flightlines
+from spl_batch.engine.tasks.worklist import Worklist
+from tests import clusters, surveys
+from tests.clusters import Cluster
+
+Way = Callable[[Path, pytest.FixtureRequest], None]
+
+
+def here(*overrides: str, **options: Any) -> Way:
+    """Run in this process."""
+
+    def way(workflow: Path, _: pytest.FixtureRequest) -> None:
+        result = surveys.run(workflow, *overrides, until="deliver", **options)
+        assert result.exit_status == 0
+
+    return way
+
+
+def stretches(points: int) -> Way:
+    """Run with stretches of so many points."""
+
+    def way(workflow: Path, request: pytest.FixtureRequest) -> None:
+        def short(receipts: Any, settings: Any, _points: int) -> Any:
+            return find_flightlines(receipts, settings, points)
+
+        patch: pytest.MonkeyPatch = request.getfixturevalue("monkeypatch")
+        patch.setattr(survey_module, "find_flightlines", short)
+        here()(workflow, request)
+        gathered = workflow.parent / "out/store/receipts/gather"
+        assert len(list(gathered.iterdir())) > 4
+
+    return way
+
+
+def blocks_cut(workflow: Path, request: pytest.FixtureRequest) -> None:
+    """Run with blocks of several sizes, as where memory is short in places."""
+    patch: pytest.MonkeyPatch = request.getfixturevalue("monkeypatch")
+    patch.setattr(block_size, "block_points", lambda _: 80_000)
+    here("tiling.tile_m=30")(workflow, request)
+    done = (workflow.parent / "out/store/receipts/denoise").iterdir()
+    assert len({tuple(path.stem.split("_")[2:]) for path in done}) > 1
+
+
+def shuffled(workflow: Path, request: pytest.FixtureRequest) -> None:
+    """Do the tasks of each phase in another order."""
+    in_order = Worklist.jobs
+
+    def mixed(self: Worklist) -> Iterator[Any]:
+        found = list(in_order(self))
+        random.Random(3).shuffle(found)  # noqa: S311 - an order, no secret
+        yield from found
+
+    request.getfixturevalue("monkeypatch").setattr(Worklist, "jobs", mixed)
+    here("tiling.tile_m=60")(workflow, request)
+
+
+def workers(count: int) -> Way:
+    """Run with processes of its own."""
+
+    def way(workflow: Path, _: pytest.FixtureRequest) -> None:
+        result = api.run(
+            workflow,
+            workers=count,
+            overrides=["tiling.tile_m=60"],
+            memory="2GiB",
+            until="deliver",
+        )
+        assert result.exit_status == 0
+
+    return way
+
+
+def on_a_cluster(workflow: Path, request: pytest.FixtureRequest) -> None:
+    """Run on workers that were started elsewhere, by the scheduler's address."""
+    cluster: Cluster = request.getfixturevalue("cluster")
+    request.getfixturevalue("monkeypatch").chdir(workflow.parent)
+    options = ("--scheduler", cluster.address, "--memory", clusters.MEMORY)
+    ended = surveys.command("run", workflow.name, *options)
+    assert ended.status == 0, ended.text
+    assert cluster.plan.tries("denoise"), "the workers have done it"
+
+
+def killed(after: int) -> Way:
+    """End the process group of a run with SIGKILL once so much is finished; then continue."""
+
+    def way(workflow: Path, request: pytest.FixtureRequest) -> None:
+        output = workflow.parent / "out"
+        command = [sys.executable, "-m", "spl_batch", "run", str(workflow), "--workers", "1"]
+        process = subprocess.Popen(  # noqa: S603
+            command,
+            start_new_session=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        deadline = time.monotonic() + 60
+        while receipts(output) < after and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.002)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        before = {path: path.read_bytes() for path in receipt_files(output)}
+        assert len(before) >= after
+        here()(workflow, request)
+        kept = sum(path.exists() and path.read_bytes() == before[path] for path in before)
+        assert kept >= after, "what was finished is not done again"
+
+    return way
+
+
+def receipt_files(output: Path) -> list[Path]:
+    return list((output / "store/receipts").rglob("*.json"))
+
+
+def receipts(output: Path) -> int:
+    return len(receipt_files(output))
+
+
+WAYS: dict[str, Way] = {
+    "tiles of 60 m": here("tiling.tile_m=60", "tiling.block_tiles=1"),
+    "tiles of 250 m": here("tiling.tile_m=250", "tiling.block_tiles=1"),
+    "tiles of 33.3 m, blocks of 2 x 2": here("tiling.tile_m=33.3", "tiling.block_tiles=2"),
+    "blocks that are cut": blocks_cut,
+    "stretches of 5000": stretches(5000),
+    "shuffled task order": shuffled,
+}
+"""Ways of running the survey that has one of everything, of which one process is enough."""
+
+SLOW_WAYS: dict[str, Way] = {
+    "1 worker, killed after 1 task": killed(1),
+    "1 worker, killed after 14 tasks": killed(14),
+    "2 workers of a cluster by its address": on_a_cluster,
+    "4 workers": workers(4),
+}
+"""Ways that start processes, for the small survey."""
+
+
+def same_as(output: Path, expected: Path) -> None:
+    surveys.assert_same_labels(surveys.labels(output), surveys.labels(expected))
+    assert surveys.results(output) == surveys.results(expected)
+
+
+@pytest.mark.parametrize(
+    ("survey", "way"),
+    [
+        *(pytest.param("tiny", way, id=name) for name, way in WAYS.items()),
+        *(
+            pytest.param("small", way, id=name, marks=pytest.mark.slow)
+            for name, way in SLOW_WAYS.items()
+        ),
+    ],
+)
+def test_labels_and_rasters_are_the_same_bytes(
+    survey: str, way: Way, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    inputs = {"tiny": "tiny_survey", "small": "small_lines"}[survey]
+    workflow = surveys.copy_of(request.getfixturevalue(inputs), tmp_path)
+    if survey == "tiny":
+        workflow.write_text(workflow.read_text() + "outputs: {diagnostics: true}\n")
+    way(workflow, request)
+    same_as(tmp_path / "out", request.getfixturevalue(f"{survey}_output"))

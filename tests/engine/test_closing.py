@@ -1,0 +1,95 @@
+"""Workers that do not end in time spoil no run whose tasks are done."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any, Self
+
+import pytest
+
+from spl_batch.engine.flow import executor
+from spl_batch.engine.flow.job import Footing
+
+
+class Heard:
+    """An observer that remembers what it is told of workers."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def ready(self, scheduler: str, dashboard: str) -> None:
+        self.notes.append(f"ready: {scheduler or 'here'} {dashboard or 'without a dashboard'}")
+
+    def started(self, task: Any, worker: str) -> None:
+        """Nothing begins here."""
+
+    def seen(self, workers: Any) -> None:
+        """Nobody is there to be seen."""
+
+    def noted(self, text: str) -> None:
+        self.notes.append(text)
+
+
+@contextlib.contextmanager
+def slow_to_end(*_: object) -> Iterator[str]:
+    yield "nowhere"
+    raise TimeoutError
+
+
+class Client:
+    """A client of nothing."""
+
+    id = "none"
+    dashboard_link = ""
+
+    def __init__(self, address: str) -> None:
+        assert address == "nowhere"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """There is nothing to let go of."""
+
+
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch) -> Heard:
+    monkeypatch.setattr(executor, "local_cluster", slow_to_end)
+    monkeypatch.setattr("distributed.Client", Client)
+    return Heard()
+
+
+def enter(heard: Heard) -> Any:
+    return executor.executor(
+        workers=1,
+        memory_bytes=2**30,
+        scheduler=None,
+        observer=heard,
+        footing=Footing("imaging", "code", "mark", "content"),
+    )
+
+
+READY = "ready: here without a dashboard"
+
+
+def test_what_is_done_stays_done(heard: Heard) -> None:
+    with enter(heard) as pool:
+        pool.make_ready()
+    said = "the workers did not end in time; they end with this process"
+    assert heard.notes == [READY, said]
+
+
+def test_where_nothing_is_to_be_done_no_worker_is_started(heard: Heard) -> None:
+    with enter(heard):
+        pass
+    assert heard.notes == []
+
+
+def fail(pool: Any) -> None:
+    pool.make_ready()
+    raise TimeoutError("of the task")
+
+
+def test_a_task_that_has_no_answer_is_still_heard_of(heard: Heard) -> None:
+    with pytest.raises(TimeoutError, match="of the task"), enter(heard) as pool:
+        fail(pool)
+    assert heard.notes == [READY]

@@ -1,0 +1,91 @@
+"""Input files as every receiver's plan names them: where they may lie, what results are called."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from spl_batch.altimetry.plan import Tracks, gather_inputs
+from spl_batch.altimetry.settings import TrackWorkflow
+from spl_batch.engine.plan.input_files import check_keys, refuse_own, stem_names
+from spl_batch.errors import WorkflowError, grouped
+from spl_batch.formats.crs import projected_crs
+
+
+@dataclass
+class File:
+    """A source that only has names."""
+
+    name: str
+    key: int
+
+    @property
+    def path(self) -> Path:
+        return Path(self.name)
+
+
+def test_inputs_among_the_results_are_a_fault() -> None:
+    faults: list[str] = []
+    paths = [Path("/s/a.h5"), Path("/s/out/b.h5"), Path("/s/out/c/d.h5")]
+    refuse_own(paths, Path("/s/out"), "track.photons", faults)
+    assert len(faults) == 1
+    assert faults[0].startswith("track.photons: /s/out/b.h5 and 1 more in the output folder /s/out")
+    refuse_own(paths[:1], Path("/s/out"), "track.photons", faults)
+    assert len(faults) == 1
+
+
+def test_keys_that_clash_are_refused() -> None:
+    check_keys([File("a", 1), File("b", 2), File("a", 1)])
+    with pytest.raises(WorkflowError, match="share a key by chance"):
+        check_keys([File("a", 1), File("b", 1)])
+
+
+def test_results_of_files_of_one_name_are_told_apart() -> None:
+    files = [File("a/x/f.h5", 1), File("b/x/f.h5", 2), File("g.h5", 3)]
+    assert stem_names(files) == {1: "f_1", 2: "f_2", 3: "g"}
+
+
+def test_tracks_of_one_name_in_folders_of_one_name_do_not_overwrite_each_other(
+    tmp_path: Path,
+) -> None:
+    for folder in ("a/x", "b/x"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "f.csv").write_text("along_track,height\n1,2\n3,4\n")
+    workflow = TrackWorkflow.model_validate(
+        {"kind": "altimetry", "track": {"photons": "*/x/f.csv"}, "output": "out"}
+    )
+    inputs = gather_inputs(workflow, tmp_path, tmp_path / "out")
+    tracks = Tracks(inputs, workflow, 1 << 30, 1)
+    assert len(set(tracks.delivered.values())) == len(inputs.sources) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("moon", "survey.crs: 'moon' is not a known CRS"),
+        ("EPSG:4326", "is geographic (degrees)"),
+        ("EPSG:2277", "US survey foot"),
+    ],
+)
+def test_a_crs_that_does_not_serve_is_one_fault_among_others(text: str, says: str) -> None:
+    faults = ["survey.frames: nothing matches"]
+    projected_crs(text, "survey.crs", faults)
+    assert len(faults) > 1
+    assert all(fault.startswith("survey.crs: ") for fault in faults[1:])
+    assert says in faults[1]
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "shown"),
+    [(0, 0, "0"), (1234, 0, "1 234"), (1234567.891, 1, "1 234 567.9"), (-1e6, 0, "-1 000 000")],
+)
+def test_numbers_of_messages_have_groups(value: float, digits: int, shown: str) -> None:
+    assert grouped(value, digits) == shown
+
+
+def test_a_projected_crs_serves() -> None:
+    faults: list[str] = []
+    crs = projected_crs("EPSG:32616", "survey.crs", faults)
+    assert crs is not None
+    assert projected_crs(None, "survey.crs", faults) is None
+    assert not faults

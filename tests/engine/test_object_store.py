@@ -1,0 +1,205 @@
+"""The working store on an object store: S3 as moto speaks it on the loopback."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import boto3
+import fsspec
+import pytest
+from moto.server import ThreadedMotoServer
+
+from spl_batch import api
+from spl_batch.engine.flow import job
+from spl_batch.engine.store.working_store import Store, read_receipts
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.errors import StoppedError, WorkflowError
+from spl_batch.formats.files import remote
+from tests import surveys
+
+Results = dict[str, bytes]
+
+
+@pytest.fixture(scope="module")
+def bucket() -> Iterator[str]:
+    """URL of a bucket; everything about it comes from the usual environment."""
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+        patch.setenv("AWS_ACCESS_KEY_ID", "test")
+        patch.setenv("AWS_SECRET_ACCESS_KEY", "test")
+        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        boto3.client("s3").create_bucket(Bucket="surveys")
+        yield "s3://surveys"
+    server.stop()
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    surveys.write_cloud(tmp_path / "lines" / "1.laz", surveys.flightline(shots=60))
+    surveys.write_trajectory(tmp_path / "trajectory.csv")
+    return surveys.write_workflow(tmp_path, ground={"cell_m": 100, "buffer_m": 20})
+
+
+@pytest.fixture
+def expected(survey: Path) -> Results:
+    copied = surveys.copy_of(survey, survey.parent / "local")
+    return surveys.results(surveys.run(copied, until="deliver").output)
+
+
+def keys(prefix: str) -> list[str]:
+    pages = boto3.client("s3").get_paginator("list_objects_v2")
+    found = pages.paginate(Bucket="surveys", Prefix=f"{prefix}/")
+    return [item["Key"] for page in found for item in page.get("Contents", ())]
+
+
+def test_results_are_those_of_a_local_store(
+    survey: Path, expected: Results, bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = f"outputs.store={bucket}/one"
+    run_task = job.run_task
+    calls = 0
+
+    def killed(*args: Any) -> Receipt:
+        nonlocal calls
+        calls += 1
+        if calls == 7:
+            raise KeyboardInterrupt
+        return run_task(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "run_task", killed)
+        with pytest.raises(KeyboardInterrupt):
+            surveys.run(survey, url, until="deliver")
+    result = surveys.run(survey, url)
+    assert result.exit_status == 0
+    assert result.report is not None
+    assert surveys.results(result.output) == expected
+    there = keys("one")
+    assert {k.split("/")[1] for k in there} >= {"receipts", "tiles", "voxels", "fired", "noise"}
+    local = {p.name for p in (result.output / "store").iterdir()}
+    assert local == {"lock", "identity.json", "run.json", "noise.tif"}
+    assert api.report(result.output).report.counts == result.report.counts
+    # Nothing is done twice; what is damaged there is made again.
+    before = {r.name: r for r in read_receipts(Store(result.output, f"{bucket}/one"), "scatter")}
+    client = boto3.client("s3")
+    client.delete_object(
+        Bucket="surveys", Key=next(k for k in there if "/voxels/" in k and "/c/" in k)
+    )
+    client.put_object(Bucket="surveys", Key=next(k for k in there if "/tiles/" in k), Body=b"PAR1")
+    again = surveys.run(survey, url, until="deliver")
+    assert again.exit_status == 0
+    assert surveys.results(again.output) == expected
+    after = {r.name: r for r in read_receipts(Store(result.output, f"{bucket}/one"), "scatter")}
+    assert {k: r.digest for k, r in after.items()} == {k: r.digest for k, r in before.items()}
+    surveys.run(survey, url, until="index", fresh=True)
+    assert {k.split("/")[2] for k in keys("one") if "/receipts/" in k} == {
+        "index_file",
+        "trajectory",
+    }
+
+
+@pytest.mark.slow
+def test_workers_share_it_and_a_killed_run_continues(
+    survey: Path, expected: Results, bucket: str
+) -> None:
+    command = [sys.executable, "-m", "spl_batch", "run", str(survey), "--workers", "2"]
+    command += ["--set", f"outputs.store={bucket}/two", "--until", "deliver"]
+    with subprocess.Popen(  # noqa: S603
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
+        deadline = time.monotonic() + 150
+        while (
+            len(keys("two/receipts")) < 4 and process.poll() is None and time.monotonic() < deadline
+        ):
+            time.sleep(0.05)
+        process.send_signal(signal.SIGKILL)
+    assert len(keys("two/receipts")) >= 4
+    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=250)  # noqa: S603
+    assert ended.returncode == 0, ended.stderr
+    assert surveys.results(survey.parent / "out") == expected
+
+
+def test_a_store_belongs_to_one_output(survey: Path) -> None:
+    place = "outputs.store=memory://shared"
+    surveys.run(survey, place, until="index")
+    other = surveys.copy_of(survey, survey.parent / "other")
+    for options in ({}, {"fresh": True}):
+        with pytest.raises(WorkflowError) as caught:
+            surveys.run(other, place, until="index", **options)
+        assert f"is the store of another output, {survey.parent / 'out'} (host" in str(caught.value)
+        assert "name another one, or delete what is there" in str(caught.value)
+    ended = surveys.command("run", other, "--set", place, "--only", "index_file x")
+    assert ended.status == 2
+    assert "another output" in ended.err
+    moved = survey.parent / "moved"
+    (survey.parent / "out").rename(moved)
+    assert surveys.run(survey, place, "output=moved", until="index").exit_status == 0
+    assert surveys.run(survey, place, "output=moved", until="index", fresh=True).exit_status == 0
+    with pytest.raises(WorkflowError, match="moved"):
+        surveys.run(other, place, until="index")
+    fsspec.filesystem("memory").rm("/shared", recursive=True)
+    assert surveys.run(other, place, until="index").exit_status == 0
+
+
+def test_what_a_killed_upload_leaves_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    program = (
+        "import pathlib, os, sys; from spl_batch.formats.files import remote\n"
+        "with remote.uploading(pathlib.Path('a')) as path:\n"
+        "    path.write_bytes(b'half'); print(path, flush=True); sys.stdin.read()"
+    )
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(  # noqa: S603
+        [sys.executable, "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as process:
+        assert process.stdout is not None
+        left = Path(process.stdout.readline().strip())
+        old = time.time() - 3600
+        os.utime(left.parent, (old, old))
+        young = tmp_path / f"{left.parent.name}y"
+        young.mkdir()
+        remote._remove_abandoned.cache_clear()
+        with remote.uploading(remote.remote_path("memory://left/a")) as path:
+            path.write_bytes(b"whole")
+        assert left.exists(), "its process is alive"
+        process.kill()
+    remote._remove_abandoned.cache_clear()
+    with remote.uploading(remote.remote_path("memory://left/b")) as path:
+        path.write_bytes(b"whole")
+    assert list(tmp_path.iterdir()) == [young], "that may be about to be locked"
+
+
+@pytest.mark.slow
+def test_two_filters_are_compared_on_another_kind_of_store(survey: Path) -> None:
+    place = "outputs.store=memory://three"
+    result = api.compare(survey, "voxel,none", workers=0, overrides=[place])
+    assert result.exit_status == 0
+    there = fsspec.filesystem("memory")
+    assert there.ls("/three/compare/voxel/receipts/denoise")
+    assert there.ls("/three/compare/none/receipts/build_tile")
+
+
+def test_a_store_that_is_not_there_stops_the_run(
+    survey: Path, monkeypatch: pytest.MonkeyPatch, bucket: str
+) -> None:
+    with pytest.raises(StoppedError, match="run again"):
+        surveys.run(survey, f"outputs.store={bucket}-not-there/one", until="index")
+    with pytest.raises(WorkflowError, match="store"):
+        surveys.run(survey, "outputs.store=no-url")
+    monkeypatch.setitem(sys.modules, "gcsfs", None)
+    with pytest.raises(WorkflowError, match=r"pip install 'spl-batch\[cluster\]'"):
+        remote.remote_path("gs://surveys/elsewhere")

@@ -1,0 +1,257 @@
+"""Nothing that is not ours is deleted or replaced: outputs, stores, simulated folders."""
+
+import json
+import shutil
+from pathlib import Path
+
+import fsspec
+import pytest
+
+from spl_batch import api
+from spl_batch.airborne import quickstart
+from spl_batch.engine.store.working_store import write_json
+from spl_batch.engine.verbs import simulation
+from spl_batch.errors import WorkflowError
+from tests import surveys
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    return make(tmp_path, 1, 2)
+
+
+def make(folder: Path, *psids: int, prefix: str = "", output: str = "out") -> Path:
+    for psid in psids:
+        line = surveys.flightline(shots=40, psid=psid, seed=psid)
+        surveys.write_cloud(folder / "lines" / f"{prefix}{psid}.laz", line)
+    return surveys.write_workflow(folder, output=output)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def command(verb: str, workflow: Path, *options: object) -> surveys.Ended:
+    return surveys.command(verb, workflow, "--workers", 0, *options)
+
+
+def refused(ended: surveys.Ended) -> str:
+    assert ended.status == 2, ended.text
+    (line,) = ended.err.splitlines()
+    return line
+
+
+def test_another_survey_in_the_same_output_is_refused(survey: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    surveys.run(survey)
+    # The same name, copied with the workflow, does not make it the same survey.
+    other = make(tmp_path / "other", 3, output=str(out))
+    before = tree(out)
+    said = {refused(command(verb, other)) for verb in ("plan", "run")}
+    said.add(refused(command("run", other, "--fresh")))
+    said.add(refused(command("compare", other, "--methods", "aes,voxel")))
+    said.add(refused(command("run", other, "--only", "index_file x")))
+    (line,) = said
+    for word in (str(out), "another survey", "1.laz", "name another output, or delete"):
+        assert word in line
+    assert tree(out) == before
+    shutil.rmtree(out / "store")
+    before = tree(out)
+    assert refused(command("run", other, "--fresh")) == line
+    (out / "delivered.json").unlink()
+    assert "another survey" in refused(command("plan", other))
+    (out / "report.json").unlink()
+    assert "which no run" not in refused(command("plan", other))
+    assert "no run has recorded" in refused(command("run", other))
+    assert tree(out) == {k: v for k, v in before.items() if k in tree(out)}
+    shutil.rmtree(out)
+    assert command("plan", other).status == 0
+
+
+def test_a_survey_that_was_moved_or_renamed_is_the_same(survey: Path, tmp_path: Path) -> None:
+    surveys.run(survey)
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for name in ("lines", "out", survey.name):
+        (tmp_path / name).rename(moved / name)
+    again = surveys.run(moved / survey.name, "survey.name=renamed")
+    assert again.exit_status == 0
+
+
+def test_what_a_flightline_left_behind_is_listed_and_deleted(survey: Path, tmp_path: Path) -> None:
+    laz = tmp_path / "out" / "laz" / "lines"
+    surveys.run(survey)
+    (laz / "mine.laz").write_text("mine")
+    shutil.copy(laz / "2.laz", tmp_path / "2.laz")
+    (tmp_path / "lines" / "2.laz").unlink()
+    assert "2.laz" in " ".join(api.plan(survey).warnings)
+    ended = command("run", survey)
+    assert ended.status == 0
+    flat = " ".join(ended.text.split())
+    assert "no longer an input of this survey: 2.laz" in flat
+    assert "deleted, as an earlier run made it and this one does not: laz/lines/2.laz" in flat
+    assert "laz/lines/2.laz" in (tmp_path / "out" / "log.jsonl").read_text()
+    assert sorted(path.name for path in laz.iterdir()) == ["1.laz", "mine.laz"]
+
+
+def test_a_changed_result_is_never_lost(survey: Path, tmp_path: Path) -> None:
+    laz = tmp_path / "out" / "laz" / "lines"
+    surveys.run(survey)
+    made = (laz / "1.laz").read_bytes()
+    (laz / "1.laz").write_text("edited by hand")
+    (laz / "2.laz").write_text("also edited")
+    (tmp_path / "lines" / "2.laz").unlink()
+    ended = command("run", survey)
+    assert ended.status == 0
+    assert (laz / "1.laz.kept").read_text() == "edited by hand"
+    assert (laz / "2.laz").read_text() == "also edited"
+    flat = " ".join(ended.text.split())
+    assert "kept as laz/lines/1.laz.kept" in flat
+    assert "laz/lines/2.laz; this run makes no such file" in flat
+    assert (laz / "1.laz").stat().st_size > len(made) / 2
+    # What lies where a new flightline's cloud goes is kept as well.
+    shutil.copy(tmp_path / "lines" / "1.laz", tmp_path / "lines" / "3.laz")
+    (laz / "3.laz").write_text("somebody's")
+    command("run", survey)
+    assert (laz / "3.laz.kept").read_text() == "somebody's"
+
+
+def test_a_store_that_was_deleted_takes_no_knowledge_with_it(survey: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    surveys.run(survey)
+    shutil.rmtree(out / "store")
+    (tmp_path / "lines" / "2.laz").unlink()
+    assert surveys.run(survey).exit_status == 0
+    assert sorted(path.name for path in (out / "laz" / "lines").iterdir()) == ["1.laz"]
+    assert not list(out.rglob("*.kept"))
+
+
+def test_a_killed_run_finds_its_own_files_again(
+    survey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from spl_batch.engine.tasks import runner  # noqa: PLC0415
+    from spl_batch.engine.tasks.task import Receipt  # noqa: PLC0415
+
+    real = runner.write_receipt
+
+    def killed(store: object, receipt: Receipt) -> None:
+        if receipt.kind == "mosaic":
+            raise KeyboardInterrupt
+        real(store, receipt)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runner, "write_receipt", killed)
+        with pytest.raises(KeyboardInterrupt):
+            surveys.run(survey)
+    out = tmp_path / "out"
+    assert list(out.glob("*.tif")), "a raster is there, and no receipt"
+    shutil.rmtree(out / "store")
+    assert surveys.run(survey).exit_status == 0
+    assert not list(out.rglob("*.kept"))
+
+
+@pytest.mark.parametrize("name", ["laz/lines/1.laz", "dtm.tif", "report.html", "store/notes.txt"])
+def test_files_of_somebody_else_are_refused(survey: Path, tmp_path: Path, name: str) -> None:
+    path = tmp_path / "out" / name
+    path.parent.mkdir(parents=True)
+    path.write_text("mine")
+    said = {refused(command(verb, survey)) for verb in ("plan", "run")}
+    said.add(refused(command("run", survey, "--fresh")))
+    (line,) = said
+    assert "move them away" in line
+    assert tree(tmp_path / "out") == {name: b"mine"}
+
+
+def test_a_folder_with_other_files_may_be_an_output(survey: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    assert command("run", survey, "--until", "index", "--fresh").status == 0
+    assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_a_place_that_holds_other_objects_is_no_store(survey: Path) -> None:
+    system = fsspec.filesystem("memory")
+    system.pipe_file("/bucket/photos/a.jpg", b"mine")
+    options = ("--set", "outputs.store=memory://bucket")
+    try:
+        said = {refused(command(verb, survey, *options)) for verb in ("plan", "run")}
+        said.add(refused(command("run", survey, "--fresh", *options)))
+        (line,) = said
+        assert "holds photos, which is no working store" in line
+        assert system.cat_file("/bucket/photos/a.jpg") == b"mine"
+    finally:
+        system.rm("/bucket", recursive=True)
+
+
+def test_altimetry_refuses_a_folder_with_other_photons(tmp_path: Path) -> None:
+    (tmp_path / "track.csv").write_text(
+        "along_track,height\n" + "".join(f"{k},{k % 7}\n" for k in range(400))
+    )
+    workflow = tmp_path / "workflow.yaml"
+    workflow.write_text("kind: altimetry\ntrack: {photons: track.csv}\noutput: out\n")
+    path = tmp_path / "out" / "profiles" / "track" / "beam.csv"
+    path.parent.mkdir(parents=True)
+    path.write_text("mine")
+    said = {refused(command(verb, workflow)) for verb in ("plan", "run")}
+    assert "profiles/track/beam.csv" in said.pop()
+    assert not said
+
+
+SCENE = """kind: altimetry
+name: short
+track: {length_m: 200}
+channels: {channel006: {}}
+"""
+
+
+def test_a_simulation_replaces_only_what_one_has_made(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(SCENE)
+    out = tmp_path / "sim"
+    assert surveys.command("simulate", scene, out).status == 0
+    assert surveys.command("simulate", scene, out).status == 0
+    (out / "workflow.yaml").write_text("mine")
+    line = refused(surveys.command("simulate", scene, out))
+    assert "workflow.yaml, which has changed since it was simulated" in line
+    assert (out / "workflow.yaml").read_text() == "mine"
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "workflow.yaml").write_text("mine")
+    line = refused(surveys.command("simulate", scene, other))
+    assert "holds workflow.yaml, which no simulation made; name another folder" in line
+    assert tree(other) == {"workflow.yaml": b"mine"}
+
+
+def test_quickstart_refuses_a_folder_with_anything_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[Path] = []
+
+    def run(workflow: Path, **_: object) -> None:
+        ran.append(workflow)
+
+    def fly(_: object, folder: Path, **__: object) -> None:
+        (folder / "workflow.yaml").write_text("survey: {name: quickstart}\n")
+
+    monkeypatch.setattr(quickstart, "run", run)
+    monkeypatch.setattr(simulation, "simulator", lambda _: fly)
+    theirs = tmp_path / "theirs"
+    (theirs / "flightlines").mkdir(parents=True)
+    (theirs / "flightlines" / "line_01.laz").write_text("mine")
+    with pytest.raises(WorkflowError, match=r"line_01\.laz, which no quickstart made"):
+        api.quickstart(theirs)
+    (theirs / "workflow.yaml").write_text("survey: {flightlines: flightlines/*.laz}\noutput: out\n")
+    with pytest.raises(WorkflowError, match="which no quickstart made; name another folder"):
+        api.quickstart(theirs)
+    assert not ran
+    own = tmp_path / "own"
+    api.quickstart(own)
+    write_json(own / "out" / "delivered.json", {})
+    (own / "out" / "dtm.tif").touch()
+    api.quickstart(own)
+    assert ran == [own / "workflow.yaml"] * 2
+    (own / "notes.txt").write_text("mine")
+    with pytest.raises(WorkflowError, match=r"holds notes\.txt"):
+        api.quickstart(own)
+    assert json.loads((own / "simulated.json").read_bytes())["quickstart"]

@@ -1,0 +1,560 @@
+"""What a reader meets on the pages of all receivers: structure, words, units, print, pieces."""
+
+import html.parser
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from spl_batch.airborne.compare.comparison_page import (
+    ComparisonReport,
+    MethodResult,
+    write_comparison,
+)
+from spl_batch.airborne.report import survey_pieces
+from spl_batch.airborne.report.model import Noise, Piece, Report
+from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
+from spl_batch.airborne.report.survey_page import render
+from spl_batch.airborne.report.verdicts import screen_summary, verdicts
+from spl_batch.altimetry.report import page as track_page
+from spl_batch.altimetry.report import pictures as track_pictures
+from spl_batch.altimetry.report.model import Beam, TrackCounts, TrackReport
+from spl_batch.constants import QUANTUM_M
+from spl_batch.engine.report import maps, style
+from spl_batch.engine.report.parameters import changed, without
+from spl_batch.engine.report.parts import Provenance, Statistics
+from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.rasters.parts import read_overview
+from spl_batch.geiger.coincidence.report import model as coincidence
+from spl_batch.geiger.coincidence.report import page as coincidence_page
+from spl_batch.geiger.water.report import model as water
+from spl_batch.geiger.water.report import page as water_page
+from spl_batch.geiger.water.report import pictures as water_pictures
+from tests.report_data import EXTENT, make_inputs, make_report
+
+MADE = Provenance(version="0", created="2026-01-01T00:00:00+00:00")
+GALLERY_PX, WIDE_PX = 508, 1044
+"""Width that the page lays a picture out with, at its widest."""
+
+
+class Outline(html.parser.HTMLParser):
+    """Headings, headers of tables, tables by their number of columns, and text of a page."""
+
+    def __init__(self, content: str) -> None:
+        super().__init__()
+        self.headings: list[int] = []
+        self.headers: list[dict[str, str | None]] = []
+        self.tables: list[list[str]] = []
+        self.parents: list[str] = []
+        self.open: list[tuple[str, dict[str, str | None]]] = []
+        self.images: list[dict[str, str | None]] = []
+        self.text = ""
+        self.feed(content)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag in {"h1", "h2", "h3", "h4"}:
+            self.headings.append(int(tag[1]))
+        if tag == "th":
+            self.headers.append(given)
+        if tag == "table":
+            self.tables.append([])
+            self.parents.append(str(self.open[-1][1].get("class")))
+        if tag == "img":
+            self.images.append(given)
+        elif tag != "meta":
+            self.open.append((tag, given))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data: str) -> None:
+        inside = [tag for tag, _ in self.open]
+        if "style" not in inside:
+            self.text += data
+        if "thead" in inside and inside[-1] == "th":
+            self.tables[-1].append(data)
+
+
+def beam(**changes: Any) -> Beam:
+    values: dict[str, Any] = {
+        "file": "track_with_a_long_name_20260101.h5",
+        "name": "gt1r",
+        "photons": 131_247,
+        "signal": 6_786,
+        "noise_per_m2": (0.01, 0.02, 0.04),
+        "rate_basis": "product and window",
+        "ground": Statistics(n=5, mean=0.1, rmse=0.4, median=-1.5, nmad=0.29),
+    }
+    return Beam(**{**values, **changes})
+
+
+def track_report() -> TrackReport:
+    return TrackReport(
+        name="hills",
+        method="bayes",
+        counts=TrackCounts(
+            points_in=209_593, points_out=209_593, signal=24_238, background=185_355
+        ),
+        ground=Statistics(n=9, median=-0.01, nmad=0.29, rmse=1.41),
+        beams=(beam(), beam(name="gt1l")),
+        provenance=MADE,
+    )
+
+
+def water_report() -> water.WaterReport:
+    errors = {"variance_m2": 5.8e-6, "mse_m2": 70.6e-6, "normal_deg": 1.27, "pixel_normal_deg": 2.9}
+    return water.WaterReport(
+        name="tank",
+        method="adaptive",
+        frames_per_acquisition=2000,
+        files=(
+            water.WaterFile(name="a.h5", role="water", frames=4000, acquisitions=20,
+                            gate=(395, 442), hits=503_901, outside=1719),
+        ),
+        points=18_560,
+        surfaces=water.SurfaceErrors(acquisitions=20, bias_m=0.008, signed_bias_m=0.00801,
+                                     **errors),
+        floor=water.FloorErrors(in_water_m=6.2, straight_m=0.5748, level_m=0.2888,
+                                refracted_m=0.0548, straight_beam_m=0.5727, level_beam_m=0.2839,
+                                refracted_beam_m=0.0364),
+        calibration=None,
+        provenance=MADE,
+    )  # fmt: skip
+
+
+def coincidence_report() -> coincidence.CoincidenceReport:
+    return coincidence.CoincidenceReport(
+        scene=coincidence.Scene(name="scene", method="bridge_sign", voxel_m=0.045),
+        counts=coincidence.Counts(frames=4419, looks=18_100_224, detections=4_417_001, points=5),
+        intensity=coincidence.Intensity(),
+        provenance=MADE,
+    )
+
+
+def comparison(folder: Path) -> str:
+    method = MethodResult(name="vsaes", folder="vsaes", points=10, signal=7, background=2,
+                          afterpulse=1, kept_only=0, removed_only=0)  # fmt: skip
+    report = ComparisonReport(survey="s", version="0", far_m=50.0, methods=(method, method))
+    write_comparison(folder, report, [])
+    return (folder / "compare.html").read_text(encoding="utf-8")
+
+
+def linear_report(**changes: Any) -> Report:
+    """As the workflow for linear-mode lidar gives it."""
+    whole = make_report()
+    survey = whole.survey.model_copy(update={"flightlines": (), "sensor": None})
+    counts = whole.counts.model_copy(
+        update={"signal": whole.counts.points_in, "background": 0, "afterpulse": 0,
+                "not_assessed": 0, "withheld": 0, "vendor_flagged": 0}
+    )  # fmt: skip
+    parameters = {
+        "kind": "imaging",
+        "output": "out",
+        "survey": {"name": "town", "flightlines": "*.laz", "sensor": "spl100"},
+        "filter": {"method": "none", "dcc": {"coarse_bin_m": 30.0}},
+        "afterpulse": {"enabled": False, "lag_max_m": 5.0},
+        "ground": {"method": "smrf"},
+        "products": {"cell_m": 0.5},
+    }
+    made = whole.provenance.model_copy(update={"parameters": parameters})
+    values = {"survey": survey, "counts": counts, "noise": Noise(), "accuracy": None,
+              "provenance": made, "warnings": ()}  # fmt: skip
+    return make_report(**{**values, **changes})
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    report = make_report()
+    return {
+        "airborne": render(report, make_pictures(make_inputs(), report)),
+        "linear": render(linear_report(), make_pictures(PictureInputs(), linear_report())),
+        "altimetry": track_page.render(track_report(), [{}]),
+        "coincidence": coincidence_page.render(
+            coincidence_report(), coincidence_page.pictures(None, None, None)
+        ),
+        "water": water_page.render(water_report(), {}),
+        "compare": comparison(tmp_path_factory.mktemp("compare")),
+    }
+
+
+KINDS = ("airborne", "linear", "altimetry", "coincidence", "water", "compare")
+
+
+class TestStructure:
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_headers_name_what_they_head(self, pages: dict[str, str], kind: str) -> None:
+        for header in Outline(pages[kind]).headers:
+            assert header.get("scope") in {"col", "row"}
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_there_is_one_main_part_and_no_level_of_heading_is_left_out(
+        self, pages: dict[str, str], kind: str
+    ) -> None:
+        assert pages[kind].count("<main>") == pages[kind].count("</main>") == 1
+        levels = Outline(pages[kind]).headings
+        assert levels[0] == 1
+        assert levels.count(1) == 1
+        assert all(after - before <= 1 for before, after in pairwise(levels))
+
+    def test_each_picture_is_told_in_words(self, pages: dict[str, str]) -> None:
+        images = Outline(pages["airborne"]).images
+        assert len(images) == 8
+        assert all(len(image["alt"] or "") > 20 for image in images)
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_each_table_scrolls_by_itself(self, pages: dict[str, str], kind: str) -> None:
+        parents = Outline(pages[kind]).parents
+        assert parents
+        assert set(parents) == {"scroll"}
+        assert pages[kind].count('class="scroll" tabindex="0"') == len(parents)
+
+    def test_the_table_of_beams_has_room(self, pages: dict[str, str]) -> None:
+        (beams,) = [t for t in Outline(pages["altimetry"]).tables if "length [km]" in t]
+        assert len(beams) <= 12
+        assert 'class="wrap">track_with_a_long_name' in pages["altimetry"]
+
+    def test_the_print_keeps_headings_with_their_tables(self, pages: dict[str, str]) -> None:
+        printed = pages["airborne"].split("@media print", 1)[1].split("</style>", 1)[0]
+        assert re.search(r"h2, h3, \.lead \{ break-after: avoid; \}", printed)
+        assert "orphans: 1" in printed, "a row of maps may stand alone at the end of a page"
+        assert re.search(r"pre\.small \{ font-size: 6pt", printed)
+
+
+class TestWords:
+    def test_shares_are_of_all_points_and_add_up(self, pages: dict[str, str]) -> None:
+        text = Outline(pages["airborne"]).text.replace("\N{NARROW NO-BREAK SPACE}", " ")
+        assert "37.7 %" in text
+        assert "of all points: background 34.5 %, afterpulses 3.2 %" in text
+        assert "background noise: 3 894 201 (34.5 % of all points)" in text
+        assert "ground 42" not in text
+        assert "26.4 % of all points" in text
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_signal_is_the_word(self, pages: dict[str, str], kind: str) -> None:
+        text = Outline(pages[kind]).text
+        assert not re.findall(r"\b(?:accepted|kept|keeps)\b", text)
+
+    def test_an_error_says_which_surfaces_it_is_over(self) -> None:
+        report = make_report()
+        assert report.accuracy is not None
+        judged, overall = (report.accuracy.dtm[k].rmse or 0 for k in ("open_ground", "all"))
+        said = dict(screen_summary(report))["DTM accuracy"]
+        assert said == (
+            f"RMSE {100 * judged:.1f} cm on open ground ({100 * overall:.1f} cm on all surfaces)"
+        )
+        drawn = titles(make_pictures, make_inputs(), report)
+        assert f"All surfaces: RMSE {100 * overall:.1f}\N{NARROW NO-BREAK SPACE}cm" in drawn
+        assert any(t.startswith("Terrain minus reference, all surfaces: RMSE") for t in drawn)
+
+    def test_a_level_is_named_with_what_it_was_measured_against(self) -> None:
+        said = verdicts(make_report())[0].text
+        assert "against linear-mode lidar and not check points" in said
+        assert "allows at check points" in said
+
+    def test_the_surface_leads_with_what_gross_errors_do_not_move(
+        self, pages: dict[str, str]
+    ) -> None:
+        terrain, surface = Outline(pages["airborne"]).tables[:2]
+        assert surface[:4] == ["Surface", "n", "median", "NMAD"]
+        assert terrain[:4] == ["Surface", "n", "mean", "median"]
+
+    def test_powers_of_ten_are_raised(self) -> None:
+        noise = make_report().noise.model_copy(update={"mean_per_m3": 6.43e-6})
+        shown = render(make_report(noise=noise), {})
+        assert "6.43\N{MULTIPLICATION SIGN}10\u207b\u2076 per m\u00b3" in shown
+        assert "10^" not in shown
+
+    def test_consoles_of_all_receivers_group_digits_alike(self) -> None:
+        photons = dict(track_page.screen_summary(track_report()))
+        assert photons["photons"] == "209 593 in, 209 593 out"
+        assert photons["signal"] == "24 238 (11.6 % of all photons)"
+        assert photons["ground accuracy"] == "median -0.01 m, NMAD 0.29 m, RMSE 1.41 m"
+        tank = dict(water_page.screen_summary(water_report()))
+        assert tank["surfaces"] == "20, 18 560 points"
+        assert (tank["bias"], tank["sea floor"]) == ("8.0 mm", "36.4 mm")
+        assert tank["normals"].isascii()
+
+    def test_a_quantity_has_one_unit_on_a_page(self, pages: dict[str, str]) -> None:
+        tank = Outline(pages["water"]).text.replace("\N{NARROW NO-BREAK SPACE}", " ")
+        assert "36.4 mm" in tank
+        assert "Distance to the truth [mm]" in tank
+        assert " cm" not in tank
+        hills = Outline(pages["altimetry"]).text
+        assert not re.search(r"\d\scm", hills)
+        town = Outline(pages["airborne"]).text
+        assert "all values in centimetres" in town
+
+
+class TestLinear:
+    def test_nothing_is_said_of_single_photons(self) -> None:
+        report = linear_report()
+        inputs = make_inputs()
+        pictures = make_pictures(inputs, report)
+        shown = render(report, pictures)
+        page = Outline(shown)
+        assert len(page.images) == 5
+        told = page.text + " ".join(image["alt"] or "" for image in page.images)
+        words = r"single.photon|SPL100|spl100|afterpulse|beamlet|circular|noise filter|Wang"
+        assert not re.findall(words, told, re.IGNORECASE)
+        assert "Linear-mode lidar" in told
+        assert "ground.method" in told
+        assert "filter.method" in told
+        assert 'href="#noise"' not in shown
+
+    def test_the_console_says_nothing_of_noise(self) -> None:
+        assert [label for label, _ in screen_summary(linear_report())][:3] == [
+            "points",
+            "ground",
+            "density",
+        ]
+
+    def test_a_survey_with_afterpulses_alone_is_still_of_photons(self) -> None:
+        parameters = {"afterpulse": {"enabled": True}}
+        made = make_report().provenance.model_copy(update={"parameters": parameters})
+        shown = render(make_report(noise=Noise(), provenance=made), {})
+        assert "Single-photon lidar" in shown
+        assert 'id="noise"' in shown
+
+
+class TestParameters:
+    def test_only_what_differs_is_told_with_its_default(self) -> None:
+        found = {key: rest for key, *rest in changed(linear_report().provenance.parameters)}
+        assert found["products.cell_m"] == ["0.5", "1"]
+        assert found["ground.method"] == ["smrf", "multiscale"]
+        assert found["survey.flightlines"] == ["*.laz", "required"]
+        assert found["filter.method"] == ["none", "vsaes"]
+        assert found["afterpulse.enabled"] == ["false", "true"]
+        assert "survey.sensor" not in found
+        assert "afterpulse.lag_max_m" not in found
+        assert "kind" not in found
+
+    def test_they_come_before_the_whole_which_is_an_appendix(self, pages: dict[str, str]) -> None:
+        page = pages["linear"]
+        assert page.index("Parameters that differ") < page.index("Appendix: all parameters")
+        assert page.index('id="appendix"') < page.index('<pre class="small">')
+
+    def test_keys_are_left_out_however_deep(self) -> None:
+        given = {"a": {"b": 1, "c": 2}, "d": 3}
+        assert without(given, ["a.b", "d"]) == {"a": {"c": 2}}
+
+    def test_a_long_value_is_cut(self) -> None:
+        given = {"kind": "imaging", "survey": {"flightlines": ["x" * 500]}}
+        ((_, value, _),) = changed(given)
+        assert len(value) < 200
+
+
+class TestPictures:
+    def test_maps_tell_the_coordinates_of_two_corners(self) -> None:
+        upper, lower = maps.corner_texts(EXTENT)
+        assert upper.replace("\N{NARROW NO-BREAK SPACE}", " ") == "500 000 E, 3 300 300 N"
+        assert lower.replace("\N{NARROW NO-BREAK SPACE}", " ") == "500 400 E, 3 300 000 N"
+        for extent in (EXTENT, (0.0, 5.0, 0.0, 900.0), (0.0, 900.0, 0.0, 5.0)):
+            raster = Raster(np.arange(12.0).reshape(3, 4), extent)
+            drawn = maps.draw_ramp(raster, "t", "u", ramp=style.SKY, limits=(0.0, 1.0))
+            said = " ".join(words(drawn))
+            assert all(text in said for text in maps.corner_texts(extent))
+
+    def test_the_profile_has_its_line_on_the_maps(self) -> None:
+        line = (500_010.0, 3_300_050.0, 500_110.0, 3_300_050.0)
+        raster = Raster(np.arange(12.0).reshape(3, 4), EXTENT, line)
+        large = Raster(np.ones((1000, 1000)), EXTENT, line)
+        assert maps.reduce_raster(large).line_m == line
+        for drawn in (
+            maps.draw_relief(raster, "t", "u"),
+            maps.draw_ramp(raster, "t", "u", ramp=style.SKY, limits=(0.0, 1.0)),
+        ):
+            ends = [np.ravel(part.get_xydata()).tolist() for part in drawn.axes[0].lines]
+            assert list(line) in ends
+            assert "profile" in words(drawn)
+        one, kind = np.ones(1), np.ones(1, np.uint8)
+        profile = Profile(one, one, kind, kind, 3.0, line)
+        made = make_pictures(PictureInputs(dtm=make_inputs().dtm, profile=profile), make_report())
+        assert "The line is the profile's." in made["dtm"].caption
+        made = make_pictures(PictureInputs(dtm=make_inputs().dtm), make_report())
+        assert "profile" not in made["dtm"].caption
+
+    def test_pictures_of_all_receivers_are_twice_as_fine_as_the_page(self) -> None:
+        for wide, pictures in drawn_of_others():
+            for picture in pictures:
+                assert picture.width_px >= 2 * (WIDE_PX if wide else GALLERY_PX) - 1, picture.title
+
+    def test_axes_of_other_receivers_have_names_and_units(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        seen = watch(monkeypatch)
+        drawn_of_others()
+        labels = {text for drawn in seen for axes in drawn.axes for text in names(axes)}
+        assert len(labels) > 12
+        for label in labels:
+            assert re.search(r"\[[^\]]+\]$|detections per interrogation$", label), label
+            assert "less" not in label
+
+
+class TestPieces:
+    PLACES: Sequence[tuple[float, float, float, float]] = (
+        (0.0, 400.0, 0.0, 300.0),
+        (9000.0, 9200.0, 4000.0, 4100.0),
+        (-60_000.0, -59_900.0, 0.0, 100.0),
+    )
+
+    def report(self) -> Report:
+        names = (("dtm.tif", "dsm.tif"), ("dtm.tif", "dsm.tif"), ("dtm_2.tif", "dsm_2.tif"))
+        found = tuple(Piece(extent_m=p, rasters=n) for p, n in zip(self.PLACES, names, strict=True))
+        return make_report(survey=make_report().survey.model_copy(update={"pieces": found}))
+
+    def test_each_is_shown_or_linked(self) -> None:
+        report, inputs = self.report(), make_inputs()
+        other = PictureInputs(dtm=inputs.dtm, dsm=inputs.dsm)
+        made = make_pictures(PictureInputs(dtm=inputs.dtm, others=[other, other]), report)
+        assert made["locator"].png
+        assert all(made[f"{name}_{n}"].png for name in ("dtm", "dsm") for n in (2, 3))
+        shown = render(report, made)
+        for name in ("dtm.tif", "dtm_2.tif", "dsm_2.tif"):
+            assert f'<a href="{name}">' in shown
+        text = Outline(shown).text
+        assert "The survey lies in 3 pieces far apart" in text
+        assert "Piece 2" in text
+        assert "Piece 3" in text
+        assert "the others follow" in text
+
+    def test_those_without_a_picture_are_not_left_out_silently(self) -> None:
+        text = Outline(render(self.report(), make_pictures(PictureInputs(), self.report()))).text
+        assert "the others are in their rasters" in text
+        assert "\N{MINUS SIGN}60 000" in text.replace("\N{NARROW NO-BREAK SPACE}", " ")
+
+    def test_one_piece_has_no_locator(self) -> None:
+        made = make_pictures(make_inputs(), make_report())
+        assert "locator" not in made
+        assert "pieces far apart" not in render(make_report(), made)
+
+    def test_the_locator_numbers_each(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        seen = watch(monkeypatch)
+        make_pictures(PictureInputs(), self.report())
+        assert {"1", "2", "3"} <= set(words(seen[-1]))
+
+    def test_boxes_far_apart_are_pieces(self) -> None:
+        a, b = (0.0, 0.0, 200.0, 200.0), (200.0, 0.0, 400.0, 200.0)
+        near, far = (900.0, 0.0, 1100.0, 200.0), (9000.0, 0.0, 9100.0, 100.0)
+        assert [len(g) for g in survey_pieces.split([far, a, near, b])] == [3, 1]
+        assert [len(g) for g in survey_pieces.split([a, b, near])] == [3]
+        assert survey_pieces.split([]) == []
+        large = (0.0, 0.0, 5000.0, 5000.0)
+        beside = (6500.0, 0.0, 11_500.0, 5000.0)
+        assert [len(g) for g in survey_pieces.split([large, beside])] == [2], (
+            "one map shows both well"
+        )
+
+    def test_they_are_found_within_a_raster_and_in_several(self, tmp_path: Path) -> None:
+        for name, left, shape in (("dtm", 0.0, (400, 9200)), ("dtm_2", -60_000.0, (100, 100))):
+            block = np.full(shape, 7.0, np.float32)
+            write_cog(tmp_path / f"{name}.tif", block, shape=shape, cell_m=1.0, crs=None,
+                      origin_xy_m=(left, float(shape[0])), description="height")  # fmt: skip
+        cores = ((0, 0, 400, 400), (9000, 0, 9200, 200), (-60_000, 0, -59_900, 100))
+        quanta = [[round(edge / QUANTUM_M) for edge in core] for core in cores]
+        done = {
+            "mosaic": {n: receipt() for n in ("dtm", "dsm", "noise", "dtm_2", "dsm_2")},
+            "surface": {str(k): receipt(core=core) for k, core in enumerate(quanta)},
+            "index_file": {
+                str(k): receipt(bounds=[*core[:2], 0, *core[2:], 1])
+                for k, core in enumerate(quanta)
+            },
+        }
+        found = survey_pieces.find_pieces(done, SimpleNamespace(output=tmp_path))  # type: ignore[arg-type]
+        assert [p.bounds_m for p in found] == [cores[k] for k in (0, 1, 2)]
+        assert [p.rasters for p in found] == [("dtm.tif", "dsm.tif")] * 2 + [
+            ("dtm_2.tif", "dsm_2.tif")
+        ]
+        assert [p.extent_m for p in survey_pieces.in_words(found)][1] == (
+            9000.0,
+            9200.0,
+            0.0,
+            200.0,
+        )
+        part = read_overview(tmp_path / "dtm.tif", bounds_m=found[1].bounds_m)
+        assert part.extent_m == (9000.0, 9200.0, 0.0, 200.0)
+        assert survey_pieces.in_words(found[:1]) == ()
+
+    def test_a_raster_is_cut_to_a_piece(self) -> None:
+        raster = Raster(np.arange(24.0).reshape(4, 6), (0.0, 60.0, 0.0, 40.0))
+        part = survey_pieces.cropped(raster, (10.0, 10.0, 30.0, 30.0))
+        assert part.extent_m == (10.0, 30.0, 10.0, 30.0)
+        assert part.values.tolist() == [[7.0, 8.0], [13.0, 14.0]]
+
+
+def receipt(**facts: Any) -> Any:
+    return SimpleNamespace(facts=facts)
+
+
+def words(drawn: Figure) -> list[str]:
+    """All text of a figure."""
+    parts = [*drawn.texts, *(t for axes in drawn.axes for t in axes.texts)]
+    return [part.get_text() for part in parts]
+
+
+def names(axes: Any) -> list[str]:
+    """Names of the axes of a chart; a map's have none."""
+    return [t for t in (axes.get_xlabel(), axes.get_ylabel()) if t]
+
+
+def watch(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Every figure that becomes a picture from now on."""
+    seen: list[Figure] = []
+    to_png = style.to_png
+
+    def noted(drawn: Figure, **given: Any) -> tuple[bytes, int, int]:
+        seen.append(drawn)
+        return to_png(drawn, **given)
+
+    monkeypatch.setattr(style, "to_png", noted)
+    return seen
+
+
+def titles(make: Any, *given: Any) -> list[str]:
+    """Headings of the figures that a call draws."""
+    with pytest.MonkeyPatch.context() as patch:
+        seen = watch(patch)
+        make(*given)
+    return [
+        t for drawn in seen for t in (*words(drawn), *(a.get_title("left") for a in drawn.axes))
+    ]
+
+
+def drawn_of_others() -> list[tuple[bool, list[Any]]]:
+    """Pictures of the other receivers, and whether they are as wide as the page."""
+    rng = np.random.default_rng(1)
+    along = np.linspace(0, 4000, 50)
+    hills = track_pictures.draw(
+        track_pictures.BeamPictures(
+            "a gt1r",
+            np.column_stack([along, rng.normal(0, 1, 50), rng.integers(0, 2, 50)]),
+            np.column_stack([along, along * 0, along * 0 + 2]),
+            np.column_stack([along, along * 0 + 0.1]),
+            np.column_stack([along, rng.normal(0, 1, 50), rng.normal(0, 1, 50)]),
+        )
+    )
+    grid = rng.random((8, 8))
+    tank = water_pictures.make_pictures(
+        water_pictures.WaterPictures(
+            Raster(grid, (0.0, 1.0, 0.0, 1.0)),
+            dict.fromkeys(("bias_m", "variance_m2", "mse_m2", "normal_deg"), grid),
+            rng.random((5, 3)),
+            rng.integers(0, 9, 500),
+            (100, 200),
+            grid,
+        )
+    )
+    strip = coincidence_page.Strip(rng.random((9, 2)), rng.random((9, 2)))
+    raster = Raster(grid, EXTENT)
+    scene = coincidence_page.pictures(raster, raster, strip)
+    small = [tank.pop(k) for k in ("height", "intensity")]
+    return [
+        (True, [*hills.values(), *tank.values(), scene.pop("strip")]),
+        (False, [*small, *scene.values()]),
+    ]

@@ -1,0 +1,85 @@
+"""Whatever a task raises becomes its receipt; only a wish to stop and a full disk pass."""
+
+import errno
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from numba.core.errors import TypingError
+
+from spl_batch.airborne.settings.workflow import load_workflow
+from spl_batch.engine.tasks import runner
+from spl_batch.engine.tasks.context import RunContext
+from spl_batch.engine.tasks.runner import Kind, run_task
+from spl_batch.engine.tasks.task import Task
+from spl_batch.errors import DamagedError, InputError, StoppedError, StoreError
+from tests import surveys
+
+
+class PanicException(BaseException):
+    """What a panic in Rust raises."""
+
+
+FAULTS: list[BaseException] = [
+    ValueError("negative dimensions are not allowed"),
+    OverflowError("Python int too large to convert to C long"),
+    np.exceptions.AxisError(3, 1),
+    FloatingPointError("overflow"),
+    TypingError("no implementation"),
+    MemoryError(),
+    RecursionError("maximum recursion depth exceeded"),
+    pa.ArrowInvalid("a page is cut off"),
+    PanicException("range end index 9 out of range for slice of length 3"),
+    InputError("a.laz", "it is damaged"),
+    DamagedError("store/a.parquet", "checksum"),
+    StoreError("a receipt is gone"),
+    OSError(errno.EIO, "input/output error"),
+    KeyError("x" * 5000),
+]
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> RunContext[Any]:
+    workflow = load_workflow(surveys.write_workflow(tmp_path))
+    return RunContext(workflow, tmp_path, tmp_path / "out", "", "code")
+
+
+def ended(error: BaseException, context: RunContext[Any], monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A task whose function raises."""
+
+    def raising(*_: object) -> None:
+        raise error
+
+    kinds = {"index_file": Kind("index", raising, ())}
+    monkeypatch.setattr(runner, "kinds", lambda _: kinds)
+    return run_task(Task("index_file", "1", {}, ()), "key", context)
+
+
+@pytest.mark.parametrize("error", FAULTS, ids=lambda error: type(error).__name__)
+def test_a_fault_is_a_receipt(
+    error: BaseException, context: RunContext[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receipt = ended(error, context, monkeypatch)
+    assert receipt.failed
+    assert len(receipt.reason) < 300
+    assert "\n" not in receipt.reason
+    if not isinstance(error, InputError | StoreError):
+        assert type(error).__name__ in receipt.reason
+        assert "Traceback" in receipt.facts["traceback"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(1), GeneratorExit()])
+def test_a_wish_to_stop_is_none(
+    error: BaseException, context: RunContext[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(type(error)):
+        ended(error, context, monkeypatch)
+
+
+def test_a_full_disk_concerns_everything(
+    context: RunContext[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(StoppedError):
+        ended(OSError(errno.ENOSPC, "no space left on device"), context, monkeypatch)

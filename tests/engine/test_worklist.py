@@ -1,0 +1,249 @@
+"""Tasks are made one by one, finished ones are kept small, and what cannot fit is refused."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan import task_memory
+from spl_batch.airborne.plan.inputs.survey_inputs import Inputs
+from spl_batch.airborne.plan.phases import PHASES, Phase
+from spl_batch.airborne.plan.space_tasks import build
+from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import (
+    STRETCH_POINTS,
+    needs,
+    refusal,
+    stretch_points,
+    task_bytes,
+)
+from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.engine.plan import budget, worker_memory
+from spl_batch.engine.plan.worker_memory import usable_bytes
+from spl_batch.engine.report.run_record import RunFacts, StageCost, performance
+from spl_batch.engine.store.working_store import Store, write_receipt
+from spl_batch.engine.tasks.receipt_index import Shelf
+from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.tasks.worklist import SORTED, Worklist
+from spl_batch.lattice.density import from_counts
+from spl_batch.lattice.tiles import CellId
+
+WORKFLOW = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
+NAMES = ("a", "b", "c", "heavy")
+
+
+def receipt(kind: str, name: str, key: str = "", **facts: Any) -> Receipt:
+    return Receipt(kind, name, key, f"d{name}", "", {}, facts, 5, 1.0, 9.0)
+
+
+def survey(memory_bytes: int = 2**32) -> Survey:
+    return Survey(Inputs((), (), (), (), None, ()), WORKFLOW, memory_bytes, 2)
+
+
+def context(folder: Path) -> Context:
+    return Context(WORKFLOW, folder, folder, "", "code")
+
+
+def tasks(_: Survey) -> Iterator[Task]:
+    for name in NAMES:
+        yield Task("ground", name, {"cell": name}, (), 10, "too large" if name == "heavy" else "")
+
+
+def test_what_is_left_is_done_and_what_is_finished_is_not(tmp_path: Path) -> None:
+    known = survey()
+    work = Worklist(Phase("ground", tasks), known, context(tmp_path))
+    key = work.key(Task("ground", "b", {"cell": "b"}))
+    write_receipt(Store(tmp_path), receipt("ground", "b", key, ground=3))
+    looked = [(task.name, found is not None) for task, found in work.look()]
+    assert looked == [("a", False), ("b", True), ("c", False), ("heavy", False)]
+    assert (work.left, work.ready, work.points) == (3, 1, 30)
+    assert [(r.name, r.reason) for r in work.refused] == [("heavy", "too large")]
+    jobs = work.jobs()
+    first, _ = next(jobs)
+    assert first.name == "a"
+    assert [t.name for t, _ in jobs] == ["c"]
+    assert work.ended(receipt("ground", "a")).points == 10
+    assert work.ended(work.refused[0]).name == "heavy"
+    assert list(known.of("ground")) == ["b", "a"], "a failed task is not finished"
+    known.of("ground").sort()
+    assert list(known.of("ground")) == ["a", "b"]
+
+
+def test_of_some_tasks_the_largest_is_done_first(tmp_path: Path) -> None:
+    def growing(_: Survey) -> Iterator[Task]:
+        for number in range(SORTED + 2):
+            yield Task("ground", str(number), {}, (), number)
+
+    work = Worklist(Phase("ground", growing), survey(), context(tmp_path))
+    order = [int(task.name) for task, _ in work.jobs()]
+    assert order == [*range(SORTED - 1, -1, -1), SORTED + 1, SORTED]
+
+
+def test_another_need_is_another_key(tmp_path: Path) -> None:
+    known = survey()
+    work = Worklist(Phase("ground", tasks), known, context(tmp_path))
+    task = Task("ground", "a", {}, (("build_tile", "0_0"),))
+    keys = []
+    for name in ("x", "y"):
+        known.of("build_tile").put(Receipt("build_tile", "0_0", "", name, "", {}, {}, 0, 0.0, 0.0))
+        keys.append(work.key(task))
+    assert keys[0] != keys[1]
+
+
+def test_a_shelf_keeps_what_later_phases_read() -> None:
+    facts = {"points": 3, "z": [1, 2], "sources": ["7", "9"], "share": 0.1}
+    outputs = {"store/tiles/0_0.parquet": "c"}
+    given = Receipt("build_tile", "0_0", "key", "0fd", "", outputs, facts, 3, 1.0, 9.0)
+    shelf = Shelf("build_tile")
+    shelf.put(given)
+    kept = shelf["0_0"]
+    assert (kept.digest, shelf.digest("0_0"), kept.points) == ("0fd", "0fd", 3)
+    assert kept.facts == {k: v for k, v in facts.items() if k != "z"}
+    assert (kept.outputs, len(shelf), "0_0" in shelf, "1_0" in shelf) == ({}, 1, True, False)
+    delivered = Shelf("mosaic")
+    delivered.put(Receipt("mosaic", "dtm", "", "d", "", {"dtm.tif": "c"}, {}, 0, 0.0, 0.0))
+    assert delivered["dtm"].outputs == {"dtm.tif": "c"}
+    with pytest.raises(KeyError):
+        shelf.digest("1_0")
+
+
+def test_tiles_are_built_of_every_piece_in_the_order_of_stretches() -> None:
+    known = survey()
+    for name, tiles in (
+        ("l/10", {"0_0": [0, 5], "-1_2": [1, 7]}),
+        ("l/2", {"0_0": [3, 1]}),
+        ("k/1", {}),
+    ):
+        known.of("scatter").put(receipt("scatter", name, tiles=tiles))
+    left, right = build(known)
+    assert (left.name, left.points, left.args["pieces"]) == ("-1_2", 7, [("l/10", 1)])
+    assert (right.name, right.points) == ("0_0", 6)
+    assert right.args["pieces"] == [("l/10", 0), ("l/2", 3)]
+    assert right.needs == (("scatter", "l/10"), ("scatter", "l/2"))
+    assert list(build(survey())) == []
+
+
+def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> None:
+    known = survey()
+    far = 1e4  # another lift of the same flightline
+    spans = {"7": [[0.0, 99.0, 600], [far, far + 9.0, 100]]}
+    parts = [{"7": [0.0, 30.0]}, {"7": [30.0, 99.0], "8": [0.0, 0.5]}, {"8": [1.0, 2.0]}, {}]
+    files: dict[str, dict[str, Any]] = {
+        "1": {"spans": {"7": [[90.0, 120.0, 500]]}, "parts": []},
+        "2": {"spans": {**spans, "8": [[0.0, 2.0, 9]]}, "parts": [*parts, {"7": [far, far + 9.0]}]},
+        "3": {"spans": {"7": [[50.0, 50.0, 10_000]]}, "parts": []},  # no times to speak of
+        "4": {"spans": {}, "parts": []},
+    }
+    for name, found in files.items():
+        points = sum(int(n) for listed in found["spans"].values() for _, _, n in listed)
+        facts = {"prf_hz": {}, "fullest": {psid: [points] for psid in found["spans"]}}
+        known.of("index_file").put(receipt("index_file", name, points=points, **found, **facts))
+    gather = next(phase for phase in PHASES if phase.kind == "gather")
+    read: dict[str, set[str]] = {}
+    for task in gather.tasks(known):
+        read.setdefault(task.name.split("/")[0], set()).update(task.args["sources"])
+    assert read == {
+        "00007_0": {"1", "2-0", "2-1"},
+        "00007_10000": {"2-4"},
+        "00008_0": {"2-1", "2-2"},
+    }
+    held = known.pieces[7]
+    assert held.within(0.0, 29.0) == ["2-0"]
+    assert held.within(30.0, 30.0) == ["2-0", "2-1"]
+    assert held.within(100.0, 110.0) == ["1"]
+    assert held.within(130.0, 140.0) == []
+
+
+def test_only_the_unit_that_cannot_fit_is_refused() -> None:
+    limit = 2**30
+    full = int((usable_bytes(limit) - worker_memory.WORKER_BASE_BYTES) / 0.9)
+    known = survey(limit)
+    bounds = [0, 0, 0, 5_099_999, 5_099_999, 1]
+    known.of("index_file").put(receipt("index_file", "1", bounds=bounds))
+    for name, points in (
+        ("0_0", 1000),
+        ("50_50", full // task_memory.BYTES_PER_POINT["ground"] * 2),
+    ):
+        tile = {"points": points, "sources": [], "outside_aoi": 0, "no_beam": 0}
+        known.of("build_tile").put(receipt("build_tile", name, **tile))
+    for kind in ("denoise", "ground", "surface"):
+        phase = next(p for p in PHASES if p.kind == kind)
+        refused = {task.name: task.refused for task in phase.tasks(known)}
+        told = [text for text in refused.values() if text]
+        assert 0 < len(told) < len(refused), kind
+        assert all("--memory 1 024 MiB" in text and "lower" in text for text in told)
+        for name in refused:
+            known.of(kind).put(receipt(kind, name))
+
+
+@pytest.mark.parametrize("kind", ["build_tile", "denoise", "ground", "surface"])
+def test_a_refusal_begins_where_the_limit_ends(kind: str) -> None:
+    fits = task_memory.points_within(kind, 2**32)
+    assert task_bytes(kind, fits) <= usable_bytes(2**32)
+    assert refusal(kind, fits, 2**32) == ""
+    assert "needs about" in refusal(kind, fits + 10_000, 2**32)
+
+
+def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
+    pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
+    track = tmp_path / "track.sbet"
+    track.write_bytes(b"0" * 136 * 1000)
+    found = needs(pieces, WORKFLOW, STRETCH_POINTS, points=10**9, trajectory=[track])
+    told = " ".join(need.task for need in found)
+    for words in (
+        "a tile around x 350, y 550",
+        "a denoise block",
+        "a ground cell",
+        "a surface cell",
+    ):
+        assert words in told
+    for words in ("a stretch", "labels", "reading a file", "1 000 records"):
+        assert words in told
+    heavy = max(track_need(tmp_path, count) for count in (1000, 10**6, 10**9))
+    assert heavy == track_need(tmp_path, 10**9) < usable_bytes(800 * 2**20)
+    tile = next(n for n in found if n.task.startswith("a tile"))
+    assert tile.memory_bytes == task_bytes("build_tile", 10**6)
+
+
+def track_need(folder: Path, records: int) -> int:
+    """Memory that the plan expects for a trajectory of so many records."""
+    track = folder / f"{records}.sbet"
+    with track.open("wb") as file:
+        file.truncate(136 * records)
+    found = needs([], WORKFLOW, STRETCH_POINTS, points=1, trajectory=[track])
+    return next(n.memory_bytes for n in found if "trajectory" in n.task)
+
+
+def test_stretches_shrink_with_memory() -> None:
+    sizes = [stretch_points(m * 2**20) for m in (256, 1024, 2048, 4096, 65536)]
+    assert sizes == sorted(sizes)
+    assert (sizes[0], sizes[-1]) == (task_memory.LEAST_STRETCH_POINTS, task_memory.STRETCH_POINTS)
+    for limit in (1024, 2048, 4096):
+        points = task_memory.UNEVEN * stretch_points(limit * 2**20)
+        assert points <= task_memory.points_within("scatter", limit * 2**20)
+
+
+def test_rates_are_those_of_a_stage_whose_kinds_handle_the_same_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budget, "SAMPLE", 3)
+    store = Store(tmp_path)
+    for kind, tasks, points, wall_s in (("scatter", 2, 60, 9.0), ("build_tile", 12, 10, 1.0)):
+        for k in range(tasks):
+            done = Receipt(kind, f"{k}", "", "", "", {}, {}, points, wall_s, 9.0)
+            write_receipt(store, done)
+    rates, measured = budget.measured_rates({"shuffle": 1.0, "ground": 7.0}, context(tmp_path))
+    assert measured
+    # 120 points take 2 x 9 s to scatter and 12 x 1 s to gather in tiles.
+    assert rates == {"shuffle": pytest.approx(4.0), "ground": 7.0}
+
+
+def test_the_speed_of_a_stage_counts_each_point_once() -> None:
+    cost = StageCost()
+    for kind, wall_s in (("scatter", 18.0), ("build_tile", 12.0)):
+        cost.add(Receipt(kind, "a", "", "", "", {}, {}, 120, wall_s, 9.0))
+    told = performance(RunFacts(60.0, 2, {"shuffle": cost}), 120)
+    assert told.stages["shuffle"].points_per_s == 4.0
+    assert told.points_per_s == 2.0

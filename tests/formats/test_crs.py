@@ -1,0 +1,58 @@
+"""CRS: what suits the work, what does not, and that messages say why."""
+
+import pytest
+from pyproj import CRS
+
+from spl_batch.errors import WorkflowError
+from spl_batch.formats.crs import crs_problems, horizontal, parse_crs, same_crs
+
+BOX = ((515_368.0, 4_918_340.0, 2322.0), (515_401.0, 4_918_381.0, 2339.0))
+
+
+@pytest.mark.parametrize("text", ["EPSG:32615", "EPSG:2154", "EPSG:32615+5773", "EPSG:25832"])
+def test_metric_projected_crs_is_fine(text: str) -> None:
+    assert crs_problems(CRS.from_user_input(text), *BOX) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("EPSG:4326", "geographic (degrees)"),
+        ("EPSG:4979", "geographic (degrees)"),
+        ("EPSG:2263", "US survey foot"),
+        ("EPSG:32615+6360", "Gravity-related height in US survey foot"),
+        ("EPSG:4978", "lie 4945 km from the centre of the earth and look projected"),
+    ],
+)
+def test_refused(text: str, words: str) -> None:
+    problems = crs_problems(CRS.from_user_input(text), *BOX)
+    assert words in problems[0]
+    assert all("\n" not in p for p in problems)
+
+
+def test_true_geocentric_coordinates() -> None:
+    crs = CRS.from_epsg(4978)
+    box = ((-1.3e6, -4.7e6, 4.0e6), (-1.3e6, -4.7e6, 4.1e6))
+    assert "must be projected" in crs_problems(crs, *box)[0]
+    assert "must be projected" in crs_problems(crs, None, None)[0]
+
+
+def test_horizontal_part() -> None:
+    for text in ("EPSG:32615+5773", "EPSG:32615"):
+        assert horizontal(CRS.from_user_input(text)).to_epsg() == 32615
+    assert horizontal(CRS.from_epsg(4979)).to_epsg() == 4326
+
+
+def test_same_crs() -> None:
+    utm = CRS.from_epsg(32615)
+    assert same_crs(utm, CRS.from_user_input("EPSG:32615+5773"))
+    assert same_crs(utm, CRS.from_wkt(utm.to_wkt("WKT1_GDAL")))
+    assert same_crs(utm, CRS.from_wkt(utm.to_wkt("WKT1_ESRI")))
+    assert not same_crs(utm, CRS.from_epsg(32616))
+    assert not same_crs(utm, CRS.from_epsg(4326))
+
+
+def test_unknown_crs() -> None:
+    assert parse_crs("EPSG:2154", "survey.crs").to_epsg() == 2154
+    with pytest.raises(WorkflowError, match=r"survey\.crs: 'UTM' is not a known CRS"):
+        parse_crs("UTM", "survey.crs")

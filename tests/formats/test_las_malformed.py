@@ -1,0 +1,276 @@
+"""Broken files: one clear line that names value and remedy, at once, without much memory."""
+
+import os
+import struct
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import laspy
+import lazrs
+import numpy as np
+import pytest
+
+from spl_batch.errors import InputError
+from spl_batch.formats.las.reader import inspect, iter_points
+from tests.io_files import patch, write_las
+
+
+def fault(path: Path) -> str:
+    """The message that inspecting a file ends with; it is one line and comes quickly."""
+    tracemalloc.start()
+    started = time.perf_counter()
+    with pytest.raises(InputError) as caught:
+        inspect(path)
+    assert time.perf_counter() - started < 2
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+def read(path: Path) -> int:
+    return sum(len(t) for t in iter_points(path, channel_dimension=None, source=0))
+
+
+def test_missing_folder_empty_and_foreign_files(tmp_path: Path) -> None:
+    assert "no such file" in fault(tmp_path / "a.laz")
+    assert "is a folder" in fault(tmp_path)
+    empty, text, short = (tmp_path / n for n in ("empty.las", "text.las", "short.las"))
+    empty.touch()
+    text.write_text("x,y,z\n1,2,3\n" * 100)
+    short.write_bytes(b"LASF" + bytes(100))
+    assert "0 bytes" in fault(empty)
+    assert "not a LAS or LAZ file" in fault(text)
+    assert "cut off inside its header" in fault(short)
+    os.mkfifo(tmp_path / "pipe.las")
+    assert "not a regular file" in fault(tmp_path / "pipe.las")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_forbidden_file(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.las")
+    path.chmod(0)
+    assert "Permission denied" in fault(path)
+
+
+def test_forbidden_file_whoever_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_las(tmp_path / "a.las")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    assert "cannot be read: Permission denied" in fault(path)
+
+
+HEADER_FAULTS = {
+    "number of VLRs 1069128089": (100, "I", (1069128089,)),
+    "version 1.7": (25, "B", (7,)),
+    "version 2.2": (24, "BB", (2, 2)),
+    "header size 17": (94, "H", (17,)),
+    "offset to point data 10": (96, "I", (10,)),
+    "offset to point data 4294967295": (96, "I", (2**32 - 1,)),
+    "point format 63": (104, "B", (63,)),
+    "point record length 3": (105, "H", (3,)),
+    "points need": (107, "I", (10**6,)),
+    "x scale 0.0": (131, "d", (0.0,)),
+    "x scale nan": (131, "d", (float("nan"),)),
+    "y offset inf": (163, "d", (float("inf"),)),
+    "bounding box x": (179, "d", (float("nan"),)),
+    "bounding box y 7000000.0 to": (203, "d", (7e6,)),
+    "bounding box z": (211, "d", (1e30,)),
+}
+
+
+@pytest.mark.parametrize("words", HEADER_FAULTS)
+def test_each_field_of_the_header(tmp_path: Path, words: str) -> None:
+    path = write_las(tmp_path / "a.las", version="1.2", point_format=1, n=50)
+    place, code, values = HEADER_FAULTS[words]
+    assert words in fault(patch(path, place, code, *values))
+
+
+def test_all_faults_at_once(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.las", version="1.2", point_format=1, n=50)
+    patch(path, 100, "I", 1069128089)
+    patch(path, 131, "d", -1.0)
+    patch(path, 107, "I", 51)
+    with pytest.raises(InputError) as caught:
+        inspect(path)
+    assert len(caught.value.faults) == 3
+
+
+def test_more_vlrs_than_there_are(tmp_path: Path) -> None:
+    vlrs = [laspy.VLR("me", i, "", bytes(100)) for i in range(2)]
+    path = write_las(tmp_path / "a.las", version="1.2", point_format=3, vlrs=vlrs)
+    assert "only 2 fit" in fault(patch(path, 100, "I", 3))
+
+
+def test_vlr_longer_than_the_room(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.las", vlrs=[laspy.VLR("me", 1, "", bytes(100))])
+    assert "VLR 1 of 1 claims 65000 bytes" in fault(patch(path, 375 + 20, "H", 65000))
+
+
+@pytest.mark.parametrize(
+    ("place", "code", "value", "words"),
+    [
+        (235, "Q", 10**12, "extended VLR 1 of 1 at byte"),
+        (243, "I", 2**32 - 1, "number of extended VLRs"),
+        (243, "I", 2, "extended VLR 2 of 2"),
+        (-20 - 40, "Q", 2**63, "claims 9223372036854775808 bytes"),
+    ],
+)
+def test_extended_vlrs(tmp_path: Path, place: int, code: str, value: int, words: str) -> None:
+    path = write_las(tmp_path / "a.laz", evlrs=[laspy.VLR("me", 1, "", bytes(20))])
+    size = path.stat().st_size
+    assert words in fault(patch(path, place if place >= 0 else size + place, code, value))
+
+
+def test_cut_off_anywhere(tmp_path: Path) -> None:
+    for suffix in (".las", ".laz"):
+        content = write_las(tmp_path / f"a{suffix}", n=60_000).read_bytes()
+        for share in (0.001, 0.01, 0.3, 0.9, 0.99999):
+            cut = tmp_path / f"cut{suffix}"
+            cut.write_bytes(content[: int(share * len(content))])
+            assert "copy it again" in fault(cut)
+
+
+def _laz_places(content: bytes) -> tuple[int, int, int]:
+    """Bytes of the LASzip record's data, of the points, of the chunk table."""
+    points = struct.unpack_from("<I", content, 96)[0]
+    return (
+        content.index(b"laszip encoded") - 2 + 54,
+        points,
+        struct.unpack_from("<q", content, points)[0],
+    )
+
+
+LAZ_FAULTS: dict[str, Callable[[bytearray, tuple[int, int, int]], None]] = {
+    "no LASzip record": lambda c, p: struct.pack_into("<H", c, p[0] - 54 + 18, 1),
+    "LASzip compressor 9": lambda c, p: struct.pack_into("<H", c, p[0], 9),
+    "LASzip record is damaged": lambda c, p: struct.pack_into("<I", c, p[0] + 12, 0),
+    "LASzip items add up to": lambda c, p: struct.pack_into("<H", c, p[0] + 36, 99),
+    "chunk table should be at byte 1000000000": lambda c, p: struct.pack_into("<q", c, p[1], 10**9),
+    "chunk table should be at byte -5": lambda c, p: struct.pack_into("<q", c, p[1], -5),
+    "counts 4294967295 chunks": lambda c, p: struct.pack_into("<I", c, p[2] + 4, 2**32 - 1),
+    "counts 1 chunks": lambda c, p: struct.pack_into("<I", c, p[2] + 4, 1),
+}
+
+
+@pytest.mark.parametrize("words", LAZ_FAULTS)
+def test_laz_structure(tmp_path: Path, words: str) -> None:
+    path = write_las(tmp_path / "a.laz", n=60_000)
+    content = bytearray(path.read_bytes())
+    LAZ_FAULTS[words](content, _laz_places(bytes(content)))
+    path.write_bytes(content)
+    assert words in fault(path)
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_damage_in_the_middle_never_passes_for_points(tmp_path: Path, point_format: int) -> None:
+    n = 150_000
+    rng = np.random.default_rng(0)
+    walk = np.cumsum(rng.integers(-50, 51, size=n))
+    path = write_las(
+        tmp_path / "a.laz", point_format=point_format, n=n, values={"X": walk, "Y": -walk}
+    )
+    content = bytearray(path.read_bytes())
+    record, points, table = _laz_places(bytes(content))
+    with path.open("rb") as file:
+        file.seek(points)
+        laz = lazrs.LazVlr(bytes(content[record:points]))
+        second = points + 8 + lazrs.read_chunk_table(file, laz)[0][1] + 40
+    assert second < (points + table) // 2
+    content[second : second + 2000] = b"\xff" * 2000
+    path.write_bytes(content)
+    inspect(path)
+    with pytest.raises(InputError) as caught:
+        read(path)
+    numbers = [int(w) for w in str(caught.value).replace(":", " ").split() if w.isdigit()]
+    assert any(50_000 <= v < 100_000 for v in numbers)
+    # Damaged layer sizes, if believed, make the decoder allocate gigabytes.
+    assert ("layers that do not fit" in str(caught.value)) == (point_format == 6)
+
+
+def test_file_that_shrinks_after_it_was_checked(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.las", n=1000)
+    tables = iter_points(path, channel_dimension=None, source=0, chunk=100)
+    next(tables)
+    os.truncate(path, path.stat().st_size - 30 * 10)
+    with pytest.raises(InputError, match="ends before point 990"):
+        list(tables)
+
+
+def test_points_outside_the_header_box(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.laz", n=100, values={"Z": np.arange(100) * 100})
+    patch(path, 211, "d", 50.0)
+    with pytest.raises(InputError, match=r"point 52 has z 52\.0.*-repair_bb"):
+        read(path)
+
+
+def test_described_extra_bytes_that_are_not_there(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.las", extra={"a": "u1"})
+    place = path.read_bytes().index(b"LASF_Spec") - 2 + 54 + 2
+    assert "described as 8 bytes, the records have 1" in fault(patch(path, place, "B", 10))
+    assert "data type 77" in fault(patch(path, place, "B", 77))
+
+
+def test_any_damaged_header_is_refused_or_read(tmp_path: Path) -> None:
+    """Random bytes in header and VLRs end in an input fault or in points, nothing else."""
+    content = write_las(tmp_path / "a.laz", n=500, extra={"a": "u2"}).read_bytes()
+    rng = np.random.default_rng(3)
+    start = struct.unpack_from("<I", content, 96)[0] + 8
+    path = tmp_path / "b.laz"
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(content)
+        for place in rng.integers(4, start, size=rng.integers(1, 6)):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            inspect(path)
+            read(path)
+        except InputError:
+            refused += 1
+    assert 50 < refused < 300
+
+
+@pytest.mark.parametrize("entry", [(50_000, 2**63 - 1), (2**63 - 1, 9), (50_000, 0), (-1, 9)])
+def test_a_chunk_table_that_decodes_to_nonsense(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: tuple[int, int]
+) -> None:
+    """Its sums do not fit into 64 bits: they are checked before numpy sees them."""
+    path = write_las(tmp_path / "a.laz", n=60_000)
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<I", content, _laz_places(bytes(content))[0] + 12, 2**32 - 1)
+    path.write_bytes(content)
+    monkeypatch.setattr(lazrs, "read_chunk_table", lambda *_: [entry, (10_000, 2**63 - 1)])
+    words = fault(path)
+    assert "the LAZ chunk table covers" in words
+    assert len(words) < 300
+
+
+class PanicException(BaseException):
+    """What a panic of the Rust decoder raises."""
+
+
+@pytest.mark.parametrize("error", [OverflowError("int too big"), PanicException("index 9 of 3")])
+def test_what_a_library_raises_over_a_file_is_that_files_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def raising(*_: object) -> None:
+        raise error
+
+    path = write_las(tmp_path / "a.laz")
+    monkeypatch.setattr("spl_batch.formats.las.reader.header_crs", raising)
+    assert str(error) in fault(path)
+    monkeypatch.setattr("spl_batch.formats.las.reader.header_crs", interrupting)
+    with pytest.raises(KeyboardInterrupt):
+        inspect(path)
+
+
+def interrupting(*_: object) -> None:
+    raise KeyboardInterrupt

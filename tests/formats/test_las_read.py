@@ -1,0 +1,249 @@
+"""Reading LAS and LAZ: laspy reads the same files, coordinates are exact."""
+
+from decimal import Decimal
+from pathlib import Path
+
+import laspy
+import lazrs
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyproj import CRS
+
+from spl_batch.errors import InputError
+from spl_batch.formats.las.reader import inspect, iter_points
+from spl_batch.lattice.tables import COLUMNS, SOURCE_COLUMNS, PointFlag, PointTable, concat
+from tests.io_files import VERSIONS, write_las
+
+
+def read_all(path: Path, **given: object) -> PointTable:
+    settings_ = {"channel_dimension": None, "source": 7, **given}
+    return concat(list(iter_points(path, **settings_)), SOURCE_COLUMNS)  # type: ignore[arg-type]
+
+
+def exact_quanta(raw: int, scale: float, offset: float) -> Decimal:
+    """What a coordinate is, in decimal arithmetic without rounding [quanta]."""
+    return (Decimal(str(scale)) * int(raw) + Decimal(str(offset))) * 1000
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize(("version", "point_format"), VERSIONS)
+def test_every_version_and_point_format(
+    tmp_path: Path, version: str, point_format: int, suffix: str
+) -> None:
+    path = write_las(tmp_path / f"a{suffix}", version=version, point_format=point_format)
+    facts, table, oracle = inspect(path), read_all(path), laspy.read(path)
+    assert (facts.version, facts.point_format) == (
+        tuple(map(int, version.split("."))),
+        point_format,
+    )
+    assert facts.n_points == len(table) == 1000
+    assert facts.dimensions == tuple(oracle.point_format.dimension_names)
+    assert facts.has_gps_time == ("gps_time" in facts.dimensions)
+    for axis, name in enumerate("XYZ"):
+        scale, offset = oracle.header.scales[axis], oracle.header.offsets[axis]
+        expected = [int(exact_quanta(v, scale, offset)) for v in oracle[name]]
+        np.testing.assert_array_equal(table[name.lower()], expected)
+    assert {k: table[k].dtype for k in SOURCE_COLUMNS} == {
+        k: np.dtype(COLUMNS[k].dtype) for k in SOURCE_COLUMNS
+    }
+    for name in ("return_number", "intensity", "point_source_id"):
+        np.testing.assert_array_equal(table[name], oracle[name])
+    np.testing.assert_array_equal(table["input_class"], oracle.classification)
+    np.testing.assert_array_equal(table["index"], np.arange(1000))
+    assert set(table["source"].tolist()) == {7}
+    assert set(table["channel"].tolist()) == {0}
+    withheld = np.asarray(oracle.withheld, dtype=bool)
+    noise = np.isin(oracle.classification, (7, 18))
+    np.testing.assert_array_equal(table.has(PointFlag.WITHHELD), withheld)
+    np.testing.assert_array_equal(table.has(PointFlag.VENDOR_NOISE), noise)
+    time = oracle.gps_time if facts.has_gps_time else np.full(1000, np.nan)
+    np.testing.assert_array_equal(table["gps_time"], time)
+    angle = oracle.scan_angle_rank if point_format < 6 else np.asarray(oracle.scan_angle) * 0.006
+    np.testing.assert_allclose(table["scan_angle"], angle, rtol=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    raw=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=20),
+    step=st.sampled_from([0.001, 0.002, 0.01, 0.05, 0.1]),
+    offset_mm=st.integers(-(10**9), 10**9),
+)
+def test_whole_millimetres_are_exact(
+    tmp_path_factory: pytest.TempPathFactory, raw: list[int], step: float, offset_mm: int
+) -> None:
+    path = tmp_path_factory.mktemp("las") / "a.las"
+    offset = offset_mm / 1000
+    write_las(
+        path,
+        n=len(raw),
+        scales=(step, step, 0.001),
+        offsets=(offset, -offset, 0.0),
+        values={"X": raw, "Y": raw, "Z": np.zeros(len(raw), int)},
+    )
+    table = read_all(path)
+    assert inspect(path).warnings == ()
+    assert table["x"].tolist() == [int(exact_quanta(v, step, offset)) for v in raw]
+    assert table["y"].tolist() == [int(exact_quanta(v, step, -offset)) for v in raw]
+
+
+def test_mixed_and_fine_scales_are_rounded_and_said(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.laz", scales=(0.00025, 0.01, 0.001), offsets=(0.0005, 1.0, 2.0))
+    table, oracle = read_all(path), laspy.read(path)
+    error = table["x"] - np.asarray(oracle.x) * 1000
+    assert 0.2 < np.abs(error).max() <= 0.5 + 1e-6
+    np.testing.assert_array_equal(table["y"], np.asarray(oracle.Y, np.int64) * 10 + 1000)
+    (said,) = inspect(path).warnings
+    assert said.startswith("the scale (0.00025, 0.01, 0.001) is not whole millimetres")
+    for offset in (0.0005, 7.0001):
+        (said,) = inspect(write_las(tmp_path / "b.laz", offsets=(offset, 1.0, 2.0))).warnings
+        assert said.startswith("the offset is not whole millimetres: working coordinates are")
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_any_range_equals_the_whole(tmp_path: Path, point_format: int, suffix: str) -> None:
+    n = 120_000
+    path = write_las(tmp_path / f"a{suffix}", point_format=point_format, n=n)
+    whole = read_all(path)
+    for start, stop in [(0, 1), (49_999, 50_001), (50_000, 100_000), (7, 119_000), (n - 1, n)]:
+        part = read_all(path, start=start, stop=stop, chunk=33_333)
+        for name in SOURCE_COLUMNS:
+            np.testing.assert_array_equal(part[name], whole[name][start:stop])
+    assert len(read_all(path, start=n)) == 0
+    assert len(read_all(path, start=n - 5, stop=n + 10**9)) == 5
+
+
+@pytest.mark.parametrize("n", [50_000, 100_000])
+def test_whole_chunks(tmp_path: Path, n: int) -> None:
+    path = write_las(tmp_path / "a.laz", n=n)
+    assert len(read_all(path)) == inspect(path).n_points == n
+
+
+def test_tables_are_bounded(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.laz", n=1050)
+    tables = list(iter_points(path, channel_dimension=None, source=0, chunk=100))
+    assert [len(t) for t in tables] == [100] * 10 + [50]
+
+
+def test_chunks_of_varying_size(tmp_path: Path) -> None:
+    """As in COPC, where the decompressor's own seek goes astray."""
+    path = write_las(tmp_path / "a.laz", n=5000)
+    header, points = laspy.read(path).header, laspy.read(path).points.array
+    offset = header.offset_to_point_data
+    content = path.read_bytes()[:offset]
+    fixed = bytes(lazrs.LazVlr.new_for_compression(6, 0).record_data())
+    vlr = lazrs.LazVlr.new_for_compression(6, 0, use_variable_size_chunks=True)
+    assert fixed in content
+    copy = tmp_path / "b.laz"
+    with copy.open("wb") as file:
+        file.write(content.replace(fixed, bytes(vlr.record_data())))
+        compressor = lazrs.LasZipCompressor(file, vlr)
+        for start, stop in [(0, 10), (10, 4000), (4000, 4001), (4001, 5000)]:
+            compressor.compress_many(points[start:stop].view(np.uint8))
+            if stop < 5000:
+                compressor.finish_current_chunk()
+        compressor.done()
+    whole = read_all(path)
+    for start, stop in [(0, 5000), (9, 11), (3999, 4003), (4999, 5000)]:
+        part = read_all(copy, start=start, stop=stop, chunk=700)
+        for name in SOURCE_COLUMNS:
+            np.testing.assert_array_equal(part[name], whole[name][start:stop])
+
+
+def test_channel_from_standard_and_extra_dimensions(tmp_path: Path) -> None:
+    channel = np.arange(1000) % 101
+    path = write_las(
+        tmp_path / "a.laz",
+        extra={"beam": "i2", "share": "f4", "pair": "2u1"},
+        values={"user_data": channel, "beam": channel, "share": channel},
+    )
+    for name in ("user_data", "beam", "share"):
+        table = read_all(path, channel_dimension=name)
+        np.testing.assert_array_equal(table["channel"], channel)
+    with pytest.raises(InputError, match="2 values a point"):
+        read_all(path, channel_dimension="pair")
+    with pytest.raises(InputError, match=r"no dimension 'channel'.*user_data.*beam"):
+        read_all(path, channel_dimension="channel")
+
+
+@pytest.mark.parametrize("wrong", [-1, 256, 0.5, float("nan")])
+def test_channel_that_is_no_channel(tmp_path: Path, wrong: float) -> None:
+    beam = np.zeros(1000)
+    beam[613] = wrong
+    path = write_las(tmp_path / "a.las", extra={"beam": "f8"}, values={"beam": beam})
+    with pytest.raises(InputError, match="point 613"):
+        read_all(path, channel_dimension="beam", chunk=100)
+
+
+def test_scaled_extra_dimension(tmp_path: Path) -> None:
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.add_extra_dim(laspy.ExtraBytesParams("beam", "u2", "", np.array([5.0]), np.array([0.5])))
+    points = laspy.ScaleAwarePointRecord.zeros(40, header=header)
+    points["beam"] = np.arange(40) * 2 + 5
+    with laspy.open(tmp_path / "a.las", mode="w", header=header) as writer:
+        writer.write_points(points)
+    table = read_all(tmp_path / "a.las", channel_dimension="beam")
+    np.testing.assert_array_equal(table["channel"], np.arange(40) * 2 + 5)
+
+
+def test_time_that_is_not_finite_stays(tmp_path: Path) -> None:
+    time = np.linspace(1e8, 1e8 + 1, 1000)
+    time[[3, 500]] = np.nan, np.inf
+    path = write_las(tmp_path / "a.laz", values={"gps_time": time})
+    np.testing.assert_array_equal(read_all(path)["gps_time"], time)
+
+
+def test_no_points(tmp_path: Path) -> None:
+    for suffix in (".las", ".laz"):
+        facts = inspect(write_las(tmp_path / f"a{suffix}", n=0))
+        assert facts.n_points == 0
+        assert any("no points" in w for w in facts.warnings)
+        assert len(read_all(tmp_path / f"a{suffix}")) == 0
+
+
+@pytest.mark.parametrize(
+    ("version", "point_format"),
+    [("1.2", 3), ("1.4", 1), ("1.4", 6)],
+    ids=["geotiff", "both", "wkt"],
+)
+@pytest.mark.parametrize("code", [32615, 2154, 25832])
+def test_crs_from_geotiff_and_wkt(
+    tmp_path: Path, version: str, point_format: int, code: int
+) -> None:
+    crs = CRS.from_epsg(code)
+    path = write_las(tmp_path / "a.laz", version=version, point_format=point_format, crs=crs)
+    found = inspect(path).crs
+    assert found is not None
+    assert found.to_epsg() == code
+
+
+def test_crs_in_an_extended_record(tmp_path: Path) -> None:
+    text = CRS.from_epsg(32615).to_wkt("WKT1_GDAL").encode() + b"\0"
+    path = write_las(tmp_path / "a.laz", evlrs=[laspy.VLR("LASF_Projection", 2112, "", text)])
+    found = inspect(path).crs
+    assert found is not None
+    assert found.to_epsg() == 32615
+
+
+def test_crs_that_is_not_understood_is_said(tmp_path: Path) -> None:
+    wrong = laspy.VLR("LASF_Projection", 2112, "", b"PROJCS[nonsense\0")
+    facts = inspect(write_las(tmp_path / "a.las", vlrs=[wrong]))
+    assert facts.crs is None
+    assert any("survey.crs" in w for w in facts.warnings)
+
+
+def test_no_crs(tmp_path: Path) -> None:
+    facts = inspect(write_las(tmp_path / "a.las"))
+    assert facts.crs is None
+    assert facts.warnings == ()
+
+
+def test_adjusted_standard_bit(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.las")
+    assert not inspect(path).adjusted_standard_bit
+    content = bytearray(path.read_bytes())
+    content[6] |= 1
+    path.write_bytes(content)
+    assert inspect(path).adjusted_standard_bit

@@ -1,0 +1,330 @@
+"""Writing: nothing of the input is lost, laspy reads it, the same input gives the same bytes."""
+
+import errno
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from spl_batch.errors import InputError, StoppedError, WorkflowError
+from spl_batch.formats.las.convert import EXTENDED_FORMAT
+from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.known_records import broken_records
+from spl_batch.formats.las.reader import inspect, iter_points
+from spl_batch.formats.las.writer import write_classified, write_points
+from spl_batch.lattice.tables import SOURCE_COLUMNS, PointTable, concat
+from tests.io_files import VERSIONS, patch, write_las
+
+
+def labels(start: int, stop: int) -> Mapping[str, NDArray[Any]]:
+    """Labels that differ from point to point and do not depend on the cut."""
+    i = np.arange(start, stop)
+    return {
+        "classification": np.array([1, 2, 7, 18, 255], np.uint8)[i % 5],
+        "noise_class": np.array([0, 1, 2, 255], np.uint8)[i % 4],
+        "noise_density": (i / 1000).astype(np.float32),
+        "p_value": (1 / (i + 1)).astype(np.float32),
+    }
+
+
+def classify(src: Path, dst: Path, **given: Any) -> int:
+    return write_classified(
+        src, dst, **{"labels": labels, "diagnostics": True, "crs": None, **given}
+    )
+
+
+def assert_kept(before: laspy.LasData, after: laspy.LasData) -> None:
+    """Every dimension of the input is in the output, bit by bit."""
+    for name in before.point_format.dimension_names:
+        if name not in {"classification", "scan_angle_rank"}:
+            x, y = before.points[name], after.points[name]
+            np.testing.assert_array_equal(np.asarray(x), np.asarray(y), err_msg=name)
+    np.testing.assert_array_equal(after["input_classification"], before.classification)
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize(("version", "point_format"), VERSIONS)
+def test_every_version_and_point_format(
+    tmp_path: Path, version: str, point_format: int, suffix: str
+) -> None:
+    extra = {"height": "f8", "beam": "u1", "pair": "2i4"}
+    src = write_las(
+        tmp_path / f"a{suffix}", version=version, point_format=point_format, extra=extra
+    )
+    dst = tmp_path / "out" / "a.laz"
+    assert classify(src, dst) == 1000
+    before, after = laspy.read(src), laspy.read(dst)
+    assert_kept(before, after)
+    assert after.header.version == "1.4"
+    assert after.header.are_points_compressed == (after.header.point_format.id < 9)
+    assert after.header.point_format.id == EXTENDED_FORMAT.get(point_format, point_format)
+    if point_format < 6:
+        np.testing.assert_array_equal(
+            np.rint(np.asarray(after.scan_angle) * 0.006), before.scan_angle_rank
+        )
+        np.testing.assert_array_equal(after.overlap, np.asarray(before.classification) == 12)
+    for name in ("scales", "offsets", "mins", "maxs"):
+        np.testing.assert_array_equal(getattr(after.header, name), getattr(before.header, name))
+    by_return = np.bincount(before.return_number, minlength=16)[1:]
+    np.testing.assert_array_equal(after.header.number_of_points_by_return, by_return)
+    expected = labels(0, 1000)
+    given, old = expected["classification"], before.classification
+    np.testing.assert_array_equal(after.classification, np.where(given == 255, old, given))
+    for name in ("noise_class", "noise_density", "p_value"):
+        np.testing.assert_array_equal(after[name], expected[name])
+
+
+def test_without_diagnostics(tmp_path: Path) -> None:
+    classify(write_las(tmp_path / "a.las"), tmp_path / "b.laz", diagnostics=False)
+    extra = laspy.read(tmp_path / "b.laz").point_format.extra_dimension_names
+    assert list(extra) == ["input_classification", "noise_class"]
+
+
+def test_header_is_kept_and_nothing_depends_on_the_clock(tmp_path: Path) -> None:
+    src = write_las(tmp_path / "a.las", version="1.2", point_format=1)
+    patch(src, 4, "HH", 77, 1)
+    patch(src, 8, "16s", bytes(range(16)))
+    patch(src, 26, "32s", b"scanner")
+    patch(src, 90, "HH", 123, 2017)
+    classify(src, tmp_path / "b.laz")
+    header = laspy.read(tmp_path / "b.laz").header
+    assert header.file_source_id == 77
+    assert header.global_encoding.gps_time_type == laspy.header.GpsTimeType.STANDARD
+    assert header.uuid.bytes_le == bytes(range(16))
+    assert header.system_identifier == "scanner"
+    assert header.creation_date == laspy.header.date(2017, 5, 3)
+    classify(src, tmp_path / "c.laz")
+    assert (tmp_path / "b.laz").read_bytes() == (tmp_path / "c.laz").read_bytes()
+
+
+def test_second_run_replaces_its_own_dimensions(tmp_path: Path) -> None:
+    src = write_las(tmp_path / "a.laz", extra={"noise_class": "f8", "height": "f4"})
+    classify(src, tmp_path / "b.laz")
+    classify(tmp_path / "b.laz", tmp_path / "c.laz")
+    first, second = laspy.read(tmp_path / "b.laz"), laspy.read(tmp_path / "c.laz")
+    names = ["height", "input_classification", "noise_class", "noise_density", "p_value"]
+    for cloud in (first, second):
+        assert list(cloud.point_format.extra_dimension_names) == names
+    assert_kept_names = ["X", "gps_time", "height"]
+    for name in assert_kept_names:
+        np.testing.assert_array_equal(first[name], second[name])
+    np.testing.assert_array_equal(second["input_classification"], first.classification)
+
+
+def test_bytes_that_nothing_describes(tmp_path: Path) -> None:
+    src = write_las(tmp_path / "a.las", extra={"a": "3f8", "b": "u2"}, n=50)
+    raw = laspy.read(src).points.array
+    place = src.read_bytes().index(b"LASF_Spec")
+    patch(src, place, "9s", b"forgotten")
+    names = [f"undescribed_{i}" for i in range(5)]
+    assert inspect(src).dimensions[-5:] == tuple(names)
+    classify(src, tmp_path / "b.laz")
+    classify(tmp_path / "b.laz", tmp_path / "c.laz")
+    after = laspy.read(tmp_path / "c.laz")
+    kept = b"".join(p[n].tobytes() for p in after.points.array for n in names)
+    before = np.frombuffer(raw.tobytes(), np.uint8).reshape(50, -1)[:, 30:]
+    assert kept == before.tobytes()
+
+
+def test_records_are_kept_but_for_those_of_the_old_packing(tmp_path: Path) -> None:
+    vlrs = [laspy.VLR("me", 7, "mine", b"abc"), laspy.VLR("copc", 10000, "", bytes(5))]
+    evlrs = [laspy.VLR("me", 8, "long", bytes(70_000)), laspy.VLR("copc", 1000, "", bytes(32))]
+    src = write_las(tmp_path / "a.laz", vlrs=vlrs, evlrs=evlrs)
+    classify(src, tmp_path / "b.laz")
+    with laspy.open(tmp_path / "b.laz") as reader:
+        found = {(v.user_id, v.record_id) for v in reader.header.vlrs}
+        assert found == {("me", 7), ("LASF_Spec", 4), ("laszip encoded", 22204)}
+        extended = reader.header.evlrs
+        assert extended is not None
+        assert [(v.user_id, v.record_id, len(v.record_data)) for v in extended] == [
+            ("me", 8, 70_000)
+        ]
+
+
+def test_waveforms_of_version_1_3_move_along(tmp_path: Path) -> None:
+    src = write_las(tmp_path / "a.las", version="1.3", point_format=4)
+    start = src.stat().st_size
+    packet = b"\0\0" + b"LASF_Spec".ljust(16, b"\0") + (65535).to_bytes(2, "little")
+    packet += (5000).to_bytes(8, "little") + bytes(32) + bytes(range(250)) * 20
+    src.write_bytes(src.read_bytes() + packet)
+    patch(src, 6, "H", 2)
+    patch(src, 227, "Q", start)
+    classify(src, tmp_path / "b.laz")
+    content = (tmp_path / "b.laz").read_bytes()
+    place = int.from_bytes(content[227:235], "little")
+    assert content[place:] == packet
+    assert laspy.read(tmp_path / "b.laz").header.number_of_evlrs == 1
+
+
+@pytest.mark.parametrize(("version", "point_format"), [("1.2", 3), ("1.4", 6)])
+def test_crs(tmp_path: Path, version: str, point_format: int) -> None:
+    own, named = CRS.from_epsg(32615), CRS.from_epsg(2154)
+    kept = {"version": version, "point_format": point_format}
+    classify(write_las(tmp_path / "a.las", crs=own, **kept), tmp_path / "b.laz", crs=named)  # type: ignore[arg-type]
+    classify(write_las(tmp_path / "c.las", **kept), tmp_path / "d.laz", crs=named)  # type: ignore[arg-type]
+    for name, crs in (("b", own), ("d", named)):
+        header = laspy.read(tmp_path / f"{name}.laz").header
+        assert header.global_encoding.wkt
+        assert header.parse_crs().to_epsg() == crs.to_epsg()
+
+
+def test_no_points(tmp_path: Path) -> None:
+    assert classify(write_las(tmp_path / "a.laz", n=0), tmp_path / "b.laz") == 0
+    assert len(laspy.read(tmp_path / "b.laz").points) == 0
+    assert inspect(tmp_path / "b.laz").n_points == 0
+
+
+class FullDisk(io.BytesIO):
+    """A file on a disk that is full after a while."""
+
+    def write(self, data: Any) -> int:
+        if self.tell() > 20_000:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(data)
+
+
+def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    src = write_las(tmp_path / "a.las", n=100_000)
+    opened = Path.open
+
+    def open_full(path: Path, mode: str = "r", *given: Any) -> Any:
+        if mode == "w+b":
+            path.touch()
+            return FullDisk()
+        return opened(path, mode, *given)
+
+    monkeypatch.setattr(Path, "open", open_full)
+    with pytest.raises(StoppedError, match="disk full"):
+        classify(src, tmp_path / "out" / "b.laz")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_damaged_input_leaves_nothing_and_keeps_the_old(tmp_path: Path) -> None:
+    src, dst = write_las(tmp_path / "a.laz", n=60_000), tmp_path / "out" / "b.laz"
+    classify(src, dst)
+    old = dst.read_bytes()
+    content = bytearray(src.read_bytes())
+    start = int.from_bytes(content[96:100], "little") + 8 + 40
+    content[start : start + 3000] = b"\xff" * 3000
+    src.write_bytes(content)
+    with pytest.raises(InputError):
+        classify(src, dst)
+    assert dst.read_bytes() == old
+    assert list(dst.parent.iterdir()) == [dst]
+
+
+def test_place_that_cannot_be_written(tmp_path: Path) -> None:
+    src = write_las(tmp_path / "a.laz")
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.laz" / "full").mkdir(parents=True)
+    for place in ("file/b.laz", "file/deeper/b.laz", "folder.laz"):
+        with pytest.raises(WorkflowError, match="cannot be written"):
+            classify(src, tmp_path / place)
+
+
+def test_own_input_as_output(tmp_path: Path) -> None:
+    src = write_las(tmp_path / "a.laz")
+    with pytest.raises(WorkflowError, match="is an input"):
+        classify(src, src)
+
+
+def test_points_of_a_tile(tmp_path: Path) -> None:
+    threes = np.full(700, 3)
+    src = write_las(
+        tmp_path / "a.laz", n=700, values={"return_number": threes, "scan_angle": threes}
+    )
+    tables = list(iter_points(src, channel_dimension="user_data", source=1))
+    table = concat(tables, SOURCE_COLUMNS)
+    path = tmp_path / "tiles" / "1_2.laz"
+    crs = CRS.from_epsg(32615)
+    extra = {"height": np.arange(700, dtype=np.float32)}
+    labelled = table.with_columns(classification=np.full(700, 2), noise_class=np.full(700, 1))
+    assert write_points(path, labelled, crs=crs, extra=extra) == 700
+    cloud = laspy.read(path)
+    assert cloud.header.parse_crs().to_epsg() == 32615
+    np.testing.assert_array_equal(cloud["height"], extra["height"])
+    np.testing.assert_array_equal(cloud["input_classification"], table["input_class"])
+    again = concat(list(iter_points(path, channel_dimension="user_data", source=1)), SOURCE_COLUMNS)
+    for name in SOURCE_COLUMNS:
+        expected = np.full(700, 2) if name == "input_class" else table[name]
+        if name != "flags":  # the vendor's noise class gave way to ours
+            np.testing.assert_array_equal(again[name], expected, err_msg=name)
+
+
+def test_points_far_from_zero_and_too_far_apart(tmp_path: Path) -> None:
+    far = np.array([7_000_000_123, 7_000_000_124], np.int64)
+    columns = {"x": far, "y": -far, "z": np.array([-2_000_000_000, 2_000_000_000], np.int32)}
+    write_points(tmp_path / "a.laz", PointTable(columns), crs=None)
+    table = next(iter_points(tmp_path / "a.laz", channel_dimension=None, source=0))
+    for name, values in columns.items():
+        np.testing.assert_array_equal(table[name], values)
+    columns["x"] = np.array([0, 5_000_000_000], np.int64)
+    with pytest.raises(WorkflowError, match="2000 km"):
+        write_points(tmp_path / "b.laz", PointTable(columns), crs=None)
+
+
+BROKEN = {
+    "WKT of no text": ("LASF_Projection", 2112, b"PROJCS[\xff\xfe\x00"),
+    "GeoTIFF text of no text": ("LASF_Projection", 34737, b"UTM \xff\xfe|"),
+    "classes cut off": ("LASF_Spec", 0, b"\x01abc"),
+}
+
+
+@pytest.mark.parametrize("which", BROKEN)
+@pytest.mark.parametrize("extended", [False, True])
+def test_a_record_that_no_reader_parses_is_left_out(
+    tmp_path: Path,
+    which: str,
+    extended: bool,  # noqa: FBT001
+) -> None:
+    user, number, data = BROKEN[which]
+    good = laspy.VLR("ours", 7, "kept", b"whole")
+    listed = [good, laspy.VLR(user, number, "broken", data)]
+    given: dict[str, Any] = {"evlrs": listed} if extended else {"vlrs": listed}
+    src, dst = write_las(tmp_path / "a.laz", **given), tmp_path / "out.laz"
+    (text,) = broken_records(read_header(src))
+    assert text.startswith(f"header record {user} {number} cannot be parsed (")
+    crs = CRS.from_epsg(32615)
+    assert classify(src, dst, crs=crs) == 1000
+    with laspy.open(dst) as reader:
+        records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
+        assert reader.header.parse_crs() == crs
+    kept = [record for record in records if record.user_id == "ours"]
+    assert [bytes(record.record_data) for record in kept] == [b"whole"]
+    assert not [record for record in records if bytes(record.record_data_bytes()) == data]
+
+
+def test_a_user_id_that_is_no_text(tmp_path: Path) -> None:
+    """laspy cannot open such a file at all."""
+    src, dst = tmp_path / "a.las", tmp_path / "out.laz"
+    write_las(src, vlrs=[laspy.VLR("broken", 7, "x", b"1"), laspy.VLR("whole", 8, "y", b"2")])
+    content = src.read_bytes().replace(b"broken", b"br\xff\xfe\n\x1b")
+    src.write_bytes(content)
+    with pytest.raises(UnicodeDecodeError):
+        laspy.open(src)
+    (text,) = broken_records(read_header(src))
+    assert text.isprintable()
+    assert classify(src, dst) == 1000
+    with laspy.open(dst) as reader:
+        assert "whole" in [record.user_id for record in reader.header.vlrs]
+
+
+def test_what_laspy_cannot_open_takes_no_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    src, dst = write_las(tmp_path / "a.laz"), tmp_path / "out.laz"
+
+    def failing(*_: Any) -> None:
+        raise UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(laspy, "open", failing)
+        with pytest.raises(InputError, match="as it was written: it cannot be read"):
+            classify(src, dst)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz"]

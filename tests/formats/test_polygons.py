@@ -1,0 +1,106 @@
+"""Polygons of areas of interest and water."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyproj import CRS, Transformer
+
+from spl_batch.errors import InputError
+from spl_batch.formats.polygons import contains, read_polygons
+
+UTM = CRS.from_epsg(32615)
+
+
+def write(path: Path, shapes: list[Any], crs: str | None = "EPSG:32615", **given: Any) -> Path:
+    kind = given.pop("kind", "Polygon")
+    pyogrio.raw.write(
+        path,
+        geometry=np.array([shapely.to_wkb(s) for s in shapes], dtype=object),
+        field_data=[],
+        fields=[],
+        geometry_type=kind,
+        crs=crs,
+        **given,
+    )
+    return path
+
+
+def quanta(*metres: float) -> np.ndarray[Any, np.dtype[np.int64]]:
+    return (np.array(metres) * 1000).round().astype(np.int64)
+
+
+def test_points_in_several_polygons(tmp_path: Path) -> None:
+    holed = shapely.box(0, 0, 10, 10).difference(shapely.box(4, 4, 6, 6))
+    path = write(tmp_path / "a.gpkg", [holed, shapely.box(20, 0, 30, 10)])
+    area = read_polygons(path, UTM)
+    inside = contains(area, quanta(5, 1, 25, 15, 0.001, -0.001), quanta(5, 1, 5, 5, 5, 5))
+    assert inside.tolist() == [False, True, True, False, True, False]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.integers(-20, 20), st.integers(-20, 20)), min_size=3, max_size=8))
+def test_any_ring_against_single_points(
+    tmp_path_factory: pytest.TempPathFactory, ring: list[tuple[int, int]]
+) -> None:
+    shape = shapely.Polygon(ring)
+    if shapely.make_valid(shape).area == 0:
+        return
+    path = write(tmp_path_factory.mktemp("p") / "a.gpkg", [shape])
+    area = read_polygons(path, UTM)
+    assert area.is_valid
+    x, y = (v.ravel() for v in np.meshgrid(*[np.arange(-19_500, 20_000, 1000)] * 2))
+    one_by_one = [
+        area.contains(shapely.Point(a / 1000, b / 1000)) for a, b in zip(x, y, strict=True)
+    ]
+    np.testing.assert_array_equal(contains(area, x, y), one_by_one)
+
+
+def test_reprojected(tmp_path: Path) -> None:
+    square = shapely.box(500_000, 4_000_000, 500_100, 4_000_100)
+    back = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True)
+    degrees = shapely.transform(square, lambda c: np.column_stack(back.transform(*c.T)))
+    for name, options in (("a.gpkg", {"crs": "EPSG:4326"}), ("a.geojson", {"crs": "EPSG:4326"})):
+        area = read_polygons(write(tmp_path / name, [degrees], **options), UTM)
+        assert area.symmetric_difference(square).area < 0.01
+
+
+def test_every_layer_and_only_polygons(tmp_path: Path) -> None:
+    path = tmp_path / "a.gpkg"
+    write(path, [shapely.box(0, 0, 1, 1)], layer="one")
+    write(path, [shapely.box(2, 0, 3, 1)], layer="two", append=True)
+    write(path, [shapely.Point(9, 9)], layer="three", append=True, kind="Point")
+    assert read_polygons(path, UTM).area == 2
+
+
+def test_faults(tmp_path: Path) -> None:
+    text, empty = tmp_path / "a.gpkg", tmp_path / "empty.geojson"
+    text.write_text("this is no vector file")
+    empty.write_text(json.dumps({"type": "FeatureCollection", "features": []}))
+    square = [shapely.box(0, 0, 1, 1)]
+    cases = {
+        "no such file": (tmp_path / "missing.gpkg", UTM),
+        "cannot be read": (text, UTM),
+        "no polygons": (write(tmp_path / "p.gpkg", [shapely.Point(0, 0)], kind="Point"), UTM),
+        "holds no polygons": (empty, UTM),
+        "the survey has no CRS": (write(tmp_path / "s.gpkg", square), None),
+    }
+    for words, (path, crs) in cases.items():
+        with pytest.raises(InputError) as caught:
+            read_polygons(path, crs)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.filterwarnings("ignore:'crs' was not provided")
+def test_without_a_crs(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.shp", [shapely.box(0, 0, 1, 1)], crs=None)
+    with pytest.raises(InputError, match="has no CRS"):
+        read_polygons(path, UTM)
+    assert read_polygons(path, None).area == 1

@@ -1,0 +1,227 @@
+"""GeoTIFFs and the working raster store."""
+
+import errno
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rasterio.errors import RasterioError
+
+from spl_batch.airborne.store.raster_cells import (
+    create_raster_store,
+    frame,
+    read_window,
+    stored_blocks,
+    write_cell,
+)
+from spl_batch.constants import NODATA
+from spl_batch.errors import InputError, StoppedError, StoreError
+from spl_batch.formats.rasters import geotiff
+from spl_batch.formats.rasters.geotiff import read_raster, write_cog
+from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds
+
+PLACE = {"origin_xy_m": (500_000.0, 4_000_000.0), "cell_m": 0.5, "description": "dtm", "unit": "m"}
+
+
+def sample(rows, cols):
+    values = np.random.default_rng(1).normal(100, 5, (rows, cols)).astype(np.float32)
+    values[: rows // 3, : cols // 2] = NODATA
+    return values
+
+
+def tag(path, number, size):
+    """Value of a TIFF tag in the file's first directory, read without GDAL."""
+    content = path.read_bytes()
+    assert content[:4] == b"II*\0"
+    first = int.from_bytes(content[4:8], "little")
+    for k in range(int.from_bytes(content[first : first + 2], "little")):
+        entry = content[first + 2 + 12 * k : first + 14 + 12 * k]
+        if int.from_bytes(entry[:2], "little") == number:
+            return int.from_bytes(entry[8 : 8 + size], "little")
+    raise AssertionError(f"no tag {number}")
+
+
+def test_a_cog_has_the_layout_values_and_place(tmp_path):
+    values = sample(700, 600)
+    path = tmp_path / "deep" / "dtm.tif"
+    write_cog(path, values, shape=values.shape, crs="EPSG:32615", **PLACE)
+    read, transform, crs = read_raster(path)
+    np.testing.assert_array_equal(read, values)
+    assert tuple(transform)[:6] == (0.5, 0, 500_000, 0, -0.5, 4_000_000)
+    assert "UTM zone 15N" in crs
+    with rasterio.open(path) as source:
+        assert source.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert source.profile["compress"] == "deflate"
+        assert source.block_shapes == [(256, 256)]
+        assert source.nodata == NODATA
+        assert source.dtypes == ("float32",)
+        assert source.descriptions == ("dtm",)
+        assert source.units == ("m",)
+        assert source.overviews(1) == [2, 4]
+        half = source.read(1, out_shape=(350, 300))
+    blocks = values.reshape(350, 2, 300, 2).swapaxes(1, 2).reshape(350, 300, 4).astype(float)
+    known = (blocks != NODATA).all(axis=2)
+    np.testing.assert_allclose(half[known], blocks[known].mean(axis=1), rtol=1e-5)
+    assert (half[(blocks == NODATA).all(axis=2)] == NODATA).all()
+    # The directories come before all pixels, as a reader over a network needs them.
+    assert tag(path, 256, 4) == 600
+    assert int.from_bytes(path.read_bytes()[4:8], "little") < 1000
+    assert [p.name for p in path.parent.iterdir()] == ["dtm.tif"]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (200, 200)])
+def test_small_rasters_have_an_overview_too(tmp_path, shape):
+    path = tmp_path / "a.tif"
+    write_cog(path, np.ones(shape, np.float32), shape=shape, crs=None, **PLACE)
+    with rasterio.open(path) as source:
+        assert len(source.overviews(1)) == 1
+        assert source.crs is None
+        assert (source.read(1) == 1).all()
+
+
+def test_pieces_in_any_order_give_the_same_bytes(tmp_path):
+    values = sample(300, 500)
+    whole, pieces = tmp_path / "whole.tif", tmp_path / "pieces.tif"
+    write_cog(whole, values, shape=values.shape, crs="EPSG:32615", **PLACE)
+    places = [(r, c) for r in range(0, 300, 70) for c in range(0, 500, 70)]
+    np.random.default_rng(0).shuffle(places)
+    blocks = ((r, c, values[r : r + 70, c : c + 70]) for r, c in places)
+    write_cog(pieces, blocks, shape=values.shape, crs="EPSG:32615", **PLACE)
+    assert whole.read_bytes() == pieces.read_bytes()
+
+
+def test_what_no_piece_covers_is_nodata(tmp_path):
+    path = tmp_path / "a.tif"
+    blocks = [(5, 7, np.ones((2, 2), np.float32))]
+    write_cog(path, blocks, shape=(20, 20), crs=None, **PLACE)
+    values = read_raster(path)[0]
+    assert (values[5:7, 7:9] == 1).all()
+    assert (values == NODATA).sum() == 396
+
+
+def test_a_failure_half_way_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "a.tif"
+    write_cog(path, np.ones((4, 4), np.float32), shape=(4, 4), crs=None, **PLACE)
+    before = path.read_bytes()
+
+    def broken():
+        yield 0, 0, np.zeros((2, 2), np.float32)
+        raise StoreError("a chunk is damaged")
+
+    with pytest.raises(StoreError, match="damaged"):
+        write_cog(path, broken(), shape=(4, 4), crs=None, **PLACE)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_stops_everything(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(geotiff, "_write_plain", full)
+    with pytest.raises(StoppedError, match="disk full"):
+        write_cog(tmp_path / "a.tif", np.ones((4, 4), np.float32), shape=(4, 4), crs=None, **PLACE)
+
+
+@pytest.mark.parametrize(("free", "message"), [(0, "disk full; free 1 MB"), (10**9, "wrong pixel")])
+def test_gdals_failures_are_told_from_a_full_disk(tmp_path, monkeypatch, free, message):
+    def fail(*_):
+        raise RasterioError("wrong\npixel" if free else "write failed")
+
+    monkeypatch.setattr(geotiff, "_copy_as_cog", fail)
+    monkeypatch.setattr(geotiff, "_free_bytes", lambda _: free)
+    with pytest.raises(StoppedError, match=message):
+        write_cog(tmp_path / "a.tif", np.ones((4, 4), np.float32), shape=(4, 4), crs=None, **PLACE)
+
+
+def test_a_crs_that_nobody_knows_is_named(tmp_path):
+    with pytest.raises(InputError, match="EPSG:1234567"):
+        write_cog(
+            tmp_path / "a.tif",
+            np.ones((2, 2), np.float32),
+            shape=(2, 2),
+            crs="EPSG:1234567",
+            **PLACE,
+        )
+
+
+def test_an_unreadable_raster_is_one_clear_line(tmp_path):
+    (tmp_path / "a.tif").write_text("not a raster")
+    with pytest.raises(InputError) as error:
+        read_raster(tmp_path / "a.tif")
+    assert "a.tif" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.fixture
+def store(tmp_path):
+    path = tmp_path / "rasters.zarr"
+    create_raster_store(path, ["dtm", "dsm"], ground_cell=10_000, raster_cell=1000)
+    return path
+
+
+def test_a_cell_is_one_file_and_comes_back_in_its_place(store, tmp_path):
+    values = sample(10, 10)
+    for cell in (CellId(-3, 5), CellId(40_000, 600_000)):
+        write_cell(store, cell, {"dtm": values, "dsm": values + 1})
+        around = cell_bounds(cell, 10_000)
+        np.testing.assert_array_equal(read_window(store, "dtm", around), values)
+        wide = Bounds(around.xmin - 4000, around.ymin - 3000, around.xmax + 2000, around.ymax)
+        window = read_window(store, "dsm", wide)
+        assert window.shape == (13, 16)
+        np.testing.assert_array_equal(window[:10, 4:14], values + 1)
+        assert (np.delete(window, range(10), axis=0) == NODATA).all()
+    chunks = [p for p in (tmp_path / "rasters.zarr").rglob("*") if p.is_file() and "c" in p.parts]
+    assert len(chunks) == 4
+
+
+@given(st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), unique=True, max_size=8))
+@settings(max_examples=10, deadline=None)
+def test_a_mosaic_of_cells_equals_the_window(tmp_path_factory, places):
+    path = tmp_path_factory.mktemp("store") / "rasters.zarr"
+    create_raster_store(path, ["dtm"], ground_cell=3000, raster_cell=1000)
+    cells = [CellId(*place) for place in places]
+    for k, cell in enumerate(cells):
+        write_cell(path, cell, {"dtm": np.full((3, 3), k, np.float32)})
+    bounds = Bounds(-7000, -5000, 8000, 4000)
+    shape, origin = frame(bounds, 1000)
+    assert (shape, origin) == ((9, 15), (-7.0, 4.0))
+    mosaic = np.full(shape, NODATA, np.float32)
+    for row, col, block in stored_blocks(path, "dtm", bounds, cells, ground_cell=3000):
+        mosaic[row : row + block.shape[0], col : col + block.shape[1]] = block
+    np.testing.assert_array_equal(mosaic, read_window(path, "dtm", bounds))
+
+
+def test_a_cell_written_again_is_replaced(store):
+    write_cell(store, CellId(0, 0), {"dtm": sample(10, 10)})
+    empty = np.full((10, 10), NODATA, np.float32)
+    write_cell(store, CellId(0, 0), {"dtm": empty})
+    np.testing.assert_array_equal(read_window(store, "dtm", Bounds(0, 0, 10_000, 10_000)), empty)
+
+
+def test_making_the_store_again_keeps_it_and_other_sizes_are_refused(store):
+    write_cell(store, CellId(1, 1), {"dtm": sample(10, 10)})
+    names, sizes = ["dtm", "chm"], {"ground_cell": 10_000, "raster_cell": 1000}
+    with ThreadPoolExecutor(4) as pool:
+        made = [pool.submit(create_raster_store, store, names, **sizes) for _ in range(8)]
+    assert all(future.result() is None for future in made)
+    window = read_window(store, "dtm", Bounds(10_000, 10_000, 20_000, 20_000))
+    np.testing.assert_array_equal(window, sample(10, 10))
+    with pytest.raises(StoreError, match="was made for"):
+        create_raster_store(store, ["dtm"], ground_cell=10_000, raster_cell=500)
+    with pytest.raises(StoreError, match="whole multiple"):
+        create_raster_store(store, ["dtm"], ground_cell=10_000, raster_cell=3000)
+
+
+def test_wrong_requests_to_the_store_are_refused(store, tmp_path):
+    with pytest.raises(StoreError, match="no raster 'slope'"):
+        read_window(store, "slope", Bounds(0, 0, 1000, 1000))
+    with pytest.raises(StoreError, match="no raster 'dtm'"):
+        read_window(tmp_path / "nowhere", "dtm", Bounds(0, 0, 1000, 1000))
+    with pytest.raises(StoreError, match="not aligned"):
+        read_window(store, "dtm", Bounds(0, 0, 1500, 1000))
+    with pytest.raises(StoreError, match="is \\(9, 10\\), not whole squares"):
+        write_cell(store, CellId(0, 0), {"dtm": np.zeros((9, 10), np.float32)})

@@ -1,0 +1,344 @@
+"""Trajectories: three formats give the same positions, PROJ and a hand formula agree."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+
+from benchmarks.airborne.beams.trajectories import read_trajectory
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.formats.gps_clock import bit_warning, clock, time_standard
+from spl_batch.formats.trajectory import merge
+from spl_batch.formats.trajectory.positions import (
+    PointExtent,
+    gathering,
+    read_slice,
+    write_trajectory,
+)
+from spl_batch.formats.trajectory.records import COLUMNS, read_records
+from spl_batch.formats.trajectory.sbet import SBET_RECORD
+from spl_batch.lattice.tables import Trajectory
+
+UTM = CRS.from_epsg(32615)
+ADJUSTED = 2.5e8
+WEEK = 604_800
+
+
+def flight(n: int = 50, start: float = 1000.0) -> NDArray[np.float64]:
+    """A straight line at 4 km: (n, 4) time, x, y, z."""
+    t = np.arange(n) / 10
+    return np.column_stack([start + t, 500_000 + 80 * t, 4_000_000 - 5 * t, 4000 + 0.1 * t])
+
+
+def write_csv(path: Path, rows: NDArray[np.float64], head: str = "gps_time,x,y,z") -> Path:
+    delimiter = ";" if ";" in head else ","
+    lines = [delimiter.join(repr(float(v)) for v in row) for row in rows]
+    path.write_text("\n".join([head, *lines]) + "\n")
+    return path
+
+
+def write_sbet(path: Path, rows: NDArray[np.float64]) -> Path:
+    back = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True)
+    longitude, latitude = back.transform(rows[:, 1], rows[:, 2])
+    records = np.zeros(len(rows), SBET_RECORD)
+    records["time"], records["altitude"] = rows[:, 0], rows[:, 3]
+    records["longitude"], records["latitude"] = np.radians(longitude), np.radians(latitude)
+    records.tofile(path)
+    return path
+
+
+def read(*paths: Path, crs: str | None = None, survey: CRS | None = UTM) -> Any:
+    return read_trajectory(paths, survey_crs=survey, trajectory_crs=crs)
+
+
+def test_csv_parquet_and_sbet_agree(tmp_path: Path) -> None:
+    rows = flight()
+    table = pa.table({k: rows[:, i] for i, k in reversed(list(enumerate(COLUMNS)))})
+    pq.write_table(table, tmp_path / "a.parquet")
+    for path in (
+        write_csv(tmp_path / "a.csv", rows),
+        write_sbet(tmp_path / "a.out", rows),
+        tmp_path / "a.parquet",
+    ):
+        loaded = read(path)
+        assert loaded.standard == "week"
+        assert loaded.warnings == ()
+        np.testing.assert_array_equal(loaded.trajectory.time_s, rows[:, 0])
+        np.testing.assert_allclose(loaded.trajectory.xyz_m, rows[:, 1:], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("head", "order"),
+    [
+        ("Z,Roll,GPS_TIME,Y,X", (3, 0, 0, 2, 1)),
+        ("gps_time;X;Y;Z;note", (0, 1, 2, 3, 0)),
+        ("# gps_time, x , y , z", (0, 1, 2, 3)),
+        ("\ufeffgps_time,x,y,z", (0, 1, 2, 3)),
+    ],
+)
+def test_csv_heads(tmp_path: Path, head: str, order: tuple[int, ...]) -> None:
+    rows = flight()
+    trajectory = read(write_csv(tmp_path / "a.csv", rows[:, order], head)).trajectory
+    np.testing.assert_array_equal(trajectory.xyz_m, rows[:, 1:])
+
+
+def test_order_and_cut_do_not_matter(tmp_path: Path) -> None:
+    rows = flight()
+    mixed = np.random.default_rng(0).permutation(rows)
+    parts = [write_csv(tmp_path / f"{i}.csv", mixed[i::3]) for i in range(3)]
+    loaded = read(*parts)
+    np.testing.assert_array_equal(loaded.trajectory.xyz_m, rows[:, 1:])
+    again = read(*parts, parts[0])
+    np.testing.assert_array_equal(again.trajectory.time_s, rows[:, 0])
+    assert again.warnings == ("trajectory: 17 records repeat a time and were left out",)
+
+
+def test_heights_of_a_geographic_trajectory_stay(tmp_path: Path) -> None:
+    rows = np.array([[0.0, -93.0, 40.0, 4123.25], [1.0, -93.001, 40.0, 4124.5]])
+    path = write_csv(tmp_path / "a.csv", rows)
+    for code in ("EPSG:4326", "EPSG:4979"):
+        xyz = read(path, crs=code).trajectory.xyz_m
+        np.testing.assert_array_equal(xyz[:, 2], rows[:, 3])
+        # On the central meridian, by definition, and 0.9996 times the arc along it.
+        np.testing.assert_allclose(xyz[0, 0], 500_000, atol=1e-6)
+        np.testing.assert_allclose(xyz[0, 1], 4_427_757.219, atol=1e-2)
+
+
+def test_survey_with_geoid_heights(tmp_path: Path) -> None:
+    path = write_sbet(tmp_path / "a.sbet", flight())
+    loaded = read(path, survey=CRS.from_user_input("EPSG:32615+5773"))
+    assert np.isfinite(loaded.trajectory.xyz_m).all()
+    moved = np.abs(loaded.trajectory.xyz_m[:, 2] - flight()[:, 3]) > 1
+    assert moved.all() or "PROJ grids" in loaded.warnings[0]
+
+
+def test_faults(tmp_path: Path) -> None:
+    rows = flight()
+    bad = rows.copy()
+    bad[7, 2] = np.nan
+    cases = {
+        "no such file": tmp_path / "missing.csv",
+        "no column gps_time": write_csv(tmp_path / "a.csv", rows, "time,x,y,z"),
+        "first is record 7": write_csv(tmp_path / "b.csv", bad),
+        "at least 2": write_csv(tmp_path / "c.csv", rows[:1]),
+        "multiple of 136": tmp_path / "d.sbet",
+        "not an SBET": tmp_path / "e.sbet",
+        "not a Parquet": tmp_path / "f.parquet",
+        "not a CSV": tmp_path / "g.csv",
+        "no column gps_time, x, y, z": tmp_path / "h.csv",
+        "empty values": tmp_path / "i.csv",
+    }
+    (tmp_path / "d.sbet").write_bytes(bytes(137))
+    np.full(17 * 4, 45.0).tofile(tmp_path / "e.sbet")
+    (tmp_path / "f.parquet").write_bytes(b"PAR1 and then nonsense")
+    (tmp_path / "g.csv").write_text("gps_time,x,y,z\n1,2,3,4\n5,6,seven,8\n")
+    (tmp_path / "h.csv").write_bytes(bytes(range(256)) * 10)
+    (tmp_path / "i.csv").write_text("gps_time,x,y,z\n1,2,3,4\n5,6,,8\n")
+    for words, path in cases.items():
+        with pytest.raises(InputError) as caught:
+            read(path)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="matches no file"):
+        read()
+
+
+def test_crs_faults(tmp_path: Path) -> None:
+    sbet, table = write_sbet(tmp_path / "a.sbet", flight()), write_csv(tmp_path / "a.csv", flight())
+    with pytest.raises(InputError, match=r"survey has no CRS.*survey\.crs"):
+        read(sbet, survey=None)
+    with pytest.raises(InputError, match="geographic"):
+        read(sbet, crs="EPSG:32615")
+    with pytest.raises(WorkflowError, match=r"survey\.trajectory_crs"):
+        read(table, crs="EPSG:nonsense")
+    assert len(read(table, survey=None).trajectory.time_s) == 50
+
+
+def load(path: Path, span: tuple[float, float], **given: Any) -> Any:
+    box = {"bounds_m": (500_000, 3_999_000, 501_000, 4_001_000), **given}
+    points = PointExtent(span, **box)
+    return read_trajectory([path], survey_crs=UTM, trajectory_crs=None, points=points)
+
+
+def test_loaded_into_the_points_time(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", flight())
+    week = np.floor((ADJUSTED + 1e9) / WEEK) * WEEK - 1e9
+    loaded = load(path, (week + 1000.5, week + 1001.5))
+    np.testing.assert_allclose(loaded.trajectory.time_s, flight()[:, 0] + week, atol=1e-6)
+    assert loaded.standard == "adjusted"
+    assert loaded.warnings == ("trajectory: week time converted to adjusted time",)
+    short = load(path, (900.0, 1001.0), bounds_m=(500_000, 3_999_000, 0, 501_000, 4_001_000, 9))
+    assert "covers 1000.000 to 1004.900 s" in short.warnings[0]
+
+
+def test_trajectory_in_another_crs_is_found_out(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", flight())
+    with pytest.raises(InputError, match=r"different CRS.*survey\.trajectory_crs"):
+        load(path, (1000.0, 1001.0), bounds_m=(700_000, 6_000_000, 701_000, 6_001_000))
+
+
+def test_week_that_cannot_be_told(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", flight())
+    with pytest.raises(InputError, match="ambiguous"):
+        load(path, (ADJUSTED, ADJUSTED + 2 * WEEK))
+
+
+def test_slices_interpolate_like_the_whole(tmp_path: Path) -> None:
+    rows = flight(200_000)
+    whole = Trajectory(rows[:, 0], rows[:, 1:])
+    write_trajectory(tmp_path / "t.parquet", [(whole.time_s, whole.xyz_m)])
+    first, last = rows[0, 0], rows[-1, 0]
+    spans = [
+        (first, last),
+        (first + 6553.55, first + 6553.65),
+        (first - 9, first - 5),
+        (last + 5, last + 9),
+        (first + 3.33, first + 3.34),
+        (first - 1, first + 1),
+    ]
+    for start, stop in spans:
+        part = read_slice(tmp_path / "t.parquet", start, stop)
+        times = np.linspace(start, stop, 50)
+        for got, wanted in zip(part.position(times), whole.position(times), strict=True):
+            np.testing.assert_array_equal(got, wanted)
+        assert stop - start > 100 or len(part.time_s) < 30
+
+
+@pytest.mark.parametrize(
+    ("values", "standard"),
+    [
+        ([], "none"),
+        ([np.nan, 0.0, 0.0], "none"),
+        ([0.0, 3.5], "week"),
+        ([604_799.0, 604_850.0, np.nan], "week"),
+        ([700_000.0], "adjusted"),
+        ([-3e8], "adjusted"),
+        ([246_539_563.0, 281_629_030.0], "adjusted"),
+        ([1.48e9], "unix_or_gps"),
+        ([1e3, 2e9], "other"),
+        ([1e18], "other"),
+    ],
+)
+def test_time_standard(values: list[float], standard: str) -> None:
+    assert time_standard(np.array(values, dtype=np.float64)) == standard
+
+
+def test_header_bit_that_contradicts_the_values() -> None:
+    assert "adjusted" in str(bit_warning("adjusted", adjusted_bit=False))
+    assert "week" in str(bit_warning("week", adjusted_bit=True))
+    assert bit_warning("adjusted", adjusted_bit=True) is None
+    assert bit_warning("week", adjusted_bit=False) is None
+    assert bit_warning("none", adjusted_bit=False) is None
+
+
+def test_a_trajectory_of_another_day_is_refused(tmp_path: Path) -> None:
+    rows = flight()
+    path, place = write_csv(tmp_path / "a.csv", rows), (*rows[0, 1:3], 0.0, *rows[0, 1:3], 0.0)
+    first, last = rows[0, 0], rows[-1, 0]
+    options: Any = {"survey_crs": None, "trajectory_crs": None}
+    beside = read_trajectory([path], points=PointExtent((first - 5, first + 1), place), **options)
+    assert any("stay unfiltered" in text for text in beside.warnings)
+    for low, high, away in ((first - 50, first - 7, 7), (last + 400, last + 500, 400)):
+        with pytest.raises(InputError, match=rf"{away} s away: no point could be filtered; name"):
+            read_trajectory([path], points=PointExtent((low, high), place), **options)
+
+
+@given(
+    start=st.integers(7 * 10**8, 15 * 10**8),
+    length=st.integers(10, 80_000),
+    given_standard=st.sampled_from(["week", "adjusted", "unix_or_gps"]),
+    wanted=st.sampled_from(["week", "adjusted", "unix_or_gps"]),
+)
+def test_any_clock_into_any_other(
+    start: int,
+    length: int,
+    given_standard: Literal["week", "adjusted", "unix_or_gps"],
+    wanted: Literal["week", "adjusted", "unix_or_gps"],
+) -> None:
+    """Whole GPS seconds in every standard; week seconds may wrap within the flight."""
+    gps = np.linspace(start, start + length, 11).round()
+    clocks = {
+        "adjusted": gps - 1e9,
+        "unix_or_gps": gps,
+        "week": gps - start // WEEK * WEEK,
+    }
+    times = clocks[given_standard] % WEEK if given_standard == "week" else clocks[given_standard]
+    if time_standard(times) != given_standard or time_standard(clocks[wanted]) != wanted:
+        return
+    span = (float(clocks[wanted][3]), float(clocks[wanted][7]))
+    convert = clock(given_standard, (float(times.min()), float(times.max())), span, wanted)
+    if given_standard == wanted:
+        assert convert is None
+        return
+    assert convert is not None
+    np.testing.assert_array_equal(convert(times), clocks[wanted])
+
+
+# Files of any length, in any order
+
+
+@settings(deadline=None)
+@given(data=st.data(), count=st.integers(2, 400), files=st.integers(1, 4))
+def test_records_of_many_batches_come_in_order_once(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, count: int, files: int
+) -> None:
+    folder = tmp_path_factory.mktemp("t")
+    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    rows = rng.integers(0, 9, (count, 4)).astype(np.float64)
+    rows[:, 0] = 1000 + rng.integers(0, count, count)
+    rows[:2, 0] = 900, 901
+    overlap = data.draw(st.sampled_from([0.0, 30.0, 1e4]))
+    owner = np.clip(rows[:, 0] + rng.uniform(0, overlap, count), 900, 1000 + count)
+    owner = ((owner - 900) / (101 + count) * files).astype(np.int64)
+    paths = [write_csv(folder / f"{k}.csv", rows[owner == k]) for k in set(owner.tolist())]
+    by_time = rows[np.lexsort(rows.T[::-1])]
+    first = np.concatenate([[True], np.diff(by_time[:, 0]) > 0])
+    with pytest.MonkeyPatch.context() as patch:
+        batch = data.draw(st.integers(1, 50))
+        patch.setattr(merge, "read_records", cut(read_records, batch))
+        with gathering(paths, survey_crs=None, trajectory_crs=None) as found:
+            got = np.concatenate([np.column_stack(piece) for piece in found])
+    np.testing.assert_array_equal(got, by_time[first])
+    assert found.records == len(got)
+    dropped = count - len(got)
+    told = f"trajectory: {dropped} records repeat a time and were left out"
+    assert found.warnings == ((told,) if dropped else ())
+
+
+def cut(read: Any, size: int) -> Any:
+    """The same reader, in batches of so many records."""
+
+    def smaller(path: Path) -> Any:
+        for time, position in read(path):
+            for start in range(0, len(time), size):
+                yield time[start : start + size], position[start : start + size]
+
+    return smaller
+
+
+def test_few_records_wait_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(merge, "read_records", cut(read_records, 10))
+    monkeypatch.setattr(merge, "WAITING_RECORDS", 25)
+    rows = flight(500)
+    halves = [write_csv(tmp_path / f"{k}.csv", rows[k::2]) for k in (0, 1)]
+    np.testing.assert_array_equal(read(*halves).trajectory.time_s, rows[:, 0])
+    mixed = write_csv(tmp_path / "mixed.csv", np.random.default_rng(0).permutation(rows))
+    with pytest.raises(InputError, match="25 trajectory records are out of time order: sort"):
+        read(mixed)
+
+
+def test_what_is_written_does_not_depend_on_the_pieces(tmp_path: Path) -> None:
+    rows = flight(200_000)
+    for k, step in enumerate((200_000, 65_537, 1_111)):
+        cuts = range(0, len(rows), step)
+        pieces = ((rows[a : a + step, 0], rows[a : a + step, 1:]) for a in cuts)
+        write_trajectory(tmp_path / f"{k}.parquet", pieces)
+    first = (tmp_path / "0.parquet").read_bytes()
+    assert all((tmp_path / f"{k}.parquet").read_bytes() == first for k in (1, 2))

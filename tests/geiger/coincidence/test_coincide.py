@@ -1,0 +1,195 @@
+"""Coincidence processing: the synthetic scene, the stage, and what comes of both."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from spl_batch.geiger.coincidence import accuracy
+from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
+from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
+from spl_batch.geiger.coincidence.simulate.scene_rays import _leaves, opaque
+from spl_batch.geiger.coincidence.surface import coincide
+from spl_batch.geiger.coincidence.tables import Detections, Points
+from spl_batch.lattice.tiles import Bounds, cell_bounds, cells_touching
+from tests.geiger.coincidence.coincidence_scene import SMALL, flown, local, region
+
+CHOSEN = CoincidenceSettings()
+
+
+@cache
+def points(method: str = "bridge_sign", volume: int = 128) -> Points:
+    chosen = CoincidenceSettings(method=method, volume_voxels=volume)
+    return coincide.coincide(*flown(), region(SMALL), chosen, SMALL.array)
+
+
+def same(a: Points, b: Points) -> bool:
+    return all(np.array_equal(getattr(a, k), getattr(b, k)) for k in Points.__slots__)
+
+
+def test_the_voxel_is_half_of_what_a_detector_sees() -> None:
+    assert CHOSEN.voxel_quanta(ArraySettings()) == 45
+    assert CHOSEN.voxel_quanta(ArraySettings(ifov_rad=40e-6)) == 60
+    assert CoincidenceSettings(voxel_m=0.1).voxel_quanta(ArraySettings()) == 100
+
+
+def test_detections_come_as_often_as_they_should() -> None:
+    frames, detections = flown()
+    array = SMALL.array
+    xyz = local(detections.xyz)
+    inside = (np.abs(xyz[:, :2] - SMALL.centre_m) < np.array(SMALL.extent_m) / 2).all(axis=1)
+    bare = inside & (np.hypot(*xyz[:, :2].T) > 5.3)
+    dark = np.abs(xyz[:, 2] - 1.0) > 2.0
+    gate_m = array.gate_stop_m - array.gate_start_m
+    expected = len(frames) * array.detectors * array.dark_per_m * gate_m
+    # Blocking hides a part of those behind the ground.
+    assert 0.8 * expected < dark.sum() < expected
+    height = xyz[bare & ~dark, 2]
+    assert height.std() == pytest.approx(math.hypot(0.05, 0.05 / math.sqrt(12)), rel=0.05)
+    assert abs(height.mean()) < 0.004
+    share = (~dark).sum() / (len(frames) * array.detectors)
+    # Ground gives 1 - exp(-0.25), spokes 1 - exp(-0.5).
+    assert 1 - math.exp(-0.25) < share < 1 - math.exp(-0.5)
+
+
+def test_detections_lie_on_their_lines_of_sight() -> None:
+    frames, detections = flown()
+    row = np.searchsorted(frames.number, detections.frame)
+    away = detections.xyz / 1000 - frames.origin_m[row]
+    body = np.einsum("nji,nj->ni", frames.turn[row], away)
+    tangent = math.tan(SMALL.array.ifov_rad)
+    i, j = detections.detector // SMALL.array.columns, detections.detector % SMALL.array.columns
+    assert body[:, 0] / -body[:, 2] == pytest.approx((i - 7.5) * tangent, abs=1e-6)
+    assert body[:, 1] / -body[:, 2] == pytest.approx((j - 15.5) * tangent, abs=1e-6)
+    # A range is the middle of its bin; places are rounded to millimetres.
+    bins = (np.linalg.norm(away, axis=1) - 2500) / 0.05 % 1
+    assert bins == pytest.approx(0.5, abs=0.03)
+
+
+def test_sight_errors_are_angles_in_fields_of_view() -> None:
+    frames, detections = flown()
+    assert coincide.sight_error(frames, detections, SMALL.array) < 0.05
+    moved = Detections(detections.frame, detections.detector + 3, detections.xyz)
+    kept = moved.take(moved.detector % SMALL.array.columns >= 3)
+    assert coincide.sight_error(frames, kept, SMALL.array) == pytest.approx(3.0, abs=0.05)
+
+
+@settings(deadline=None, max_examples=4)
+@given(st.integers(1100, 3900), st.sampled_from([32, 57, 200]))
+def test_no_cut_changes_a_point(tile: int, volume: int) -> None:
+    frames, detections = flown()
+    chosen = CoincidenceSettings(volume_voxels=volume)
+    whole = region(SMALL)
+    cells = list(cells_touching(whole, tile))
+    assume(len(cells) > 1)  # a large tile may by chance hold all
+    parts = []
+    for cell in cells:
+        b = cell_bounds(cell, tile)
+        own = Bounds(max(b.xmin, whole.xmin), max(b.ymin, whole.ymin),
+                     min(b.xmax, whole.xmax), min(b.ymax, whole.ymax))  # fmt: skip
+        order = np.random.default_rng(tile).permutation(len(detections))
+        parts.append(coincide.coincide(frames, detections.take(order), own, chosen, SMALL.array))
+    assert same(Points.joined(parts).in_order(), points())
+
+
+def test_frames_that_look_elsewhere_do_not_matter() -> None:
+    frames, detections = flown()
+    whole = region(SMALL)
+    corner = Bounds(whole.xmin, whole.ymin, whole.xmin + 800, whole.ymin + 800)
+    low, high = np.array([*corner[:2], 90_000]) / 1000, np.array([*corner[2:], 110_000]) / 1000
+    rows = coincide.looking_at(frames, SMALL.array, low - 0.4, high + 0.4)
+    assert 0 < len(rows) < len(frames)
+    args = (detections, corner, CHOSEN, SMALL.array)
+    found = coincide.coincide(frames.take(rows), *args)
+    assert len(found) > 100
+    assert same(found, coincide.coincide(frames, *args))
+
+
+def test_the_posterior_does_not_depend_on_the_cut_either() -> None:
+    assert same(points("posterior", 32), points("posterior"))
+
+
+@pytest.mark.parametrize("method", ["bridge_sign", "posterior"])
+def test_the_scene_comes_back(method: str) -> None:
+    xyz = local(points(method).xyz)
+    targets = build(SMALL)
+    away = accuracy.distance_m(xyz, targets)
+    assert (away < 0.09).mean() > 0.9
+    assert (away > 0.5).sum() == 0
+    low = np.array(SMALL.centre_m) - np.array(SMALL.extent_m) / 2 + 0.1
+    truth = accuracy.seen_from_above(targets, low, low + np.array(SMALL.extent_m) - 0.2, 0.05)
+    assert accuracy.completeness(truth, xyz, 0.09) > 0.85
+    heights = accuracy.spoke_heights(xyz)
+    assert len(heights) > 500
+    assert abs(heights.mean()) < 0.015
+
+
+def test_nothing_comes_of_noise() -> None:
+    frames, detections = flown()
+    rng = np.random.default_rng(1)
+    away = np.abs(local(detections.xyz)[:, 2] - 1.0) > 2.0
+    noise = detections.take(away)
+    for method in ("bridge_sign", "posterior"):
+        chosen = CoincidenceSettings(method=method)
+        found = coincide.coincide(frames, noise, region(SMALL), chosen, SMALL.array)
+        assert len(found) == 0
+    # Ten detections in one place are no noise.
+    place = np.array([[500_003_000, 4_200_000_500, 140_000]]) + rng.integers(-20, 20, (10, 3))
+    number = frames.number[:10]
+    added = Detections(number, np.zeros(10, np.int32), place)
+    chosen = CoincidenceSettings(bridge_sign={"threshold": 0.005})
+    found = coincide.coincide(frames, added, region(SMALL), chosen, SMALL.array)
+    assert len(found) >= 1
+    assert np.abs(found.xyz - [500_003_000, 4_200_000_500, 140_000]).max() < 200
+
+
+def test_fewer_looks_make_a_place_brighter() -> None:
+    """Half of the frames without their detections: every intensity falls by half."""
+    frames, detections = flown()
+    even = frames.number % 2 == 0
+    kept = detections.take(detections.frame % 2 == 0)
+    alone = coincide.coincide(frames.take(even), kept, region(SMALL), CHOSEN, SMALL.array)
+    both = coincide.coincide(frames, kept, region(SMALL), CHOSEN, SMALL.array)
+    assert np.median(alone.intensity) > 1.3 * np.median(both.intensity)
+
+
+def test_leaves_are_listed_where_rays_meet_them() -> None:
+    scene = build(SceneSettings(targets=("foliage",)))
+    rng = np.random.default_rng(4)
+    met = 0
+    for _ in range(60):
+        way = np.array([*rng.uniform(-0.06, 0.06, 2), -1.0])
+        way /= np.linalg.norm(way)
+        through = np.array([*(PLACES_M["foliage"] + rng.uniform(-6.5, 6.5, 2)), 5.0])
+        origin = through - 3000 * way
+        hit = np.empty(32, np.int64)
+        n = _leaves(origin, way, scene, hit)
+        t = (scene.leaves[:, 2] - origin[2]) / way[2]
+        off = origin[:2] + t[:, None] * way[:2] - scene.leaves[:, :2]
+        slow = np.flatnonzero((np.abs(off) <= scene.leaf_m / 2).all(axis=1))
+        assert sorted(hit[:n].tolist()) == slow.tolist()
+        assert (np.diff(scene.leaves[hit[:n], 2]) <= 0).all()
+        met += n
+    assert met > 60
+
+
+@pytest.mark.parametrize(
+    ("place", "height", "target"),
+    [
+        ((25.0, 0.5), 2.0, True),
+        ((25.0, 1.5), 0.0, False),
+        ((28.0, -13.0), 0.0, True),
+        ((-24.7 + 0.75, -24.7), 4.75 + 0.25, True),
+        ((-24.7, -24.7), 0.0, False),
+        ((4.0, 0.1), 2.0, True),
+        ((4.0, -0.1), 0.0, False),
+    ],
+)
+def test_what_a_ray_meets(place: tuple[float, float], height: float, target: bool) -> None:  # noqa: FBT001
+    scene = build(SceneSettings(targets=("spokes", "cube", "coil", "logo")))
+    t = opaque(np.array([*place, 50.0]), np.array([0.0, 0.0, -1.0]), scene)
+    assert (t < 1e8) is target
+    assert 50 - (t % 1e9) == pytest.approx(height, abs=0.002)

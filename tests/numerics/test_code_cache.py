@@ -1,0 +1,112 @@
+"""Compiled code that is kept: by several processes at once, and as long as it is current."""
+
+import importlib
+import pkgutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from numba.core.caching import IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
+
+import spl_batch
+from spl_batch.airborne.filter.ellipsoid.ellipsoid_walk import walk
+from spl_batch.imports import content_hash, imported
+from spl_batch.lattice import row_order
+from spl_batch.numerics import compiled
+from spl_batch.numerics.compiled import KeptCode, source_stamp
+
+WRITERS = 4
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Barrier]:
+    """An index that all who may read it at the same time do."""
+    together = threading.Barrier(WRITERS)
+    load = IndexDataCacheFile._load_index
+
+    def loaded(self: Any) -> dict[Any, str]:
+        found: dict[Any, str] = load(self)
+        try:
+            together.wait(0.2)
+        except threading.BrokenBarrierError:
+            together.reset()
+        return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(IndexDataCacheFile, "_load_index", loaded)
+        yield together
+
+
+def kept(folder: Path) -> KeptCode:
+    """What another process sees of a function's code."""
+    return KeptCode(str(folder), "module.function", "stamp")
+
+
+@pytest.mark.usefixtures("slow")
+def test_writers_at_the_same_time_lose_and_mix_nothing(tmp_path: Path) -> None:
+    writers = [
+        threading.Thread(target=kept(tmp_path).save, args=(f"types {k}", f"code {k}"))
+        for k in range(WRITERS)
+    ]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert [kept(tmp_path).load(f"types {k}") for k in range(WRITERS)] == [
+        f"code {k}" for k in range(WRITERS)
+    ]
+
+
+def test_what_was_not_written_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    earlier = KeptCode(str(tmp_path), "module.function", "earlier stamp")
+    earlier.save("types", "earlier code")
+
+    def killed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(IndexDataCacheFile, "_save_data", killed)
+        with pytest.raises(KeyboardInterrupt):
+            kept(tmp_path).save("types", "code")
+    assert kept(tmp_path).load("types") is None
+    kept(tmp_path).save("types", "code")
+    kept(tmp_path).save("types", "better code")
+    kept(tmp_path).save("others", "code of others")
+    assert kept(tmp_path).load("types") == "better code"
+    assert kept(tmp_path).load("others") == "code of others"
+    assert earlier.load("types") is None
+
+
+def kernels() -> Iterator[Any]:
+    """Every compiled function of the project."""
+    for module in pkgutil.walk_packages(spl_batch.__path__, "spl_batch."):
+        if not module.name.endswith("__main__"):
+            found = vars(importlib.import_module(module.name)).values()
+            yield from (value for value in found if isinstance(value, Dispatcher))
+
+
+def test_every_kernel_is_kept_so() -> None:
+    """Also those outside the airborne survey's: the receivers' own and what sorts rows."""
+    found = [*kernels(), row_order._compiled()]
+    homes = {kernel.py_func.__module__.rpartition(".")[0] for kernel in found}
+    assert {"spl_batch.geiger.water.surface", "spl_batch.geiger.coincidence.surface"} <= homes
+    for kernel in found:
+        files = kernel._cache._cache_file
+        assert type(files) is KeptCode, kernel
+        assert files._source_stamp == source_stamp(Path(kernel.py_func.__code__.co_filename))
+        assert kernel.targetoptions["nogil"] is True
+
+
+def test_the_stamp_follows_what_is_called() -> None:
+    files = imported(Path(walk.py_func.__code__.co_filename))
+    assert {"ellipsoid_walk.py", "kdtree.py", "compiled.py"} <= {file.name for file in files}
+    assert source_stamp(Path(walk.py_func.__code__.co_filename)) == content_hash(files)
+
+
+def test_another_numba_keeps_code_in_its_own_way() -> None:
+    own = SimpleNamespace()
+    assert compiled.kept(SimpleNamespace(_cache_file=own)) is own

@@ -1,0 +1,52 @@
+"""The Poisson tail against scipy, relative error in the small tail included."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from spl_batch.numerics.poisson import (
+    critical_by_logs,
+    log_factorials,
+    noise_tail_probability,
+    poisson_critical,
+)
+
+MEANS = np.array([0.0, 1e-9, 1e-3, 0.3, 1.84, 7.5, 40.0, 333.3, 5000.0])
+
+
+def test_tail_equals_scipy() -> None:
+    mean, count = (a.ravel() for a in np.meshgrid(MEANS, [0, 1, 2, 5, 16, 47, 200, 400, 5300]))
+    tail = noise_tail_probability(count.astype(np.int32), mean)
+    np.testing.assert_allclose(tail, stats.poisson.sf(count - 1, mean), rtol=1e-9, atol=1e-300)
+
+
+@pytest.mark.parametrize("alpha", [1e-12, 5e-5, 0.001, 0.05, 0.6, 0.999])
+def test_critical_count_is_the_smallest_that_passes(alpha: float) -> None:
+    for mean in MEANS:
+        count, tail = poisson_critical(mean, alpha, 1)
+        assert count >= 1
+        assert tail == noise_tail_probability(np.array([count], np.int32), np.array([mean]))[0]
+        for start in (2, 7, 60, 6000):
+            assert poisson_critical(mean, alpha, start) == (count, tail)
+        assert stats.poisson.sf(count - 1, mean) <= alpha
+        assert count == 1 or stats.poisson.sf(count - 2, mean) > alpha
+
+
+def test_a_table_of_logarithms_changes_no_bit() -> None:
+    logs = log_factorials(40)
+    for mean in MEANS[1:]:
+        for alpha in (1e-12, 0.001, 0.6):
+            for start in (1, 30, 41, 6000):
+                found = critical_by_logs(mean, alpha, start, math.log(mean), logs)
+                assert found == poisson_critical(mean, alpha, 1)
+
+
+@pytest.mark.parametrize("mean", [0.3, 7.5, 40.0])
+def test_an_alpha_that_is_a_tail_itself_is_met_from_either_side(mean: float) -> None:
+    counts = np.arange(1, 90, dtype=np.int32)
+    tails = noise_tail_probability(counts, np.full(len(counts), mean))
+    for count, tail in zip(counts, tails, strict=True):
+        for start in (count, count + 1, count + 5):
+            assert poisson_critical(mean, tail, start) == (counts[tails <= tail][0], tail)
