@@ -121,7 +121,7 @@ def _compiled() -> Callable[..., None]:
     """:func:`_deal` compiled; who sorts nothing does without numba."""
     from spl_batch.numerics.compiled import njit  # noqa: PLC0415 - slow import, only when used
 
-    compiled: Callable[..., None] = njit(nogil=True, cache=True)(_deal)
+    compiled: Callable[..., None] = njit()(_deal)
     return compiled
 
 

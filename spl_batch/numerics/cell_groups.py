@@ -47,7 +47,7 @@ def group_by_cell(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float)
     return Cells(order, start, rows, columns)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _group(
     x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float, grid: tuple[int, int, int],
     start: NDArray[np.int64], order: NDArray[np.int64],
@@ -68,7 +68,7 @@ def _group(
         cursor[cell[i]] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def chosen_places(
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
     chosen: NDArray[np.bool_],

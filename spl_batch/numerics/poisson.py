@@ -24,7 +24,7 @@ SURELY: Final = 1e-9
 """Relative difference beyond which two tails are told apart, far more than they are off."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def log_factorials(size):  # type: ignore[no-untyped-def]
     """Logarithms of the factorials of 0 to ``size`` - 1: a look at them is a tenth of the work."""
     logs = np.empty(size)
@@ -33,7 +33,7 @@ def log_factorials(size):  # type: ignore[no-untyped-def]
     return logs
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _series(count, expected, log_mean, logs):  # type: ignore[no-untyped-def]
     """Upper tail for a count and a mean above 0, and P(K = count), or -1 where it is not needed."""
     first = count if count > expected else count - 1
@@ -57,7 +57,7 @@ def _series(count, expected, log_mean, logs):  # type: ignore[no-untyped-def]
     return max(1.0 - total, 0.0), -1.0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def tail_by_logs(count, expected, log_mean, logs):  # type: ignore[no-untyped-def]
     """What :func:`poisson_tail` gives, by the logarithms of the mean and of factorials."""
     if count <= 0:
@@ -68,7 +68,7 @@ def tail_by_logs(count, expected, log_mean, logs):  # type: ignore[no-untyped-de
     return tail
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def poisson_tail(count, expected):  # type: ignore[no-untyped-def]
     """Probability of at least ``count`` events where ``expected`` are expected.
 
@@ -89,7 +89,7 @@ def poisson_tail(count, expected):  # type: ignore[no-untyped-def]
     return tail_by_logs(count, expected, log_mean, NO_LOGS)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def critical_by_logs(expected, alpha, start, log_mean, logs):  # type: ignore[no-untyped-def]
     """What :func:`poisson_critical` gives, by the logarithms of the mean and of factorials."""
     count = start
@@ -112,7 +112,7 @@ def critical_by_logs(expected, alpha, start, log_mean, logs):  # type: ignore[no
     return count, tail
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def poisson_critical(expected, alpha, start):  # type: ignore[no-untyped-def]
     """Smallest count whose upper tail is at most ``alpha``.
 
@@ -137,7 +137,7 @@ def poisson_critical(expected, alpha, start):  # type: ignore[no-untyped-def]
     return critical_by_logs(expected, alpha, start, log_mean, NO_LOGS)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _tails(count, expected, out):  # type: ignore[no-untyped-def]
     for i in range(len(out)):
         out[i] = poisson_tail(count[i], expected[i])

@@ -67,7 +67,7 @@ class Sets(NamedTuple):
     spread: NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def room_for(sets: int, members: int) -> Sets:
     """Empty :class:`Sets`."""
     return Sets(
@@ -76,7 +76,7 @@ def room_for(sets: int, members: int) -> Sets:
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _added(count, end, shot, sets):  # type: ignore[no-untyped-def]
     """Number of sets with one that ends here, if it is large enough."""
     if end - sets.first[count] < RETURNS_MIN:
@@ -85,7 +85,7 @@ def _added(count, end, shot, sets):  # type: ignore[no-untyped-def]
     return count + 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def seed(shot: int, begin: int, left: Left, rules: Rules, count: int, sets: Sets) -> int:
     """Candidates to start surfaces from: around the corners of the shot, and at one depth.
 
@@ -135,7 +135,7 @@ def seed(shot: int, begin: int, left: Left, rules: Rules, count: int, sets: Sets
     return total
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _farthest(low, high, u, v, su: float, sv: float):  # type: ignore[no-untyped-def]
     """The first of the rows that lie farthest towards a corner of the shot."""
     corner, most = low, su * u[low] + sv * v[low]
@@ -146,7 +146,7 @@ def _farthest(low, high, u, v, su: float, sv: float):  # type: ignore[no-untyped
     return corner
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def grown(
     shots: NDArray[np.int64], left: Left, rules: Rules, count: int, sets: Sets
 ) -> int:  # fmt: skip
@@ -171,7 +171,7 @@ def grown(
     return kept
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def find_surfaces(
     shots: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64],
     w: NDArray[np.float64], candidate: NDArray[np.bool_], rules: Rules,
@@ -237,7 +237,7 @@ def find_surfaces(
             count = seed(pending[k], shots[pending[k]], left, rules, count, sets)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _take_whole(count, sets, spread_max, planes, spreads, found, pending):  # type: ignore[no-untyped-def]
     """Take planes that all candidates of a shot give; how many shots need more."""
     waiting = 0
@@ -252,7 +252,7 @@ def _take_whole(count, sets, spread_max, planes, spreads, found, pending):  # ty
     return waiting
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _keep(one, sets, shot, at, planes, spreads):  # type: ignore[no-untyped-def]
     """Keep the plane of a set as a surface of its shot."""
     spreads[shot, at] = sets.spread[one]
@@ -260,7 +260,7 @@ def _keep(one, sets, shot, at, planes, spreads):  # type: ignore[no-untyped-def]
         planes[shot, at, k] = sets.plane[one, k]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _candidates(shots, u, v, w, candidate):  # type: ignore[no-untyped-def]
     """:class:`Left` before any surface is found."""
     room = len(u) + LANES
@@ -277,7 +277,7 @@ def _candidates(shots, u, v, w, candidate):  # type: ignore[no-untyped-def]
     return left
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _take_best(  # type: ignore[no-untyped-def]
     pending, waiting, shots, left, rules, spread_max, count, sets, planes, spreads, found
 ):
@@ -303,7 +303,7 @@ def _take_best(  # type: ignore[no-untyped-def]
     return going
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _stands_out(best, begin, shot, left, rules):  # type: ignore[no-untyped-def]
     """Whether a surface holds more candidates than they would if they were spread evenly."""
     size = left.size[shot]
@@ -314,7 +314,7 @@ def _stands_out(best, begin, shot, left, rules):  # type: ignore[no-untyped-def]
     return best >= RETURNS_MIN + 2.0 * even
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _leave(plane, spread, begin: int, shot: int, left: Left, rules: Rules) -> None:  # type: ignore[no-untyped-def]
     """Leave the candidates that are not on a plane."""
     end = begin

@@ -65,13 +65,13 @@ class Rules(NamedTuple):
     beamlets: float
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def on_surface(distance: float, spread: float, rules: Rules) -> bool:
     """Whether a return is as near to a surface as its own returns are."""
     return abs(distance) <= max(rules.below_m, 4.0 * spread)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fit_surfaces(
     sets: int, first: NDArray[np.int64], member: NDArray[np.uint64], u: NDArray[np.float64],
     v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules, plane: NDArray[np.float64],
@@ -116,7 +116,7 @@ def fit_surfaces(
             spreads[one] = spread(hard[:count], rules.sigma_m)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def densest(w, low, high, width):  # type: ignore[no-untyped-def]
     """Start of the fullest range window and its count; the nearest of equals.
 
@@ -150,7 +150,7 @@ def densest(w, low, high, width):  # type: ignore[no-untyped-def]
     return start, np.int64(best)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def returns_behind(
     s: int, rows: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
     first: NDArray[np.bool_], rules: Rules,

@@ -26,7 +26,7 @@ PARENTS_MIN = 12
 """Least first returns on that plane [count]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def across_beams(
     shots: NDArray[np.int64],
     direction: NDArray[np.float64],
@@ -65,7 +65,7 @@ def across_beams(
             v[i] = vx * x + vy * y + vz * z
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def observe_lags(
     starts: NDArray[np.int64],
     chosen: NDArray[np.int64],
@@ -117,7 +117,7 @@ def observe_lags(
     return parents
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # type: ignore[no-untyped-def]
     """Sets of first returns of chosen shots that may be of a surface: their number."""
     sets = 0
@@ -138,7 +138,7 @@ def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # t
     return sets
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _observe(w, channel, lag, distance, spread, rules, bin_m, lags):  # type: ignore[no-untyped-def]
     """Count the lags of a shot if its plane is alone in it: first returns on that, else 0."""
     first = lag == 0
@@ -156,7 +156,7 @@ def _observe(w, channel, lag, distance, spread, rules, bin_m, lags):  # type: ig
     return on
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _count(
     i: int, w: NDArray[np.float64], channel: NDArray[np.uint8], first: NDArray[np.bool_],
     distance: NDArray[np.float64], spread: float, rules: Rules, bin_m: float,
@@ -173,7 +173,7 @@ def _count(
             lags[bin_] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def rate_behind(
     starts: NDArray[np.int64], range_m: NDArray[np.float64], least_m: float, reach_m: float,
     dead_m: float, probability: float, scale_m: float, rate: NDArray[np.float32],

@@ -15,7 +15,7 @@ from spl_batch.numerics.planes.robust_plane import plane_of_moments
 from spl_batch.numerics.simd import LANES, UL, ascending, load, number, pack, spread
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _near(
     xyz: NDArray[np.int32], counts: NDArray[np.bool_], starts: NDArray[np.int64],
     shape: tuple[int, int], edge: int, row: int, wide: int, span: int,
@@ -52,7 +52,7 @@ def _near(
     return np.int64(size)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _parent(
     row: int, xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
     starts: NDArray[np.int64], shape: tuple[int, int], edge: int, lag: int, aside: int,
@@ -81,7 +81,7 @@ def _parent(
     return found
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _before(xyz, one, other):  # type: ignore[no-untyped-def]
     """Whether one point is lower than another, or as high and farther west, or south of it."""
     if xyz[U2, one] != xyz[U2, other]:
@@ -91,7 +91,7 @@ def _before(xyz, one, other):  # type: ignore[no-untyped-def]
     return xyz[U1, one] < xyz[U1, other]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _mate(row, xyz, time, channel, begin, stop, top, aside):  # type: ignore[no-untyped-def]
     """The first of a stretch of returns that is of a return's beamlet, and above it; -1 for none.
 
@@ -113,7 +113,7 @@ def _mate(row, xyz, time, channel, begin, stop, top, aside):  # type: ignore[no-
     return -1
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.float64]) -> None:
     """Sums of 1, u, v, w, uu, uv, vv, uw and vw of offsets: whole numbers, in any order."""
     u1 = v1 = w1 = 0.0
@@ -132,7 +132,7 @@ def _moments(offsets: NDArray[np.float64], size: np.int64, sums: NDArray[np.floa
     sums[4], sums[5], sums[6], sums[7], sums[8] = uu, uv, vv, uw, vw
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _on_planes(
     offsets: NDArray[np.float64], size: np.int64, plane: NDArray[np.float64], level: float,
     thick: float,
@@ -148,7 +148,7 @@ def _on_planes(
     return here, there
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
     """Least squares plane w = a + b u + c v of such sums; False where there is none."""
     n = sums[0]
@@ -158,7 +158,7 @@ def _plane_of(sums: NDArray[np.float64], plane: NDArray[np.float64]) -> bool:
     return plane_of_moments(mu, mv, mw, uu, uv, vv, uw, vw, 1e-3, plane)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def behind_plane(
     xyz: NDArray[np.int32], time: NDArray[np.float64], channel: NDArray[np.uint8],
     true: NDArray[np.bool_], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,

@@ -40,13 +40,13 @@ SOFT_CAP = 0.49
 """Most that a parent alone gives: the space domain decides in vegetation."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def share_within(rules: Rules) -> float:
     """Share of the afterpulses of an endless law whose lag is not the longest or longer."""
     return -math.expm1(-(rules.longest_m - rules.dead_m) / rules.scale_m)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def soft_probability(
     i: int, lag: float, within: float, rows: tuple[int, int], w: NDArray[np.float64],
     first: NDArray[np.bool_], rules: Rules,
@@ -67,7 +67,7 @@ def soft_probability(
     return SOFT_CAP * afterpulse / (afterpulse + real)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def plane_probability(
     i: int, behind: NDArray[np.float64], spreads: NDArray[np.float64], rules: Rules
 ) -> float:
@@ -80,7 +80,7 @@ def plane_probability(
     return PLANE_ONLY if flagged else 0.0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def follows_surface(
     i: int, own: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
     depths: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
@@ -109,7 +109,7 @@ def follows_surface(
     return False
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def beamlet_of(i: int, rows: tuple[int, int], channel: NDArray[np.uint8]) -> tuple[int, int]:
     """First row of a return's beamlet, and the row after its last, within the shot's ``rows``."""
     begin = end = i
@@ -120,7 +120,7 @@ def beamlet_of(i: int, rows: tuple[int, int], channel: NDArray[np.uint8]) -> tup
     return begin, end
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def nearest_parent(i: int, own: tuple[int, int], w: NDArray[np.float64], rules: Rules) -> int:
     """The nearest earlier return of the beamlet within ``lag_max_m``; -1 for none."""
     parent = -1
@@ -131,7 +131,7 @@ def nearest_parent(i: int, own: tuple[int, int], w: NDArray[np.float64], rules: 
     return parent
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def neighbours(at, rows, u, v, w, first, reach_m, out, begin):  # type: ignore[no-untyped-def]
     """First returns of the shot around one of it, across the beam and in range.
 
@@ -167,7 +167,7 @@ def neighbours(at, rows, u, v, w, first, reach_m, out, begin):  # type: ignore[n
     return np.int64(end)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def in_hard_place(
     i: int, parent: int, which: int, sets: Sets, u: NDArray[np.float64], v: NDArray[np.float64],
     w: NDArray[np.float64], rules: Rules,
@@ -193,7 +193,7 @@ def in_hard_place(
     return hard >= max(RETURNS_MIN, HARD_SHARE * (high - low)) and beside == 0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def shot_probabilities(
     starts: NDArray[np.int64],
     offset: NDArray[np.float64],
@@ -234,7 +234,7 @@ def shot_probabilities(
         )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _of_shots(shots, offset, direction, range_m, channel, lag, rules, out):  # type: ignore[no-untyped-def]
     """:func:`shot_probabilities` of a few shots."""
     n, number_of = len(range_m), len(shots) - 1
@@ -270,7 +270,7 @@ def _of_shots(shots, offset, direction, range_m, channel, lag, rules, out):  # t
     _look_around(asked, askers, u, v, w, first, rules, out)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _first_returns(shots, channel, lag, rules, first):  # type: ignore[no-untyped-def]
     """Which shots know channels, and how far hard surfaces may spread there; fills ``first``."""
     with_channels, spread_max = np.zeros(len(shots) - 1, np.bool_), np.empty(len(shots) - 1)
@@ -284,7 +284,7 @@ def _first_returns(shots, channel, lag, rules, first):  # type: ignore[no-untype
     return with_channels, spread_max
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _in_full_bins(shots, w, first, rules):  # type: ignore[no-untyped-def]
     """First returns that may be of a surface: (n,) bool, by DCC; none in shots of few returns."""
     keep = np.zeros(len(first), np.bool_)
@@ -297,7 +297,7 @@ def _in_full_bins(shots, w, first, rules):  # type: ignore[no-untyped-def]
     return keep
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _lay_behind(rows, u, v, w, planes, spreads, first, rules, behind, depths):  # type: ignore[no-untyped-def]
     """Fill how far behind each surface of a shot its returns lie, and ``depths``."""
     for s in range(len(behind)):
@@ -309,7 +309,7 @@ def _lay_behind(rows, u, v, w, planes, spreads, first, rules, behind, depths):  
         depths[s] = depth if hard else np.nan
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _judge(rows, behind, spreads, depths, channel, lag, w, first, rules, out, asked, askers):  # type: ignore[no-untyped-def]
     """Probabilities of a shot's returns by its surfaces and lags.
 
@@ -335,7 +335,7 @@ def _judge(rows, behind, spreads, depths, channel, lag, w, first, rules, out, as
     return askers
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _look_around(asked, askers, u, v, w, first, rules, out):  # type: ignore[no-untyped-def]
     """Raise the probability of what lies behind hard places, as :func:`_judge` lists it."""
     room = 4 * len(u)
@@ -356,7 +356,7 @@ def _look_around(asked, askers, u, v, w, first, rules, out):  # type: ignore[no-
     _raise(begin, askers, asked, which, count, sets, u, v, w, rules, out)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _same(last: int, begin: int, sets: Sets) -> int:
     """The set of the shot that begins so which holds what the last one holds: often another."""
     low, size = sets.first[last], sets.first[last + 1] - sets.first[last]
@@ -372,7 +372,7 @@ def _same(last: int, begin: int, sets: Sets) -> int:
     return last
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _raise(begin, end, asked, which, count, sets, u, v, w, rules, out):  # type: ignore[no-untyped-def]
     """Fit the places around parents, and raise the probability of what follows hard ones."""
     weight = np.empty(sets.first[count])

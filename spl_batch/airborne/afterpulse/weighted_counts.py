@@ -76,7 +76,7 @@ def columns(
     return Columns(order, starts, (nx, ny), edge)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
     """Most points in a column and the eight around it."""
     nx, ny = shape
@@ -90,7 +90,7 @@ def most_around(starts: NDArray[np.int64], shape: tuple[int, int]) -> int:
     return most
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def weigh_around(
     xyz: NDArray[np.int32],
     time: NDArray[np.float64],
@@ -164,13 +164,13 @@ def weigh_around(
             out[q, k] = _weighed(flat, square, worth, size, across[k], up[k])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def spare_rows(n: int) -> NDArray[np.int64]:
     """Rows to take of so few points that no vector would hold them: none of enough."""
     return np.minimum(np.arange(LANES), n - 1) if n < LANES else np.arange(0)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _move_up(
     xyz: NDArray[np.int32], starts: NDArray[np.int64], shape: tuple[int, int], edge: int,
     row: int, span: int, before: int, first: NDArray[np.int64],
@@ -198,7 +198,7 @@ def _move_up(
     return own
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _ellipsoid(
     xyz: NDArray[np.int32], time: NDArray[np.float64], counts: NDArray[np.bool_],
     starts: NDArray[np.int64], shape: tuple[int, int], column: int, first: NDArray[np.int64],
@@ -246,7 +246,7 @@ def _ellipsoid(
     return size, fellows
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _weighed(
     flat: NDArray[np.float64], square: NDArray[np.float64], worth: NDArray[np.int32],
     size: np.uint64, across: float, up: float,

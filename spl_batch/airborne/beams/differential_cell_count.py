@@ -19,7 +19,7 @@ SPAN_MAX = 4096
 """Bins that a shot's returns are counted in; those that spread farther are compared [count]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def dcc_threshold(signal: float, noise: float, bins: float) -> float:
     """Least count of a fine bin that is more likely signal than noise.
 
@@ -35,7 +35,7 @@ def dcc_threshold(signal: float, noise: float, bins: float) -> float:
     return (signal + math.log(bins)) / math.log(1.0 + signal / noise)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _sharing(bins: NDArray[np.int64], inside: NDArray[np.bool_], count: NDArray[np.int64]) -> None:
     """How many of the returns inside share the bin of each one: ``count`` (n,), filled."""
     first = bins.min()
@@ -51,7 +51,7 @@ def _sharing(bins: NDArray[np.int64], inside: NDArray[np.bool_], count: NDArray[
         count[i] = total[bins[i] - first]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def dcc_keep(
     range_m: NDArray[np.float64],
     gate_m: float,

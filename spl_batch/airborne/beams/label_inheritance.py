@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def inherit(
     order: NDArray[np.int64],
     same: NDArray[np.bool_],
@@ -70,7 +70,7 @@ def may_share(
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _share(first, second, chosen, shift, seen, out):  # type: ignore[no-untyped-def]
     for i in range(len(first)):
         if chosen[i]:

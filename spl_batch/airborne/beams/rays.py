@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def look(
     starts: NDArray[np.int64],
     sensor: NDArray[np.float64],
@@ -48,7 +48,7 @@ def look(
             range_m[i] = length
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def reach(
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
     step_m: float,
@@ -79,7 +79,7 @@ def reach(
     return low, high
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def in_voxels(
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
     edge: int,
@@ -113,7 +113,7 @@ def in_voxels(
             point[i, axis] = (2 * (at - inside * edge) - edge) * half_step_m
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def meet_planes(
     start: NDArray[np.int64],
     z: NDArray[np.int32],

@@ -37,7 +37,7 @@ def run_starts(*keys: NDArray[np.generic]) -> NDArray[np.int64]:
     return starts
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def lag_behind(
     starts: NDArray[np.int64],
     range_m: NDArray[np.float64],
@@ -72,7 +72,7 @@ def lag_behind(
             lag_m[i] = best
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def offsets(
     starts: NDArray[np.int64],
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
@@ -101,7 +101,7 @@ def offsets(
             offset[i, 2] = (np.int64(z[i]) - np.int64(z[first])) * step_m
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def blind_behind(
     starts: NDArray[np.int64],
     range_m: NDArray[np.float64],
@@ -134,7 +134,7 @@ def blind_behind(
             blind_m[i] = gap
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def interval_rows(
     shot: NDArray[np.int64], length: int, interval: NDArray[np.int64], row: NDArray[np.int64]
 ) -> None:
@@ -161,7 +161,7 @@ def interval_rows(
         row[i] = at
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def share_out(
     shot: NDArray[np.int64],
     time: NDArray[np.float64],

@@ -8,7 +8,7 @@ from spl_batch.numerics.compiled import njit
 _Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def lowest_and_highest(
     xyz: _Axes, kind: NDArray[np.uint8], kinds: tuple[int, int], out: NDArray[np.int64]
 ) -> int:
@@ -47,7 +47,7 @@ def lowest_and_highest(
     return met
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def cells_held(
     xyz: _Axes, kind: NDArray[np.uint8], kinds: tuple[int, int], corner: NDArray[np.int64],
     edge: float, held: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
@@ -74,7 +74,7 @@ def cells_held(
             held[2][np.int64((z[i] - corner[2]) / edge)] = True
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def count_in_cells(
     xyz: _Axes, kind: NDArray[np.uint8], kinds: tuple[int, int], corner: NDArray[np.int64],
     edge: float, place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
@@ -108,7 +108,7 @@ def count_in_cells(
             second[a, b, c] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def in_marked_cells(
     number: NDArray[np.int32], marked: NDArray[np.bool_], out: NDArray[np.bool_]
 ) -> None:

@@ -15,7 +15,7 @@ AMOUNT_BITS = 23
 _MOST = (1 << AMOUNT_BITS) - 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def pack_cubes(
     place: _Place,
     kind: NDArray[np.uint8],
@@ -75,7 +75,7 @@ def pack_cubes(
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def sum_of_largest(packed: NDArray[np.int64]) -> int:
     """Sum of the largest amount of each cube.
 

@@ -79,7 +79,7 @@ def fit_trend(ground: Float, x: Float, y: Float) -> Trend:
     return Trend(fill_gaps(height), left, bottom)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _add_up(ground: Float, base: float, left: int, bottom: int, sums: Float) -> None:
     """Weights and weighted x, y, z, xx, xy, yy, xz, yz about each lattice node."""
     rows, columns, _ = sums.shape
@@ -118,7 +118,7 @@ def _heights(sums: Float) -> Float:
     return np.where(x * x + y * y <= _FAR_M**2, height, np.nan)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def trend_at(trend: Trend, x: Float, y: Float) -> Float:
     """Height of a trend at places.
 

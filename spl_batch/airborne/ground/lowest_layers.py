@@ -58,7 +58,7 @@ class Nodes(NamedTuple):
     buried: NDArray[np.bool_]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def count_squares(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -112,7 +112,7 @@ def lowest_layers(
     return Nodes(xyz[:used], cell[:used], count[:used], doubtful[:used], buried[:used])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _lowest_layers(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -161,7 +161,7 @@ def _lowest_layers(
     return used
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _sort_heights(z: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill with increasing heights; few are put in one after the other."""
     if len(z) > _FEW:
@@ -176,7 +176,7 @@ def _sort_heights(z: NDArray[np.float64], out: NDArray[np.float64]) -> None:
         out[at] = height
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _is_filled(z: NDArray[np.float64], low: float, thickness: float) -> bool:
     """Whether the layer above the lowest height has enough points."""
     held = 0
@@ -185,7 +185,7 @@ def _is_filled(z: NDArray[np.float64], low: float, thickness: float) -> bool:
     return held >= min(SUPPORTED, len(z))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _two_layers(heights: NDArray[np.float64], thickness: float) -> tuple[int, int]:
     """Bottom of the lowest layer, and of a higher one with enough points (or -1)."""
     n = len(heights)
@@ -196,7 +196,7 @@ def _two_layers(heights: NDArray[np.float64], thickness: float) -> tuple[int, in
     return 0, -1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
     """Whether a hard surface stands in a cell above its lowest ``first`` points."""
     end, clear = first, first
@@ -212,7 +212,7 @@ def _below_sheet(heights: NDArray[np.float64], first: int) -> bool:
     return False
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _layer_mean(
     own: NDArray[np.float64], low: float, thickness: float, out: NDArray[np.float64]
 ) -> int:
@@ -236,7 +236,7 @@ def _layer_mean(
     return n
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _first_rows(cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
     """First row of each cell, -1 for those without any; rows are in order of their cells."""
     first = np.full(cells, -1, dtype=np.int64)
@@ -245,7 +245,7 @@ def _first_rows(cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
     return first
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def count_support(
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
@@ -304,14 +304,14 @@ def count_support(
         out[i] = n
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _apart(xyz: NDArray[np.float64], i: int, j: int) -> float:
     """Distance of two nodes, horizontally [m]."""
     east, north = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1]
     return float(np.sqrt(east * east + north * north))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def count_below(
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],

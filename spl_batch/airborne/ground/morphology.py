@@ -68,7 +68,7 @@ def _erode(grid: Grid, square: int, diamond: int, sign: float) -> None:
     np.multiply(frame.reshape(-1, wide)[inner], sign, out=grid)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _by_run(frame: Cells, spare: Cells, reach: int, shift: int) -> tuple[Cells, Cells]:
     """Least of 2 ``reach`` + 1 values ``shift`` apart around each; both arrays are written to."""
     length, size = 2 * reach + 1, len(frame)
@@ -85,14 +85,14 @@ def _by_run(frame: Cells, spare: Cells, reach: int, shift: int) -> tuple[Cells, 
     return spare, frame
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _lesser(one: Cells, other: Cells, out: Cells) -> None:
     """Lesser of two values each."""
     for i in range(len(out)):
         out[i] = min(other[i], one[i])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _by_cross(frame: Cells, wide: int, margin: int, out: Cells) -> None:
     """Least of a cell and its four neighbours, of all that are within the margin."""
     first, last = margin * wide, len(frame) - margin * wide
@@ -109,7 +109,7 @@ def _by_cross(frame: Cells, wide: int, margin: int, out: Cells) -> None:
         out[at + wide - margin] = np.inf
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _fence(frame: Cells, wide: int, margin: int) -> None:
     """Nothing in the margin."""
     frame[: margin * wide] = np.inf

@@ -48,7 +48,7 @@ _LEAVES_M = 2.0
 """Leaves of a crown are seldom this near to the ground below them [m]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def in_pits(
     xyz: NDArray[np.float64],
     cell: NDArray[np.int64],
@@ -91,7 +91,7 @@ def in_pits(
         out[i] = _below(height[:pairs], firm[:pairs], xyz[i, 2], int(doubtful[i]))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _pair_heights(
     xyz: NDArray[np.float64],
     lowest: NDArray[np.int64],
@@ -126,7 +126,7 @@ def _pair_heights(
     return pairs
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _below(height: NDArray[np.float64], firm: NDArray[np.int64], z: float, share: int) -> bool:
     """Whether most heights agree with each other above ``z`` and few with ``z``.
 

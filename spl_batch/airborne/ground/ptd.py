@@ -156,7 +156,7 @@ def _continued(vertices: NDArray[np.float64], places: NDArray[np.float64]) -> ND
     return height
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def facet_fit(
     xyz: NDArray[np.float64],
     facet: NDArray[np.int32],
@@ -199,7 +199,7 @@ def facet_fit(
     return distance, abs(distance) / np.sqrt(nearest)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _mirrored_fit(
     xyz: NDArray[np.float64],
     facets: NDArray[np.int32],
@@ -224,7 +224,7 @@ def _mirrored_fit(
     return facet_fit(xyz, facets[other], planes[other], mx, my, mz)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _best_of_facets(
     xyz: NDArray[np.float64],
     facets: NDArray[np.int32],
@@ -282,7 +282,7 @@ def heights_above(
     return distance, edge
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _heights_above(
     xyz: NDArray[np.float64],
     facets: NDArray[np.int32],

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def add_between(
     density: NDArray[np.float32],
     side: NDArray[np.int8],
@@ -64,13 +64,13 @@ def add_between(
         out[p] += found
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _within(at, size):  # type: ignore[no-untyped-def]
     """Nearest index that exists."""
     return min(max(np.int64(at), 0), size - 1)
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _linear(values, i, e, j, n, z, right, ahead, least):  # type: ignore[no-untyped-def]
     """Value between four squares of a layer, and at least a part of the largest one."""
     a, b, c, d = values[i, j, z], values[e, j, z], values[i, n, z], values[e, n, z]

@@ -19,7 +19,7 @@ GROUPS_MAX = 60
 pieces, so that on a slope each has its own signal."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def densest_window(sorted_z: NDArray[np.float64], width: float) -> tuple[float, int]:
     """Fullest window of a sorted sample; the lowest one of equals.
 
@@ -46,14 +46,14 @@ def densest_window(sorted_z: NDArray[np.float64], width: float) -> tuple[float, 
     return 0.5 * (sorted_z[first] + sorted_z[first + best - 1]), best
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _significant(count: int, n: int, width: float, extent: float) -> bool:
     """Whether ``count`` of ``n`` in one window is beyond chance for a uniform sample."""
     expected = n * width / max(extent, width)
     return count >= expected + 5.0 * math.sqrt(expected) + 5.0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def signal_heights(
     z: NDArray[np.float64],
     order: NDArray[np.int64],
@@ -110,7 +110,7 @@ def signal_heights(
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def observe_interval(
     z: NDArray[np.float64],
     order: NDArray[np.int64],
@@ -163,7 +163,7 @@ def observe_interval(
     summary[3] = np.sqrt(max(summary[3] - (summary[0] - heights[0]) ** 2, 0.0))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def observe_intervals(
     starts: NDArray[np.int64],
     z: NDArray[np.float64],

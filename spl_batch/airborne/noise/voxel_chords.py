@@ -20,7 +20,7 @@ MOST: Final = 65535
 """Beamlets at which the count of a square stops."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def chord_length(
     px: float, py: float, pz: float,
     ux: float, uy: float, uz: float,
@@ -47,7 +47,7 @@ def chord_length(
     return max(0.0, min(middle + half, far) - max(middle - half, near))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def cover(
     voxel: NDArray[np.int64],
     point: NDArray[np.float64],
@@ -85,13 +85,13 @@ def cover(
         _count(squares[voxel[0] + x // 4, voxel[1] + y // 4, voxel[2] + layer], x % 4 * 4 + y % 4)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _count(counts, at):  # type: ignore[no-untyped-def]
     if counts[at] < MOST:
         counts[at] += np.uint16(1)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def cover_whole(
     voxel: NDArray[np.int64],
     point: NDArray[np.float64],
@@ -116,7 +116,7 @@ def cover_whole(
                 _count(squares[index[0], index[1], index[2]], square)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def deposit_beamlet(
     voxel: NDArray[np.int64],
     point: NDArray[np.float64],
@@ -196,7 +196,7 @@ def deposit_beamlet(
                             shots[x, y, z] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def steepness(edge: float, radius: float) -> float:
     """Vertical part of a direction from which :func:`deposit_steep` measures every sphere.
 
@@ -206,7 +206,7 @@ def steepness(edge: float, radius: float) -> float:
     return max(STEEP, 1.000001 * math.sqrt(2.0) * radius / edge)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def deposit_steep(
     rows: NDArray[np.int64],
     voxel: NDArray[np.int64],
@@ -288,7 +288,7 @@ def deposit_steep(
             _count(counts, square[layer])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def deposit_beamlets(
     voxel: NDArray[np.int64],
     point: NDArray[np.float64],

@@ -41,7 +41,7 @@ def sort_into_cells(
     return order, start
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _sort_into_cells(
     cell: NDArray[np.int64],
     z: NDArray[np.int32],
@@ -65,7 +65,7 @@ def _sort_into_cells(
         order[i] = key[i] & np.int64(0xFFFF_FFFF)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _sort_few(key: NDArray[np.int64]) -> None:
     """Sort in place."""
     if len(key) > _FEW:
@@ -80,7 +80,7 @@ def _sort_few(key: NDArray[np.int64]) -> None:
         key[k + 1] = taken
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def number_cells(
     x: NDArray[np.int64],
     y: NDArray[np.int64],
@@ -109,7 +109,7 @@ def number_cells(
         out[i] = row * cols + col
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def flown_over(
     place: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]],
     picked: tuple[NDArray[np.uint8], int],
@@ -157,7 +157,7 @@ def flown_over(
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def add_up_finite(
     cell: NDArray[np.int64],
     value: NDArray[np.float32],
@@ -181,7 +181,7 @@ def add_up_finite(
             count[cell[i]] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _spread2(z: NDArray[np.int32], begin: int, end: int, middle2: np.int64) -> np.int64:
     """Lower median of ``|2 z - middle2|`` over a run sorted by falling height."""
     n = end - begin
@@ -200,7 +200,7 @@ def _spread2(z: NDArray[np.int32], begin: int, end: int, middle2: np.int64) -> n
     return deviation
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def robust_cell_means(
     xyz: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]],
     start: NDArray[np.int64],
@@ -269,7 +269,7 @@ def ring_offsets(reach_cells: float) -> NDArray[np.int64]:
     return table[np.lexsort([table[:, 1], table[:, 0], table[:, 2]])]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fill_voids(
     values: NDArray[np.float64], offsets: NDArray[np.int64], out: NDArray[np.float64]
 ) -> None:
@@ -306,7 +306,7 @@ def fill_voids(
                     out[row, col] = np.fmin(out[row, col], values[r, c])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _gaps_in_rows(values: NDArray[np.float64], most: int, gap: NDArray[np.int64]) -> None:
     """Cells to the nearest filled one in the same row, 0 for a filled one, at most ``most``."""
     rows, cols = values.shape
@@ -321,7 +321,7 @@ def _gaps_in_rows(values: NDArray[np.float64], most: int, gap: NDArray[np.int64]
             gap[row, col] = min(gap[row, col], distance)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _nearest2(gap: NDArray[np.int64], row: int, col: int, reach: int) -> int:
     """Squared distance to the nearest filled cell, larger than any within reach for none."""
     nearest2 = 2 * (reach + 1) * (reach + 1)

@@ -93,7 +93,7 @@ def confirmed_tops(
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _tops(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, noise, tops):  # type: ignore[no-untyped-def]
     """From the highest return of each cell down to the first that is confirmed.
 
@@ -118,7 +118,7 @@ def _tops(xyz, ground, start, grid, neighbours, cap2, ratio2, limit, needed, noi
                 break
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _place_of(xyz, z, low, high):  # type: ignore[no-untyped-def]
     """First return of a cell that is no higher than ``z``."""
     while low < high:
@@ -130,7 +130,7 @@ def _place_of(xyz, z, low, high):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _gap2(xyz, p, row, col, size):  # type: ignore[no-untyped-def]
     """Squared distance from a return to a cell, seen from above [quanta2]."""
     x, y = np.float64(xyz[p, 0]), np.float64(xyz[p, 1])
@@ -139,7 +139,7 @@ def _gap2(xyz, p, row, col, size):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _find_spacing(xyz, start, grid, p, cell, cap2, nearest, spacing):  # type: ignore[no-untyped-def]
     """Squared spacing of a return, if it is not known yet [quanta2].
 
@@ -165,7 +165,7 @@ def _find_spacing(xyz, start, grid, p, cell, cap2, nearest, spacing):  # type: i
     spacing[p] = nearest[last]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _look_through(xyz, p, low, high, nearest):  # type: ignore[no-untyped-def]
     """Put squared distances to a cell's returns among the nearest ones, in order."""
     x, y, z = np.float64(xyz[p, 0]), np.float64(xyz[p, 1]), np.float64(xyz[p, 2])
@@ -187,7 +187,7 @@ def _look_through(xyz, p, low, high, nearest):  # type: ignore[no-untyped-def]
             q += way
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _has_peers(  # type: ignore[no-untyped-def]
     xyz, ground, start, grid, p, cell, limit, wanted, ratio2, cap2, nearest, spacing
 ):
@@ -213,7 +213,7 @@ def _has_peers(  # type: ignore[no-untyped-def]
     return count >= wanted
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _peers_in(  # type: ignore[no-untyped-def]
     xyz, ground, start, grid, p, cell, limit, wanted, ratio2, cap2, nearest, spacing
 ):
@@ -235,7 +235,7 @@ def _peers_in(  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def lift_pits(
     z: NDArray[np.int32],
     start: NDArray[np.int64],

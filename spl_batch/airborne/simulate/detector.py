@@ -42,7 +42,7 @@ class Receiver(NamedTuple):
     afterpulse_max_m: float
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def poisson_count(rng: np.random.Generator, mean: float) -> int:
     """Poisson number: how many unit-rate exponential gaps fit into ``mean`` [W17 Eq. 2.6]."""
     total, count = -math.log(1.0 - rng.random()), 0
@@ -52,13 +52,13 @@ def poisson_count(rng: np.random.Generator, mean: float) -> int:
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def truncated_exponential(rng: np.random.Generator, scale: float, longest: float) -> float:
     """Exponential number that does not pass ``longest``, by inversion."""
     return -scale * math.log(1.0 - rng.random() * -math.expm1(-longest / scale))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def add_event(
     ranges: NDArray[np.float64],
     facts: NDArray[np.int64],
@@ -100,7 +100,7 @@ def add_event(
     return n + 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def record(
     rng: np.random.Generator,
     ranges: NDArray[np.float64],
@@ -155,7 +155,7 @@ def record(
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def add_background(
     rng: np.random.Generator,
     ranges: NDArray[np.float64],

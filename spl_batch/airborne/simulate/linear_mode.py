@@ -21,7 +21,7 @@ WIRE_SHARE = 0.02
 """Share of a pulse that a wire must catch to be recorded."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def linear_returns(
     rng: np.random.Generator,
     scene: SceneArrays,
@@ -79,7 +79,7 @@ def linear_returns(
         kind[p, 1] = int(hard_kind)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def surface_heights(
     scene: SceneArrays,
     x: NDArray[np.float64],

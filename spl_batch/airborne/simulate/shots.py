@@ -124,7 +124,7 @@ class NoiseGrid(NamedTuple):
     voxel_m: float
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def beam_direction(
     turn: NDArray[np.float64],
     angle: float,
@@ -156,7 +156,7 @@ def beam_direction(
         out[k] = (turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z) * scale
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _spread(rng: np.random.Generator, axis: Any, sigma: float, out: NDArray[np.float64]) -> None:
     """Direction of a photon inside a beam that points mostly downwards."""
     x = axis[0] + sigma * rng.standard_normal()
@@ -165,7 +165,7 @@ def _spread(rng: np.random.Generator, axis: Any, sigma: float, out: NDArray[np.f
     out[0], out[1], out[2] = x * scale, y * scale, axis[2] * scale
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def add_signal(
     rng: np.random.Generator,
     scene: SceneArrays,
@@ -224,7 +224,7 @@ def add_signal(
     return n
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _in_gate(ranges: NDArray[np.float64], facts: NDArray[np.int64], n: int, start: float) -> int:
     """Drop events in front of the gate; the number that is left."""
     first = 0
@@ -236,7 +236,7 @@ def _in_gate(ranges: NDArray[np.float64], facts: NDArray[np.int64], n: int, star
     return n - first
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _deposit(
     grid: NoiseGrid, origin: Any, axis: Any, start: float, stop: float, expected: float
 ) -> None:
@@ -254,7 +254,7 @@ def _deposit(
         at += step
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _store(
     out: Points,
     row: int,
@@ -282,7 +282,7 @@ def _store(
         out.parent_row[row + k] = row + source if source >= 0 else -1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fire(
     rng: np.random.Generator,
     scene: SceneArrays,

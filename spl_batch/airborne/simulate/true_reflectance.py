@@ -17,7 +17,7 @@ ABOVE_M = 1e4
 """Height to look from [m]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def top_reflectance(scene: SceneArrays, x: float, y: float) -> float:
     """Reflectance of the highest of ground, water, roofs and crown envelopes.
 
@@ -61,7 +61,7 @@ def top_reflectance(scene: SceneArrays, x: float, y: float) -> float:
     return float(rho)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def mean_reflectance(
     scene: SceneArrays,
     west: float,

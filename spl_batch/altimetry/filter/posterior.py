@@ -77,7 +77,7 @@ def noise_posterior(
     return out[query]
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _at(table, k, position):  # type: ignore[no-untyped-def]
     """Value of a row between its columns, the ends continued."""
     last = table.shape[1] - 1
@@ -90,7 +90,7 @@ def _at(table, k, position):  # type: ignore[no-untyped-def]
     return table[k, i] * (1.0 - share) + table[k, i + 1] * share
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _log_noise(ratio):  # type: ignore[no-untyped-def]
     """-ln(1 + exp(ratio)), for any ratio."""
     if ratio > 0.0:
@@ -98,7 +98,7 @@ def _log_noise(ratio):  # type: ignore[no-untyped-def]
     return -math.log1p(math.exp(ratio))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _posterior(  # type: ignore[no-untyped-def]
     points, boxes, depth, query, cap, area_scale, log_prior, within, beyond, first, step, most, out
 ):

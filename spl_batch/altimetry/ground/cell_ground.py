@@ -27,7 +27,7 @@ _LEAST_SPREAD_M: float = 0.05
 _QUANTA_PER_M: float = 1000.0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def lowest_layers(
     along: NDArray[np.int64],
     height_m: NDArray[np.float64],
@@ -85,7 +85,7 @@ def lowest_layers(
                 out[c, 1] = slope
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _count(along, height_m, first, centre, slope, bin_m, bins):  # type: ignore[no-untyped-def]
     """Number of the lowest bin, and photons by bin of sheared height, an empty one around."""
     least, most = np.int64(1 << 62), np.int64(-(1 << 62))
@@ -99,7 +99,7 @@ def _count(along, height_m, first, centre, slope, bin_m, bins):  # type: ignore[
     return least, counts
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _lowest(counts, least):  # type: ignore[no-untyped-def]
     """Middle bin of the lowest layer of three that holds ``least``, at its fullest."""
     for b in range(1, len(counts) - 1):
@@ -116,7 +116,7 @@ def _lowest(counts, least):  # type: ignore[no-untyped-def]
     return 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fit_ground(
     along: NDArray[np.int64],
     height_m: NDArray[np.float64],
@@ -156,7 +156,7 @@ def fit_ground(
             out[c, 3] = n
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _fit(x, z, level, slope, out):  # type: ignore[no-untyped-def]
     """Bisquare line through points: level at zero, slope, standard error of the level."""
     weight, off = np.empty(len(x)), np.empty(len(x))
@@ -185,7 +185,7 @@ def _fit(x, z, level, slope, out):  # type: ignore[no-untyped-def]
     out[2] = spread / np.sqrt(max(total, 1.0))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _spread(x, z, level, slope, off):  # type: ignore[no-untyped-def]
     """Normalised median of the absolute distances from a line [m]."""
     n = len(x)

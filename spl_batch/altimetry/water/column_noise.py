@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def falling_density(
     count: NDArray[np.float64], area: NDArray[np.float64], out: NDArray[np.float64]
 ) -> None:

@@ -92,7 +92,7 @@ def check_cap(cap: int) -> None:
         raise ValueError(f"cap {cap} quanta: must lie in 1..{CAP_MAX}")
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def box_distance(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance from a point to a node's box, float64 [quanta2]."""
     dx = max(boxes[node, U0] - x, x - boxes[node, U3], 0.0)
@@ -101,7 +101,7 @@ def box_distance(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy + dz * dz
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _scan(points, low, high, x, y, z, row, keys, distance, fresh):  # type: ignore[no-untyped-def]
     """Merge one leaf into the sorted keys, the query's own row left out.
 
@@ -132,20 +132,20 @@ def _scan(points, low, high, x, y, z, row, keys, distance, fresh):  # type: igno
         keys[j] = key
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def leaf_slots(leaf, depth, n):  # type: ignore[no-untyped-def]
     """First slot of a leaf and of the next one, as unsigned numbers."""
     j = leaf - (U1 << depth)
     return (j * n) >> depth, ((j + U1) * n) >> depth
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def leaf_of(slot, depth, n):  # type: ignore[no-untyped-def]
     """Node number of the leaf that holds a slot, all as unsigned numbers."""
     return (U1 << depth) + (((slot + U1) << depth) - U1) // n
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def nearest_keys(points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
     """Nearest neighbours of one slot, from its own leaf upwards, nearer branches first.
 

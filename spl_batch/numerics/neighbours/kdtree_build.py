@@ -68,7 +68,7 @@ def arrange(xyz: NDArray[np.int32], boxes: NDArray[np.int32], depth: int) -> NDA
     return points
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _to_words(xyz: NDArray[np.int32], words: NDArray[np.uint64], lowest: NDArray[np.int64]) -> None:
     """Fill in ``x << 32 | y`` and ``z << 32 | row`` from the smallest on, which ``lowest`` gets."""
     x, y, z = xyz[0]
@@ -80,7 +80,7 @@ def _to_words(xyz: NDArray[np.int32], words: NDArray[np.uint64], lowest: NDArray
         words[1, i] = np.uint64(xyz[i, 2] - lowest[2]) << HALF | np.uint64(i)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _from_words(
     words: NDArray[np.uint64], lowest: NDArray[np.int64], points: NDArray[np.int32]
 ) -> None:
@@ -91,7 +91,7 @@ def _from_words(
         points[3, i] = words[1, i] & LOW
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _number_at(xy, zr, slot, axis):  # type: ignore[no-untyped-def]
     """Coordinate of a slot along an axis, from the smallest."""
     if axis == 0:
@@ -99,7 +99,7 @@ def _number_at(xy, zr, slot, axis):  # type: ignore[no-untyped-def]
     return xy[slot] & LOW if axis == 1 else zr[slot] >> HALF
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _pivot(xy, zr, low, size, rank, axis, sample):  # type: ignore[no-untyped-def]
     """A value to divide slots at, so that the one of a rank is in the smaller part.
 
@@ -123,7 +123,7 @@ def _pivot(xy, zr, low, size, rank, axis, sample):  # type: ignore[no-untyped-de
     return sample[min(max(np.int64(share * taken), 0), taken - 1)]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _divide(xy, zr, spare_xy, spare_zr, low, high, axis, most):  # type: ignore[no-untyped-def]
     """Put what is at most ``most`` along an axis first; where the others begin."""
     held = zr if axis == 2 else xy
@@ -155,7 +155,7 @@ def _divide(xy, zr, spare_xy, spare_zr, low, high, axis, most):  # type: ignore[
     return left
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _sort_in(xy, zr, low, high, axis):  # type: ignore[no-untyped-def]
     """Sort a few slots along an axis."""
     for slot in range(low + U1, high):
@@ -167,7 +167,7 @@ def _sort_in(xy, zr, low, high, axis):  # type: ignore[no-untyped-def]
         xy[at], zr[at] = first, second
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _select(xy, zr, spare_xy, spare_zr, low, high, middle, axis, sample):  # type: ignore[no-untyped-def]
     """Divide slots so that none before ``middle`` is larger along an axis than one after it."""
     while high - low > np.uint64(FEW):
@@ -190,7 +190,7 @@ def _select(xy, zr, spare_xy, spare_zr, low, high, middle, axis, sample):  # typ
     _sort_in(xy, zr, low, high, axis)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _extent(xy, zr, low, high, box):  # type: ignore[no-untyped-def]
     """Smallest x, y, z of some slots, and the largest."""
     none, full = spread(U0), spread(FULL)
@@ -207,7 +207,7 @@ def _extent(xy, zr, low, high, box):  # type: ignore[no-untyped-def]
     box[3], box[4], box[5] = greatest(x1) >> HALF, greatest(y1), greatest(z1) >> HALF
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _divide_all(xy, zr, spare_xy, spare_zr, n, lowest, boxes, depth):  # type: ignore[no-untyped-def]
     """Split every node at its middle slot along its widest axis, depth first."""
     stack, sample = np.empty(64, dtype=np.int64), np.empty(SAMPLE, dtype=np.uint64)

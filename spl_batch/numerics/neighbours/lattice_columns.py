@@ -74,7 +74,7 @@ def columns(
     return Columns(points, start, corner, shape, edge)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _fill(taken, rows, column, start, points):  # type: ignore[no-untyped-def]
     """Counting sort by column, then by height; rows ascend within equal heights."""
     after = start[:-1].copy()
@@ -101,7 +101,7 @@ def _fill(taken, rows, column, start, points):  # type: ignore[no-untyped-def]
             points[3, slot] = rows[i]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
     """First slot of a column's stretch [low, high) whose height is at least ``z``."""
     while low < high:
@@ -113,7 +113,7 @@ def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def stretch_of(place, reach, edge, n):  # type: ignore[no-untyped-def]
     """First column within ``reach`` of a place along one axis, and the one after the last."""
     low = np.int64(math.floor((place - reach) / edge))
@@ -121,7 +121,7 @@ def stretch_of(place, reach, edge, n):  # type: ignore[no-untyped-def]
     return max(low, 0), min(high + 1, n)
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def columns_around(column, span, n):  # type: ignore[no-untyped-def]
     """First column within ``span`` columns of one, and the one after the last."""
     return max(column - span, 0), min(column + span + 1, n)

@@ -54,7 +54,7 @@ FAR: Final = 1e18
 """Farther than anything [quanta]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def edges_of_leaves(boxes, depth):  # type: ignore[no-untyped-def]
     """Boxes of the leaves, each of their six numbers side by side: (6, m) int32, m > leaves."""
     first = U1 << np.uint64(depth)
@@ -65,7 +65,7 @@ def edges_of_leaves(boxes, depth):  # type: ignore[no-untyped-def]
     return edges
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _list_eight(edges, begin, end, box, reach2, listed, numbers, sides):  # type: ignore[no-untyped-def]
     """List those of up to eight leaves within a squared distance of a box; how many are listed."""
     none = spread(0.0)
@@ -86,7 +86,7 @@ def _list_eight(edges, begin, end, box, reach2, listed, numbers, sides):  # type
     return listed + number(taken)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _list_leaves(points, boxes, edges, depth, leaf, reach2, stack, box, numbers, slots, sides):  # type: ignore[no-untyped-def]
     """List the leaves within a squared distance of a leaf's box, those beside it first.
 
@@ -130,7 +130,7 @@ def _list_leaves(points, boxes, edges, depth, leaf, reach2, stack, box, numbers,
     return listed
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _add(points, low, high, slot, x, y, z, limit, near, kept, size):  # type: ignore[no-untyped-def]
     """Add a leaf's points within a squared distance of a slot, itself left out: their number."""
     for first in range(low, high, UL):
@@ -145,7 +145,7 @@ def _add(points, low, high, slot, x, y, z, limit, near, kept, size):  # type: ig
     return size
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _from_list(  # type: ignore[no-untyped-def]
     points, slot, k, limit, x, y, z, slots, sides, listed, reached, near, kept,
 ):  # fmt: skip
@@ -174,7 +174,7 @@ def _from_list(  # type: ignore[no-untyped-def]
     return np.int64(size), largest(near, size)
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _from_tree(  # type: ignore[no-untyped-def]
     points, boxes, depth, leaf, slot, k, limit, x, y, z, stack, near, kept
 ):
@@ -209,7 +209,7 @@ def _from_tree(  # type: ignore[no-untyped-def]
     return np.int64(size), largest(near, size)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def neighbours_of_leaves(  # type: ignore[no-untyped-def]  # noqa: C901
     points, boxes, edges, depth, leaves, asked, k, cap, wanted, others, found, last, few
 ):

@@ -27,7 +27,7 @@ GUESSES: Final = 6
 """Guesses by interpolation, before bisection, at the distance of the last neighbour [count]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def count_to(distance, size, limit):  # type: ignore[no-untyped-def]
     """How many of the first distances are at most ``limit``."""
     count, end = U0, np.uint64(size)
@@ -36,7 +36,7 @@ def count_to(distance, size, limit):  # type: ignore[no-untyped-def]
     return np.int64(count)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def largest(distance, size):  # type: ignore[no-untyped-def]
     """Largest of the first distances, none of which is negative; 0 of none."""
     most, none, end = spread(0.0), spread(0.0), np.uint64(size)
@@ -45,7 +45,7 @@ def largest(distance, size):  # type: ignore[no-untyped-def]
     return greatest(most)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def within_which(distance, size, wanted, spare, most):  # type: ignore[no-untyped-def]
     """Whole number not above ``most``, to which ``wanted`` to that + ``spare`` are; how many.
 
@@ -71,7 +71,7 @@ def within_which(distance, size, wanted, spare, most):  # type: ignore[no-untype
     return high, enough
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def keep_nearest(points, near, kept, size, k, most):  # type: ignore[no-untyped-def]
     """Keep the k nearest, of those as far as the last the ones with the smallest rows.
 
@@ -98,7 +98,7 @@ def keep_nearest(points, near, kept, size, k, most):  # type: ignore[no-untyped-
     return found
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def distance_to(near, size, wanted):  # type: ignore[no-untyped-def]
     """Squared distance to neighbour number ``wanted`` of ``size`` >= wanted."""
     limit, _ = within_which(near, size, wanted, 0, largest(near, size))

@@ -20,7 +20,7 @@ LIKELY: Final = 0.5
 """Part of the way from one of them that is added to its distance: nearly always that is enough."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _bound_above(points, depth, leaf, slot, k, cap, distance):  # type: ignore[no-untyped-def]
     """Squared distance, at most the cap's, within which a slot has k others if it has them.
 
@@ -51,7 +51,7 @@ def _bound_above(points, depth, leaf, slot, k, cap, distance):  # type: ignore[n
     return min(limit, enough)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _bounds_beside(beside, x, y, z):  # type: ignore[no-untyped-def]
     """Distances within which a place likely, and surely, has as many as those beside it.
 
@@ -68,7 +68,7 @@ def _bounds_beside(beside, x, y, z):  # type: ignore[no-untyped-def]
     return least(likely), least(sure)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def first_limits(points, depth, leaf, slot, k, cap, beside, distance):  # type: ignore[no-untyped-def]
     """Squared distances within which a slot likely, and surely, has k others if the cap's has them.
 

@@ -11,13 +11,13 @@ import math
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def cross(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
     """Cross product of two vectors."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def restricted(axx, axy, axz, ayy, ayz, azz, ux, uy, uz, vx, vy, vz, value):  # type: ignore[no-untyped-def]
     """A matrix less ``value`` within the plane of two unit vectors: its three elements."""
     aux = axx * ux + axy * uy + axz * uz
@@ -32,7 +32,7 @@ def restricted(axx, axy, axz, ayy, ayz, azz, ux, uy, uz, vx, vy, vz, value):  # 
     return m00, m01, m11
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _complement(wx, wy, wz):  # type: ignore[no-untyped-def]
     """Two unit vectors that complete the unit vector w to a basis."""
     if abs(wx) > abs(wy):
@@ -45,7 +45,7 @@ def _complement(wx, wy, wz):  # type: ignore[no-untyped-def]
     return ux, uy, uz, vx, vy, vz
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-def]
     """Eigenvector of an isolated eigenvalue: the longest cross product of two rows of A - value."""
     xx, yy, zz = axx - value, ayy - value, azz - value
@@ -65,7 +65,7 @@ def _isolated(axx, axy, axz, ayy, ayz, azz, value):  # type: ignore[no-untyped-d
     return ax * scale, ay * scale, az * scale
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, value):  # type: ignore[no-untyped-def]
     """Eigenvector of ``value`` within the plane at right angles to w."""
     ux, uy, uz, vx, vy, vz = _complement(wx, wy, wz)
@@ -83,7 +83,7 @@ def _within_plane(axx, axy, axz, ayy, ayz, azz, wx, wy, wz, value):  # type: ign
     return p * ux + q * vx, p * uy + q * vy, p * uz + q * vz
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def eigen_symmetric(matrix, values, vectors):  # type: ignore[no-untyped-def]
     """Eigenvalues, descending, and eigenvectors of a symmetric matrix.
 

@@ -18,7 +18,7 @@ FLATTEST = 1e-4
 of the wide one tells no slope."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def plane_of_moments(
     mu: float, mv: float, mw: float, uu: float, uv: float, vv: float, uw: float, vw: float,
     flattest: float, plane: NDArray[np.float64],
@@ -51,7 +51,7 @@ def plane_of_moments(
     return True
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def residual(
     plane: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64],
     w: NDArray[np.float64],
@@ -63,7 +63,7 @@ def residual(
     return distance
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def select(values: NDArray[np.float64], k: int) -> float:
     """Value that a sort would put at place ``k``; what is not larger ends up before it.
 
@@ -98,7 +98,7 @@ def select(values: NDArray[np.float64], k: int) -> float:
     return float(values[k])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _median(values: NDArray[np.float64]) -> float:
     """Median of at least one value, whose order is changed."""
     half = len(values) // 2
@@ -111,7 +111,7 @@ def _median(values: NDArray[np.float64]) -> float:
     return float(0.5 * (upper + lower))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def spread(distance: NDArray[np.float64], least: float) -> float:
     """Robust spread of residuals: the median of their sizes, as that of a Gaussian.
 
@@ -132,7 +132,7 @@ def spread(distance: NDArray[np.float64], least: float) -> float:
     return max(_median(distance) / GAUSSIAN, least)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def percentile_68_below(
     plane: NDArray[np.float64], distance: NDArray[np.float64], limit: float
 ) -> bool:

@@ -65,13 +65,13 @@ _of_8, _of_16, _of_24, _of_32, _of_48, _of_64 = (
 )
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def network_for(size: int) -> int:
     """Values of the shortest network that takes ``size``; a multiple of 16 where there is none."""
     return (max(size, 1) + 7) // 8 * 8 if size <= 32 else (size + 15) // 16 * 16
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def two_in_the_middle(values, size):  # type: ignore[no-untyped-def]
     """The two of as many values as :func:`network_for` tells that stand in the middle, by lane."""
     if size <= 16:
@@ -91,7 +91,7 @@ def two_in_the_middle(values, size):  # type: ignore[no-untyped-def]
     return load(lower, U0), load(upper, U0)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fit_planes(
     sets: int,
     first: NDArray[np.int64],
@@ -148,7 +148,7 @@ def fit_planes(
             )
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _fill(waiting, order, first, member, u, v, w, own, rounds, fresh, size, x, y, z):  # type: ignore[no-untyped-def]
     """Give lanes that hold none the next sets: how many have had their turn, and lanes held."""
     held = 0
@@ -169,7 +169,7 @@ def _fill(waiting, order, first, member, u, v, w, own, rounds, fresh, size, x, y
     return waiting, held
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _finish(first, own, rounds, fresh, size, weights, now, news, failed, plane, weight, there):  # type: ignore[no-untyped-def]
     """Take over the new coefficients, and give out what is finished: whether there is any."""
     any_done = False
@@ -196,7 +196,7 @@ def _finish(first, own, rounds, fresh, size, weights, now, news, failed, plane, 
     return any_done
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _by_length(sets: int, longest: int, first: NDArray[np.int64]) -> NDArray[np.int64]:
     """Sets from the longest to the shortest one: those of about one length come together."""
     place = np.zeros(longest + 2, np.int64)
@@ -212,7 +212,7 @@ def _by_length(sets: int, longest: int, first: NDArray[np.int64]) -> NDArray[np.
     return order
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _lengths(size: NDArray[np.int64], sizes: NDArray[np.uint64]) -> tuple[int, int, int]:
     """Least and largest number of returns of the lanes, and that of the network.
 
@@ -230,7 +230,7 @@ def _lengths(size: NDArray[np.int64], sizes: NDArray[np.uint64]) -> tuple[int, i
     return fewest, most, network
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _weigh(steps, x, y, z, now, sizes, fresh, scale_min, distance, sorting, weights):  # type: ignore[no-untyped-def]
     """Weights of the returns by their residuals; one in lanes that are fresh, 0 beyond sizes."""
     a, b, c = load(now, U0), load(now, UL), load(now, UL + UL)
@@ -264,7 +264,7 @@ def _weigh(steps, x, y, z, now, sizes, fresh, scale_min, distance, sorting, weig
         store(weights, at, where(ratio < unit, rest * rest, none))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _solve(steps, x, y, z, weights, now, news, failed):  # type: ignore[no-untyped-def]
     """Planes of least squares: new coefficients, the largest change, and where there are none."""
     none, end = spread(0.0), np.uint64(steps[1]) * UL

@@ -96,7 +96,7 @@ def along_curve(mesh: Mesh, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
     return chosen[np.argsort(key, kind="stable")]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _spread_bits(value: np.int64) -> np.uint64:
     """Bits of a number below 2**32 at the even places."""
     v = np.uint64(value)
@@ -107,7 +107,7 @@ def _spread_bits(value: np.int64) -> np.uint64:
     return (v | (v << np.uint64(1))) & np.uint64(0x5555555555555555)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _morton(
     x: NDArray[np.int64],
     y: NDArray[np.int64],
@@ -193,13 +193,13 @@ def _first_triangle(mesh: Mesh, chosen: NDArray[np.intp]) -> bool:
     return True
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _side(x: NDArray[np.int64], y: NDArray[np.int64], a: int, b: int, p: int) -> int:
     """Twice the signed area of a, b, p, exactly: positive where p is to the left of a -> b."""
     return int((x[b] - x[a]) * (y[p] - y[a]) - (y[b] - y[a]) * (x[p] - x[a]))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _in_circle(xy: NDArray[np.float64], a: int, b: int, c: int, p: int) -> bool:
     """Whether p surely lies in the circle through a, b, c, which are counter-clockwise."""
     ax, ay = xy[a, 0] - xy[p, 0], xy[a, 1] - xy[p, 1]
@@ -211,7 +211,7 @@ def _in_circle(xy: NDArray[np.float64], a: int, b: int, c: int, p: int) -> bool:
     return bool(a2 * (bc - cb) + b2 * (ca - ac) + c2 * (ab - ba) > _SURE * size)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _locate(
     x: NDArray[np.int64], y: NDArray[np.int64], corner: NDArray[np.int32],
     across: NDArray[np.int32], used: int, start: int, p: int,
@@ -250,7 +250,7 @@ def _locate(
     return _search(x, y, corner, used, p)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _search(
     x: NDArray[np.int64], y: NDArray[np.int64], corner: NDArray[np.int32], used: int, p: int
 ) -> tuple[int, int]:
@@ -271,7 +271,7 @@ def _search(
     return 0, -2
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _slot(across: NDArray[np.int32], t: int, of: int) -> int:
     """Corner of a triangle across from which another one lies."""
     if across[t, 0] == of:
@@ -279,7 +279,7 @@ def _slot(across: NDArray[np.int32], t: int, of: int) -> int:
     return 1 if across[t, 1] == of else 2
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _slot_of_edge(corner: NDArray[np.int32], t: int, end: int) -> int:
     """Corner of a triangle across from the edge that ends at a vertex."""
     if corner[t, 0] == end:
@@ -287,7 +287,7 @@ def _slot_of_edge(corner: NDArray[np.int32], t: int, end: int) -> int:
     return 2 if corner[t, 1] == end else 0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _insert(
     xy: NDArray[np.float64], x: NDArray[np.int64], y: NDArray[np.int64],
     corner: NDArray[np.int32], across: NDArray[np.int32], state: NDArray[np.int64],
@@ -324,7 +324,7 @@ def _insert(
     state[0], state[1] = used, last
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _fan(
     corner: NDArray[np.int32], across: NDArray[np.int32], p: int, rim: NDArray[np.int32],
     outer: NDArray[np.int32], made: NDArray[np.int32],
@@ -341,7 +341,7 @@ def _fan(
         across[made[k], 2] = outer[k]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _wrong(
     xy: NDArray[np.float64], x: NDArray[np.int64], y: NDArray[np.int64],
     u: int, v: int, p: int, w: int,
@@ -356,7 +356,7 @@ def _wrong(
     return _in_circle(xy, w, v, u, p) and _side(x, y, u, w, p) > 0 and _side(x, y, w, v, p) > 0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _turn_edges(
     xy: NDArray[np.float64], x: NDArray[np.int64], y: NDArray[np.int64],
     corner: NDArray[np.int32], across: NDArray[np.int32], stack: NDArray[np.int32], count: int,

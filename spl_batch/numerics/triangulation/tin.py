@@ -67,7 +67,7 @@ def tin_of(
     return Tin(xyz, facets, neighbours, planes)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def facet_planes(
     xyz: NDArray[np.float64], facets: NDArray[np.int32], out: NDArray[np.float64]
 ) -> None:
@@ -97,13 +97,13 @@ def facet_planes(
         out[t, 2] = xyz[i, 2]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _side(ax: float, ay: float, bx: float, by: float, px: float, py: float) -> float:
     """Twice the signed area of a, b, p: positive where p is to the left of a -> b."""
     return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _crossing(
     xyz: NDArray[np.float64], facet: NDArray[np.int32], px: float, py: float, first: int
 ) -> int:
@@ -128,7 +128,7 @@ def _crossing(
     return -1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def locate_one(
     xyz: NDArray[np.float64],
     facets: NDArray[np.int32],
@@ -170,7 +170,7 @@ def locate_one(
     return OUTSIDE, start
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def locate(
     xyz: NDArray[np.float64],
     facets: NDArray[np.int32],

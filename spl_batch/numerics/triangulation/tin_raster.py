@@ -18,7 +18,7 @@ RIM = 1.5
 """So far from the centre of a cell outside the triangles a vertex lends its height [cells]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def paint_triangles(
     vertices: NDArray[np.float64],
     simplices: NDArray[np.int32],

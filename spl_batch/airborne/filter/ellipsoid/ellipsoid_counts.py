@@ -161,7 +161,7 @@ def count_inside(
     return count, expected, tail
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _flags(near, member, found, quadrics):  # type: ignore[no-untyped-def]
     """Flags of a member's neighbours as a row of ``near``, and of what lies behind them."""
     q0, q1, q2 = quadrics[U0, member], quadrics[U1, member], quadrics[U2, member]
@@ -174,7 +174,7 @@ def _flags(near, member, found, quadrics):  # type: ignore[no-untyped-def]
         store(near, (member, U3, i), square + spread(2.0) * mixed)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _spacings(near, member, found, others, at, space):  # type: ignore[no-untyped-def]
     """Spacings of the neighbours behind their flags; whether any inside is unknown."""
     for i in range(found):
@@ -186,7 +186,7 @@ def _spacings(near, member, found, others, at, space):  # type: ignore[no-untype
     return unknown > U0
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _learn(points, boxes, depth, near, member, found, others, at, space, rule, scratch):  # type: ignore[no-untyped-def]
     """Find out the spacings of the neighbours inside."""
     for i in range(found):
@@ -197,7 +197,7 @@ def _learn(points, boxes, depth, near, member, found, others, at, space, rule, s
             near[member, U4, i] = space[other]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _among(near, member, found, least, ratio2, outer):  # type: ignore[no-untyped-def]
     """Peers inside among the neighbours that shaped the ellipsoid."""
     end, count, none = np.uint64(found), U0, spread(0.0)
@@ -212,7 +212,7 @@ def _among(near, member, found, least, ratio2, outer):  # type: ignore[no-untype
     return np.int64(count)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _score(inside, mean, outermost, tie, stop, least, log_mean, logs):  # type: ignore[no-untyped-def]
     """Tail of a count; with ``tie`` between it and the next by the outermost point inside.
 
@@ -225,7 +225,7 @@ def _score(inside, mean, outermost, tie, stop, least, log_mean, logs):  # type: 
     return more + outermost ** (1.5 * inside) * (tail - more)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _neighbours(  # type: ignore[no-untyped-def]
     points, boxes, edges, depth, leaves, asked, shape, space, rule, others, found, last
 ):
@@ -250,7 +250,7 @@ def _neighbours(  # type: ignore[no-untyped-def]
             space[slot] = min(few[slot - low], wide) if few[slot - low] >= 0.0 else wide
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _count_all(  # type: ignore[no-untyped-def]
     points, boxes, depth, query, density, volume, shape, alpha, at_most, space, rule, ratio2, tie,
     count, expected, tail,
@@ -299,7 +299,7 @@ def _count_all(  # type: ignore[no-untyped-def]
                     count[row], expected[row] = counted[at], mean[at]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _count_some(  # type: ignore[no-untyped-def]  # noqa: C901
     points, boxes, depth, slots, asked, density, shape, alpha, space, rule, ratio2, tie, others,
     found, last, count, expected, tail,

@@ -61,7 +61,7 @@ def passes_ratio(
     return keep
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _ratios(points, boxes, depth, query, shape, ratio, rule, keep):  # type: ignore[no-untyped-def]
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)

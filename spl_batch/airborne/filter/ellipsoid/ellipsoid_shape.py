@@ -51,7 +51,7 @@ class Shape(NamedTuple):
     power: float
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def covariance(near, member, found, moments, column):  # type: ignore[no-untyped-def]
     """Covariance of neighbours; the sums are whole numbers, so their order is free.
 
@@ -81,7 +81,7 @@ def covariance(near, member, found, moments, column):  # type: ignore[no-untyped
     moments[5, column] = (n * szz - sz * sz) * scale
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _axes(values, shape, axes, member):  # type: ignore[no-untyped-def]
     """Semi-axes (3, m) of a member from eigenvalues [W18 Eq. 3]; returns the volume.
 
@@ -104,7 +104,7 @@ def _axes(values, shape, axes, member):  # type: ignore[no-untyped-def]
     return volume
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _quadrics(vectors, axes, quadrics):  # type: ignore[no-untyped-def]
     """Upper triangles (6, 8) of the matrices Q with flag = d' Q d [W18 Eq. 4-5]."""
     q0 = q1 = q2 = q3 = q4 = q5 = spread(0.0)
@@ -122,7 +122,7 @@ def _quadrics(vectors, axes, quadrics):  # type: ignore[no-untyped-def]
     store(quadrics, (U5, U0), q5)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
     """[W18 Eq. 5]: below 1 inside."""
     return (
@@ -133,7 +133,7 @@ def flag(q, dx, dy, dz):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
     """Half-extents of the ellipsoid's bounding box, rounded up."""
     for axis in range(3):
@@ -174,7 +174,7 @@ class Bodies(NamedTuple):
     rows: NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def no_bodies():  # type: ignore[no-untyped-def]
     """Room for :class:`Bodies`."""
     return Bodies(
@@ -184,7 +184,7 @@ def no_bodies():  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fit(bodies, shape):  # type: ignore[no-untyped-def]
     """Ellipsoids of eight points by how many neighbours they have, and by their covariance."""
     found, moments, quadrics, values, axes, vectors, volume, matrix, value, rows = bodies
@@ -201,7 +201,7 @@ def fit(bodies, shape):  # type: ignore[no-untyped-def]
     _quadrics(vectors, axes, quadrics)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def lone_body(bodies, member, quadric, vectors, axes):  # type: ignore[no-untyped-def]
     """One of them as arrays of its own: (6,), (3, 3) by rows, (3,)."""
     for i in range(3):
@@ -212,7 +212,7 @@ def lone_body(bodies, member, quadric, vectors, axes):  # type: ignore[no-untype
         quadric[i] = bodies.quadrics[i, member]
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def offsets(points, slot, others, at, found, near, member):  # type: ignore[no-untyped-def]
     """Fill in the offsets of a slot's neighbours, row ``at`` of ``others`` [quanta]."""
     for axis in range(U3):

@@ -8,7 +8,7 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.kdtree import U0, U1, U2, U3, U4, U5, leaf_of, leaf_slots
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _misses(boxes, node, x, y, z, vectors, axes, half):  # type: ignore[no-untyped-def]
     """Whether a node's box lies beyond the ellipsoid's box, or its slab along an own axis."""
     cx = 0.5 * (np.float64(boxes[node, U0]) + np.float64(boxes[node, U3])) - x
@@ -27,7 +27,7 @@ def _misses(boxes, node, x, y, z, vectors, axes, half):  # type: ignore[no-untyp
     return False
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def walk(  # type: ignore[no-untyped-def]  # noqa: C901
     points, boxes, depth, leaf, slot, quadric, vectors, axes, half, stop, stack,
     space, rule, ratio2, scratch, outer,
@@ -76,7 +76,7 @@ def walk(  # type: ignore[no-untyped-def]  # noqa: C901
         climb >>= U1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def measure(points, boxes, depth, slot, space, rule, scratch):  # type: ignore[no-untyped-def]
     """Find out a slot's spacing."""
     keys, distance, fresh, stack, bound = scratch

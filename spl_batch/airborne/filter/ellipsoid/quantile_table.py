@@ -26,7 +26,7 @@ def place_of(values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _places(values, grid, out):  # type: ignore[no-untyped-def]
     last, at = len(grid) - 1, 0
     for i in range(len(values)):
@@ -63,7 +63,7 @@ def between(
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _between(row, column, table, out):  # type: ignore[no-untyped-def]
     rows, columns = table.shape
     for p in range(len(row)):
@@ -90,12 +90,12 @@ def value_of(
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _mixed(quantile, row, part, column):  # type: ignore[no-untyped-def]
     return quantile[row, column] * (1.0 - part) + quantile[row + 1, column] * part
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _values(at, level, quantile, levels, slope, out):  # type: ignore[no-untyped-def]
     rows, last = quantile.shape[0], quantile.shape[1] - 1
     rising = -levels
@@ -143,7 +143,7 @@ def level_of(
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _levels(at, value, quantile, level, slope, out):  # type: ignore[no-untyped-def]
     rows, last = quantile.shape[0], quantile.shape[1] - 1
     for i in range(len(at)):

@@ -52,7 +52,7 @@ class Spacing(NamedTuple):
     cap: int
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def spacing_at(points, boxes, depth, leaf, slot, rule, keys, distance, fresh, stack, bound):  # type: ignore[no-untyped-def]
     """Squared spacing of one slot; arguments as for :func:`nearest_keys` [quanta2]."""
     found = nearest_keys(
@@ -63,7 +63,7 @@ def spacing_at(points, boxes, depth, leaf, slot, rule, keys, distance, fresh, st
     return np.float64(rule.cap) * np.float64(rule.cap)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def spacing_scratch(rule):  # type: ignore[no-untyped-def]
     """Arrays for :func:`spacing_at`: ``keys, distance, fresh, stack, bound``."""
     return (
@@ -144,7 +144,7 @@ def peer_distances(
     return distance
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def peers_within(points, boxes, depth, wide, x, y, z, own, limit, wanted, stack):  # type: ignore[no-untyped-def]
     """Peers within a distance of a place, nearer branch first; stops at ``wanted``.
 
@@ -196,7 +196,7 @@ def peers_within(points, boxes, depth, wide, x, y, z, own, limit, wanted, stack)
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _enough_all(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
     stack = np.empty(64, dtype=np.uint64)
     depth = np.uint64(depth)
@@ -207,7 +207,7 @@ def _enough_all(points, boxes, depth, wide, places, own, limit, wanted, out):  #
         )
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _distances(points, boxes, depth, wide, places, own, limit, wanted, out):  # type: ignore[no-untyped-def]
     """Squared distance to the n-th peer: branches beyond the n-th so far are left out."""
     depth = np.uint64(depth)

@@ -7,7 +7,7 @@ from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def keep_by_shot(
     starts: NDArray[np.int64],
     range_m: NDArray[np.float64],

@@ -73,7 +73,7 @@ def cylinder_counts(
     return count
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _farthest(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance from a point to the farthest corner of a node's box."""
     dx = max(x - boxes[node, U0], boxes[node, U3] - x)
@@ -82,7 +82,7 @@ def _farthest(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy + dz * dz
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def within(points, boxes, depth, x, y, z, limit, stack, levels):  # type: ignore[no-untyped-def]
     """Points nearer to a place than the root of ``limit``; whole nodes are counted at once.
 
@@ -122,7 +122,7 @@ def within(points, boxes, depth, x, y, z, limit, stack, levels):  # type: ignore
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _spheres(points, boxes, depth, query, radius, count):  # type: ignore[no-untyped-def]
     limit, depth = radius * radius, np.uint64(depth)
     stack, levels = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
@@ -135,7 +135,7 @@ def _spheres(points, boxes, depth, query, radius, count):  # type: ignore[no-unt
             count[row] = within(points, boxes, depth, x, y, z, limit, stack, levels) - 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _outside(boxes, node, x, y, z, limit, half):  # type: ignore[no-untyped-def]
     """Whether a node's box has no point in the cylinder."""
     dx = max(boxes[node, U0] - x, x - boxes[node, U3], 0.0)
@@ -144,7 +144,7 @@ def _outside(boxes, node, x, y, z, limit, half):  # type: ignore[no-untyped-def]
     return dz >= half or dx * dx + dy * dy >= limit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _in_cylinder(points, boxes, depth, leaf, slot, limit, half, stop, stack):  # type: ignore[no-untyped-def]
     """Points in the cylinder around a slot, from its leaf upwards, up to ``stop``."""
     n = np.uint64(points.shape[1])
@@ -179,7 +179,7 @@ def _in_cylinder(points, boxes, depth, leaf, slot, limit, half, stop, stack):  #
         climb >>= U1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _cylinders(points, boxes, depth, query, radius, half, stop, count):  # type: ignore[no-untyped-def]
     """Every query point in tree order, so that the cache stays warm."""
     n, depth = np.uint64(points.shape[1]), np.uint64(depth)

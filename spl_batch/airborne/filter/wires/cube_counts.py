@@ -45,7 +45,7 @@ def cube_counts(
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _number_cells(
     xyz: NDArray[np.int32], axis: int, base: float, edge: float, cell: NDArray[np.int32]
 ) -> int:
@@ -70,7 +70,7 @@ def _number_cells(
     return last
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _add(
     held: NDArray[np.int32], cell: NDArray[np.int32], row: np.int64, up: np.uint64, one: np.int32
 ) -> None:
@@ -83,7 +83,7 @@ def _add(
         at += up
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _count(
     cell: NDArray[np.int32], slabs: int, across: int, up: int, out: NDArray[np.int32]
 ) -> None:

@@ -48,7 +48,7 @@ WORDS: Final = 5
 UW = np.uint64(WORDS)
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def half_turn(x, y):  # type: ignore[no-untyped-def]
     """Azimuth of a direction without sense, in [0, pi], to 0.0016 rad.
 
@@ -65,7 +65,7 @@ def half_turn(x, y):  # type: ignore[no-untyped-def]
     return angle
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def grid(reach, radius, slope_max):  # type: ignore[no-untyped-def]
     """Edge of a cell of direction [rad], cells of azimuth, and of slope without the rim."""
     step = CELL * radius / reach
@@ -75,14 +75,14 @@ def grid(reach, radius, slope_max):  # type: ignore[no-untyped-def]
     return step, turns, np.int64(2.0 * slope_max / step) + 1
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def window(flat, reach):  # type: ignore[no-untyped-def]
     """Half-width of a neighbour's window [cells], by its squared distance."""
     share = flat / (reach * reach)
     return 1 if share >= 0.25 else (3 if share >= 0.0625 else 7)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
     """Volume of all windows along one direction [quanta3]."""
     volume = 0.0
@@ -95,7 +95,7 @@ def tube_volume(reach, least, step):  # type: ignore[no-untyped-def]
     return volume
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _first_with(cells, size, most):  # type: ignore[no-untyped-def]
     """First cell with a count, of those that have it; stretches without are passed in vectors."""
     for begin in range(U0, size, STRETCH):
@@ -110,7 +110,7 @@ def _first_with(cells, size, most):  # type: ignore[no-untyped-def]
     return size
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
     """Centre of the first cell with the largest count and of its equals beside it [cells]."""
     first = np.int64(_first_with(cells, np.uint64(turns * lanes), np.uint16(most)))
@@ -125,7 +125,7 @@ def _middle(cells, most, turns, rows, lanes):  # type: ignore[no-untyped-def]
     return total_a / equal + 0.5, total_b / equal + 0.5
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _masks():  # type: ignore[no-untyped-def]
     """Ones in the lanes of a window, by its size and first lane, over as many words."""
     masks = np.zeros((3, 4, WORDS), np.uint64)
@@ -136,7 +136,7 @@ def _masks():  # type: ignore[no-untyped-def]
     return masks
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _directions(dx, dy, flat, rise, near, reach, step, slope_max, turns, levels, turn, level, size):  # type: ignore[no-untyped-def]
     """Cells of azimuth and slope, and size of the window, of every neighbour."""
     scale = 1.0 / step
@@ -149,7 +149,7 @@ def _directions(dx, dy, flat, rise, near, reach, step, slope_max, turns, levels,
         size[k] = np.int32(flat[k] < outer) + np.int32(flat[k] < inner)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _vote(words, masks, turn, level, size, near, turns, levels, stride):  # type: ignore[no-untyped-def]
     """Add every neighbour to the directions that pass it: four cells to a word."""
     for k in range(near):
@@ -180,7 +180,7 @@ def _vote(words, masks, turn, level, size, near, turns, levels, stride):  # type
                     words[at + j] += masks[wide, lane, j]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _largest_count(cells, size):  # type: ignore[no-untyped-def]
     """Largest of the first cells."""
     most = np.uint16(0)
@@ -189,7 +189,7 @@ def _largest_count(cells, size):  # type: ignore[no-untyped-def]
     return np.int64(most)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
     """Most points in the columns around one [count]."""
     most = 0
@@ -204,7 +204,7 @@ def _fullest_window(start, nx, ny, span):  # type: ignore[no-untyped-def]
     return most
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _cone(  # type: ignore[no-untyped-def]
     points, low, high, x, y, z, bend, steep, outer, inner, near, dx, dy, flat, rise
 ):
@@ -226,7 +226,7 @@ def _cone(  # type: ignore[no-untyped-def]
     return near
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fullest(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0912, PLR0915
     points, start, nx, ny, edge, corner, seed, length, density, largest,
     radius, least, slope_max, bend, count, azimuth, slope, expected,

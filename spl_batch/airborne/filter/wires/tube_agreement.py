@@ -19,14 +19,14 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.neighbours.lattice_columns import first_above, stretch_of
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _offset(dx, dy, dz, along_x, along_y, slope, bend):  # type: ignore[no-untyped-def]
     """Offset along, across and upwards of a hanging line through the origin."""
     x = dx * along_x + dy * along_y
     return x, dy * along_x - dx * along_y, dz - slope * x - bend * x * x
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def _stretch(x, z, slope, bend, width, edge):  # type: ignore[no-untyped-def]
     """Lowest and highest point that a line may hold in a column ``x`` along it."""
     sag = bend * (abs(x) + edge) ** 2
@@ -35,7 +35,7 @@ def _stretch(x, z, slope, bend, width, edge):  # type: ignore[no-untyped-def]
     ) * edge + width + sag
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def refine(  # type: ignore[no-untyped-def]  # noqa: C901
     points, start, nx, ny, edge, corner, length, radius, bend, azimuth, slope, middle, flank
 ):  # fmt: skip
@@ -104,7 +104,7 @@ def refine(  # type: ignore[no-untyped-def]  # noqa: C901
         slope[s] += rise
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def agreeing(  # type: ignore[no-untyped-def]  # noqa: C901
     points, start, nx, ny, edge, corner, middle, azimuth, slope, length,
     stretch, radius, spread, beside, above, turn_max, rise_max, bend, inline, abreast, against,
@@ -170,7 +170,7 @@ def agreeing(  # type: ignore[no-untyped-def]  # noqa: C901
                         against[s] -= 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def vote(  # type: ignore[no-untyped-def]
     points, start, nx, ny, edge, corner, middle, azimuth, slope, length, radius, spread, bend, votes
 ):  # fmt: skip

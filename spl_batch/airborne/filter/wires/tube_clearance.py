@@ -20,7 +20,7 @@ PARTS: Final = 8
 """Equal parts of a tube that are told apart [count]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def around_tubes(  # type: ignore[no-untyped-def]
     points, start, nx, ny, edge, corner, middle, azimuth, slope, length, rings, bend, count, held
 ):  # fmt: skip

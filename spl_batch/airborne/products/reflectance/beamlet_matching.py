@@ -62,7 +62,7 @@ class Blocks(NamedTuple):
     offset: NDArray[np.int64]
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(inline="always")
 def aim_at(blocks: Blocks, b: np.int64, tau: float, out: NDArray[np.float64]) -> None:
     """Sensor [m], dx/dz and dy/dz of the array's middle, and their change with g: (9,)."""
     for k in range(3):
@@ -76,7 +76,7 @@ def aim_at(blocks: Blocks, b: np.int64, tau: float, out: NDArray[np.float64]) ->
         out[7 + k] = (a[6, k] + tau * a[7, k]) * scale
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def shots_near(
     blocks: Blocks,
     level: float,
@@ -138,7 +138,7 @@ def shots_near(
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _miss2(
     blocks: Blocks, b: np.int64, shot: np.int64, c: int, x: float, y: float, z: float,
     aim: NDArray[np.float64],
@@ -151,7 +151,7 @@ def _miss2(
     return float(dx * dx + dy * dy)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def match_points(
     time_s: NDArray[np.float64],
     channel: NDArray[np.uint8],
@@ -229,7 +229,7 @@ def match_points(
     _raise(highest, where, words, held)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _raise(
     highest: NDArray[np.int64], where: NDArray[np.int64], words: NDArray[np.int64], held: int
 ) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def sort_by_cell(
     cell: NDArray[np.int64],
     amount: NDArray[np.float64],
@@ -34,7 +34,7 @@ def sort_by_cell(
         place[cell[s]] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def most_likely(
     start: NDArray[np.int64],
     amount: NDArray[np.float64],

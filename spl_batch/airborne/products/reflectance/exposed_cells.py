@@ -52,7 +52,7 @@ class Grid(NamedTuple):
     high: NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def trace(
     height: NDArray[np.float64],
     low: NDArray[np.float64],
@@ -116,7 +116,7 @@ def trace(
             z = max(z - step, end)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def exposure(
     slope: tuple[float, float],
     z: float,
@@ -155,7 +155,7 @@ def exposure(
     return amount
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def expose_cells(
     shots: tuple[NDArray[np.int64], NDArray[np.float64]],
     blocks: Blocks,

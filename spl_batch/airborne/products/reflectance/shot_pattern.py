@@ -21,7 +21,7 @@ _TOGETHER = 32
 """Returns whose terms are reckoned before they are added up [count]."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
     """Value of each term.
 
@@ -44,7 +44,7 @@ def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
     out[7] = gy * tau
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def normal_equations(
     start: NDArray[np.int64],
     tau: NDArray[np.float64],
@@ -105,7 +105,7 @@ def normal_equations(
             right[b, i, 0], right[b, i, 1] = term[0, i], term[1, i]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def predict(
     coefficient: NDArray[np.float64],
     tau: float,
@@ -132,7 +132,7 @@ def predict(
     return x, y
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def misfit(
     start: NDArray[np.int64],
     tau: NDArray[np.float64],
@@ -166,7 +166,7 @@ def misfit(
         rms[b] = np.sqrt(total / count) if count else np.nan
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def learn_pattern(
     start: NDArray[np.int64],
     tau: NDArray[np.float64],
@@ -213,7 +213,7 @@ def learn_pattern(
                 pattern[b, c] = np.nan
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def motion(
     start: NDArray[np.int64],
     tau: NDArray[np.float64],

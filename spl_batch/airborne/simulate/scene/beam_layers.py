@@ -29,7 +29,7 @@ SURFACE_SHARE = 0.02
 """Share of a beam that a clear water's surface turns back: Fresnel's, near the vertical."""
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def nearest_node(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
     """Row and column of the ground node nearest to a place."""
     i = min(max(round((x - scene.grid[0]) / scene.grid[2]), 0), scene.ground_z.shape[1] - 1)
@@ -37,7 +37,7 @@ def nearest_node(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
     return j, i
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _add_water(
     layers: NDArray[np.float64], n: int, pond: NDArray[np.float64], o: Any, d: Any, hard: float
 ) -> int:
@@ -55,7 +55,7 @@ def _add_water(
     return _insert(layers, n, top, hard, share, 0.0, float(KIND_WATER))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def cell_range(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
     """First and last entry (exclusive) of the objects listed for a place."""
     i = math.floor((x - scene.cell[0]) / scene.cell[2])
@@ -66,7 +66,7 @@ def cell_range(scene: SceneArrays, x: float, y: float) -> tuple[int, int]:
     return scene.cell_first[j, i], scene.cell_first[j, i + 1]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _add_turbid(
     layers: NDArray[np.float64],
     n: int,
@@ -81,7 +81,7 @@ def _add_turbid(
     return _insert(layers, n, span[0], span[1], share, rho, kind)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _insert(
     layers: NDArray[np.float64],
     n: int,
@@ -104,7 +104,7 @@ def _insert(
     return n + 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def look(
     scene: SceneArrays, o: Any, d: Any, axis: Any, sigma_rad: float, layers: NDArray[np.float64]
 ) -> tuple[int, float, float, float, float]:

@@ -89,7 +89,7 @@ class SceneArrays(NamedTuple):
     cell_item: NDArray[np.int64]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def bilinear(values: NDArray[Any], grid: NDArray[np.float64], x: float, y: float) -> Any:
     """Value and gradient of a bilinear grid; beyond its edge the edge goes on.
 
@@ -119,7 +119,7 @@ def bilinear(values: NDArray[Any], grid: NDArray[np.float64], x: float, y: float
     return low + (high - low) * v, slope_x, (high - low) / grid[2]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def hit_ground(
     ground_z: NDArray[np.float64], grid: NDArray[np.float64], o: Any, d: Any
 ) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def hit_ground(
     return t, max(cosine, 0.0)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def clip_convex(
     planes: NDArray[np.float64], faces: int, o: Any, d: Any
 ) -> tuple[float, float, int]:
@@ -190,7 +190,7 @@ def clip_convex(
     return enter, leave, face
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def clip_crown(crown: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float]:
     """Part of a ray inside a crown's ellipsoid; ``enter >= leave`` where it misses or a gap is.
 
@@ -230,7 +230,7 @@ def clip_crown(crown: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float
     return t - half, t + half
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _hash_share(i: int, j: int) -> float:
     """Fixed pseudo-random number in [0, 1) of a column: gaps belong to the scene, not a shot."""
     h = np.uint64(i & 0xFFFFFFFF) * np.uint64(0x9E3779B97F4A7C15)
@@ -241,13 +241,13 @@ def _hash_share(i: int, j: int) -> float:
     return (h >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def catenary_z(wire: NDArray[np.float64], s: float) -> Any:
     """Height of a wire at ``s`` metres along its span [m]."""
     return wire[7] + wire[5] * math.cosh((s - wire[6]) / wire[5])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def meet_wire(wire: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float]:
     """Where a ray passes a wire, and how far from its axis.
 
@@ -284,7 +284,7 @@ def meet_wire(wire: NDArray[np.float64], o: Any, d: Any) -> tuple[float, float]:
     return t, abs(across * (ny * wire[2] - nx * wire[3])) / length
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def lit_share(distance: float, radius: float, sigma: float) -> Any:
     """Share of a Gaussian beam that falls on a straight wire.
 

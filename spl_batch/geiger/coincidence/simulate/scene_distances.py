@@ -12,7 +12,7 @@ from spl_batch.geiger.coincidence.simulate.scene_rays import (
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _spoke_distance(x, y, z, wheel):  # type: ignore[no-untyped-def]
     """Distance from a spoke target; along the level of it, to the nearest edge of a spoke."""
     x, y, z = x - wheel[0], y - wheel[1], z - wheel[3]
@@ -27,13 +27,13 @@ def _spoke_distance(x, y, z, wheel):  # type: ignore[no-untyped-def]
     return math_hypot(beyond, z)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def math_hypot(a, b):  # type: ignore[no-untyped-def]
     """Length of two legs."""
     return np.sqrt(a * a + b * b)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def surface_distance(xyz: NDArray[np.float64], scene: Targets, out: NDArray[np.float64]) -> None:
     """Distance of each place from the nearest surface of the scene, leaves apart.
 
@@ -67,7 +67,7 @@ def surface_distance(xyz: NDArray[np.float64], scene: Targets, out: NDArray[np.f
         out[row] = best
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _box_distance(x, y, z, box):  # type: ignore[no-untyped-def]
     """Distance from the surface of a box, from inside or outside."""
     place = (x, y, z)
@@ -79,7 +79,7 @@ def _box_distance(x, y, z, box):  # type: ignore[no-untyped-def]
     return inside if outside == 0.0 else np.sqrt(outside)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def heights_below(x, y, scene, z):  # type: ignore[no-untyped-def]
     """Heights of opaque surfaces straight below 100 m."""
     origin, way = np.empty(3), np.array([0.0, 0.0, -1.0])

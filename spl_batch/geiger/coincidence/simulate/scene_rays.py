@@ -71,7 +71,7 @@ class Targets(NamedTuple):
     target: float
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def on_spoke(x: float, y: float, radius: float, spokes: float) -> bool:
     """Whether a place, from the target's centre, lies on one of its spokes."""
     if x * x + y * y > radius * radius:
@@ -80,7 +80,7 @@ def on_spoke(x: float, y: float, radius: float, spokes: float) -> bool:
     return bool(turns - math.floor(turns) < 0.5)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def painted(x: float, y: float, logo: NDArray[np.float64]) -> bool:
     """Whether a place of the ground is painted: a ring around a disc of squares."""
     x, y = x - logo[0], y - logo[1]
@@ -92,7 +92,7 @@ def painted(x: float, y: float, logo: NDArray[np.float64]) -> bool:
     return bool(share < 0.7 and (math.floor(x / logo[3]) + math.floor(y / logo[3])) % 2 == 0)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def tube_distance(x: float, y: float, z: float, axis: NDArray[np.float64], radius: float) -> float:
     """Distance of a place from the surface of a tube, negative inside [m]."""
     nearest = _FAR
@@ -107,7 +107,7 @@ def tube_distance(x: float, y: float, z: float, axis: NDArray[np.float64], radiu
     return math.sqrt(nearest) - radius
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _into_tube(origin, way, near, far, axis, radius):  # type: ignore[no-untyped-def]
     """Range at which a ray enters a tube between two ranges; far away where it does not."""
     t = near
@@ -123,7 +123,7 @@ def _into_tube(origin, way, near, far, axis, radius):  # type: ignore[no-untyped
     return _FAR
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _into_box(origin, way, box):  # type: ignore[no-untyped-def]
     """Range at which a ray enters a box; far away where it does not."""
     near, far = -_FAR, _FAR
@@ -138,7 +138,7 @@ def _into_box(origin, way, box):  # type: ignore[no-untyped-def]
     return near if 0.0 < near <= far else _FAR
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def opaque(origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets) -> float:
     """Range at which a ray that points downwards meets something opaque; negative on paint.
 
@@ -184,7 +184,7 @@ def opaque(origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets
     return float(ground if painted(x, y, scene.logo) else ground + 1e9)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _leaves(origin, way, scene, hit):  # type: ignore[no-untyped-def]
     """Leaves that a ray meets, nearest first, put into ``hit``; gives how many."""
     grid = scene.leaf_grid
@@ -210,7 +210,7 @@ def _leaves(origin, way, scene, hit):  # type: ignore[no-untyped-def]
     return n
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _event(rng, origin, way, scene, efficiency, hit):  # type: ignore[no-untyped-def]
     """Range of the first photo-electron from the scene; far away where there is none."""
     left = 1.0
@@ -227,7 +227,7 @@ def _event(rng, origin, way, scene, efficiency, hit):  # type: ignore[no-untyped
     return t if rng.random() < -math.expm1(-mean) else _FAR
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def expose(
     rng: np.random.Generator, origin: NDArray[np.float64], turn: NDArray[np.float64],
     scene: Targets, tangent: float, gate: NDArray[np.float64], efficiency: float,

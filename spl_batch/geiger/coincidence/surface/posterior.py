@@ -24,7 +24,7 @@ from spl_batch.geiger.coincidence.surface.voxel_raster import UNIT
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def log_odds(
     detections: NDArray[np.int64], looks: NDArray[np.int64], window: int,
     noise_share: float, surface_share: float, prior: float, out: NDArray[np.float64],

@@ -85,7 +85,7 @@ def edge_offset(half: int) -> float:
     return (0.5 * half * (half + 1) - 1.0 / 6.0) / (half + 0.5)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _to_the_side(moment: NDArray[np.int64], normal: NDArray[np.float64]) -> float:
     """Distance of a neighbourhood's mean from the line through its centre along a normal."""
     x, y, z = moment[1] / moment[0], moment[2] / moment[0], moment[3] / moment[0]
@@ -93,7 +93,7 @@ def _to_the_side(moment: NDArray[np.int64], normal: NDArray[np.float64]) -> floa
     return math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def moments(
     raster: NDArray[np.int64], i: int, j: int, k: int, half: int, out: NDArray[np.int64]
 ) -> None:
@@ -132,7 +132,7 @@ def moments(
             out[9] += s1 * y
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def closest_maximum(
     c: NDArray[np.float64], ratio: float, reach: float,
     values: NDArray[np.float64], vectors: NDArray[np.float64],
@@ -182,7 +182,7 @@ def closest_maximum(
     return kind, value
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def find_surfaces(
     detections: NDArray[np.int64], looks: NDArray[np.int64], voxel: NDArray[np.int64],
     half: int, fit: NDArray[np.float64],
@@ -244,7 +244,7 @@ def find_surfaces(
             normal[row] = vectors[2]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def drop_weaker(
     voxel: NDArray[np.int64], place: NDArray[np.float64], normal: NDArray[np.float64],
     value: NDArray[np.float64], row_of: NDArray[np.int32], half: int, reach: int, share: float,

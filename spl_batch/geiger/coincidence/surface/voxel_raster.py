@@ -37,7 +37,7 @@ _SHIFT: Final = 5
 _MASK: Final = STEPS - 1
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _add(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.int64]) -> None:
     """Add one place, in steps from the first voxel's centre of the absolute lattice."""
     i, j, k = (u >> _SHIFT) - corner[0], (v >> _SHIFT) - corner[1], (w >> _SHIFT) - corner[2]
@@ -67,7 +67,7 @@ def _add(u: int, v: int, w: int, corner: NDArray[np.int64], raster: NDArray[np.i
                     raster[p, q, r] += part_x * part_y * (fz if dk else STEPS - fz)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def deposit(
     x: float, y: float, z: float, scale: float, corner: NDArray[np.int64], raster: NDArray[np.int64]
 ) -> None:
@@ -90,7 +90,7 @@ def deposit(
     _add(u, v, w, corner, raster)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def deposit_all(
     xyz: NDArray[np.int64], edge: int, corner: NDArray[np.int64], raster: NDArray[np.int64]
 ) -> None:
@@ -106,7 +106,7 @@ def deposit_all(
         _add(u, v, w, corner, raster)
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def look_direction(
     turn: NDArray[np.float64], across: float, along: float, out: NDArray[np.float64]
 ) -> None:
@@ -126,7 +126,7 @@ def look_direction(
         out[axis] = (turn[axis, 0] * across + turn[axis, 1] * along - turn[axis, 2]) * scale
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _between(
     origin: NDArray[np.float64], way: NDArray[np.float64],
     low: NDArray[np.float64], high: NDArray[np.float64],
@@ -144,7 +144,7 @@ def _between(
     return near, far
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def interrogate(
     origin: NDArray[np.float64], turn: NDArray[np.float64], seen: NDArray[np.float32],
     tangent: float, gate: NDArray[np.float64], edge: float,
@@ -199,7 +199,7 @@ def interrogate(
                     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def box_sum(raster: NDArray[np.int64], half: int, out: NDArray[np.int64]) -> None:
     """Sum over the cube of ``2 half + 1`` voxels around each voxel; beside the raster is nothing.
 
@@ -224,7 +224,7 @@ def box_sum(raster: NDArray[np.int64], half: int, out: NDArray[np.int64]) -> Non
             _slide(out[:, j, k], half, line, out[:, j, k])
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _slide(values, half, line, out):  # type: ignore[no-untyped-def]
     """Moving sum of one line; ``values`` and ``out`` may be the same."""
     n = len(values)

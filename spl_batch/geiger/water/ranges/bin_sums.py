@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spl_batch.numerics.compiled import njit
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def add_histogram(
     frames: NDArray[np.uint16], used: NDArray[np.bool_], out: NDArray[np.int64]
 ) -> int:
@@ -45,7 +45,7 @@ def add_histogram(
     return beyond
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def add_hits(
     frames: NDArray[np.uint16],
     low: int,

@@ -23,7 +23,7 @@ from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_plane import plane_of_moments
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def fixed_windows(
     north: NDArray[np.float64],
     east: NDArray[np.float64],
@@ -70,7 +70,7 @@ def fixed_windows(
                 out[i, j, 2] = plane[2]
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _moments(
     value: NDArray[np.float64],
     weight: NDArray[np.float64],
@@ -100,7 +100,7 @@ def _moments(
             out[8] += w * y * v
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def _fit(sums: NDArray[np.float64], fit: NDArray[np.float64], spread: NDArray[np.float64]) -> bool:
     """Plane at the pixel and the standard deviations of its three numbers, weights being 1/var."""
     total = sums[0]
@@ -120,7 +120,7 @@ def _fit(sums: NDArray[np.float64], fit: NDArray[np.float64], spread: NDArray[np
     return True
 
 
-@njit(nogil=True, cache=True)
+@njit()
 def growing_windows(
     value: NDArray[np.float64],
     weight: NDArray[np.float64],
