@@ -62,7 +62,7 @@ def make_optics(scene: Scene) -> Optics:
         math.radians(sensor.half_cone_deg),
         # the full divergence is to 1/e2 of the intensity: four standard deviations
         sensor.beam_divergence_urad * 1e-6 / 4,
-        sensor.range_sigma_m,
+        _or(scene.detector.range_sigma_m, sensor.range_sigma_m),
         signal_constant(
             efficiency,
             sensor.pulse_energy_uj * 1e-6 / sensor.beamlets,
@@ -74,14 +74,24 @@ def make_optics(scene: Scene) -> Optics:
 
 
 def make_receiver(scene: Scene) -> Receiver:
-    """Dead time and afterpulses of a scene's instrument, as range."""
-    sensor = scene.instrument
+    """Dead time, afterpulses and range walk of a scene's detector, as range."""
+    sensor, own = scene.instrument, scene.detector
+    tail = own.tail
     return Receiver(
         sensor.dead_m,
-        sensor.afterpulse_probability,
-        sensor.afterpulse_scale_m,
-        sensor.afterpulse_lag_max_m,
+        _or(own.afterpulse_probability, sensor.afterpulse_probability),
+        _or(own.afterpulse_scale_m, sensor.afterpulse_scale_m),
+        _or(own.afterpulse_lag_max_m, sensor.afterpulse_lag_max_m),
+        0.0 if tail is None else tail.share,
+        1.0 if tail is None else tail.scale_m,
+        0.0 if tail is None or tail.power is None else tail.power,
+        own.range_walk_m,
     )
+
+
+def _or(own: float | None, stated: float) -> float:
+    """What the scene says of its own detector, else what is stated of the instrument."""
+    return stated if own is None else own
 
 
 def physical_noise(scene: Scene) -> Noise:

@@ -3,7 +3,8 @@
 One beamlet of one shot is a list of photo-electrons sorted by range. The channel records
 the first, is blind for the dead time, records the next, and so on (multi-stop). Every
 recorded detection may start an afterpulse in the same channel, after the dead time, and
-an afterpulse may start another.
+an afterpulse may start another. Lags follow an exponential law, and a share of them a tail: a
+longer exponential, or a power law.
 """
 
 import math
@@ -34,12 +35,24 @@ class Receiver(NamedTuple):
         Scale of the exponential lag behind the dead time [m].
     afterpulse_max_m : float
         Longest lag behind the parent [m], > ``dead_m``.
+    tail_share : float
+        Part of the afterpulses whose lag follows the tail, 0..1.
+    tail_scale_m : float
+        Scale of the tail behind the dead time [m].
+    tail_power : float
+        The tail's density falls as (1 + lag / scale) ** -power, > 1; 0 for an exponential.
+    walk_m : float
+        How much nearer than one photo-electron very many are measured [m].
     """
 
     dead_m: float
     afterpulse_probability: float
     afterpulse_scale_m: float
     afterpulse_max_m: float
+    tail_share: float = 0.0
+    tail_scale_m: float = 1.0
+    tail_power: float = 0.0
+    walk_m: float = 0.0
 
 
 @njit()
@@ -56,6 +69,36 @@ def poisson_count(rng: np.random.Generator, mean: float) -> int:
 def truncated_exponential(rng: np.random.Generator, scale: float, longest: float) -> float:
     """Exponential number that does not pass ``longest``, by inversion."""
     return -scale * math.log(1.0 - rng.random() * -math.expm1(-longest / scale))
+
+
+@njit()
+def truncated_power(
+    rng: np.random.Generator, scale: float, power: float, longest: float
+) -> float:  # fmt: skip
+    """Number of density (1 + x / scale) ** -power that does not pass ``longest``, by inversion."""
+    rest = (1.0 + longest / scale) ** (1.0 - power)
+    left = 1.0 - rng.random() * (1.0 - rest)
+    return scale * (left ** (1.0 / (1.0 - power)) - 1.0)
+
+
+@njit()
+def draw_lag(rng: np.random.Generator, receiver: Receiver) -> float:
+    """Lag of an afterpulse behind its parent [m]."""
+    window = receiver.afterpulse_max_m - receiver.dead_m
+    if receiver.tail_share > 0.0 and rng.random() < receiver.tail_share:
+        if receiver.tail_power > 0.0:
+            behind = truncated_power(rng, receiver.tail_scale_m, receiver.tail_power, window)
+        else:
+            behind = truncated_exponential(rng, receiver.tail_scale_m, window)
+    else:
+        behind = truncated_exponential(rng, receiver.afterpulse_scale_m, window)
+    return receiver.dead_m + behind
+
+
+@njit()
+def walked(at: float, electrons: int, walk_m: float) -> float:
+    """Range that is measured where so many photo-electrons make one detection [m]."""
+    return at - walk_m * (1.0 - 1.0 / electrons)
 
 
 @njit()
@@ -145,9 +188,7 @@ def record(
             electrons[count] = 1
             blind_until = at + receiver.dead_m
             if rng.random() < receiver.afterpulse_probability:
-                lag = receiver.dead_m + truncated_exponential(
-                    rng, receiver.afterpulse_scale_m, receiver.afterpulse_max_m - receiver.dead_m
-                )
+                lag = draw_lag(rng, receiver)
                 surface = facts[e, 1] if facts[e, 0] == EVENT_AFTERPULSE else facts[e, 0]
                 n = add_event(ranges, facts, n, at + lag, EVENT_AFTERPULSE, surface, count)
             count += 1

@@ -13,6 +13,7 @@ from spl_batch.airborne.simulate.detector import (
     add_event,
     poisson_count,
     record,
+    walked,
 )
 from spl_batch.airborne.simulate.scene.beam_layers import LAYER_FIELDS, look
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
@@ -264,11 +265,12 @@ def _store(
     channel: int,
     origin: Any,
     axis: Any,
+    walk_m: float,
 ) -> None:
     """Write one beamlet's recorded events as points."""
     ranges, facts, kept, electrons = events
     for k in range(count):
-        at = ranges[kept[k]]
+        at = walked(ranges[kept[k]], electrons[k], walk_m)
         source = facts[kept[k], 2]
         out.shot[row + k] = shot
         for c in range(3):
@@ -348,7 +350,7 @@ def fire(
             n = _in_gate(ranges, facts, n, start)
             count = record(rng, ranges, facts, n, stop, receiver, kept, electrons)
             _deposit(grid, origin, axis, start, stop, noise * (stop - start))
-            _store(out, row, events, count, shot, c, origin, axis)
+            _store(out, row, events, count, shot, c, origin, axis, receiver.walk_m)
             row += count
     return len(shots.angle), row
 

@@ -389,3 +389,24 @@ def test_clear_water_shows_its_bottom(tmp_path):
     wet = np.asarray(reference.classification) == 9
     off = np.abs(np.asarray(reference.z)[wet] - level)
     assert off.max() < 0.5, "infrared sees no bottom"
+
+
+def test_the_detector_may_do_what_the_workflow_does_not_know(tmp_path):
+    content = {
+        **MINIMAL,
+        "detector": {"range_sigma_m": 0.2, "afterpulse_probability": 0.3,
+                     "afterpulse_lag_max_m": 12.0, "tail": {"share": 1.0, "power": 1.5}},
+    }  # fmt: skip
+    found = simulate(parse_scene(content, "scene"), tmp_path)
+    workflow = yaml.safe_load(found.workflow.read_text(encoding="utf-8"))
+    assert workflow["survey"]["sensor"] == "spl100"
+    _, line = read_line(tmp_path, 1)
+    follows = np.flatnonzero(line["parent_row"] >= 0)
+    parent = line["parent_row"][follows]
+    xyz = np.column_stack([line[axis] for axis in "xyz"])
+    lag = np.linalg.norm(xyz[follows] - xyz[parent], axis=1)
+    assert 8.0 < lag.max() < 12.01
+    started = np.count_nonzero(line["kind"][parent] == KIND_GROUND)
+    assert started / np.count_nonzero(line["kind"] == KIND_GROUND) == pytest.approx(0.3, abs=0.05)
+    with pytest.raises(WorkflowError, match=r"detector: afterpulse_lag_max_m must exceed"):
+        parse_scene({**content, "detector": {"afterpulse_lag_max_m": 0.2}}, "scene")

@@ -325,6 +325,30 @@ def test_afterpulses_follow_their_law_and_name_their_parents():
     assert stats.kstest(lags, law.cdf).pvalue > 1e-4
 
 
+@pytest.mark.parametrize("power", [0.0, 1.5])
+def test_a_tail_takes_its_share_of_the_lags(power):
+    receiver = detector.Receiver(0.24, 0.2, 0.5, 15.0, 0.4, 3.0, power)
+    rng, window = np.random.default_rng(4), 15.0 - 0.24
+    lags = np.array([detector.draw_lag(rng, receiver) for _ in range(20_000)]) - 0.24
+
+    def tail(x):
+        if power == 0.0:
+            return stats.truncexpon(b=window / 3.0, scale=3.0).cdf(x)
+        rest = (1 + window / 3.0) ** (1 - power)
+        return (1 - (1 + np.clip(x, 0, window) / 3.0) ** (1 - power)) / (1 - rest)
+
+    def law(x):
+        return 0.6 * stats.truncexpon(b=window / 0.5, scale=0.5).cdf(x) + 0.4 * tail(x)
+
+    assert stats.kstest(lags, law).pvalue > 1e-4
+    assert 0.0 <= lags.min() and lags.max() <= window
+
+
+def test_bright_returns_walk_nearer_by_no_more_than_is_said():
+    walk = [detector.walked(100.0, n, 0.1) for n in (1, 2, 1000)]
+    assert walk == pytest.approx([100.0, 99.95, 99.9001])
+
+
 def test_nothing_is_recorded_behind_the_gate():
     rng, (ranges, facts, kept, electrons) = np.random.default_rng(9), room()
     receiver = detector.Receiver(0.24, 0.9, 0.7, 3.0)

@@ -151,6 +151,40 @@ class Acquisition(Section):
     margin_m: NotNegative = Field(5.0, description="Shots this far outside are kept [m].")
 
 
+class LagTail(Section):
+    """Afterpulses that come later than an exponential law says."""
+
+    share: Share = Field(0.4, description="Part of the afterpulses whose lag follows the tail.")
+    scale_m: Positive = Field(4.0, description="Scale of the tail behind the dead time [m].")
+    power: float | None = Field(
+        None,
+        gt=1,
+        le=10,
+        description="The density falls as (1 + lag / scale) to this power; exponential without.",
+    )
+
+
+class Detector(Section):
+    """What the detector really does, where that is not what the workflow's sensor says."""
+
+    afterpulse_probability: float | None = Field(
+        None, ge=0, lt=1, description="Afterpulses per detection; the sensor's without."
+    )
+    afterpulse_scale_m: Positive | None = Field(
+        None, description="Mean lag behind the dead time [m]; the sensor's without."
+    )
+    afterpulse_lag_max_m: Positive | None = Field(
+        None, description="Longest lag behind the parent [m]; the sensor's without."
+    )
+    tail: LagTail | None = Field(None, description="Afterpulses with a longer lag; none without.")
+    range_sigma_m: Positive | None = Field(
+        None, description="Ranging spread, one sigma [m]; the sensor's without."
+    )
+    range_walk_m: NotNegative = Field(
+        0.0, description="How much nearer the brightest returns are measured than the weakest [m]."
+    )
+
+
 class Reference(Section):
     """Linear-mode cloud to compare with."""
 
@@ -177,6 +211,7 @@ class Scene(Section):
     flights: tuple[Flight, ...] = Field(min_length=1, description="Flightlines in flown order.")
     sensor: str | Sensor = Field("spl100", description="A preset's name, or a mapping.")
     sensor_overrides: dict[str, Any] = Field({}, description="Sensor keys that differ from it.")
+    detector: Detector = Detector()
     sky: Sky = Sky()
     acquisition: Acquisition = Acquisition()
     reference: Reference = Reference()
@@ -192,6 +227,11 @@ class Scene(Section):
         instrument = self.instrument
         if instrument.array_columns**2 != instrument.beamlets:
             raise ValueError("sensor: beamlets must be array_columns squared")
+        longest = self.detector.afterpulse_lag_max_m
+        if longest is not None and longest <= instrument.dead_m:
+            raise ValueError(
+                f"detector: afterpulse_lag_max_m must exceed the dead time, {instrument.dead_m:.3f} m"
+            )
         used = {*self.acquisition.dead_channels, *self.acquisition.weak_channels}
         outside = sorted(c for c in used if not 1 <= c <= instrument.beamlets)
         if outside:
