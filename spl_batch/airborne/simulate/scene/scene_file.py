@@ -229,9 +229,8 @@ class Scene(Section):
             raise ValueError("sensor: beamlets must be array_columns squared")
         longest = self.detector.afterpulse_lag_max_m
         if longest is not None and longest <= instrument.dead_m:
-            raise ValueError(
-                f"detector: afterpulse_lag_max_m must exceed the dead time, {instrument.dead_m:.3f} m"
-            )
+            dead = f"{instrument.dead_m:.3f} m"
+            raise ValueError(f"detector: afterpulse_lag_max_m must exceed the dead time, {dead}")
         used = {*self.acquisition.dead_channels, *self.acquisition.weak_channels}
         outside = sorted(c for c in used if not 1 <= c <= instrument.beamlets)
         if outside:
