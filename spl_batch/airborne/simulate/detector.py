@@ -204,8 +204,9 @@ def add_background(
     start_m: float,
     stop_m: float,
     per_m: float,
+    fall: float = 0.0,
 ) -> Any:
-    """Background of one beamlet: a Poisson process along the gate, so uniform in it.
+    """Background of one beamlet: a Poisson process along the gate, uniform but for its fall.
 
     Parameters
     ----------
@@ -217,6 +218,8 @@ def add_background(
         Range gate [m].
     per_m : float
         Expected background per metre of range [1/m].
+    fall : float
+        Rate at the start less that at the end, over their sum, -1..1; linear between.
 
     Returns
     -------
@@ -224,10 +227,29 @@ def add_background(
         Number of events.
     """
     n = 0
+    if fall != 0.0:
+        return _add_falling(rng, ranges, facts, start_m, stop_m, per_m, fall)
     if per_m <= 0.0:
         return n
     at = start_m - math.log(1.0 - rng.random()) / per_m
     while at < stop_m:
         n = add_event(ranges, facts, n, at, 0, NO_PARENT, -1)
         at -= math.log(1.0 - rng.random()) / per_m
+    return n
+
+
+@njit()
+def _add_falling(  # type: ignore[no-untyped-def]
+    rng, ranges, facts, start_m, stop_m, per_m, fall
+):
+    """The same with a rate that changes along the gate, by thinning."""
+    n, most = 0, per_m * (1.0 + abs(fall))
+    if most <= 0.0:
+        return n
+    at = start_m - math.log(1.0 - rng.random()) / most
+    while at < stop_m:
+        rate = per_m * (1.0 + fall * (1.0 - 2.0 * (at - start_m) / (stop_m - start_m)))
+        if rng.random() * most < rate:
+            n = add_event(ranges, facts, n, at, 0, NO_PARENT, -1)
+        at -= math.log(1.0 - rng.random()) / most
     return n

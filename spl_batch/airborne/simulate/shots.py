@@ -15,8 +15,15 @@ from spl_batch.airborne.simulate.detector import (
     record,
     walked,
 )
+from spl_batch.airborne.simulate.haze import Air, add_air, deposit_air
 from spl_batch.airborne.simulate.scene.beam_layers import LAYER_FIELDS, look
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
+from spl_batch.airborne.simulate.stray_light import (
+    StrayLight,
+    add_bloom,
+    lit_reflectors,
+    set_off_neighbours,
+)
 from spl_batch.numerics.compiled import njit
 
 NOISE_SAMPLES = 6
@@ -69,6 +76,8 @@ class Shots(NamedTuple):
         Range gate [m].
     noise_per_m : (n,) float64
         Background of a channel of gain 1 [1/m].
+    time_s : (n,) float64
+        Since the scene's take-off [s].
     """
 
     origin: NDArray[np.float64]
@@ -77,6 +86,7 @@ class Shots(NamedTuple):
     gate_start: NDArray[np.float64]
     gate_stop: NDArray[np.float64]
     noise_per_m: NDArray[np.float64]
+    time_s: NDArray[np.float64]
 
 
 class Points(NamedTuple):
@@ -177,7 +187,7 @@ def add_signal(
     ranges: NDArray[np.float64],
     facts: NDArray[np.int64],
     n: int,
-) -> int:
+) -> tuple[int, float]:
     """Photo-electrons of the scene in one beamlet [W17 Eq. 2.1, 2.6; Beer-Lambert in crowns].
 
     Parameters
@@ -199,8 +209,8 @@ def add_signal(
 
     Returns
     -------
-    int
-        Number of events.
+    n, hard : int, float
+        Number of events, and the range of the hard surface that a photon met [m].
     """
     origin, axis, path = ray
     _spread(rng, axis, optics.sigma_rad, path)
@@ -222,7 +232,7 @@ def add_signal(
     for _ in range(poisson_count(rng, full * left * rho * cosine)):
         at = hard + optics.range_sigma_m * rng.standard_normal()
         n = add_event(ranges, facts, n, at, int(kind), NO_PARENT, -1)
-    return n
+    return n, hard
 
 
 @njit()
@@ -239,7 +249,7 @@ def _in_gate(ranges: NDArray[np.float64], facts: NDArray[np.int64], n: int, star
 
 @njit()
 def _deposit(
-    grid: NoiseGrid, origin: Any, axis: Any, start: float, stop: float, expected: float
+    grid: NoiseGrid, origin: Any, axis: Any, start: float, stop: float, expected: float, fall: float
 ) -> None:
     """Spread a beamlet's expected background over the voxels that it crosses."""
     nx, ny, nz = grid.amount.shape
@@ -247,11 +257,12 @@ def _deposit(
     # A start that wanders with the beamlet fills the gaps between the samples.
     at = start + step * (abs(axis[0] * 1e6 + axis[1] * 1.618e6) % 1.0)
     for _ in range(NOISE_SAMPLES):
+        share = 1.0 + fall * (1.0 - 2.0 * (at - start) / (stop - start))
         i = math.floor((origin[0] + at * axis[0] - grid.corner[0]) / grid.voxel_m)
         j = math.floor((origin[1] + at * axis[1] - grid.corner[1]) / grid.voxel_m)
         k = math.floor((origin[2] + at * axis[2] - grid.corner[2]) / grid.voxel_m)
         if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-            grid.amount[i, j, k] += expected / NOISE_SAMPLES
+            grid.amount[i, j, k] += expected / NOISE_SAMPLES * share
         at += step
 
 
@@ -284,16 +295,60 @@ def _store(
         out.parent_row[row + k] = row + source if source >= 0 else -1
 
 
+class Beamlets(NamedTuple):
+    """Room for the events of all beamlets of a shot.
+
+    Parameters
+    ----------
+    axis : (c, 3) float64
+        Unit vectors.
+    ranges, facts : (c, m) float64 and (c, m, 3) int64
+        Events as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
+    held : (c,) int64
+        Number of events.
+    kept, electrons : (m,) int64
+        What one beamlet records.
+    layers : (k, 5) float64
+        Layers of one beam.
+    lit : (r, 2) float64
+        Reflectors that a shot lights.
+    """
+
+    axis: NDArray[np.float64]
+    ranges: NDArray[np.float64]
+    facts: NDArray[np.int64]
+    held: NDArray[np.int64]
+    kept: NDArray[np.int64]
+    electrons: NDArray[np.int64]
+    layers: NDArray[np.float64]
+    lit: NDArray[np.float64]
+
+
+def empty_beamlets(scene: SceneArrays, channels: int, room: int, reflectors: int) -> Beamlets:
+    """Room for the events of all beamlets of a shot, ``room`` of them each."""
+    return Beamlets(
+        np.empty((channels, 3)),
+        np.empty((channels, room)),
+        np.empty((channels, room, 3), dtype=np.int64),
+        np.zeros(channels, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        empty_layers(scene),
+        np.empty((max(reflectors, 1), 2)),
+    )
+
+
 @njit()
 def fire(
     rng: np.random.Generator,
     scene: SceneArrays,
     optics: Optics,
     receiver: Receiver,
+    air: Air,
+    stray: StrayLight,
     shots: Shots,
     first: int,
-    events: Any,
-    layers: NDArray[np.float64],
+    room: Beamlets,
     grid: NoiseGrid,
     out: Points,
 ) -> tuple[int, int]:
@@ -303,15 +358,12 @@ def fire(
     ----------
     rng : Generator
         Source of chance; consumed in the order of shots and channels.
-    scene, optics, receiver, shots
+    scene, optics, receiver, air, stray, shots
         What is flown over what.
     first : int
         Row of the first shot to fire.
-    events : tuple
-        Room for one beamlet: ranges (m,) float64, facts (m, 3) int64, kept (m,) int64,
-        electrons (m,) int64.
-    layers : (k, 5) float64
-        Room for the layers of one beam.
+    room : Beamlets
+        Room for one shot.
     grid : NoiseGrid
         Collects the expected background.
     out : Points
@@ -322,37 +374,66 @@ def fire(
     next_shot, count : int
         First shot that was not fired, and rows filled.
     """
-    ranges, facts, kept, electrons = events
-    axis, path = np.empty(3), np.empty(3)
-    channels = len(optics.gain)
-    room, row = len(out.shot) - channels * len(ranges), 0
+    channels, row = len(optics.gain), 0
+    most = len(out.shot) - channels * room.ranges.shape[1]
+    together = stray.crosstalk > 0.0
     for shot in range(first, len(shots.angle)):
-        if row > room:
+        if row > most:
             return shot, row
-        origin = shots.origin[shot]
-        start, stop = shots.gate_start[shot], shots.gate_stop[shot]
+        centre = room.axis[0]
+        beam_direction(shots.turn[shot], shots.angle[shot], optics.half_cone_rad, 0.0, 0.0, centre)
+        lit = lit_reflectors(stray, shots.origin[shot], centre, room.lit)
         for c in range(channels):
-            gain = optics.gain[c]
-            if gain <= 0.0:
-                continue
-            beam_direction(
-                shots.turn[shot],
-                shots.angle[shot],
-                optics.half_cone_rad,
-                optics.pixel_x[c],
-                optics.pixel_y[c],
-                axis,
-            )
-            noise = gain * shots.noise_per_m[shot]
-            n = add_background(rng, ranges, facts, start, stop, noise)
-            ray = (origin, axis, path)
-            n = add_signal(rng, scene, optics, gain, ray, layers, ranges, facts, n)
-            n = _in_gate(ranges, facts, n, start)
-            count = record(rng, ranges, facts, n, stop, receiver, kept, electrons)
-            _deposit(grid, origin, axis, start, stop, noise * (stop - start))
-            _store(out, row, events, count, shot, c, origin, axis, receiver.walk_m)
-            row += count
+            room.held[c] = 0
+            if optics.gain[c] > 0.0:
+                _look(rng, scene, optics, air, shots, shot, c, lit, room, grid)
+                if not together:
+                    row = _finish(rng, receiver, shots, shot, c, room, out, row)
+        if together:
+            set_off_neighbours(rng, stray, optics.gain, room.ranges, room.facts, room.held)
+            for c in range(channels):
+                row = _finish(rng, receiver, shots, shot, c, room, out, row)
     return len(shots.angle), row
+
+
+@njit()
+def _look(  # type: ignore[no-untyped-def]
+    rng, scene, optics, air, shots, shot, c, lit, room, grid
+):
+    """Photo-electrons of one beamlet, before the receiver."""
+    origin, axis, path = shots.origin[shot], room.axis[c], np.empty(3)
+    start, stop, gain = shots.gate_start[shot], shots.gate_stop[shot], optics.gain[c]
+    ranges, facts = room.ranges[c], room.facts[c]
+    beam_direction(
+        shots.turn[shot], shots.angle[shot], optics.half_cone_rad, optics.pixel_x[c],
+        optics.pixel_y[c], axis,
+    )  # fmt: skip
+    noise = gain * shots.noise_per_m[shot]
+    n = add_background(rng, ranges, facts, start, stop, noise, air.gate_fall)
+    ray = (origin, axis, path)
+    n, hard = add_signal(rng, scene, optics, gain, ray, room.layers, ranges, facts, n)
+    span, time_s = (start, min(hard, stop)), shots.time_s[shot]
+    n = add_air(rng, scene, air, gain, time_s, (origin, axis), span, ranges, facts, n)
+    n = add_bloom(rng, room.lit, lit, gain, optics.range_sigma_m, ranges, facts, n)
+    room.held[c] = _in_gate(ranges, facts, n, start)
+    _deposit(grid, origin, axis, start, stop, noise * (stop - start), air.gate_fall)
+    deposit_air(air, grid.amount, grid.corner, grid.voxel_m, gain, time_s, (origin, axis), span)
+
+
+@njit()
+def _finish(  # type: ignore[no-untyped-def]
+    rng, receiver, shots, shot, c, room, out, row
+):
+    """Record one beamlet; the number of rows filled."""
+    ranges, facts = room.ranges[c], room.facts[c]
+    count = record(
+        rng, ranges, facts, room.held[c], shots.gate_stop[shot], receiver, room.kept,
+        room.electrons,
+    )  # fmt: skip
+    events = (ranges, facts, room.kept, room.electrons)
+    origin, axis = shots.origin[shot], room.axis[c]
+    _store(out, row, events, count, shot, c, origin, axis, receiver.walk_m)
+    return row + count
 
 
 def first_rows(points: Points, count: int) -> Points:

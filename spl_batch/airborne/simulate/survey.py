@@ -28,6 +28,7 @@ from spl_batch.airborne.simulate.flight import (
     gate_centres,
     make_passes,
 )
+from spl_batch.airborne.simulate.haze import Air, make_air
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Scene
@@ -36,11 +37,13 @@ from spl_batch.airborne.simulate.shots import (
     Optics,
     Points,
     Shots,
-    empty_layers,
+    empty_beamlets,
     event_room,
     fire,
     first_rows,
+    layer_room,
 )
+from spl_batch.airborne.simulate.stray_light import StrayLight, make_stray_light
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.numerics.attitude import rotations
@@ -61,6 +64,8 @@ KINDS = (
     "afterpulse",
     "other",
     "bottom",
+    "bloom",
+    "crosstalk",
 )
 """Names of the values of the truth column ``kind``."""
 
@@ -107,6 +112,8 @@ class _Rig:
     optics: Optics
     receiver: Receiver
     noise: Noise
+    air: Air
+    stray: StrayLight
     grid: NoiseGrid
 
 
@@ -149,12 +156,15 @@ def simulate(
     passes = make_passes(scene)
     pieces = [list(chunks(run, layout.arrays)) for run in passes]
     _check_coverage(passes, pieces)
+    noise = solve_noise(scene, passes, pieces)
     rig = _Rig(
         scene,
         tune_wires(scene, layout, optics, passes, pieces),
         optics,
         receiver,
-        solve_noise(scene, passes, pieces),
+        noise,
+        make_air(scene, float(noise.at(np.ones(1))[0])),
+        make_stray_light(scene, layout.arrays),
         _noise_grid(scene),
     )
     shots = max(sum(len(p.shot) for chunk_list in pieces for p in chunk_list), 1)
@@ -209,20 +219,19 @@ def _fly(
     counts = np.zeros(len(KINDS), dtype=np.int64)
     gate = rig.scene.acquisition.gate_m
     peak = rig.noise.at(np.array([run.flight.sky * (1 + rig.scene.sky.variation)]))
-    layers = empty_layers(rig.arrays)
     gain = float(rig.optics.gain.max(initial=0.0))
     nearest = min(float(piece.ground_range_m.min()) for piece in pieces) - gate / 2
     brightest = gain * rig.optics.signal_m2 / max(nearest, 1.0) ** 2
     # tuned wires may send back more than falls on them
     brightest *= max(1.0, float(rig.arrays.wire[:, 9].max(initial=0.0)))
-    room = event_room(gate * gain * float(peak[0]), brightest, len(layers))
-    events = (
-        np.empty(room),
-        np.empty((room, 3), dtype=np.int64),
-        np.empty(room, dtype=np.int64),
-        np.empty(room, dtype=np.int64),
-    )
-    buffers = _buffers(max(BUFFER_POINTS, 2 * room * len(rig.optics.gain)))
+    brightest += gain * float(rig.stray.reflectors[:, 3].sum())
+    noise = gate * gain * (float(peak[0]) * (1 + abs(rig.air.gate_fall)) + _thickest(rig.air))
+    # what the channels beside set off comes on top
+    brightest, noise = (mean * (1 + 4 * rig.stray.crosstalk) for mean in (brightest, noise))
+    room = event_room(noise, brightest, layer_room(rig.arrays))
+    channels = len(rig.optics.gain)
+    beamlets = empty_beamlets(rig.arrays, channels, room, len(rig.stray.reflectors))
+    buffers = _buffers(max(BUFFER_POINTS, 2 * room * channels))
     header = las_header(rig.scene.crs, rig.scene.origin_m, run.middle_s)
     with (
         replacing(out / "flightlines" / f"{name}.laz") as laz,
@@ -241,10 +250,11 @@ def _fly(
                     rig.arrays,
                     rig.optics,
                     rig.receiver,
+                    rig.air,
+                    rig.stray,
                     shots,
                     first,
-                    events,
-                    layers,
+                    beamlets,
                     rig.grid,
                     buffers,
                 )
@@ -260,6 +270,11 @@ def _fly(
                 advance(last - first)
                 first = last
     return counts
+
+
+def _thickest(air: Air) -> float:
+    """Most that haze and fog add to the rate of a channel of gain 1 [1/m]."""
+    return float(air.layers[:, 3].sum() + air.fog[:, 0].sum())
 
 
 def _buffers(rows: int) -> Points:
@@ -286,6 +301,7 @@ def _shots(rig: _Rig, run: Pass, piece: Chunk, gate_start_m: float) -> Shots:
         start,
         start + rig.scene.acquisition.gate_m,
         rig.noise.at(run.sky(time_s)),
+        time_s - rig.scene.acquisition.start_s,
     )
 
 

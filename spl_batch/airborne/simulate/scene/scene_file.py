@@ -120,6 +120,33 @@ class Flight(Section):
     sky: Positive = Field(1.0, description="Sunlight relative to the scene's [1].")
 
 
+class Haze(Section):
+    """A layer of air that sends light back, in patches that drift."""
+
+    base_m: float = Field(60.0, description="Above the scene's mean ground [m].")
+    top_m: float = Field(100.0, description="Above the scene's mean ground [m].")
+    times_noise: Positive = Field(5.0, description="Returns at full strength / mean background.")
+    cover: float = Field(0.5, gt=0, le=1, description="Share of the area under patches.")
+    patch_m: Positive = Field(120.0, description="Shortest waves that patches are made of [m].")
+    edge_m: NotNegative = Field(5.0, description="Over which base and top fade [m].")
+    drift_m_s: Place = Field((0.0, 0.0), description="Wind towards east and north [m/s].")
+
+
+class Fog(Section):
+    """Air above the ground that sends light back, the less the higher."""
+
+    times_noise: Positive = Field(30.0, description="Returns at the ground / mean background.")
+    scale_m: Positive = Field(1.5, description="Height at which a third is left [m].")
+
+
+class Reflector(Section):
+    """A retro-reflector: every channel of a shot that lights it sees it."""
+
+    place_m: Place = Field(description="East and north of the origin [m].")
+    height_m: NotNegative = Field(1.5, description="Above the ground [m].")
+    electrons: Positive = Field(5.0, description="Mean photo-electrons in each channel [count].")
+
+
 class Sky(Section):
     """Sun and air [W17 Eq. 2.2-2.5]."""
 
@@ -134,6 +161,14 @@ class Sky(Section):
     scale_height_m: Positive = Field(8000.0, description="Of the atmosphere [m].")
     variation: float = Field(0.3, ge=0, lt=1, description="Relative swing along a flightline.")
     period_s: Positive = Field(5.0, description="Of the swing [s].")
+    gate_fall: float = Field(
+        0.0,
+        ge=-1,
+        le=1,
+        description="Background at the gate's start less that at its end, over their sum.",
+    )
+    haze: tuple[Haze, ...] = Field((), description="Layers of haze or cloud.")
+    fog: tuple[Fog, ...] = Field((), description="Fog on the ground.")
 
 
 class Acquisition(Section):
@@ -147,6 +182,9 @@ class Acquisition(Section):
     gain_spread: float = Field(0.05, ge=0, lt=0.3, description="Of the channels' sensitivity.")
     wobble_deg: NotNegative = Field(0.2, description="Swing of roll and pitch [deg].")
     start_s: float = Field(371_000_000.0, description="Adjusted standard GPS time of take-off [s].")
+    crosstalk: Share = Field(
+        0.0, description="Chance that a photo-electron sets off a given channel beside its own."
+    )
     turn_s: Positive = Field(240.0, description="From the middle of one line to the next [s].")
     margin_m: NotNegative = Field(5.0, description="Shots this far outside are kept [m].")
 
@@ -208,6 +246,7 @@ class Scene(Section):
     trees: Trees = Trees()
     wires: tuple[Wires, ...] = ()
     water: tuple[Water, ...] = ()
+    reflectors: tuple[Reflector, ...] = ()
     flights: tuple[Flight, ...] = Field(min_length=1, description="Flightlines in flown order.")
     sensor: str | Sensor = Field("spl100", description="A preset's name, or a mapping.")
     sensor_overrides: dict[str, Any] = Field({}, description="Sensor keys that differ from it.")
@@ -232,6 +271,9 @@ class Scene(Section):
             dead = f"{instrument.dead_m:.3f} m"
             raise ValueError(f"detector: afterpulse_lag_max_m must exceed the dead time, {dead}")
         used = {*self.acquisition.dead_channels, *self.acquisition.weak_channels}
+        upside_down = [k for k, haze in enumerate(self.sky.haze) if haze.top_m <= haze.base_m]
+        if upside_down:
+            raise ValueError(f"sky: haze.{upside_down[0]}: top_m must be above base_m")
         outside = sorted(c for c in used if not 1 <= c <= instrument.beamlets)
         if outside:
             raise ValueError(f"acquisition: channels are 1..{instrument.beamlets}, not {outside}")

@@ -1,0 +1,136 @@
+"""Air and stray light of simulated surveys against what their settings say."""
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy import stats
+
+from spl_batch.airborne.simulate import detector, haze, simulate, stray_light
+from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.airborne.simulate.survey import KINDS
+from spl_batch.errors import WorkflowError
+
+FLAT = {
+    "extent_m": [40, 40],
+    "seed": 3,
+    "terrain": {"relief_m": 0, "roughness_m": 0},
+    "flights": [{"heading_deg": 0, "offset_m": 300, "speed_m_s": 110}],
+    "acquisition": {"prf_hz": 20000, "gate_m": 160},
+    "sensor_overrides": {"afterpulse_probability": 0.0},
+}
+
+
+def fly(out, sky=None, acquisition=None, **more):
+    scene = {**FLAT, "sky": {"background_per_m3": 0.01, "variation": 0, **(sky or {})}, **more}
+    scene["acquisition"] = {**FLAT["acquisition"], **(acquisition or {})}
+    simulate(parse_scene(scene, "here"), out)
+    las = laspy.read(out / "flightlines" / "line_01.laz")
+    truth = pq.read_table(out / "truth" / "line_01.parquet")
+    inside = (abs(las.x - 272_020) < 20) & (abs(las.y - 3_290_020) < 20)
+    columns = {n: np.asarray(las[n]) for n in ("x", "y", "z", "gps_time", "channel")}
+    columns["kind"] = truth["kind"].to_numpy()
+    return {n: values[inside] for n, values in columns.items()}
+
+
+def above_ground(points):
+    return points["z"][points["kind"] == KINDS.index("background")] - 40.0
+
+
+def test_a_layer_adds_what_its_strength_says_and_only_there(tmp_path):
+    layer = {"base_m": 20, "top_m": 50, "times_noise": 6, "cover": 1, "edge_m": 0}
+    height = above_ground(fly(tmp_path, {"haze": [layer]}))
+    count = np.histogram(height, [-60, 0, 20, 50, 70])[0] / [60, 20, 30, 20]
+    assert count[2] / count[[0, 1, 3]].mean() == pytest.approx(7, rel=0.12)
+    assert stats.kstest(height[(height > 20) & (height < 50)], "uniform", (20, 30)).pvalue > 1e-3
+
+
+def test_patches_cover_the_share_of_the_sky_that_is_asked_for_and_drift_with_the_wind():
+    scene = parse_scene(
+        {**FLAT, "sky": {"haze": [{"cover": 0.3, "patch_m": 50, "drift_m_s": [4, -2]}]}}, "here"
+    )
+    air = haze.make_air(scene, 1.0)
+    rng = np.random.default_rng(1)
+    at = rng.uniform(0, 3000, (20_000, 2))
+    strength = [haze.patch_strength(air.layers[0], air.waves[0], *place, 0.0) for place in at]
+    assert np.mean(strength) == pytest.approx(0.3, abs=0.03)
+    later = [
+        haze.patch_strength(air.layers[0], air.waves[0], x + 4 * 7.0, y - 2 * 7.0, 7.0)
+        for x, y in at[:200]
+    ]
+    np.testing.assert_allclose(later, strength[:200], atol=1e-9)
+
+
+def test_fog_falls_off_with_the_height_above_the_ground_and_ends_there(tmp_path):
+    fog = {"times_noise": 200, "scale_m": 1.5}
+    without, height = (
+        above_ground(fly(tmp_path / name, sky))
+        for name, sky in (("clear", {}), ("fog", {"fog": [fog]}))
+    )
+    assert len(height[height < 0]) == pytest.approx(len(without[without < 0]), rel=0.2)
+    low = height[(height > 0) & (height < 6)]
+    assert len(low) > 500
+    # a mean of the exponential that is cut at 6 m, with the uniform background counted in
+    background = len(without[without > 0]) / without.max() * 6
+    cut = 1.5 - 6 * np.exp(-4) / (1 - np.exp(-4))
+    want = (cut * (len(low) - background) + 3 * background) / len(low)
+    assert low.mean() == pytest.approx(want, rel=0.07)
+
+
+def test_background_may_fall_along_the_gate(tmp_path):
+    height = above_ground(fly(tmp_path, {"background_per_m3": 0.03, "gate_fall": 0.6}))
+    half = np.histogram(height, [-70, 0, 70])[0]
+    # linear from 1.6 at the gate's start, 80 m up, to 0.4
+    assert half[1] / half[0] == pytest.approx((1 + 0.6 * 0.4375) / (1 - 0.6 * 0.4375), rel=0.1)
+
+
+def test_a_falling_background_is_a_poisson_process_of_the_same_mean():
+    rng = np.random.default_rng(2)
+    ranges, facts = np.empty(100), np.empty((100, 3), np.int64)
+    counts = [
+        detector.add_background(rng, ranges, facts, 0.0, 300.0, 0.02, -1.0) for _ in range(4000)
+    ]
+    assert np.mean(counts) == pytest.approx(6.0, rel=0.02)
+    assert np.var(counts) == pytest.approx(6.0, rel=0.08)
+
+
+def test_a_reflector_is_seen_by_all_channels_of_a_shot_at_one_range(tmp_path):
+    points = fly(tmp_path, reflectors=[{"place_m": [20, 20], "height_m": 2, "electrons": 6}])
+    bloom = points["kind"] == KINDS.index("bloom")
+    shots, channels = np.unique(points["gps_time"][bloom], return_counts=True)
+    assert len(shots) > 5
+    assert np.median(channels) > 95
+    one = bloom & (points["gps_time"] == shots[len(shots) // 2])
+    assert np.ptp(points["x"][one]) + np.ptp(points["y"][one]) > 6, "over the whole array"
+
+
+def test_crosstalk_sets_off_the_channels_beside_and_no_others():
+    scene = parse_scene({**FLAT, "acquisition": {"crosstalk": 0.25}}, "here")
+    stray = stray_light.StrayLight(np.empty((0, 4)), 0.0, scene.acquisition.crosstalk, 10)
+    rng, gains = np.random.default_rng(4), np.ones(100)
+    gains[56] = 0.0
+    found = np.zeros(100)
+    for _ in range(2000):
+        ranges, facts = np.empty((100, 40)), np.zeros((100, 40, 3), np.int64)
+        count = np.zeros(100, np.int64)
+        count[55], ranges[55, 0], facts[55, 0] = 1, 900.0, (1, 255, -1)
+        stray_light.set_off_neighbours(rng, stray, gains, ranges, facts, count)
+        count[55] -= 1
+        found += count
+        for other in np.flatnonzero(count):
+            assert ranges[other, 0] == 900.0
+    assert set(np.flatnonzero(found)) == {45, 54, 65}, "the dead channel stays dark"
+    np.testing.assert_allclose(found[[45, 54, 65]] / 2000, 0.25, atol=0.04)
+
+
+def test_crosstalk_of_a_survey_adds_its_share(tmp_path):
+    points = fly(tmp_path, acquisition={"crosstalk": 0.05})
+    kind = points["kind"]
+    off = np.count_nonzero(kind == KINDS.index("crosstalk"))
+    # of photo-electrons that fall into the dead time of one before nothing is seen
+    assert 0.05 < off / np.count_nonzero(kind != KINDS.index("crosstalk")) < 0.2
+
+
+def test_a_layer_upside_down_is_refused():
+    with pytest.raises(WorkflowError, match=r"haze\.0: top_m must be above base_m"):
+        parse_scene({**FLAT, "sky": {"haze": [{"base_m": 50, "top_m": 20}]}}, "here")
