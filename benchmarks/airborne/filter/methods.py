@@ -29,6 +29,7 @@ from spl_batch.formats.verified.parquet_npz import read_columns
 
 KINDS = ("background", "ground", "roof", "vegetation", "wire", "water", "afterpulse", "other")
 BACKGROUND, GROUND, ROOF, VEGETATION, WIRE, WATER, AFTERPULSE, OTHER = range(len(KINDS))
+BLOOM, CROSSTALK = 9, 10
 
 Columns = dict[str, NDArray[Any]]
 
@@ -66,7 +67,7 @@ signal [W17 Eq. 4.1]; gamma's factor of two would make it throw half of the sign
 
 def is_noise(kind: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
     """Which returns no surface reflected, by their true kind: (n,)."""
-    return np.isin(kind, (BACKGROUND, AFTERPULSE))
+    return np.isin(kind, (BACKGROUND, AFTERPULSE, BLOOM, CROSSTALK))
 
 
 def known_methods() -> dict[str, Method]:

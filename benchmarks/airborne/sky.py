@@ -1,0 +1,184 @@
+"""What a real sky and stray light do to the result, and whether the run says so.
+
+Run ``python -m benchmarks.airborne.sky [FOLDER] [--only NAME ...] [--times 0.5 1 2]``.
+
+Each row is a small survey with one effect that the model of the noise does not know, run with the
+default settings. ``far noise`` is noise more than 3 m from every true return. A DSM cell is too
+high where it stands above every true return of it and the cells around. ``told`` counts the
+warnings that the same scene without the effect does not have; ``--say`` prints them.
+"""
+
+import argparse
+import json
+import math
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import rasterio
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from benchmarks.airborne.filter.methods import KINDS, is_noise
+from spl_batch.airborne.simulate import simulate
+from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.engine.verbs.running import run
+
+BASE: dict[str, Any] = {
+    "name": "base",
+    "extent_m": [110, 110],
+    "seed": 11,
+    "terrain": {"relief_m": 8, "wavelength_m": 100},
+    "buildings": {"count": 3},
+    "trees": {"cover": 0.25},
+    "wires": [
+        {"kind": "transmission", "points_m": [[-60, 75], [170, 95]], "height_m": 24, "sag_m": 4,
+         "returns_per_m": 0.8},
+    ],
+    "flights": [
+        {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110},
+        {"heading_deg": 90, "offset_m": -280, "speed_m_s": 110},
+    ],
+    "sky": {"background_per_m3": 0.05},
+    "acquisition": {"prf_hz": 25_000, "gate_m": 250},
+}  # fmt: skip
+
+FAR_M = 3.0
+"""Distance from true returns from which on noise is far [m]."""
+
+
+def haze(times: float, base_m: float, top_m: float, cover: float = 0.5) -> dict[str, Any]:
+    """A layer in patches that drift."""
+    layer = {"base_m": base_m, "top_m": top_m, "times_noise": times, "cover": cover,
+             "patch_m": 60, "drift_m_s": [3, 1]}  # fmt: skip
+    return {"sky": {"haze": [layer]}}
+
+
+def reflectors(count: float) -> dict[str, Any]:
+    """Retro-reflectors here and there, some on poles."""
+    rng = np.random.default_rng(5)
+    places = rng.uniform(10, 100, (max(round(count), 1), 2))
+    return {"reflectors": [
+        {"place_m": list(map(float, place)), "height_m": float(1 + 1.5 * (k % 4)), "electrons": 5}
+        for k, place in enumerate(places)
+    ]}  # fmt: skip
+
+
+EFFECTS: dict[str, Any] = {
+    "base": lambda _: {},
+    "haze 60-100 m, 5 x": lambda t: haze(5 * t, 60, 100),
+    "haze 60-100 m, 20 x": lambda t: haze(20 * t, 60, 100),
+    "haze 25-45 m, 30 x": lambda t: haze(30 * t, 25, 45),
+    "closed cloud 70-110 m, 20 x": lambda t: haze(20 * t, 70, 110, 1.0),
+    "fog, 1.5 m, 60 x": lambda t: {"sky": {"fog": [{"times_noise": 60 * t, "scale_m": 1.5}]}},
+    "noise falls along the gate": lambda t: {"sky": {"gate_fall": 0.4 * t}},
+    "12 reflectors": lambda t: reflectors(12 * t),
+    "crosstalk 5 %": lambda t: {"acquisition": {"crosstalk": 0.05 * t}},
+}
+"""Effects by name: what strength makes of the base."""
+
+
+def scene(name: str, times: float) -> dict[str, Any]:
+    """Content of a scene file."""
+    merged = {k: dict(v) if isinstance(v, dict) else v for k, v in BASE.items()}
+    for key, value in EFFECTS[name](times).items():
+        merged[key] = {**merged.get(key, {}), **value} if isinstance(value, dict) else value
+    return merged | {"name": f"{name}, {times:g}"}
+
+
+def measure(folder: Path) -> dict[str, float]:
+    """Figures of one processed survey [%, m]."""
+    points = _load(folder)
+    kind, kept = points["kind"], points["noise_class"] == 0
+    noise = is_noise(kind)
+    xyz = np.column_stack([points[axis] for axis in "xyz"])
+    gap = KDTree(xyz[~noise]).query(xyz[noise], distance_upper_bound=FAR_M, workers=2)[0]
+    far = np.isinf(gap)
+    figures = {
+        "noise removed": 100 * float(1 - kept[noise].mean()),
+        "far noise kept": 100 * float(kept[noise][far].mean()),
+    }
+    for name in ("ground", "roof", "vegetation", "wire"):
+        figures[name] = 100 * float(kept[kind == KINDS.index(name)].mean())
+    return figures | _surfaces(folder, points, noise)
+
+
+def _load(folder: Path) -> dict[str, NDArray[Any]]:
+    parts: dict[str, list[NDArray[Any]]] = {}
+    for path in sorted((folder / "truth").glob("line_*.parquet")):
+        las = laspy.read(folder / "out" / "laz" / "flightlines" / f"{path.stem}.laz")
+        parts.setdefault("kind", []).append(pq.read_table(path)["kind"].to_numpy())
+        for name in ("x", "y", "z", "noise_class"):
+            parts.setdefault(name, []).append(np.asarray(las[name]))
+    return {name: np.concatenate(values) for name, values in parts.items()}
+
+
+def _surfaces(
+    folder: Path, points: dict[str, NDArray[Any]], noise: NDArray[np.bool_]
+) -> dict[str, float]:
+    """How much of the DSM stands above every true return around, and the error of the DTM."""
+    with rasterio.open(folder / "out" / "dsm.tif") as source:
+        dsm, at = source.read(1).astype(np.float64), source.transform
+    with rasterio.open(folder / "out" / "dtm.tif") as source:
+        dtm = source.read(1).astype(np.float64)
+    with rasterio.open(folder / "truth" / "dtm.tif") as source:
+        true, origin = source.read(1).astype(np.float64), source.transform
+    row = np.floor((at.f - points["y"][~noise]) / -at.e).astype(int)
+    col = np.floor((points["x"][~noise] - at.c) / at.a).astype(int)
+    inside = (row >= 0) & (row < dsm.shape[0]) & (col >= 0) & (col < dsm.shape[1])
+    top = np.full((dsm.shape[0] + 2, dsm.shape[1] + 2), -np.inf)
+    np.maximum.at(top, (row[inside] + 1, col[inside] + 1), points["z"][~noise][inside])
+    near = np.lib.stride_tricks.sliding_window_view(top, (3, 3)).max(axis=(2, 3))
+    first, left = round((at.f - origin.f) / -at.e), round((origin.c - at.c) / at.a)
+    rows, cols = true.shape
+    r0, c0 = max(-first, 0), max(left, 0)
+    scene_part = slice(r0, -first + rows), slice(c0, left + cols)
+    high, terrain = dsm[scene_part], dtm[scene_part]
+    near = near[scene_part]
+    valid = (high > -9000) & np.isfinite(near)
+    over = (high - near)[valid]
+    known = (terrain > -9000) & (true[: terrain.shape[0], : terrain.shape[1]] > -9000)
+    error = (terrain - true[: terrain.shape[0], : terrain.shape[1]])[known]
+    return {
+        "DSM > 1 m": 100 * float((over > 1).mean()),
+        "DSM > 10 m": 100 * float((over > 10).mean()),
+        "DSM rmse": math.sqrt(float(np.mean(np.maximum(over, 0) ** 2))),
+        "DTM rmse": math.sqrt(float(np.mean(error**2))),
+        "DTM > 0.5": 100 * float((np.abs(error) > 0.5).mean()),
+    }
+
+
+def main() -> None:
+    """Simulate, run, measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--only", nargs="+", choices=list(EFFECTS), default=list(EFFECTS))
+    parser.add_argument("--times", nargs="+", type=float, default=[1.0])
+    parser.add_argument("--say", action="store_true", help="print the warnings")
+    given = parser.parse_args()
+    folder = given.folder or Path(tempfile.mkdtemp())
+    usual: set[str] = set()
+    for name in given.only:
+        for times in [1.0] if name == "base" else given.times:
+            survey = folder / f"{name}_{times:g}".replace(" ", "_").replace(",", "")
+            if not (survey / "workflow.yaml").exists():
+                simulate(parse_scene(scene(name, times), name), survey)
+            run(survey / "workflow.yaml", workers=1)
+            figures = measure(survey)
+            said = json.loads((survey / "out" / "report.json").read_text())["warnings"]
+            if name == "base":
+                usual = set(said)
+            told = [text for text in said if text not in usual]
+            if (name, times) == (given.only[0], 1.0) or len(given.only) == 1:
+                print(f"{'':34s}" + "".join(f"{key:>15s}" for key in (*figures, "told")))
+            row = "".join(f"{value:15.2f}" for value in figures.values())
+            print(f"{name:30s}{times:4g}{row}{len(told):15d}", flush=True)
+            for text in told if given.say else []:
+                print(f"    {text}")
+
+
+if __name__ == "__main__":
+    main()
