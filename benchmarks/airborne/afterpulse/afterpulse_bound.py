@@ -26,13 +26,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.simulate.beamlet_room import empty_layers
 from spl_batch.airborne.simulate.brightness import make_optics
 from spl_batch.airborne.simulate.detector import Receiver
 from spl_batch.airborne.simulate.scene.beam_layers import look
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.simulate.shots import Optics, empty_layers
+from spl_batch.airborne.simulate.shots import Optics
 from spl_batch.lattice.tables import BeamTable
 
 PATHS: Final = 21

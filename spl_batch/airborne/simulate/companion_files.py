@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from spl_batch.airborne.simulate.beamlet_room import empty_layers
 from spl_batch.airborne.simulate.file_writers import (
     las_header,
     raster_rows,
@@ -22,6 +23,7 @@ from spl_batch.airborne.simulate.file_writers import (
 )
 from spl_batch.airborne.simulate.flight import Pass
 from spl_batch.airborne.simulate.linear_mode import linear_returns, surface_heights
+from spl_batch.airborne.simulate.noise_grid import NoiseGrid
 from spl_batch.airborne.simulate.scene.layout import Layout, footprints
 from spl_batch.airborne.simulate.scene.ray_trace import (
     KIND_GROUND,
@@ -30,7 +32,6 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
     SceneArrays,
 )
 from spl_batch.airborne.simulate.scene.scene_file import Scene
-from spl_batch.airborne.simulate.shots import NoiseGrid, empty_layers
 from spl_batch.airborne.simulate.true_reflectance import mean_reflectance
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_UNCLASSIFIED, CLASS_WATER
 from spl_batch.formats.files.atomic import replacing

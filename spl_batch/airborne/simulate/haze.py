@@ -18,11 +18,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from spl_batch.airborne.simulate.detector import NO_PARENT, add_event
 from spl_batch.airborne.simulate.scene.ray_trace import KIND_BACKGROUND, SceneArrays, bilinear
-from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.numerics.compiled import njit
 
 WAVES: Final = 16
@@ -33,9 +31,6 @@ RIM: Final = 0.5
 
 FOG_DEPTH: Final = 8.0
 """Scales above the ground at which fog ends."""
-
-SAMPLES: Final = 4
-"""Places within a layer at which a beamlet adds to the true noise density."""
 
 
 class Air(NamedTuple):
@@ -58,34 +53,6 @@ class Air(NamedTuple):
     waves: NDArray[np.float64]
     fog: NDArray[np.float64]
     gate_fall: float
-
-
-def make_air(scene: Scene, noise_per_m: float) -> Air:
-    """Air of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    noise_per_m : float
-        Mean background of a channel of gain 1, which strengths are relative to [1/m].
-    """
-    ground, sky = scene.origin_m[2], scene.sky
-    layers, waves = np.empty((len(sky.haze), 7)), np.empty((len(sky.haze), WAVES, 3))
-    for k, haze in enumerate(sky.haze):
-        rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(5, k)))
-        threshold = float(norm.isf(haze.cover)) if haze.cover < 1 else -math.inf
-        layers[k] = (
-            ground + haze.base_m, ground + haze.top_m, haze.edge_m,
-            haze.times_noise * noise_per_m, threshold, *haze.drift_m_s,
-        )  # fmt: skip
-        length = 2 * np.pi / haze.patch_m * rng.uniform(0.3, 1.0, WAVES)
-        turn = rng.uniform(0, 2 * np.pi, WAVES)
-        waves[k] = np.column_stack(
-            [length * np.cos(turn), length * np.sin(turn), rng.uniform(0, 2 * np.pi, WAVES)]
-        )
-    fog = np.array([(f.times_noise * noise_per_m, f.scale_m) for f in sky.fog])
-    return Air(layers, waves, fog.reshape(-1, 2), sky.gate_fall)
 
 
 @njit()
@@ -154,7 +121,7 @@ def add_air(
     origin, axis = ray
     for k in range(len(air.layers)):
         layer = air.layers[k]
-        at, stop = _reach(layer, origin, axis, span)
+        at, stop = reach(layer, origin, axis, span)
         rate = gain * layer[3]
         at -= math.log(1.0 - rng.random()) / rate
         while at < stop:
@@ -177,45 +144,9 @@ def add_air(
 
 
 @njit()
-def _reach(layer: Any, origin: Any, axis: Any, span: tuple[float, float]) -> tuple[float, float]:
+def reach(layer: Any, origin: Any, axis: Any, span: tuple[float, float]) -> tuple[float, float]:
     """Where a beamlet enters and leaves a layer with its edges [m]."""
     half = 0.5 * layer[2]
     enter = (layer[1] + half - origin[2]) / axis[2]
     leave = (layer[0] - half - origin[2]) / axis[2]
     return max(enter, span[0]), min(leave, span[1])
-
-
-@njit()
-def deposit_air(
-    air: Air, amount: NDArray[np.float64], corner: NDArray[np.float64], voxel_m: float,
-    gain: float, time_s: float, ray: Any, span: tuple[float, float],
-) -> None:  # fmt: skip
-    """Spread what a beamlet expects from the layers over the voxels of the true noise density.
-
-    Fog is left out: it is thinner than a voxel.
-
-    Parameters
-    ----------
-    air, gain, time_s, ray, span
-        As for :func:`add_air`.
-    amount : (nx, ny, nz) float64
-        Expected points [count], added to.
-    corner : (3,) float64
-        Lower corner of the voxels [m].
-    voxel_m : float
-        Their edge [m].
-    """
-    origin, axis = ray
-    nx, ny, nz = amount.shape
-    for k in range(len(air.layers)):
-        layer = air.layers[k]
-        start, stop = _reach(layer, origin, axis, span)
-        for s in range(SAMPLES):
-            at = start + (s + 0.5) / SAMPLES * (stop - start)
-            x, y, z = origin[0] + at * axis[0], origin[1] + at * axis[1], origin[2] + at * axis[2]
-            i = math.floor((x - corner[0]) / voxel_m)
-            j = math.floor((y - corner[1]) / voxel_m)
-            h = math.floor((z - corner[2]) / voxel_m)
-            if stop > start and 0 <= i < nx and 0 <= j < ny and 0 <= h < nz:
-                share = layer_strength(layer, z) * patch_strength(layer, air.waves[k], x, y, time_s)
-                amount[i, j, h] += gain * layer[3] * share * (stop - start) / SAMPLES

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.simulate.beamlet_room import Beamlets
 from spl_batch.airborne.simulate.detector import (
     NO_PARENT,
     Receiver,
@@ -15,8 +16,9 @@ from spl_batch.airborne.simulate.detector import (
     record,
     walked,
 )
-from spl_batch.airborne.simulate.haze import Air, add_air, deposit_air
-from spl_batch.airborne.simulate.scene.beam_layers import LAYER_FIELDS, look
+from spl_batch.airborne.simulate.haze import Air, add_air
+from spl_batch.airborne.simulate.noise_grid import NoiseGrid, deposit, deposit_air
+from spl_batch.airborne.simulate.scene.beam_layers import look
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.stray_light import (
     StrayLight,
@@ -25,9 +27,6 @@ from spl_batch.airborne.simulate.stray_light import (
     set_off_neighbours,
 )
 from spl_batch.numerics.compiled import njit
-
-NOISE_SAMPLES = 6
-"""Places along the gate at which a beamlet adds to the true noise density."""
 
 
 class Optics(NamedTuple):
@@ -115,24 +114,6 @@ class Points(NamedTuple):
     parent: NDArray[np.uint8]
     electrons: NDArray[np.int64]
     parent_row: NDArray[np.int64]
-
-
-class NoiseGrid(NamedTuple):
-    """Voxels that collect the expected background.
-
-    Parameters
-    ----------
-    amount : (nx, ny, nz) float64
-        Expected background points [count].
-    corner : (3,) float64
-        Lower corner, relative to the scene's origin [m]; z is a height.
-    voxel_m : float
-        Edge [m].
-    """
-
-    amount: NDArray[np.float64]
-    corner: NDArray[np.float64]
-    voxel_m: float
 
 
 @njit()
@@ -248,25 +229,6 @@ def _in_gate(ranges: NDArray[np.float64], facts: NDArray[np.int64], n: int, star
 
 
 @njit()
-def _deposit(
-    grid: NoiseGrid, origin: Any, axis: Any, start: float, stop: float, expected: float, fall: float
-) -> None:
-    """Spread a beamlet's expected background over the voxels that it crosses."""
-    nx, ny, nz = grid.amount.shape
-    step = (stop - start) / NOISE_SAMPLES
-    # A start that wanders with the beamlet fills the gaps between the samples.
-    at = start + step * (abs(axis[0] * 1e6 + axis[1] * 1.618e6) % 1.0)
-    for _ in range(NOISE_SAMPLES):
-        share = 1.0 + fall * (1.0 - 2.0 * (at - start) / (stop - start))
-        i = math.floor((origin[0] + at * axis[0] - grid.corner[0]) / grid.voxel_m)
-        j = math.floor((origin[1] + at * axis[1] - grid.corner[1]) / grid.voxel_m)
-        k = math.floor((origin[2] + at * axis[2] - grid.corner[2]) / grid.voxel_m)
-        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-            grid.amount[i, j, k] += expected / NOISE_SAMPLES * share
-        at += step
-
-
-@njit()
 def _store(
     out: Points,
     row: int,
@@ -293,49 +255,6 @@ def _store(
         out.parent[row + k] = facts[kept[k], 1]
         out.electrons[row + k] = electrons[k]
         out.parent_row[row + k] = row + source if source >= 0 else -1
-
-
-class Beamlets(NamedTuple):
-    """Room for the events of all beamlets of a shot.
-
-    Parameters
-    ----------
-    axis : (c, 3) float64
-        Unit vectors.
-    ranges, facts : (c, m) float64 and (c, m, 3) int64
-        Events as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
-    held : (c,) int64
-        Number of events.
-    kept, electrons : (m,) int64
-        What one beamlet records.
-    layers : (k, 5) float64
-        Layers of one beam.
-    lit : (r, 2) float64
-        Reflectors that a shot lights.
-    """
-
-    axis: NDArray[np.float64]
-    ranges: NDArray[np.float64]
-    facts: NDArray[np.int64]
-    held: NDArray[np.int64]
-    kept: NDArray[np.int64]
-    electrons: NDArray[np.int64]
-    layers: NDArray[np.float64]
-    lit: NDArray[np.float64]
-
-
-def empty_beamlets(scene: SceneArrays, channels: int, room: int, reflectors: int) -> Beamlets:
-    """Room for the events of all beamlets of a shot, ``room`` of them each."""
-    return Beamlets(
-        np.empty((channels, 3)),
-        np.empty((channels, room)),
-        np.empty((channels, room, 3), dtype=np.int64),
-        np.zeros(channels, dtype=np.int64),
-        np.empty(room, dtype=np.int64),
-        np.empty(room, dtype=np.int64),
-        empty_layers(scene),
-        np.empty((max(reflectors, 1), 2)),
-    )
 
 
 @njit()
@@ -416,7 +335,7 @@ def _look(  # type: ignore[no-untyped-def]
     n = add_air(rng, scene, air, gain, time_s, (origin, axis), span, ranges, facts, n)
     n = add_bloom(rng, room.lit, lit, gain, optics.range_sigma_m, ranges, facts, n)
     room.held[c] = _in_gate(ranges, facts, n, start)
-    _deposit(grid, origin, axis, start, stop, noise * (stop - start), air.gate_fall)
+    deposit(grid, origin, axis, start, stop, noise * (stop - start), air.gate_fall)
     deposit_air(air, grid.amount, grid.corner, grid.voxel_m, gain, time_s, (origin, axis), span)
 
 
@@ -449,27 +368,3 @@ def first_rows(points: Points, count: int) -> Points:
         points.electrons[:count],
         points.parent_row[:count],
     )
-
-
-def event_room(background: float, signal: float, layers: int) -> int:
-    """Events that one beamlet must have room for, far beyond what chance makes likely.
-
-    Parameters
-    ----------
-    background, signal : float
-        Highest expected photo-electrons of background, and of one surface [count].
-    layers : int
-        Most layers that one beam can meet.
-    """
-    mean = background + signal
-    return int(2 * (mean + 12 * math.sqrt(mean + 1))) + 16 * (layers + 8)
-
-
-def layer_room(scene: SceneArrays) -> int:
-    """Most objects listed for one cell, one more, and a water's surface and column."""
-    return 3 + int(np.diff(scene.cell_first, axis=1).max(initial=0))
-
-
-def empty_layers(scene: SceneArrays) -> NDArray[np.float64]:
-    """Room for the layers of one beam."""
-    return np.empty((layer_room(scene), LAYER_FIELDS))

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.detector import NO_PARENT, add_event, poisson_count
-from spl_batch.airborne.simulate.scene.ray_trace import (
-    KIND_BLOOM,
-    KIND_CROSSTALK,
-    SceneArrays,
-    bilinear,
-)
-from spl_batch.airborne.simulate.scene.scene_file import Scene
+from spl_batch.airborne.simulate.scene.ray_trace import KIND_BLOOM, KIND_CROSSTALK
 from spl_batch.numerics.compiled import njit
 
 
@@ -42,33 +36,6 @@ class StrayLight(NamedTuple):
     half_array_rad: float
     crosstalk: float
     columns: int
-
-
-def make_stray_light(scene: Scene, arrays: SceneArrays) -> StrayLight:
-    """Reflectors and crosstalk of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    arrays : SceneArrays
-        Its ground is what reflectors stand on.
-    """
-    sensor = scene.instrument
-    reflectors = [
-        (
-            *r.place_m,
-            bilinear(arrays.ground_z, arrays.grid, *r.place_m)[0] + r.height_m,
-            r.electrons,
-        )
-        for r in scene.reflectors
-    ]
-    return StrayLight(
-        np.array(reflectors, dtype=np.float64).reshape(-1, 4),
-        sensor.array_columns * sensor.beamlet_pitch_urad * 1e-6 / 2,
-        scene.acquisition.crosstalk,
-        sensor.array_columns,
-    )
 
 
 @njit()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.simulate.beamlet_room import empty_beamlets, event_room, layer_room
 from spl_batch.airborne.simulate.brightness import (
     Noise,
     make_optics,
@@ -28,22 +29,20 @@ from spl_batch.airborne.simulate.flight import (
     gate_centres,
     make_passes,
 )
-from spl_batch.airborne.simulate.haze import Air, make_air
+from spl_batch.airborne.simulate.haze import Air
+from spl_batch.airborne.simulate.noise_grid import NoiseGrid
 from spl_batch.airborne.simulate.scene.layout import lay_out
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.simulate.shots import (
-    NoiseGrid,
     Optics,
     Points,
     Shots,
-    empty_beamlets,
-    event_room,
     fire,
     first_rows,
-    layer_room,
 )
-from spl_batch.airborne.simulate.stray_light import StrayLight, make_stray_light
+from spl_batch.airborne.simulate.sky import make_air, make_stray_light
+from spl_batch.airborne.simulate.stray_light import StrayLight
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.numerics.attitude import rotations

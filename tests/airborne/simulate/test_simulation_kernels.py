@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import optimize, stats
 
 from spl_batch.airborne.beams import link_budget
-from spl_batch.airborne.simulate import detector, shots, wedge_scan
+from spl_batch.airborne.simulate import beamlet_room, detector, shots, wedge_scan
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
 from spl_batch.airborne.simulate.scene.objects import building_solid, catenary
 from spl_batch.airborne.simulate.scene.scene_file import Building
@@ -379,7 +379,7 @@ def test_clear_water_is_a_surface_a_column_and_a_bottom():
     )  # fmt: skip
     d = np.array([math.sin(0.2), 0.0, -math.cos(0.2)])
     o = origin_for([10.0, 10.0, 8.0], d, 500.0)
-    layers = shots.empty_layers(scene)
+    layers = beamlet_room.empty_layers(scene)
     n, hard, _, rho, what = beam_layers.look(scene, o, d, d, 1e-4, layers)
     assert (n, what, rho) == (2, ray_trace.KIND_BOTTOM, pytest.approx(0.2))
     assert hard == pytest.approx(500.0)

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from spl_batch.airborne.simulate import detector, haze, simulate, stray_light
+from spl_batch.airborne.simulate import sky as sky_of
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
 from spl_batch.airborne.simulate.survey import KINDS
 from spl_batch.errors import WorkflowError
@@ -49,7 +50,7 @@ def test_patches_cover_the_share_of_the_sky_that_is_asked_for_and_drift_with_the
     scene = parse_scene(
         {**FLAT, "sky": {"haze": [{"cover": 0.3, "patch_m": 50, "drift_m_s": [4, -2]}]}}, "here"
     )
-    air = haze.make_air(scene, 1.0)
+    air = sky_of.make_air(scene, 1.0)
     rng = np.random.default_rng(1)
     at = rng.uniform(0, 3000, (20_000, 2))
     strength = [haze.patch_strength(air.layers[0], air.waves[0], *place, 0.0) for place in at]

@@ -1,0 +1,77 @@
+"""Room for what one shot's beamlets see, which kernels fill again and again."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.simulate.scene.beam_layers import LAYER_FIELDS
+from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
+
+
+class Beamlets(NamedTuple):
+    """Room for the events of all beamlets of a shot.
+
+    Parameters
+    ----------
+    axis : (c, 3) float64
+        Unit vectors.
+    ranges, facts : (c, m) float64 and (c, m, 3) int64
+        Events as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
+    held : (c,) int64
+        Number of events.
+    kept, electrons : (m,) int64
+        What one beamlet records.
+    layers : (k, 5) float64
+        Layers of one beam.
+    lit : (r, 2) float64
+        Reflectors that a shot lights.
+    """
+
+    axis: NDArray[np.float64]
+    ranges: NDArray[np.float64]
+    facts: NDArray[np.int64]
+    held: NDArray[np.int64]
+    kept: NDArray[np.int64]
+    electrons: NDArray[np.int64]
+    layers: NDArray[np.float64]
+    lit: NDArray[np.float64]
+
+
+def empty_beamlets(scene: SceneArrays, channels: int, room: int, reflectors: int) -> Beamlets:
+    """Room for the events of all beamlets of a shot, ``room`` of them each."""
+    return Beamlets(
+        np.empty((channels, 3)),
+        np.empty((channels, room)),
+        np.empty((channels, room, 3), dtype=np.int64),
+        np.zeros(channels, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        empty_layers(scene),
+        np.empty((max(reflectors, 1), 2)),
+    )
+
+
+def event_room(background: float, signal: float, layers: int) -> int:
+    """Events that one beamlet must have room for, far beyond what chance makes likely.
+
+    Parameters
+    ----------
+    background, signal : float
+        Highest expected photo-electrons of background, and of one surface [count].
+    layers : int
+        Most layers that one beam can meet.
+    """
+    mean = background + signal
+    return int(2 * (mean + 12 * math.sqrt(mean + 1))) + 16 * (layers + 8)
+
+
+def layer_room(scene: SceneArrays) -> int:
+    """Most objects listed for one cell, one more, and a water's surface and column."""
+    return 3 + int(np.diff(scene.cell_first, axis=1).max(initial=0))
+
+
+def empty_layers(scene: SceneArrays) -> NDArray[np.float64]:
+    """Room for the layers of one beam."""
+    return np.empty((layer_room(scene), LAYER_FIELDS))
