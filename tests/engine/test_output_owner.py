@@ -69,6 +69,21 @@ def test_another_survey_in_the_same_output_is_refused(survey: Path, tmp_path: Pa
     assert command("plan", other).status == 0
 
 
+def test_another_survey_that_has_delivered_nothing_yet_loses_nothing(
+    survey: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert command("run", survey, "--until", "shuffle").status == 0
+    before = tree(out / "store")
+    other = make(tmp_path / "other", 3, output=str(out))
+    said = {refused(command(verb, other)) for verb in ("plan", "run")}
+    said.add(refused(command("run", other, "--fresh")))
+    (line,) = said
+    assert "holds the results of another survey" in line
+    assert tree(out / "store") == before
+    assert command("run", survey).status == 0, "the survey itself goes on"
+
+
 def test_a_survey_that_was_moved_or_renamed_is_the_same(survey: Path, tmp_path: Path) -> None:
     surveys.run(survey)
     moved = tmp_path / "moved"

@@ -1,6 +1,5 @@
 """What a run will do and cost: stretches, tiles, blocks, tasks, disk, memory, time."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -12,17 +11,15 @@ from spl_batch.airborne.plan.block_layout import CORE_COST
 from spl_batch.airborne.plan.block_size import choose_sizes, count_blocks
 from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.halo import halo_m
-from spl_batch.airborne.plan.inputs.survey_inputs import Source
+from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import Need, needs
 from spl_batch.airborne.products.product_table import PRODUCTS
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
-from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.plan.budget import Cost, measured_rates
 from spl_batch.lattice import density
 from spl_batch.lattice.density import Box, Piece
-from spl_batch.lattice.tiles import Bounds
 
 STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""
@@ -95,7 +92,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     """
     workflow, sources = survey.workflow, survey.inputs.sources
     points = sum(s.facts.n_points for s in sources)
-    boxes = [_box(source) for source in sources]
+    boxes = point_boxes(sources)
     pieces = list(density.from_boxes(boxes, survey.tile_q))
     limits = workflow, survey.memory_bytes
     sizes = survey.remembered if workflow.tiling.block_tiles is None else None
@@ -155,13 +152,6 @@ def _roomier(survey: Survey, pieces: Sequence[Piece]) -> tuple[int, float] | Non
         if read <= MUCH_READ:
             return memory_bytes, read
     return None
-
-
-def _box(source: Source) -> Box:
-    """Bounding box of a file on the lattice."""
-    west, south = (math.floor(v * QUANTA_PER_M) for v in source.facts.mins_m[:2])
-    east, north = (math.floor(v * QUANTA_PER_M) + 1 for v in source.facts.maxs_m[:2])
-    return Box(Bounds(west, south, east, north), source.facts.n_points)
 
 
 def _ground_cells(boxes: Sequence[Box], workflow: Workflow) -> int:

@@ -18,6 +18,9 @@ from spl_batch.engine.report.parts import Statistics
 MOST_POINTS: Final = 250_000
 """A profile with more points is thinned evenly: the picture has no pixels for them."""
 
+HEADROOM: Final = 1.4
+"""Height of a histogram over its highest bar: the legend stands above all of them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -74,7 +77,7 @@ def draw_histogram(differences_m: NDArray[Any], statistics: Statistics | None) -
             _statistic_lines(axes, statistics)
         axes.axvline(0.0, color=style.INK, linewidth=0.7)
         axes.set_xlim(-reach, reach)
-        axes.set_ylim(0.0, float(share.max(initial=1.0)) * 1.12)
+        axes.set_ylim(0.0, float(share.max(initial=1.0)) * HEADROOM)
         axes.set_xlabel("DTM minus reference [cm]")
         axes.set_ylabel("share of comparisons [%]")
         axes.set_title(_difference_title("All surfaces", statistics))

@@ -65,7 +65,8 @@ def add_points(writer: GroupWriter, table: PointTable) -> None:
 
 
 Copies = Counter[tuple[int, int]]
-"""Returns of a file that another one holds too, by the keys of both, the other one last [count]."""
+"""Returns of a file that it, or another one, holds already, by the keys of both, the one that they
+are taken from last [count]."""
 
 
 def read_stretch(
@@ -73,8 +74,9 @@ def read_stretch(
 ) -> tuple[PointTable, Copies]:
     """Points of a stretch from every file that has some, in time order.
 
-    A return that several files hold, as where one is delivered twice or tiles overlap, comes once,
-    from the file with the least key: copies would vouch for each other.
+    A return that is there several times, as where a file is delivered twice, tiles overlap or a
+    file holds its points twice, comes once, from the file with the least key and the first place in
+    it: copies would vouch for each other.
 
     Parameters
     ----------
@@ -107,18 +109,18 @@ def read_stretch(
 
 
 def _once(table: PointTable) -> tuple[PointTable, Copies]:
-    """Points in time order without those that a file with a lower key holds too, and these."""
-    source = table["source"]
-    if not len(source) or source.min() == source.max():
-        return table, Counter()
-    same = np.ones(len(source) - 1, np.bool_)
+    """Points in time order without those that are there already, and these."""
+    again = np.ones(len(table), np.bool_)
+    again[:1] = False
     for name in TIME_ORDER[: TIME_ORDER.index("source")]:
-        same &= table[name][1:] == table[name][:-1]
-    starts = np.flatnonzero(np.concatenate([[True], ~same]))
+        again[1:] &= table[name][1:] == table[name][:-1]
+        if not again.any():
+            return table, Counter()
+    source = table["source"]
+    starts = np.flatnonzero(~again)
     first = np.repeat(source[starts], np.diff(starts, append=len(source)))
-    again = source != first
     pairs = zip(source[again].tolist(), first[again].tolist(), strict=True)
-    return (table.take(rows_of(~again)) if again.any() else table), Counter(pairs)
+    return table.take(~again), Counter(pairs)
 
 
 def _pieces(

@@ -155,8 +155,11 @@ def _reported(output: Path) -> dict[str, Any] | None:
 
 
 def _something_there(output: Path, deliveries: Deliveries) -> bool:
-    """Whether anything of the earlier runs is left that could be lost."""
-    names = [*REPORT_FILES, *deliveries.files, *deliveries.begun]
+    """Whether anything of the earlier runs is left that could be lost.
+
+    Finished tasks count as well as results: a run that was stopped early has delivered nothing.
+    """
+    names = [*REPORT_FILES, *deliveries.files, *deliveries.begun, "store/receipts"]
     return any((output / name).exists() for name in names)
 
 

@@ -63,12 +63,36 @@ def test_files_that_overlap(small: Path, small_output: Path) -> None:
     assert np.array_equal(np.concatenate([a[:half], twice.min(axis=0), b[some:]]), whole)
 
 
-@pytest.mark.parametrize("times", [2, 3])
-def test_equal_returns_of_one_file_stay(small: Path, times: int) -> None:
+@pytest.mark.parametrize("times", [1, 2])
+def test_points_that_a_file_holds_twice_count_once(
+    small: Path, small_output: Path, times: int
+) -> None:
     path = lines(small)[0]
-    columns = surveys.flightline(psid=1)
-    again = surveys.join(*[surveys.take(columns, slice(0, 20))] * times)
-    surveys.write_cloud(path, surveys.join(columns, again))
+    columns = surveys.flightline(shots=120, psid=1, seed=1)
+    size = len(columns["x"])
+    assert size == len(surveys.cloud(path)["X"]), "the survey's first line"
+    some = surveys.take(columns, slice(40, 60))
+    surveys.write_cloud(path, surveys.join(columns, *[some] * times))
+    result = surveys.run(small)
+    name = f"lines/{path.name}"
+    found = assessed(result.output)[name]
+    alone = assessed(small_output)[name]
+    assert np.array_equal(found[:size], alone)
+    assert not found[size:].any()
+    for raster_name, raster in surveys.rasters(small_output).items():
+        assert np.array_equal(surveys.rasters(result.output)[raster_name][0], raster[0])
+    (said,) = [text for text in result.report.warnings if "there already" in text]
+    more = int(np.count_nonzero(alone[40:60])) * times
+    assert said.startswith(f"{name}: {more} of its {grouped(size + 20 * times)} points")
+    assert "each counts once" in said
+
+
+def test_points_that_differ_in_anything_are_no_copies(small: Path) -> None:
+    path = lines(small)[0]
+    columns = surveys.flightline(shots=120, psid=1, seed=1)
+    other = surveys.take(columns, slice(40, 60))
+    other["z"] = other["z"] + 0.001
+    surveys.write_cloud(path, surveys.join(columns, other))
     result = surveys.run(small, until="deliver")
     assert assessed(result.output)[f"lines/{path.name}"].all()
 

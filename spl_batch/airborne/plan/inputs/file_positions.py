@@ -72,18 +72,34 @@ def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
         return
     boxes = np.array([(*facts.mins_m[:2], *facts.maxs_m[:2]) for _, facts in held])
     points = np.array([facts.n_points for _, facts in held], np.float64)
-    wide = _too_wide(boxes, points)
+    wide = too_wide([facts for _, facts in held])
     length_m = _sides(boxes).max(axis=1)
-    for k in sorted(np.flatnonzero(wide).tolist(), key=lambda k: -length_m[k])[:TOLD]:
+    for k in wide[:TOLD]:
         yield (
             f"{held[k][0]}: its {grouped(points[k])} points span {grouped(length_m[k] / 1000)} km; "
             "some of them must lie astray: check its CRS and coordinates"
         )
-    more = int(np.count_nonzero(wide)) - TOLD
+    more = len(wide) - TOLD
     if more > 0:
         yield f"{grouped(more)} more files span too much for their points: check them as well"
-    rest = np.flatnonzero(~wide)
-    yield from _distant([held[k][0] for k in rest.tolist()], boxes[rest], points[rest])
+    rest = [k for k in range(len(held)) if k not in set(wide)]
+    yield from _distant([held[k][0] for k in rest], boxes[rest], points[rest])
+
+
+def too_wide(files: Sequence[LasFacts]) -> list[int]:
+    """Places of the files so large for their points that some must lie astray, widest first.
+
+    Parameters
+    ----------
+    files : sequence of LasFacts
+        Headers of a survey; each holds points.
+    """
+    if not files:
+        return []
+    boxes = np.array([(*facts.mins_m[:2], *facts.maxs_m[:2]) for facts in files])
+    wide = _too_wide(boxes, np.array([facts.n_points for facts in files], np.float64))
+    length_m = _sides(boxes).max(axis=1)
+    return sorted(np.flatnonzero(wide).tolist(), key=lambda k: -float(length_m[k]))
 
 
 def _too_wide(boxes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -133,24 +133,34 @@ def _check_channels(survey: Survey) -> None:
 
 
 def copies(survey: Survey) -> Iterator[str]:
-    """Say which files hold returns that others hold too."""
+    """Say which files hold returns twice, and which ones hold returns that others hold too."""
     counts: Counter[tuple[str, str]] = Counter()
     for receipt in survey.of("gather").values():
         for copy, kept, count in receipt.facts.get("copies", ()):
             counts[copy, kept] += count
-    names = {str(source.key): source.name for source in survey.inputs.sources}
+    files = {str(source.key): source for source in survey.inputs.sources}
     most = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
-    for (copy, kept), count in most[:PAIRS_NAMED]:
+    twice = [(files[copy], count) for (copy, kept), count in most if copy == kept]
+    for source, count in twice[:PAIRS_NAMED]:
         yield (
-            f"{names[copy]}: {grouped(count)} of its returns are in {names[kept]} too, at the "
-            "same time and place; each counts once, and its copy is delivered as not assessed; "
-            "leave out one of the files, or cut their overlap off"
+            f"{source.name}: {grouped(count)} of its {grouped(source.facts.n_points)} points are "
+            "there already, with the same time, channel, return number and place; each counts "
+            "once, and its copies are delivered as not assessed; write the file without them"
         )
-    if others := most[PAIRS_NAMED:]:
+    if others := twice[PAIRS_NAMED:]:
+        yield f"{grouped(len(others))} more files hold some of their points twice"
+    shared_by = [(pair, count) for pair, count in most if pair[0] != pair[1]]
+    for (copy, kept), count in shared_by[:PAIRS_NAMED]:
         yield (
-            f"{grouped(len(others))} more pairs of files have returns in common, up to "
-            f"{grouped(others[0][1])} of a pair and "
-            f"{grouped(sum(count for _, count in others))} in all"
+            f"{files[copy].name}: {grouped(count)} of its returns are in {files[kept].name} too, "
+            "at the same time and place; each counts once, and its copy is delivered as not "
+            "assessed; leave out one of the files, or cut their overlap off"
+        )
+    if rest := shared_by[PAIRS_NAMED:]:
+        yield (
+            f"{grouped(len(rest))} more pairs of files have returns in common, up to "
+            f"{grouped(rest[0][1])} of a pair and "
+            f"{grouped(sum(count for _, count in rest))} in all"
         )
 
 
