@@ -110,7 +110,7 @@ class Beam:
         u, v, cell = signals.scaled(self.along, self.height, self.scale, RATE)
         uv = np.stack([u - u.min(), v - v.min()], axis=1).astype(np.int32)
         result = noise_posterior(
-            uv, every, round(rates.CAP_UNITS * signals.UNIT_QUANTA),
+            uv, every, signals.farthest(cell, self.scale),
             np.pi * self.scale.alpha[cell] / signals.UNIT_QUANTA**2, prior[cell],
             table.within, table.beyond, (table.first, table.step),
         )  # fmt: skip

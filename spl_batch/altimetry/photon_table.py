@@ -66,6 +66,8 @@ class Cells:
         Water surface [quanta]; the least int32 where there is none.
     column : (n, d) float32
         Noise by metre of depth below it [1/m2].
+    slope : (n,) float32
+        Steps between the densest layers of cells next to each other, their median [m/m].
     """
 
     index: NDArray[np.int64]
@@ -77,6 +79,7 @@ class Cells:
     empty_length: NDArray[np.int64]
     level: NDArray[np.int32]
     column: NDArray[np.float32]
+    slope: NDArray[np.float32]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays by name, for a file."""
@@ -104,6 +107,8 @@ class Scale:
         Scaled position of the cell's start [units].
     per_m : (n,) float64
         Units per metre of track within the cell [1/m].
+    cap : (n,) float64
+        Farthest neighbour that counts; nowhere farther along the track than the reach [units].
     alpha : (n,) float64
         Noise photons per square unit; 1 unless the reach is what limits a unit's length.
     noise, below : (n,) float64
@@ -121,6 +126,7 @@ class Scale:
     index: NDArray[np.int64]
     start: NDArray[np.float64]
     per_m: NDArray[np.float64]
+    cap: NDArray[np.float64]
     alpha: NDArray[np.float64]
     noise: NDArray[np.float64]
     below: NDArray[np.float64]

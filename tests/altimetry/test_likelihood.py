@@ -48,7 +48,12 @@ def test_signal_is_the_mean_of_the_law_over_contrasts(k: int) -> None:
 
 
 def slow_posterior(
-    uv: np.ndarray, cap: int, scale: np.ndarray, prior: np.ndarray, neighbours: int, contrast: float
+    uv: np.ndarray,
+    cap: np.ndarray,
+    scale: np.ndarray,
+    prior: np.ndarray,
+    neighbours: int,
+    contrast: float,
 ) -> np.ndarray:
     """The same by sorting every distance and without a table."""
     out = np.zeros(len(uv))
@@ -56,13 +61,13 @@ def slow_posterior(
     for i in range(len(uv)):
         d2 = ((uv - uv[i]).astype(np.float64) ** 2).sum(axis=1)
         d2 = np.sort(np.delete(d2, i))
-        d2 = np.maximum(d2[d2 <= cap**2][:neighbours], 1.0)
+        d2 = np.maximum(d2[d2 <= cap[i] ** 2][:neighbours], 1.0)
         for k in range(1, neighbours + 1):
             if k <= len(d2):
                 x = scale[i] * d2[k - 1]
                 ratio = signal_pdf(k, np.array([x]), contrast)[0] / noise_pdf(k, np.array([x]))[0]
             else:
-                x = scale[i] * cap**2
+                x = scale[i] * cap[i] ** 2
                 chance = gammaincc(k, steps * x)
                 mean = integrate.trapezoid(chance, np.log(steps)) / np.log(contrast)
                 ratio = mean / gammaincc(k, x)
@@ -80,10 +85,11 @@ def test_the_kernel_is_the_slow_posterior(seed: int, n: int, alpha: float) -> No
     prior = rng.uniform(-4.0, 1.0, n)
     table = ratios(6, 200.0)
     query = rng.uniform(size=n) < 0.7
+    cap = rng.integers(UNIT // 4, 2 * UNIT, n)
     found = noise_posterior(
-        uv, query, 2 * UNIT, scale, prior, table.within, table.beyond, (table.first, table.step)
+        uv, query, cap, scale, prior, table.within, table.beyond, (table.first, table.step)
     )
-    expected = slow_posterior(uv, 2 * UNIT, scale, prior, 6, 200.0)[query]
+    expected = slow_posterior(uv, cap, scale, prior, 6, 200.0)[query]
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-4)
 
 
@@ -98,7 +104,7 @@ def test_a_product_that_underflows_still_tells_photons_apart() -> None:
     found = noise_posterior(
         uv,
         np.ones(n, np.bool_),
-        2 * UNIT,
+        np.full(n, 2 * UNIT),
         np.full(n, np.pi / UNIT**2),
         np.full(n, -5.0),
         table.within,

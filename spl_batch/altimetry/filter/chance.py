@@ -19,8 +19,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.filter.likelihood import Ratios
-from spl_batch.altimetry.filter.signal import UNIT_QUANTA, counted, local_alpha, scaled, surely
-from spl_batch.altimetry.noise.noise_rate import CAP_UNITS, noise_at
+from spl_batch.altimetry.filter.signal import (
+    UNIT_QUANTA,
+    counted,
+    farthest,
+    local_alpha,
+    scaled,
+    surely,
+)
+from spl_batch.altimetry.noise.noise_rate import noise_at
 from spl_batch.altimetry.photon_table import Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.lattice.tiles import quanta
@@ -35,6 +42,12 @@ _STEPS: Final = (np.uint64(0xC13FA9A902A6328F), np.uint64(0x91E10DA5C79E7B1D))
 """1 / g and 1 / g^2 of 2^64, g being the plastic number, g^3 = g + 1."""
 _HALF: Final = np.uint64(32)
 _BATCH: Final = 65_536
+
+_MOST_LOST: Final = 0.05
+"""Part of the F1 to be expected that the limit on far photons may cost."""
+
+_SURE_SD: Final = 3.0
+"""Standard deviations of the noise expected that a signal exceeds which they may not cost more."""
 
 
 def places(
@@ -108,7 +121,7 @@ def score_places(
     anchor = others.min(axis=0)
     tree = cKDTree((others - anchor).astype(np.float64))
     area = np.pi * local_alpha(cell, at[1], scale) / UNIT_QUANTA**2
-    cap = float(round(CAP_UNITS * UNIT_QUANTA))
+    cap = farthest(cell, scale).astype(np.float64)
     columns = np.arange(table.within.shape[1])
     most = counted(cell, scale, settings)
     wanted = np.arange(1, int(most.max(initial=1)) + 1)
@@ -116,11 +129,11 @@ def score_places(
         rows = slice(first, first + _BATCH)
         here = np.stack([u[rows], v[rows]], axis=1) - anchor
         # A list of neighbours gives two dimensions, of a single one too.
-        distance = np.asarray(tree.query(here, k=wanted, distance_upper_bound=cap + 0.5)[0])
+        distance = np.asarray(tree.query(here, k=wanted, distance_upper_bound=cap.max() + 0.5)[0])
         total = np.zeros(len(here))
         for k in range(int(most[rows].max())):
-            found = np.isfinite(distance[:, k])
-            squared = np.where(found, np.maximum(distance[:, k], 1.0), cap) ** 2
+            found = distance[:, k] <= cap[rows]
+            squared = np.where(found, np.maximum(distance[:, k], 1.0), cap[rows]) ** 2
             column = (np.log(squared * area[rows]) - table.first) * table.step
             ratio = np.where(
                 found,
@@ -145,6 +158,11 @@ def best_thresholds(
     Of ``above`` photons taken, those are signal that are not expected to be noise, so F1, the
     harmonic mean of precision and recall, is 2 (above - noise) / (above + n_s).
 
+    The limit on far photons is for noise. A cliff, a cloud or a surface that was not followed puts
+    signal far from where the surface is looked for, and the limit would take a whole stretch away
+    for it. It is given up where it costs more than a twentieth of F1 and the signal is more than
+    chance makes of the noise.
+
     Parameters
     ----------
     counts, noise, far : (w, bins) float64
@@ -160,8 +178,12 @@ def best_thresholds(
     above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far))
     false = surely(away)
     signal = np.clip(above - below, 0.0, wanted[:, None])
-    gain = np.where(false <= false_share * above, 2.0 * signal, 0.0)
-    gain /= np.maximum(above + wanted[:, None], 1.0)
+    every = 2.0 * signal / np.maximum(above + wanted[:, None], 1.0)
+    gain = np.where(false <= false_share * above, every, 0.0)
+    best = signal[np.arange(len(every)), every.argmax(axis=1)]
+    layered = gain.max(axis=1) < (1.0 - _MOST_LOST) * every.max(axis=1)
+    layered &= best > _SURE_SD * np.sqrt(np.maximum(below[:, -1], 1.0))
+    gain[layered] = every[layered]
     taken = np.where(gain.max(axis=1) > 0.0, gain.argmax(axis=1) + 1, 0)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
     return least

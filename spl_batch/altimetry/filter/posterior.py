@@ -24,7 +24,7 @@ from spl_batch.numerics.neighbours.kdtree import (
 def noise_posterior(
     uv: NDArray[np.int32],
     query: NDArray[np.bool_],
-    cap: int,
+    cap: NDArray[np.int64],
     area_scale: NDArray[np.float64],
     log_prior: NDArray[np.float64],
     within: NDArray[np.float64],
@@ -40,8 +40,8 @@ def noise_posterior(
         Scaled along-track position and height [quanta].
     query : (n,) bool
         Photons whose posterior is wanted.
-    cap : int
-        Farthest neighbour, inclusive [quanta].
+    cap : (n,) int64
+        Farthest neighbour of each photon, inclusive [quanta].
     area_scale : (n,) float64
         Noise photons expected in a disc, over the squared radius [1/quanta2].
     log_prior : (n,) float64
@@ -60,7 +60,7 @@ def noise_posterior(
     (q,) float64
         For the query photons in table order; 0 and below.
     """
-    check_cap(cap)
+    check_cap(int(cap.max(initial=1)))
     n = len(uv)
     out = np.zeros(n)
     if n:
@@ -108,7 +108,6 @@ def _posterior(  # type: ignore[no-untyped-def]
     keys = np.empty(neighbours, dtype=np.int64)
     distance, fresh = np.empty(LEAF, dtype=np.float64), np.empty(LEAF, dtype=np.int64)
     stack, bound = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.float64)
-    farthest = math.log(float(cap) * float(cap))
     for leaf in range(U1 << depth, U1 << (depth + U1)):
         low, high = leaf_slots(leaf, depth, n)
         for slot in range(low, high):
@@ -116,9 +115,10 @@ def _posterior(  # type: ignore[no-untyped-def]
             if not query[row]:
                 continue
             found = nearest_keys(
-                points, boxes, depth, leaf, slot, cap, keys, distance, fresh, stack, bound
+                points, boxes, depth, leaf, slot, cap[row], keys, distance, fresh, stack, bound
             )
             offset = math.log(area_scale[row]) - first
+            farthest = 2.0 * math.log(float(cap[row]))
             total = 0.0
             counted = min(neighbours, most[row])
             for k in range(min(found, counted)):

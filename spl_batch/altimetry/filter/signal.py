@@ -102,6 +102,11 @@ def counted(cell: NDArray[np.intp], scale: Scale, settings: SignalSettings) -> N
     return number
 
 
+def farthest(cell: NDArray[np.intp], scale: Scale) -> NDArray[np.int64]:
+    """Farthest neighbour that counts, of photons by the row of their cell: (n,) int64 [quanta]."""
+    return np.maximum(np.floor(scale.cap[cell] * UNIT_QUANTA), 1.0).astype(np.int64)
+
+
 def most_cells(scale: Scale, rate: RateSettings) -> int:
     """Cells, as far apart as they may be, that the lattice has room for [count].
 
@@ -155,7 +160,7 @@ def score(
     result = noise_posterior(
         uv,
         query,
-        round(CAP_UNITS * UNIT_QUANTA),
+        farthest(cell, scale),
         np.pi * local_alpha(cell, height, scale) / UNIT_QUANTA**2,
         prior[cell],
         table.within,

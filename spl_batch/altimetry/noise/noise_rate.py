@@ -102,6 +102,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         empty_length=empty.sum(1) * bin_q,
         level=water.level,
         column=water.column,
+        slope=water.slope,
     )
 
 
@@ -293,35 +294,59 @@ def scale(
     known = density[density > 0]
     reference = float(np.median(known)) if len(known) else 1e-6
     wet = cells.level != NO_WATER
-    aspect = np.where(wet, max(signal.aspect, signal.water_aspect), signal.aspect)
-    longest = float(aspect.max(initial=signal.aspect))
-    # No longer along the track than the reach, and as long over high as is wanted.
-    tallest = signal.reach_m / (CAP_UNITS * longest)
+    aspect = aspects(cells, signal)
     unit_m = 1.0 / np.sqrt(reference * signal.aspect)
-    unit_m = float(np.clip(unit_m, _UNIT_M[0], max(min(_UNIT_M[1], tallest), _UNIT_M[0])))
-    floor = CAP_UNITS / (unit_m * signal.reach_m)
+    longest_m = signal.reach_m / (CAP_UNITS * signal.aspect)
+    unit_m = float(np.clip(unit_m, _UNIT_M[0], max(min(_UNIT_M[1], longest_m), _UNIT_M[0])))
     wanted = density if signal.scaling else np.full(len(density), reference)
-    used = np.maximum(np.where(wet, 1.0 / (aspect * unit_m**2), wanted), floor)
+    # By night noise would press kilometres into a unit: none is longer than its share of the reach.
+    floor = 1.0 / (aspect * unit_m * longest_m)
+    used = np.where(wet, reference, wanted) / (reference * aspect * unit_m**2)
+    used = np.maximum(used, floor)
     per_m = used * unit_m
     alpha = np.maximum(wanted / used, ALPHA_MIN)
+    cap = np.minimum(CAP_UNITS, signal.reach_m * _least_around(per_m, signal, rate))
     gap = np.diff(cells.index, prepend=cells.index[:1]) - 1
     step = per_m * rate.cell_m
     # Beyond twice the farthest neighbour it does not matter how far.
-    before = np.minimum(np.maximum(gap, 0) * rate.cell_m * floor * unit_m, 2 * CAP_UNITS)
+    apart_m = np.maximum(gap, 0) * rate.cell_m
+    before = np.minimum(apart_m * CAP_UNITS / signal.reach_m, 2 * CAP_UNITS)
     start = np.cumsum(before) + np.concatenate([[0.0], np.cumsum(step)[:-1]])
     # The axis of mDBSCAN knows no water.
     dry_m = float(np.clip(1.0 / np.sqrt(reference * signal.aspect), *_UNIT_M))
     least = CAP_UNITS / (dry_m * signal.reach_m)
     stretch = np.maximum(wanted, least) / reference
-    apart = np.minimum(
-        np.maximum(gap, 0) * rate.cell_m * least / reference, 2 * CAP_UNITS / (reference * dry_m)
-    )
+    apart = np.minimum(apart_m * least / reference, 2 * CAP_UNITS / (reference * dry_m))
     lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
     stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
     return Scale(
-        cells.index, start, per_m, alpha, noise, below, density, cells.level, cells.column,
+        cells.index, start, per_m, cap, alpha, noise, below, density, cells.level, cells.column,
         stretch, stretched_m, unit_m, reference,
     )  # fmt: skip
+
+
+def aspects(cells: Cells, signal: SignalSettings) -> NDArray[np.float64]:
+    """Along-track over vertical extent of a neighbourhood in each cell, (n,) float64.
+
+    Ground of slope s leaves a neighbourhood that is longer over high than 1 / s. Nothing is longer
+    than a water surface allows, which is level.
+    """
+    longest = max(signal.aspect, signal.water_aspect)
+    slope = np.maximum(cells.slope.astype(np.float64), 1.0 / longest)
+    wet = cells.level != NO_WATER
+    aspect: NDArray[np.float64] = np.where(wet, longest, np.maximum(1.0 / slope, signal.aspect))
+    return aspect
+
+
+def _least_around(
+    values: NDArray[np.float64], signal: SignalSettings, rate: RateSettings
+) -> NDArray[np.float64]:
+    """The least of the values of all cells within the reach, (n,) float64."""
+    if not len(values):
+        return values
+    cells = int(np.ceil(signal.reach_m / rate.cell_m)) + 1
+    least: NDArray[np.float64] = ndimage.minimum_filter1d(values, 2 * cells + 1, mode="nearest")
+    return least
 
 
 def _expected(

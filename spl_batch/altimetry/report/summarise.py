@@ -50,7 +50,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
     inputs = [indexed_file(r.facts, "photons") for r in done["index_file"].values()]
     inputs += [input_file(Path(p), "reference") for p in facts.reference]
     parts = common_parts(context, facts, counts.points_in, inputs)
-    parts["warnings"] = (*parts["warnings"], *_warnings(done))
+    parts["warnings"] = (*parts["warnings"], *_warnings(done, context.workflow.signal.false_share))
     report = TrackReport(
         name=context.workflow.track.name,
         method=context.workflow.signal.method,
@@ -69,8 +69,12 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
 UNSEEN_SHARE: Final = 0.1
 """Share of a track without any noise seen that a reader has to know of."""
 
+_FAR_TIMES: Final = 2.0
+_FAR_LEAST: Final = 10
+"""Far photons among the signal, over those allowed and as such, that are no chance."""
 
-def _warnings(done: Receipts) -> list[str]:
+
+def _warnings(done: Receipts, limit: float) -> list[str]:
     """What a reader has to know of each beam's labels, in sentences."""
     found = []
     for key, delivered in done["deliver_beam"].items():
@@ -82,6 +86,13 @@ def _warnings(done: Receipts) -> list[str]:
             found.append(
                 f"{beam}: no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
                 "is an upper bound"
+            )
+        far = chosen["far_signal"]
+        if far > _FAR_TIMES * limit * max(kept, 1) and far >= _FAR_LEAST:
+            found.append(
+                f"{beam}: {far} of the {kept} photons kept lie farther than rate.buffer_m from the "
+                "surface, more than signal.false_share allows of noise; a cloud, a cliff or a "
+                "second surface is among the signal"
             )
         if kept and not noise:
             found.append(f"{beam}: all {kept} photons are kept as signal; nothing is told apart")

@@ -35,13 +35,16 @@ REACH_CELLS: Final = 25
 """Cells to each side that a level and its noise are seen over [count]."""
 
 CANOPY_M: Final = 30
-"""Height above a level that trees stand in; noise is seen above that [m]."""
+"""Height above a level that trees stand in, at most; noise is seen above that [m]."""
 
 _GROWN: Final = 1.5
 """Times the noise above them that trees hold at least."""
 
 _LEAST_CELLS: Final = 10
 """Cells that a level has to be the fullest metre of [count]."""
+
+_SEEN: Final = 2
+"""Photons that show a surface in a cell of a brighter floor [count]."""
 
 _FLOOR_CELLS: Final = 2
 """Cells to each side that a floor is looked for with [count]."""
@@ -61,10 +64,14 @@ class Water(NamedTuple):
         Height of the surface [quanta]; ``NO_WATER`` where there is none.
     column : (n, DEPTHS) float32
         Noise by metre of depth, from the surface down [1/m2]; 0 where there is no water.
+    slope : (n,) float32
+        Steps between the densest layers of cells next to each other, their median [m/m]; 1 where
+        too few are.
     """
 
     level: NDArray[np.int32]
     column: NDArray[np.float32]
+    slope: NDArray[np.float32]
 
 
 def find_water(
@@ -90,11 +97,16 @@ def find_water(
         Length of a cell [m].
     """
     n = len(index)
-    water = Water(np.full(n, NO_WATER, np.int32), np.zeros((n, DEPTHS), np.float32))
+    water = Water(
+        np.full(n, NO_WATER, np.int32),
+        np.zeros((n, DEPTHS), np.float32),
+        np.ones(n, np.float32),
+    )
     if not n:
         return water
     mode = _fullest(cell, height, n)
-    level = _level(index, mode)
+    level = _level(index, mode, cell, height)
+    water.slope[:] = _slope(index, mode, cell_m)
     level = _refined(cell, height, level)
     level[_grown_over(index, cell, height, gate[1], level)] = NO_WATER
     water.level[:] = level
@@ -123,16 +135,47 @@ def _fullest(cell: NDArray[np.intp], height: NDArray[np.int32], n: int) -> NDArr
     return mode + base
 
 
-def _level(index: NDArray[np.int64], mode: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Height of the metre that is the fullest in many cells, of those cells [quanta]."""
-    level = np.full(len(index), NO_WATER, np.int32)
+def _level(
+    index: NDArray[np.int64],
+    mode: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+) -> NDArray[np.int32]:
+    """Height of the metre that is the fullest in many cells, of those that it is in [quanta].
+
+    A cell whose fullest metre lies lower, a bright floor, shows the surface by some photons.
+    """
+    n = len(index)
     first = np.searchsorted(index, index - REACH_CELLS)
     stop = np.searchsorted(index, index + REACH_CELLS, side="right")
+    common = mode.copy()
+    same = np.zeros(n, np.int64)
+    for i in range(n):
+        around = mode[first[i] : stop[i]]
+        same[i] = np.count_nonzero(np.abs(around - mode[i]) <= 1)
+        if same[i] < _LEAST_CELLS:
+            base = around.min()
+            runs = np.convolve(np.bincount(around - base), (1, 1, 1), "same")
+            common[i], same[i] = base + runs.argmax(), runs.max()
+    half = QUANTA_PER_M // 2
+    inside = np.abs(height // half - common[cell]) <= 1
+    there = np.bincount(cell[inside], minlength=n)
+    wet = (same >= _LEAST_CELLS) & ((common == mode) | ((common > mode) & (there >= _SEEN)))
+    return np.where(wet, common * half + half // 2, NO_WATER).astype(np.int32)
+
+
+def _slope(index: NDArray[np.int64], mode: NDArray[np.int64], cell_m: float) -> NDArray[np.float64]:
+    """Median step between the densest layers of neighbouring cells around each [m/m]."""
+    step = np.abs(np.diff(mode)) * (0.5 / cell_m)
+    beside = np.diff(index) == 1
+    first = np.searchsorted(index, index - REACH_CELLS)
+    stop = np.searchsorted(index, index + REACH_CELLS, side="right")
+    slope = np.ones(len(index))
     for i in range(len(index)):
-        same = np.count_nonzero(np.abs(mode[first[i] : stop[i]] - mode[i]) <= 1)
-        if same >= _LEAST_CELLS:
-            level[i] = mode[i] * (QUANTA_PER_M // 2) + QUANTA_PER_M // 4
-    return level
+        steps = step[first[i] : stop[i] - 1][beside[first[i] : stop[i] - 1]]
+        if len(steps) >= _LEAST_CELLS:
+            slope[i] = np.median(steps)
+    return slope
 
 
 def _grown_over(
@@ -145,7 +188,8 @@ def _grown_over(
     """Cells where more stands above the level than noise can be: plains with trees, (n,) bool."""
     n = len(level)
     foot = level.astype(np.int64) + round(SURFACE_M * QUANTA_PER_M)
-    top = foot + CANOPY_M * QUANTA_PER_M
+    # Where the gate ends low above the water, noise is seen in the upper half of what there is.
+    top = foot + np.minimum(CANOPY_M * QUANTA_PER_M, np.maximum(high - foot, 0) // 2)
     inside = (height > foot[cell]) & (height <= top[cell])
     over = height > top[cell]
     counted = np.stack([np.bincount(cell[m], minlength=n) for m in (inside, over)], axis=1)
@@ -153,7 +197,7 @@ def _grown_over(
     near, noise = _sums(index, counted, _FLOOR_CELLS).T
     near_m, noise_m = _sums(index, length, _FLOOR_CELLS).T
     ratio = near_m / np.maximum(noise_m, 1.0)
-    chance = _FLOOR_SD * np.sqrt(np.maximum(near + noise * ratio**2, 1.0))
+    chance = _FLOOR_SD * np.sqrt(near + (noise + 1.0) * ratio**2)
     grown: NDArray[np.bool_] = (level != NO_WATER) & (noise_m > 0)
     grown &= near > _GROWN * noise * ratio + chance
     return grown
