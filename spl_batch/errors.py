@@ -7,6 +7,7 @@ say all at once whom they concern.
 
 import math
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final, NamedTuple
@@ -34,6 +35,36 @@ def storage(count: float) -> str:
     if count >= 2**20:
         return f"{grouped(count / 2**20, 1)} MiB"
     return f"{grouped(math.ceil(count / 2**10))} KiB"
+
+
+FAULT_MAX: Final = 500
+"""Characters of one fault; what a file holds may be longer [count]."""
+
+
+def plain(text: str) -> str:
+    """Text without anything that a terminal obeys or that cannot be seen: that is written out.
+
+    Names and texts from files may hold escapes that colour, move or retitle a terminal, marks that
+    turn the direction of writing round, line ends, or bytes that are no UTF-8.
+    """
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def _shown(sign: str) -> str:
+    """A character, or its escape where it cannot be seen."""
+    if sign.isprintable() or unicodedata.category(sign) == "Zs":
+        return sign
+    if "\udc80" <= sign <= "\udcff":  # a byte of a name that is no UTF-8
+        return f"\\x{ord(sign) - 0xDC00:02x}"
+    return sign.encode("unicode_escape").decode("ascii")
+
+
+def brief(text: str, most: int) -> str:
+    """Text of at most so many characters: of a longer one its start and its end."""
+    if len(text) <= most:
+        return text
+    head = 2 * most // 3
+    return f"{text[:head]} ... {text[len(text) - (most - head - 5) :]}"
 
 
 class Remark(NamedTuple):
@@ -107,6 +138,9 @@ class SplBatchError(Exception):
 
     exit_status = 2
 
+    def __init__(self, message: object = "") -> None:
+        super().__init__(plain(str(message)))
+
 
 class WorkflowError(SplBatchError, ValueError):
     """The workflow file, or an option on the command line, is wrong."""
@@ -124,8 +158,9 @@ class InputError(SplBatchError, ValueError):
     """
 
     def __init__(self, path: str, faults: str | Sequence[str]) -> None:
-        self.path = path
-        self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
+        self.path = plain(path)
+        told = (faults,) if isinstance(faults, str) else tuple(faults)
+        self.faults = tuple(brief(plain(fault), FAULT_MAX) for fault in told)
         super().__init__(f"{path}: {'; '.join(self.faults)}")
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, tuple[str, ...]]]:
@@ -142,7 +177,7 @@ def is_fault(error: BaseException) -> bool:
 
 def one_line(error: BaseException) -> str:
     """Kind and message of an exception in one line of at most 200 characters."""
-    text = " ".join(str(error).split())
+    text = plain(" ".join(str(error).split()))
     said = f"{type(error).__name__}: {text}" if text else type(error).__name__
     return said if len(said) <= 200 else f"{said[:197]}..."
 

@@ -1,5 +1,6 @@
 """The command line: parse, call the API, print, exit status."""
 
+import _thread
 import errno
 import signal
 import sys
@@ -14,7 +15,11 @@ import click
 
 from spl_batch import __version__
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
+from spl_batch.cli.lines import say_error
 from spl_batch.errors import SplBatchError
+
+_AGAIN_S = 0.05
+"""After so long an interrupt that was dropped comes again [s]."""
 
 _LOADING = "loading, and reading the headers of the inputs"
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
@@ -240,16 +245,16 @@ def main(arguments: list[str] | None = None) -> None:
         click.echo("interrupted; the same command continues", err=True)
         sys.exit(3)
     except SplBatchError as error:
-        click.echo(f"spl-batch: {error}", err=True)
+        say_error(f"spl-batch: {error}")
         sys.exit(error.exit_status if error.exit_status != 1 else 2)
     except TimeoutError as error:
         said = str(error) or "no answer in time"
-        click.echo(f"spl-batch: {said}; the machine is busy, run again to continue", err=True)
+        say_error(f"spl-batch: {said}; the machine is busy, run again to continue")
         sys.exit(3)
     except OSError as error:
         full = error.errno in {errno.ENOSPC, errno.EDQUOT}
         remedy = "free some space and run again" if full else "check the path and its rights"
-        click.echo(f"spl-batch: {error.filename}: {error.strerror}; {remedy}", err=True)
+        say_error(f"spl-batch: {error.filename}: {error.strerror}; {remedy}")
         sys.exit(3 if full else 2)
     except Exception:
         # The interrupt may come up as something else: in a callback of a compiler it is lost.
@@ -274,13 +279,24 @@ def _ended_in_order(told: threading.Event) -> Iterator[None]:
         told.set()
         raise KeyboardInterrupt
 
+    def unraisable(found: Any) -> None:
+        # Raised in a destructor or a callback, where Python drops it: it comes again.
+        if told.is_set() and isinstance(found.exc_value, KeyboardInterrupt):
+            again = threading.Timer(_AGAIN_S, _thread.interrupt_main, [signal.SIGTERM])
+            again.daemon = True
+            again.start()
+        else:
+            hook(found)
+
     before = {
         sign: signal.signal(sign, interrupt)
         for sign in (signal.SIGTERM, signal.SIGINT)
         if signal.getsignal(sign) != signal.SIG_IGN  # of a command in the background
     }
+    hook, sys.unraisablehook = sys.unraisablehook, unraisable
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         for sign, handler in before.items():
             signal.signal(sign, handler)

@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from spl_batch.cli.console import PlainConsole
+from spl_batch.cli.lines import LINE_MAX, screen_lines
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, taken
 from spl_batch.engine.report import number_format as texts
 from spl_batch.engine.report.number_format import (
@@ -32,7 +34,7 @@ if TYPE_CHECKING:  # each command loads what it needs only
         RunStatus,
     )
 
-_OUT = Console()
+_OUT = PlainConsole()
 
 
 def print_result(result: "RunResult", took_s: float | None = None) -> None:
@@ -46,7 +48,7 @@ def print_result(result: "RunResult", took_s: float | None = None) -> None:
         Time of the whole command [s]; a report that is written again has none.
     """
     if result.report is None:
-        _OUT.print(f"stopped as asked; run again to continue in {result.output}")
+        _lines(f"stopped as asked; run again to continue in {result.output}")
         return
     _pairs([*result.screen, *_whole_time(took_s)])
     for label, paths in result.results:
@@ -110,9 +112,9 @@ def print_plan(summary: "PlanSummary") -> None:
         ]
     )
     for text in summary.warnings:
-        _OUT.print(Text(f"warning: {text}", style="yellow"), soft_wrap=True)
+        _lines(f"warning: {text}", "yellow")
     for text in summary.faults:
-        _OUT.print(Text(f"unusable: {text}", style="red"), soft_wrap=True)
+        _lines(f"unusable: {text}", "red")
 
 
 def _memory(summary: "PlanSummary") -> str:
@@ -214,10 +216,10 @@ def print_alone(result: "AloneResult") -> None:
     receipt = result.receipt
     task = f"{receipt.kind} {receipt.name}"
     if receipt.failed:
-        _OUT.print(Text(f"failed: {task}: {receipt.reason}", style="red"), soft_wrap=True)
+        _lines(f"failed: {task}: {receipt.reason}", "red")
     else:
         cost = f"{receipt.wall_s:.1f} s, {grouped(receipt.peak_rss_mb)} MiB"
-        _OUT.print(f"done: {task} in {cost}; the next run finds it finished", highlight=False)
+        _lines(f"done: {task} in {cost}; the next run finds it finished")
     if result.traceback is not None:
         _path("traceback", result.traceback)
 
@@ -230,7 +232,17 @@ def _pairs(pairs: Sequence[tuple[str, str]]) -> None:
     _OUT.print(table)
 
 
+def _lines(text: str, style: str = "") -> None:
+    """A message, in more than one line where it is long."""
+    for line in screen_lines(text):
+        _OUT.print(Text(line, style=style), soft_wrap=True)
+
+
 def _path(label: str, *paths: Path) -> None:
+    """Files that are there, in one line where they fit."""
     found = [str(path) for path in paths if path.exists()]
-    if found:
-        _OUT.print(f"[dim]{label}[/dim]  " + "  ".join(found), soft_wrap=True, highlight=False)
+    rows = ["  ".join(found)]
+    if len(label) + len(rows[0]) + 2 > LINE_MAX:
+        rows = [line for path in found for line in screen_lines(path)]
+    for row in rows if found else ():
+        _OUT.print(Text.assemble((label, "dim"), f"  {row}"), soft_wrap=True)

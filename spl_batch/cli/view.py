@@ -9,6 +9,8 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
+from spl_batch.cli.console import PlainConsole
+from spl_batch.cli.lines import screen_lines
 from spl_batch.cli.live import bars, details, duration, short
 from spl_batch.engine.watch.events import (
     Compiling,
@@ -22,7 +24,7 @@ from spl_batch.engine.watch.events import (
 )
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 
-_ERR = Console(stderr=True)
+_ERR = PlainConsole(stderr=True)
 
 REFRESH_PER_S = 4.0
 """How often the view is drawn; events between are only counted [1/s]."""
@@ -110,7 +112,8 @@ class View:
         return Text(f"  {word}, {duration(quiet_s)}", style="dim")
 
     def _print(self, text: str, style: str) -> None:
-        self._console.print(Text(text, style=style), soft_wrap=True)
+        for line in screen_lines(text):
+            self._console.print(Text(line, style=style), soft_wrap=True)
 
 
 class PlainView(View):

@@ -1,5 +1,7 @@
 """Areas of interest and water: polygons of any vector format, in the survey's CRS."""
 
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,12 +44,8 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
         raise InputError(str(path), "no such file; check the path")
     parts = []
     try:
-        for name, _ in pyogrio.list_layers(path):
-            meta, _, wkb, _ = pyogrio.raw.read(path, layer=name, columns=[])
-            shapes = shapely.from_wkb([] if wkb is None else wkb)
-            shapes = shapes[np.isin(shapely.get_type_id(shapes), _POLYGONAL)]
-            if len(shapes):
-                parts.append(_in_crs(path, shapely.force_2d(shapes), meta["crs"], crs))
+        for shapes, own in _layers(path):
+            parts.append(_in_crs(path, shapely.force_2d(shapes), own, crs))
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read as polygons: {reason}") from None
@@ -56,6 +54,19 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
     area = shapely.union_all(shapely.make_valid(np.concatenate(parts)))
     shapely.prepare(area)
     return area
+
+
+def _layers(path: Path) -> Iterator[tuple[NDArray[Any], str | None]]:
+    """Polygons of each layer that holds some, and their CRS."""
+    # What GDAL remarks of a damaged file is no line for a screen: that no polygon is left is told.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        for name, _ in pyogrio.list_layers(path):
+            meta, _, wkb, _ = pyogrio.raw.read(path, layer=name, columns=[])
+            shapes = shapely.from_wkb([] if wkb is None else wkb)
+            shapes = shapes[np.isin(shapely.get_type_id(shapes), _POLYGONAL)]
+            if len(shapes):
+                yield shapes, meta["crs"]
 
 
 def _in_crs(path: Path, shapes: NDArray[Any], own: str | None, crs: CRS | None) -> NDArray[Any]:

@@ -112,6 +112,28 @@ def test_the_end_of_a_queue_systems_time_is_taken_like_ctrl_c(
     assert ended.err.strip() == "interrupted; the same command continues"
 
 
+class InterruptedAsItGoes:
+    """Its destructor meets an interrupt, which Python drops."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+
+
+def test_an_interrupt_that_python_drops_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wait(*_: Any, **__: Any) -> None:
+        going = InterruptedAsItGoes()
+        del going
+        time.sleep(10)
+
+    monkeypatch.setattr("spl_batch.api.run", wait)
+    hook = sys.unraisablehook
+    ended = surveys.command("run", "w.yaml")
+    assert sys.unraisablehook is hook
+    assert ended.status == 3
+    assert ended.err.splitlines()[-1] == "interrupted; the same command continues"
+
+
 def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, Any] = {}
 

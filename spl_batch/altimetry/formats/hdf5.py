@@ -11,9 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError
+from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
 
 _CHUNK: Final = 65_536
+
+_VALUES_MAX: Final = 2**40
+"""Values of a dataset [count]."""
+
+_CHUNK_BYTES_MAX: Final = 256 << 20
+"""A chunk is decoded at once [byte]."""
 
 
 def dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
@@ -27,7 +34,16 @@ def dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     found = file.get(name)
     if not isinstance(found, h5py.Dataset):
         raise InputError(str(path), f"no dataset {name}; is it of the product that it should be?")
+    _check_size(path, name, found)
     return found
+
+
+def _check_size(path: Path, name: str, found: h5py.Dataset) -> None:
+    """Refuse a dataset that declares more than its file can hold."""
+    count = bounded(path, f"values of {name}", int(found.size or 0), most=_VALUES_MAX)
+    refuse_bomb(path, name, count * found.dtype.itemsize, path.stat().st_size)
+    chunk = int(np.prod(found.chunks or (0,), dtype=object)) * found.dtype.itemsize
+    bounded(path, f"bytes of a chunk of {name}", chunk, most=_CHUNK_BYTES_MAX)
 
 
 def equal_lengths(path: Path, file: h5py.File, group: str, names: Sequence[str]) -> int:
@@ -47,6 +63,7 @@ def equal_lengths(path: Path, file: h5py.File, group: str, names: Sequence[str])
         elif found.ndim != 1 or found.dtype.kind not in "fiu":
             faults.append(f"{group}/{name} is {found.ndim}-dimensional {found.dtype}, not numbers")
         else:
+            _check_size(path, f"{group}/{name}", found)
             sizes[name] = len(found)
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{k} {v}" for k, v in sizes.items())

@@ -1,5 +1,8 @@
 """Heights of a terrain raster at geographic places."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -7,13 +10,19 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from pyproj import Transformer
-from rasterio.errors import RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
-from spl_batch.errors import InputError
+from spl_batch.errors import InputError, as_input_fault
+from spl_batch.formats.declared import bounded
 from spl_batch.formats.las.header import open_input
 
 _BLOCK: Final = 512
+
+_BLOCK_BYTES_MAX: Final = 256 << 20
+"""A block of a raster is decoded at once [byte]."""
+
+_TILE_IT: Final = "write it in tiles (gdal_translate -co TILED=YES)"
 
 
 def sample_terrain(
@@ -38,28 +47,41 @@ def sample_terrain(
     with open_input(path):
         pass
     heights = np.full(len(latitude), np.nan)
-    try:
-        with rasterio.open(path) as raster:
-            if raster.crs is None:
-                raise InputError(str(path), "raster without a CRS; give it one (gdal_edit -a_srs)")
-            transformer = Transformer.from_crs("EPSG:4326", raster.crs, always_xy=True)
-            x, y = transformer.transform(longitude, latitude)
-            x, y = np.asarray(x), np.asarray(y)
-            to_cell = ~raster.transform
-            # Values stand at the centres of cells.
-            column = to_cell.a * x + to_cell.b * y + to_cell.c - 0.5
-            row = to_cell.d * x + to_cell.e * y + to_cell.f - 0.5
-            inside = (column >= 0) & (row >= 0)
-            inside &= (column <= raster.width - 1) & (row <= raster.height - 1)
-            rows = np.flatnonzero(inside)
-            block = np.stack([row[rows] // _BLOCK, column[rows] // _BLOCK]).astype(np.int64)
-            for which in np.unique(block, axis=1).T:
-                mine = rows[(block == which[:, None]).all(axis=0)]
-                heights[mine] = _between(raster, which * _BLOCK, row[mine], column[mine])
-    except RasterioError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), f"raster cannot be read: {reason}") from None
+    with as_input_fault(path), _opened(path) as raster:
+        transformer = Transformer.from_crs("EPSG:4326", raster.crs, always_xy=True)
+        x, y = transformer.transform(longitude, latitude)
+        x, y = np.asarray(x), np.asarray(y)
+        to_cell = ~raster.transform
+        # Values stand at the centres of cells.
+        column = to_cell.a * x + to_cell.b * y + to_cell.c - 0.5
+        row = to_cell.d * x + to_cell.e * y + to_cell.f - 0.5
+        inside = (column >= 0) & (row >= 0)
+        inside &= (column <= raster.width - 1) & (row <= raster.height - 1)
+        rows = np.flatnonzero(inside)
+        block = np.stack([row[rows] // _BLOCK, column[rows] // _BLOCK]).astype(np.int64)
+        for which in np.unique(block, axis=1).T:
+            mine = rows[(block == which[:, None]).all(axis=0)]
+            heights[mine] = _between(raster, which * _BLOCK, row[mine], column[mine])
     return heights
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
+    """A raster whose cells have a place, and whose blocks can be held."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NotGeoreferencedWarning)
+        try:
+            raster = rasterio.open(path)
+        except NotGeoreferencedWarning:
+            text = "does not say where its cells lie; write a geotransform (gdal_edit -a_ullr)"
+            raise InputError(str(path), text) from None
+    with raster:
+        if raster.crs is None:
+            raise InputError(str(path), "raster without a CRS; give it one (gdal_edit -a_srs)")
+        tall, wide = raster.block_shapes[0]
+        size = tall * wide * np.dtype(raster.dtypes[0]).itemsize
+        bounded(path, "bytes of a block", size, least=1, most=_BLOCK_BYTES_MAX, remedy=_TILE_IT)
+        yield raster
 
 
 def _between(

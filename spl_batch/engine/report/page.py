@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
+from spl_batch import errors
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.parameters import changed, without
 from spl_batch.engine.report.parts import Failure, Performance, Provenance, StagePerformance
@@ -133,6 +134,7 @@ def environment(package: str = HOME) -> Environment:
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name, ".") for name in packages]),
         autoescape=True,
+        finalize=_shown,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -158,6 +160,13 @@ def environment(package: str = HOME) -> Environment:
         }
     )
     return environment
+
+
+def _shown(value: Any) -> Any:
+    """A text without anything that cannot be seen; names in files are written by others."""
+    if type(value) is not str or value.isprintable():
+        return value
+    return "\n".join(map(errors.plain, value.split("\n")))
 
 
 def _compact(parameters: Mapping[str, Any]) -> str:

@@ -6,6 +6,8 @@ from typing import Any, Final
 
 import yaml
 
+from spl_batch.engine.settings.yaml_text import parse_yaml
+
 _HEAD_BYTES: Final = 4096
 _MOST_YAML_BYTES: Final = 1 << 20
 
@@ -151,7 +153,7 @@ def _mapping(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _MOST_YAML_BYTES:
             return {}
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = parse_yaml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):  # it is something else, then
         return {}
     return content if isinstance(content, dict) else {}

@@ -10,6 +10,7 @@ import yaml
 from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.settings.mistaken_file import called, is_scene
 from spl_batch.engine.settings.validation import validated
+from spl_batch.engine.settings.yaml_text import parse_yaml
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import HOMES, IMAGING, workflow_model
 
@@ -83,25 +84,6 @@ def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
     return content
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe loader that refuses a key given twice, of which YAML would keep the last."""
-
-    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        node = super().compose_mapping_node(anchor)
-        lines: dict[str, int] = {}
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                continue
-            line = key.start_mark.line + 1
-            first = lines.pop(key.value, None)
-            if first is not None:
-                raise yaml.MarkedYAMLError(
-                    problem=f"key {key.value!r} stands twice, on lines {first} and {line}: keep one"
-                )
-            lines[key.value] = line
-        return node
-
-
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     """Content of a YAML file that holds a mapping.
 
@@ -121,7 +103,7 @@ def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     if what:
         raise WorkflowError(f"{path}: {what}")
     try:
-        content = _Loader(path.read_text(encoding="utf-8")).get_single_data()
+        content = parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise WorkflowError(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -148,7 +130,7 @@ def _apply(content: dict[str, Any], override: str) -> None:
             raise WorkflowError(f"--set {override}: {parent} is a value, not a section")
         node = child
     try:
-        node[last] = yaml.safe_load(text)
+        node[last] = parse_yaml(text)
     except yaml.YAMLError:
         raise WorkflowError(
             f"--set {override}: the value is not valid YAML; quote it: key='*.laz'"

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError, is_fault
+from spl_batch.formats.declared import refuse_bomb
 from spl_batch.formats.las.header import LasHeader, open_input
 from spl_batch.formats.las.records import RecordLayout, record_layout
 
@@ -80,6 +81,8 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
         start = np.array([0], dtype=np.int64)
         return ChunkTable(start, start + header.points_start + 8)
     start_byte = header.points_start + 8
+    size = header.n_points * header.record_size
+    refuse_bomb(path, f"{header.n_points} points", size, header.size_bytes - start_byte)
     table_byte, count = _table_place(header, file, start_byte)
     fits = count <= table_byte - start_byte and (
         count <= header.n_points

@@ -109,6 +109,20 @@ class LasHeader:
         return next((v for v in self.vlrs if v.key == (user_id, record_id)), None)
 
 
+def refuse_unspeakable(path: Path) -> None:
+    """Refuse a name that is no UTF-8: no receipt, report or link could hold it.
+
+    Raises
+    ------
+    InputError
+        If it is one.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(str(path), "its name is not UTF-8: rename it") from None
+
+
 @contextmanager
 def open_input(path: Path) -> Iterator[BinaryIO]:
     """Open a file for reading; whatever forbids it becomes one clear line.
@@ -118,6 +132,7 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
     InputError
         If the file is missing, a folder, empty or may not be read.
     """
+    refuse_unspeakable(path)
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):

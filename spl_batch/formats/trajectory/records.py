@@ -16,6 +16,7 @@ from pyproj.exceptions import ProjError
 
 from spl_batch.errors import InputError
 from spl_batch.formats.crs import crs_name, crs_problems, horizontal, parse_crs
+from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.las.header import open_input
 from spl_batch.formats.trajectory.sbet import SBET_SUFFIXES, read_sbet
 
@@ -183,9 +184,11 @@ def _read_parquet(path: Path) -> Iterator[Records]:
     try:
         with pq.ParquetFile(path) as file:
             names = columns_of(path, file.schema_arrow.names)
+            rows = bounded(path, "records", file.metadata.num_rows, most=2**62)
+            refuse_bomb(path, f"{rows} records", 8 * len(names) * rows, path.stat().st_size)
             for batch in file.iter_batches(BATCH_RECORDS, columns=names):
                 yield _arrays(path, batch, names)
-    except pa.ArrowException as error:
+    except (OSError, pa.ArrowException) as error:
         raise InputError(str(path), f"is not a Parquet trajectory: {_line(error)}") from None
 
 

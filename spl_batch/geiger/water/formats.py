@@ -21,6 +21,7 @@ import zarr
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError
+from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.hdf5 import open_hdf5, told_as_damage
 
@@ -29,6 +30,9 @@ ZARR: Final = ".zarr"
 
 CHUNK_FRAMES: Final = 1000
 """Frames of a chunk as written here [count]."""
+
+_FRAMES_MAX: Final = 2**40
+"""Frames of a file [count]."""
 
 PIECE_VALUES: Final = 2_048_000
 """Values that are read at once, where a chunk holds no more: 2000 frames of 32 x 32 [count]."""
@@ -117,11 +121,20 @@ def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
             faults += more
         if faults:
             raise InputError(str(path), faults)
+        _refuse_huge(path, array)
         held = _piece_bytes(array)
         if truth:
             held += sum(_chunk_bytes(group[f"truth/{name}"]) for name in ("down_m", "normals"))
         chunk = int(array.chunks[0]) if array.chunks else 0
         return FrameFacts(int(array.shape[0]), rows, cols, truth, chunk, held)
+
+
+def _refuse_huge(path: Path, array: Any) -> None:
+    """Refuse frames that declare more than their bytes can hold."""
+    count = bounded(path, "frames", int(array.shape[0]), least=1, most=_FRAMES_MAX)
+    parts = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+    size = count * int(array.shape[1] * array.shape[2]) * array.dtype.itemsize
+    refuse_bomb(path, f"{count} frames", size, sum(p.stat().st_size for p in parts))
 
 
 def _piece_frames(array: Any) -> int:
@@ -159,9 +172,10 @@ def _array_faults(array: Any, rows: int, cols: int) -> list[str]:
 
 
 def _truth(group: Any, shape: tuple[int, ...]) -> tuple[int, list[str]]:
-    per = int(group.attrs.get("frames_per_acquisition", 0))
-    if per < 1:
-        return 0, ["truth lacks the attribute frames_per_acquisition >= 1"]
+    given = group.attrs.get("frames_per_acquisition", 0)
+    per = int(given) if isinstance(given, int | np.integer) else 0
+    if not 1 <= per <= shape[0]:
+        return 0, ["truth lacks the attribute frames_per_acquisition, 1 to the number of frames"]
     wanted = {
         "down_m": (shape[0] // per, *shape[1:]),
         "normals": (shape[0] // per, *shape[1:], 3),

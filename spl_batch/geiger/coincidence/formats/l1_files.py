@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
+from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.files.atomic import replacing
 from spl_batch.formats.files.external_sort import STRETCH_ROWS, Sorter, repeated
 from spl_batch.geiger.coincidence.settings import ArraySettings
@@ -83,7 +84,9 @@ def inspect(path: Path, columns: Sequence[str]) -> int:
         ]
         if faults:
             raise InputError(str(path), faults)
-        return int(file.metadata.num_rows)
+        rows = bounded(path, "rows", file.metadata.num_rows, most=2**62)
+        refuse_bomb(path, f"{rows} rows", 8 * len(columns) * rows, path.stat().st_size)
+        return rows
 
 
 def extents(path: Path) -> tuple[Extent, ...] | None:

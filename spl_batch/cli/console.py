@@ -1,0 +1,25 @@
+"""A console for texts that others wrote."""
+
+from collections.abc import Iterable
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from spl_batch.errors import plain
+
+
+class PlainConsole(Console):
+    """A console that writes out whatever in a text a terminal would obey."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Segments of something, as :class:`rich.console.Console` gives them."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else _shown(segment)
+
+
+def _shown(segment: Segment) -> Segment:
+    """A segment of text without anything but what is seen, and line ends."""
+    shown = "\n".join(map(plain, segment.text.split("\n")))
+    return Segment(shown, segment.style)

@@ -1,0 +1,98 @@
+"""YAML as settings are written in it: no key twice, and nothing that grows as it is read.
+
+A few lines of YAML can stand for gigabytes, where each refers to the one before several times, or
+nest so deeply that a parser gives up. A workflow does neither.
+"""
+
+from typing import Any, Final
+
+import yaml
+
+TEXT_MAX: Final = 1 << 20
+"""Characters of a file [count]."""
+
+NODES_MAX: Final = 50_000
+"""Values of a file, those behind references counted each time [count]."""
+
+DEPTH_MAX: Final = 40
+"""Sections within each other [count]."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses what no settings hold, and a key given twice."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._size: dict[int, tuple[int, int]] = {}
+        self._open = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            node = super().compose_node(parent, index)
+            if id(node) not in self._size:
+                raise self._refused("refers to itself", node)
+            return node
+        self._open += 1
+        if self._open > DEPTH_MAX:
+            raise self._refused(f"is nested more than {DEPTH_MAX} deep", self.peek_event())  # type: ignore[no-untyped-call]
+        node = super().compose_node(parent, index)
+        self._open -= 1
+        if node is not None and id(node) not in self._size:
+            count, depth = self._measured(node)
+            if count > NODES_MAX or depth > DEPTH_MAX:
+                raise self._refused(
+                    f"its references stand for {count} values, {depth} deep; at most {NODES_MAX} "
+                    f"and {DEPTH_MAX} are read",
+                    node,
+                )
+            self._size[id(node)] = count, depth
+        return node
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            line = key.start_mark.line + 1
+            first = lines.pop(key.value, None)
+            if first is not None:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key.value!r} stands twice, on lines {first} and {line}: keep one"
+                )
+            lines[key.value] = line
+        return node
+
+    def _measured(self, node: Any) -> tuple[int, int]:
+        """Values that a node stands for, and how deep they are; those in it are known."""
+        if isinstance(node, yaml.ScalarNode):
+            return 1, 1
+        pairs = isinstance(node, yaml.MappingNode)
+        parts = [part for pair in node.value for part in pair] if pairs else node.value
+        sizes = [self._size[id(part)] for part in parts]
+        return 1 + sum(n for n, _ in sizes), 1 + max((d for _, d in sizes), default=0)
+
+    @staticmethod
+    def _refused(problem: str, place: Any) -> yaml.MarkedYAMLError:
+        return yaml.MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
+
+
+def parse_yaml(text: str) -> Any:
+    """Value that a YAML text stands for.
+
+    Parameters
+    ----------
+    text : str
+        One document.
+
+    Raises
+    ------
+    yaml.YAMLError
+        If it is none, names a key twice, or is larger or deeper than settings are.
+    """
+    if len(text) > TEXT_MAX:
+        raise yaml.YAMLError(f"it has {len(text)} characters; at most {TEXT_MAX} are read")
+    try:
+        return _Loader(text).get_single_data()
+    except (ValueError, OverflowError) as error:  # of a date or a number that is none
+        raise yaml.YAMLError(str(error)) from None

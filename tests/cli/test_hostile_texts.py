@@ -1,0 +1,137 @@
+"""Names and texts that others wrote: a terminal, a browser and a log only show them."""
+
+import io
+import json
+import os
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.table import Table
+
+from spl_batch.cli.console import PlainConsole
+from spl_batch.cli.lines import LINE_MAX, LINES_MAX, screen_lines
+from spl_batch.errors import FAULT_MAX, InputError, StoreError, brief, one_line, plain
+from tests import surveys
+
+HOSTILE = (
+    "<script>alert(1)<\\.laz",
+    "esc\x1b[31mred\x1b]0;title\x07.laz",
+    "line\nend\r.laz",
+    "$\\frac{$_^.laz",
+    "turned\u202eround.laz",
+    "c1\x9b31m.laz",
+    "{{7*7}}{%raw%}.laz",
+    "[bold red]rich[-].laz",
+    "&amp;\"'.laz",
+    "x" * 240 + ".laz",
+)
+"""Names of files, which a file system takes."""
+
+OBEYED = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+"""What a terminal obeys, but line ends."""
+
+
+@given(st.text(st.characters()))
+def test_plain_text_is_only_shown(text: str) -> None:
+    shown = plain(text)
+    assert not OBEYED.search(shown)
+    assert "\n" not in shown
+    assert plain(shown) == shown
+    if text.isprintable():
+        assert shown == text
+
+
+def test_what_cannot_be_seen_is_written_out() -> None:
+    assert plain("a\x1b[31m\u202eb\n") == "a\\x1b[31m\\u202eb\\n"
+    assert plain(os.fsdecode(b"bad\xff.laz")) == "bad\\xff.laz"
+    assert plain("5\u00a0km, 5\u202f%") == "5\u00a0km, 5\u202f%", "spaces of any width stay"
+
+
+@given(st.text(st.characters(), max_size=5000))
+def test_no_line_of_a_screen_is_long(text: str) -> None:
+    lines = screen_lines(text)
+    assert 1 <= len(lines) <= LINES_MAX
+    assert max(map(len, lines)) <= LINE_MAX
+    assert not any(OBEYED.search(line) for line in lines)
+    words = "".join(plain(text).split())
+    if len(lines) < LINES_MAX:
+        assert "".join("".join(lines).split()) == words, "nothing is lost"
+
+
+def test_a_console_obeys_nothing() -> None:
+    shown = io.StringIO()
+    console = PlainConsole(file=shown, force_terminal=True, color_system="standard", width=60)
+    table = Table("a\x1b[2J")
+    table.add_row("b\x1b]0;title\x07")
+    console.print(table, "c\x9b31m", style="red")
+    text = shown.getvalue()
+    assert "\x1b[31m" in text, "its own colours stay"
+    assert "\x1b[2J" not in text
+    assert "\x07" not in text
+    assert "\x9b" not in text
+
+
+def test_errors_are_one_line_of_bounded_length() -> None:
+    error = InputError("a\nb.laz", ["x" * 9000, "count 7\x1b[1m"])
+    assert OBEYED.search(str(error)) is None
+    assert [len(fault) <= FAULT_MAX for fault in error.faults] == [True, True]
+    assert "\n" not in str(StoreError("a\nb"))
+    assert one_line(ValueError("a\x1bb")) == "ValueError: a\\x1bb"
+    assert brief("abc", 3) == "abc"
+    assert brief("a" * 50 + "b" * 50, 30) == "a" * 20 + " ... " + "b" * 5
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, surveys.Ended]:
+    """A run on files of hostile names, two of which cannot be used."""
+    folder = tmp_path_factory.mktemp("hostile")
+    for k, name in enumerate(HOSTILE):
+        line = surveys.flightline(shots=8, psid=k + 1, start_s=surveys.START_S + k, seed=k)
+        plain_path = surveys.write_cloud(folder / "lines" / "a.laz", line)
+        plain_path.rename(folder / "lines" / name)
+    (folder / "lines" / "bad\x1b[1m<b>.laz").write_bytes(b"junk")
+    os.rename(  # noqa: PTH104 - bytes, as no text can say it
+        surveys.write_cloud(folder / "lines" / "b.laz", surveys.flightline(shots=8)),
+        os.fsencode(folder) + b"/lines/bad\xff\xfe.laz",
+    )
+    name = {"name": "<img src=x onerror=alert(1)>$\\frac{$ \x1b[31m\u202e"}
+    workflow = surveys.write_workflow(folder, survey=name)
+    return folder, surveys.command("run", workflow, "--workers", 0)
+
+
+def test_hostile_names_are_shown_on_the_screen(hostile: tuple[Path, surveys.Ended]) -> None:
+    _, ended = hostile
+    assert ended.status == 1, ended.text
+    assert OBEYED.search(ended.text) is None
+    assert "bad\\x1b[1m<b>.laz: is not a LAS or LAZ file" in ended.err
+    assert "bad\\xff\\xfe.laz: its name is not UTF-8: rename it" in ended.err
+    assert max(map(len, ended.text.splitlines())) <= LINE_MAX
+
+
+def test_hostile_names_are_delivered(hostile: tuple[Path, surveys.Ended]) -> None:
+    folder, _ = hostile
+    delivered = {path.name for path in (folder / "out/laz/lines").iterdir()}
+    assert delivered == set(HOSTILE)
+
+
+def test_hostile_names_are_text_in_the_report(hostile: tuple[Path, surveys.Ended]) -> None:
+    folder, _ = hostile
+    page = (folder / "out/report.html").read_bytes().decode()
+    assert OBEYED.search(page) is None
+    assert "<script" not in page
+    assert "<img src=x" not in page
+    assert "&lt;img src=x onerror=alert(1)&gt;" in page
+    assert "{{7*7}}" in page, "no template of ours"
+    report = json.loads((folder / "out/report.json").read_text(encoding="utf-8"))
+    assert report["survey"]["name"].startswith("<img src=x"), "data stay what they are"
+
+
+def test_hostile_names_are_shown_by_status_and_plan(hostile: tuple[Path, surveys.Ended]) -> None:
+    folder, _ = hostile
+    for arguments in (("status", folder / "out"), ("plan", folder / "workflow.yaml")):
+        ended = surveys.command(*arguments)
+        assert OBEYED.search(ended.text) is None
+        assert max(map(len, ended.text.splitlines())) <= LINE_MAX
