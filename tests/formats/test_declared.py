@@ -101,9 +101,11 @@ def constant(path: Path, names: Any, rows: int, kinds: Any = pa.float64) -> Path
     return path
 
 
-@pytest.mark.slow
-def test_a_parquet_bomb_is_refused_by_its_size(tmp_path: Path) -> None:
-    rows = 10_000_000
+def test_a_parquet_bomb_is_refused_by_its_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = 1_000_000
+    monkeypatch.setattr("spl_batch.formats.declared.SMALL_BYTES", 1 << 20)
     path = constant(tmp_path / "t.parquet", ("gps_time", "x", "y", "z"), rows, ())
     assert path.stat().st_size * BOMB_RATIO < 32 * rows
     with pytest.raises(InputError, match="records would unpack to"):
