@@ -61,6 +61,7 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "ground": "ground cell",
         "surface": "ground cell",
         "accuracy": "square of the reference",
+        "checkpoints": "file",
     }
 )
 
@@ -228,7 +229,8 @@ class Imaging(Receiver[Survey, Context]):
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""
-        return [str(facts.path) for facts in ledger.inputs.reference]
+        beside = [ledger.inputs.checkpoints.path] if ledger.inputs.checkpoints else []
+        return [str(path) for path in (*(f.path for f in ledger.inputs.reference), *beside)]
 
     def not_read(self, ledger: Survey) -> int:
         """Points that the headers of files promise which could not be read to their end [count]."""

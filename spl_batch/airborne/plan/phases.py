@@ -196,6 +196,7 @@ PHASES = (
     Phase("mosaic", space_tasks.mosaic, beside=True),
     Phase("reference", reference_tasks.reference, beside=True),
     Phase("accuracy", reference_tasks.accuracy),
+    Phase("checkpoints", reference_tasks.checkpoints, beside=True),
 )
 """Every phase of a run, in order."""
 

@@ -1,4 +1,4 @@
-"""Reference points: files that are cut into squares, and squares that are compared."""
+"""What results are compared with: reference points, by files and by squares; checkpoints."""
 
 import math
 from collections.abc import Iterator
@@ -64,6 +64,21 @@ def accuracy(survey: Survey) -> Iterator[Task]:
         needs += [("mosaic", name) for name in rasters]
         refused = refusal("accuracy", points[square], survey.memory_bytes)
         yield Task("accuracy", square, args, tuple(needs), points[square], refused)
+
+
+def checkpoints(survey: Survey) -> Iterator[Task]:
+    """The file of checkpoints, to be compared with the terrain of each piece of the survey."""
+    found = survey.inputs.checkpoints
+    rasters = [name for name in sorted(survey.of("mosaic")) if name.partition("_")[0] == "dtm"]
+    if found is None or not rasters:
+        return
+    args = {
+        "name": found.name,
+        "path": str(found.path),
+        "stamp": stamp_if_there(found.path),
+        "rasters": rasters,
+    }
+    yield Task("checkpoints", "all", args, tuple(("mosaic", name) for name in rasters))
 
 
 def squares(survey: Survey) -> int:

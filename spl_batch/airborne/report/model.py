@@ -173,6 +173,56 @@ class Noise(Part):
     )
 
 
+class Requirement(Part):
+    """One requirement of a contract, and whether it is met."""
+
+    name: str = Field(description="What is required of.")
+    required: str = Field(description="What is asked for, with units.")
+    found: str = Field(description="What was found, with units.")
+    verdict: Literal["pass", "fail", "cannot tell"] = Field(description="Whether it is met.")
+    why: str = Field(description="What that rests on, or what would tell.")
+    standard: str = Field(description="Who requires it.")
+    section: str = Field(description="Edition and section.")
+
+
+class CheckpointStatistics(Part):
+    """Vertical accuracy at checkpoints of one kind, as ASPRS Edition 2 (2023) defines it."""
+
+    n: Count = Field(description="Checkpoints on the terrain model [count].")
+    mean_m: Number = Field(None, description="Mean of DTM minus checkpoint [m].")
+    sd_m: Number = Field(None, description="Standard deviation [m].")
+    rmse_v1_m: Number = Field(None, description="Fit of the DTM to the checkpoints [m].")
+    rmse_v2_m: Number = Field(
+        None, description="Accuracy of the checkpoints; null where one states none [m]."
+    )
+    rmse_v_m: Number = Field(None, description="Root of the sum of both squares [m].")
+    outliers: tuple[str, ...] = Field((), description="Checkpoints to look at; they count.")
+
+
+class Checkpoint(Part):
+    """One checkpoint of the field survey."""
+
+    id: str = Field(description="Its name.")
+    x_m: Number = Field(description="Easting in the survey's CRS [m].")
+    y_m: Number = Field(description="Northing in the survey's CRS [m].")
+    z_m: Number = Field(description="Its height [m].")
+    surface: Literal["open", "vegetated"] = Field(description="Non-vegetated, or vegetated.")
+    accuracy_m: Number = Field(None, description="Its own vertical accuracy, one sigma [m].")
+    error_m: Number = Field(
+        None, description="DTM minus checkpoint; null where the DTM has no value [m]."
+    )
+    outlier: bool = Field(False, description="Whether it differs far from the others.")
+
+
+class Checkpoints(Part):
+    """The statement of accuracy, and what it rests on."""
+
+    statement: str = Field(description="In the words of the standard.")
+    nva: CheckpointStatistics = Field(description="At open, non-vegetated checkpoints.")
+    vva: CheckpointStatistics = Field(description="At vegetated checkpoints.")
+    points: tuple[Checkpoint, ...] = ()
+
+
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -180,6 +230,8 @@ class Report(Part):
     survey: Survey
     counts: Counts
     accuracy: Accuracy | None = Field(None, description="Null without reference points.")
+    requirements: tuple[Requirement, ...] = Field((), description="Is it good enough?")
+    checkpoints: Checkpoints | None = Field(None, description="Null without checkpoints.")
     density: Density = Density()
     noise: Noise = Noise()
     performance: Performance = Performance()

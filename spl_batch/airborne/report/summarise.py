@@ -9,6 +9,7 @@ import numpy as np
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
 from spl_batch.airborne.report.coverage import area_km2, density
+from spl_batch.airborne.report.good_enough import checkpoint_report, judged
 from spl_batch.airborne.report.model import (
     Accuracy,
     Basis,
@@ -59,6 +60,8 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         survey=_survey(done, context),
         counts=counts,
         accuracy=_accuracy(found),
+        requirements=judged(done, context),
+        checkpoints=checkpoint_report(done, context),
         density=density(done, context, counts.ground),
         noise=_noise(done, context, counts.background),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
@@ -261,7 +264,12 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
             input_file(Path(item["path"]), "trajectory", item["hash"])
             for item in receipt.facts["inputs"]
         )
-    inputs.extend(input_file(Path(path), "reference") for path in reference)
+    settings = context.workflow.reference
+    checkpoints = settings.checkpoints if settings else None
+    own = None if checkpoints is None else str(context.resolve(checkpoints))
+    inputs.extend(
+        input_file(Path(path), "checkpoints" if path == own else "reference") for path in reference
+    )
     for role in ("aoi", "water"):
         name = getattr(context.workflow, role)
         if name is not None:

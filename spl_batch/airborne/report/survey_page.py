@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Final
 
+from spl_batch.airborne.accuracy.requirements import answers
 from spl_batch.airborne.report.model import Counts, Report, Survey
 from spl_batch.airborne.report.verdicts import (
     noise_removed,
@@ -18,6 +19,7 @@ from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.verdict import speed_remark
 
 SECTIONS: Final = (
+    ("good-enough", "Is it good enough?"),
     ("accuracy", "Accuracy"),
     ("surfaces", "Surfaces"),
     ("noise", "Noise"),
@@ -106,7 +108,15 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         set_aside=_set_aside(report.counts),
         kept_noise_share=_kept_noise_share(report),
         how=HOW,
+        answers=answers(row.verdict for row in report.requirements),
+        level=_asked_level(report),
     )
+
+
+def _asked_level(report: Report) -> str:
+    """Quality level that the requirements are those of."""
+    asked = report.provenance.parameters.get("requirements")
+    return str(asked.get("quality_level", "")) if isinstance(asked, Mapping) else ""
 
 
 def _facts(survey: Survey, *, photons: bool) -> Iterator[str]:

@@ -13,6 +13,7 @@ from spl_batch.airborne.settings.filters import (
     WireSettings,
 )
 from spl_batch.airborne.settings.noise import AfterpulseSettings, NoiseSettings
+from spl_batch.airborne.settings.requirements import RequirementSettings
 from spl_batch.airborne.settings.surfaces import (
     GroundSettings,
     ProductSettings,
@@ -41,6 +42,7 @@ __all__ = [
     "ProductSettings",
     "PtdSettings",
     "ReferenceSettings",
+    "RequirementSettings",
     "SmrfSettings",
     "SurveySettings",
     "TilingSettings",

@@ -1,8 +1,8 @@
 """What was flown, how it is cut into work, and what is written."""
 
-from typing import Final, Literal
+from typing import Final, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.engine.settings.base import Positive, Section, StoreSettings
@@ -50,13 +50,33 @@ class SurveySettings(Section):
 
 
 class ReferenceSettings(Section):
-    """Linear-mode lidar that the results are compared with."""
+    """What the results are compared with: linear-mode lidar, checkpoints of a field survey."""
 
-    points: str | tuple[str, ...] = Field(description="LAS/LAZ with ground class 2, building 6.")
+    points: str | tuple[str, ...] | None = Field(
+        None, description="LAS/LAZ with ground class 2, building 6."
+    )
     crs: str | None = Field(None, description="CRS for reference files that carry none.")
     remove_bias: bool = Field(
         False, description="Subtract the median difference before the statistics."
     )
+    checkpoints: str | None = Field(
+        None,
+        description="Checkpoints for a statement of accuracy: CSV with id,x,y,z,surface,accuracy_m "
+        "and, if need be, crs; or points of any vector format with these fields. surface: open or "
+        "vegetated; accuracy_m: the checkpoint's own.",
+    )
+    checkpoints_crs: str | None = Field(
+        None, description="CRS of checkpoints that state none; by default the survey's."
+    )
+    checkpoints_accuracy_m: Positive | None = Field(
+        None, description="Vertical accuracy of checkpoints that state none, one sigma [m]."
+    )
+
+    @model_validator(mode="after")
+    def _names_something(self) -> Self:
+        if self.points is None and self.checkpoints is None:
+            raise ValueError("names neither points nor checkpoints; name one, or leave it out")
+        return self
 
 
 class TilingSettings(Section):

@@ -21,6 +21,7 @@ from spl_batch.airborne.settings import (
     OutputSettings,
     ProductSettings,
     ReferenceSettings,
+    RequirementSettings,
     SurveySettings,
     TilingSettings,
     WireSettings,
@@ -45,6 +46,7 @@ class Workflow(BaseWorkflow):
     ground: GroundSettings = GroundSettings()
     products: ProductSettings = ProductSettings()
     outputs: OutputSettings = OutputSettings()
+    requirements: RequirementSettings = RequirementSettings()
     water: str | None = Field(None, description="Polygons of water, any vector format.")
     aoi: str | None = Field(None, description="Polygons of the area of interest.")
 

@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.beamlet_room import empty_layers
+from spl_batch.airborne.simulate.checkpoints import write_checkpoints
 from spl_batch.airborne.simulate.file_writers import (
     las_header,
     raster_rows,
@@ -70,6 +71,7 @@ def deliver(
     """
     _trajectory(scene, passes, out)
     _reference(scene, arrays, out)
+    write_checkpoints(scene, arrays, layout, out / "checkpoints.csv")
     _rasters(scene, arrays, out)
     origin = scene.origin_m[:2]
     water = [
@@ -228,7 +230,7 @@ def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - o
             else scene.sensor,
             "channel_dimension": "channel",
         },
-        "reference": {"points": "reference_lml.laz"},
+        "reference": {"points": "reference_lml.laz", "checkpoints": "checkpoints.csv"},
         "output": "out",
         "acquisition": {"prf_hz": scene.acquisition.prf_hz, "gate_m": scene.acquisition.gate_m},
     }

@@ -122,10 +122,11 @@ def simulate(
     """Simulate a survey.
 
     Written are ``flightlines/line_NN.laz`` (points in time order, without truth),
-    ``trajectory.csv`` and ``trajectory.sbet``, ``reference_lml.laz``, ``water.gpkg`` where
-    there is water, ``workflow.yaml``, and ``truth/``: ``line_NN.parquet`` with a row for
-    each point in the file's order (``kind``: index in :data:`KINDS`; ``parent``: kind of the
-    surface behind an afterpulse, else 255; ``parent_row``: row of its parent, else -1),
+    ``trajectory.csv`` and ``trajectory.sbet``, ``reference_lml.laz``, ``checkpoints.csv``,
+    ``water.gpkg`` where there is water, ``workflow.yaml``, and ``truth/``:
+    ``line_NN.parquet`` with a row for each point in the file's order (``kind``: index in
+    :data:`KINDS`; ``parent``: kind of the surface behind an afterpulse, else 255;
+    ``parent_row``: row of its parent, else -1),
     ``dtm.tif``, ``dsm.tif`` (at cell centres), ``reflectance.tif`` (cell means),
     ``noise_density.npz`` (expected background per cubic metre, lattice index of the first
     voxel, edge) and ``scene.json``.

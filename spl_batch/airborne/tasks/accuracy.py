@@ -137,7 +137,9 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
         If what a square said is missing or damaged.
     """
     settings = context.workflow.reference
-    if settings is None or not _comparable(context) or not _looked_at(done):
+    if settings is None or settings.points is None:
+        return None
+    if not _comparable(context) or not _looked_at(done):
         return None
     grid = Grid(*overview_frame(context.output / "dtm.tif"))
     total, count = np.zeros((2, grid.rows * grid.columns), np.int64)
@@ -169,7 +171,10 @@ def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[
     facts : RunFacts
         What the receipts do not say.
     """
-    if context.workflow.reference is None or not _comparable(context) or _looked_at(done):
+    settings = context.workflow.reference
+    if settings is None or settings.points is None:
+        return
+    if not _comparable(context) or _looked_at(done):
         return
     if not facts.failures:  # without the rasters of this run it is not made either
         yield (

@@ -69,7 +69,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "surface": Kind(
             "surfaces",
             "spl_batch.airborne.tasks.space_domain:surface",
-            ("ground.cell_m", "products", "aoi"),
+            ("ground.cell_m", "products", "aoi", "water"),
         ),
         "deliver_file": Kind(
             "deliver", "spl_batch.airborne.tasks.delivery:deliver_file", ("outputs.diagnostics",)
@@ -85,6 +85,11 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "reference": Kind("report", "spl_batch.airborne.tasks.reference:reference", ()),
         "accuracy": Kind(
             "report", "spl_batch.airborne.tasks.accuracy:accuracy", ("products.cell_m",)
+        ),
+        "checkpoints": Kind(
+            "report",
+            "spl_batch.airborne.tasks.checkpoints:checkpoints",
+            ("reference.checkpoints_crs", "reference.checkpoints_accuracy_m"),
         ),
     }
 )

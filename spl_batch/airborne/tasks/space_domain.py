@@ -21,6 +21,7 @@ from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.store.label_tables import read_region, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
+from spl_batch.airborne.tasks import pulses
 from spl_batch.airborne.tasks.coverage import covered
 from spl_batch.airborne.tasks.expected_noise import expected_noise
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -44,11 +45,10 @@ Units = dict[CellId, list[tuple[str, str]]]
 
 _GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse")
 _SURFACE_COLUMNS = (*_GROUND_COLUMNS, "input_class")
-_FIRED_COLUMNS = ("gps_time", "channel")
 """What the stages look at; a tile holds twice as much."""
 
-_RASTER_COLUMNS = (*_FIRED_COLUMNS, "noise_density")
-"""What is needed for the reflectance and the mean noise of raster cells alone."""
+_RASTER_COLUMNS = ("gps_time", "channel", "return_number", "noise_density")
+"""What is needed for pulses, the reflectance and the mean noise of raster cells alone."""
 
 
 def denoise(args: Mapping[str, Any], context: Context) -> Produced:
@@ -121,22 +121,24 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     if workflow.filter.wires.classify:
         labels["wire"] = noise
     # The intensity raster is of detections or of what was delivered.
-    seen = surfacing.COLUMNS_OF_INTENSITY if args["fired"] is None else _FIRED_COLUMNS
-    columns = (*_SURFACE_COLUMNS, *seen)
+    seen = surfacing.COLUMNS_OF_INTENSITY if args["fired"] is None else ()
+    columns = (*dict.fromkeys((*_SURFACE_COLUMNS, *pulses.COLUMNS, *seen)),)
     region = grow(core, args["halo"])
     table, origin = read_region(
         context.store, _cells(args["tiles"]), region, columns, labels, ordered=False
     )
     noise_m3 = _mean_noise(table, core, quanta(workflow.products.cell_m))
     kept_noise = within_signal(table, core)
+    returns = pulses.pulse_returns(table, core, workflow.products)
     reflected: dict[str, NDArray[np.float32]] = {}
     if args["fired"] is not None:
         paths = [context.store.path("fired", f"{name}.npz") for name in args["fired"]]
         parts = [FiredPart.from_arrays(read_arrays(path)) for path in paths]
         reflected["intensity"] = reflectance.raster(table, parts, core, workflow.products)
         del parts
-    # What only these two look at is not held any longer.
-    table = table.select([name for name in table.columns if name not in _RASTER_COLUMNS])
+    # What only these look at is not held any longer.
+    done_with = set(_RASTER_COLUMNS) - set(seen)
+    table = table.select([name for name in table.columns if name not in done_with])
     owned = inside(table["x"], table["y"], core)
     classified = (*point_classes.COLUMNS_NEEDED, *(("wire",) if "wire" in table else ()))
     mine, place = table.select(classified).take(owned), origin.of(owned)
@@ -148,6 +150,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     counted = covered(shown, core, arrays, context)
+    counted |= pulses.pulse_facts(returns, core, arrays["density"], context)
     del shown
     arrays["noise"] = noise_m3
     chunks = _write_rasters(args["cell"], core, arrays, context)

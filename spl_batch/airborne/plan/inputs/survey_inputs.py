@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from pyproj import CRS
 
@@ -54,6 +55,13 @@ class Source:
     facts: LasFacts
 
 
+class CheckpointFile(NamedTuple):
+    """A file of checkpoints, and what it is called in messages."""
+
+    path: Path
+    name: str
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """Everything that a workflow names, checked.
@@ -74,6 +82,8 @@ class Inputs:
         What a user should know before the work starts.
     polygons : tuple of (str, str)
         Key and checksum of each polygon file, or of all the files that it is made of.
+    checkpoints : CheckpointFile or None
+        Checkpoints of a field survey.
     """
 
     sources: tuple[Source, ...]
@@ -83,6 +93,7 @@ class Inputs:
     crs: CRS | None
     warnings: tuple[str, ...]
     polygons: tuple[tuple[str, str], ...] = ()
+    checkpoints: CheckpointFile | None = None
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -107,7 +118,12 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     trajectory = expand(workflow.survey.trajectory, base, "survey.trajectory", faults)
     reference_names = workflow.reference.points if workflow.reference else None
     reference = expand(reference_names, base, "reference.points", faults)
-    for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
+    checkpoints = workflow.reference.checkpoints if workflow.reference else None
+    for key, name in (
+        ("aoi", workflow.aoi),
+        ("water", workflow.water),
+        ("reference.checkpoints", checkpoints),
+    ):
         if name is not None and not (base / name).exists():
             faults.append(f"{key}: {base / name} does not exist")
     refuse_own(paths, output, "survey.flightlines", faults)
@@ -138,7 +154,15 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         crs,
         tuple(warnings),
         tuple(_polygon_checksums(workflow, base)),
+        _checkpoint_file(checkpoints, base),
     )
+
+
+def _checkpoint_file(name: str | None, base: Path) -> CheckpointFile | None:
+    if name is None:
+        return None
+    path = (base / name).resolve()
+    return CheckpointFile(path, name_below(path, base))
 
 
 def _polygon_checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:

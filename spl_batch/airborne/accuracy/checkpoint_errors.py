@@ -1,0 +1,165 @@
+"""Vertical accuracy at checkpoints, as the ASPRS standards of 2023 want it told.
+
+Source: ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, Version 1.0
+(2023), Section 7. The accuracy of a product has two components: how well it fits the checkpoints,
+``RMSE_V1``, and how well the checkpoints are known, ``RMSE_V2``;
+
+    RMSE_V = sqrt(RMSE_V1^2 + RMSE_V2^2).
+
+Non-vegetated (NVA) and vegetated (VVA) checkpoints are told apart, 30 of them at least, and no
+accuracy at 95 % confidence is stated any more. VVA is reported and does not pass or fail.
+
+Deviation: heights are compared with the DTM, bilinear between cell centres, and not with a TIN of
+the ground points.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, sqrt
+from typing import Final
+
+import numpy as np
+
+STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data"
+
+EDITION: Final = "Edition 2, Version 1.0 (2023), Section 7"
+
+ENOUGH: Final = 30
+"""Checkpoints of a kind that a statement needs [count]."""
+
+OUTLIER_SIGMA: Final = 3.0
+"""A checkpoint is named that differs from the median by more than so many robust standard
+deviations, 1.4826 times the median absolute deviation."""
+
+LEAST_OUTLIER_M: Final = 0.01
+"""And by no less than this: a few equal errors would make the least other one an outlier [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckpointError:
+    """What the DTM says at a checkpoint.
+
+    Parameters
+    ----------
+    id : str
+        The checkpoint.
+    error_m : float
+        DTM minus checkpoint [m].
+    accuracy_m : float or None
+        Its own accuracy [m].
+    """
+
+    id: str
+    error_m: float
+    accuracy_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class AtCheckpoints:
+    """Accuracy at checkpoints of one kind.
+
+    Parameters
+    ----------
+    n : int
+        Checkpoints [count].
+    mean_m, sd_m : float or None
+        Mean error; standard deviation, None for fewer than two [m].
+    rmse_v1_m : float or None
+        Fit of the product to the checkpoints [m].
+    rmse_v2_m : float or None
+        Accuracy of the checkpoints; None where one states none [m].
+    rmse_v_m : float or None
+        Both together; None where one is not known [m].
+    outliers : tuple of str
+        Checkpoints to look at; they count nevertheless.
+    """
+
+    n: int
+    mean_m: float | None
+    sd_m: float | None
+    rmse_v1_m: float | None
+    rmse_v2_m: float | None
+    rmse_v_m: float | None
+    outliers: tuple[str, ...]
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are as many as a statement needs, of known accuracy."""
+        return self.n >= ENOUGH and self.rmse_v_m is not None
+
+
+def at_checkpoints(found: Sequence[CheckpointError]) -> AtCheckpoints:
+    """Accuracy at checkpoints.
+
+    Parameters
+    ----------
+    found : sequence of CheckpointError
+        Of one kind; may be empty.
+    """
+    if not found:
+        return AtCheckpoints(0, None, None, None, None, None, ())
+    errors = np.array([one.error_m for one in found])
+    fit = sqrt(float(np.mean(errors**2)))
+    known = [one.accuracy_m for one in found if one.accuracy_m is not None]
+    survey = sqrt(float(np.mean(np.square(known)))) if len(known) == len(found) else None
+    away = np.abs(errors - np.median(errors))
+    limit = max(OUTLIER_SIGMA * 1.4826 * float(np.median(away)), LEAST_OUTLIER_M)
+    return AtCheckpoints(
+        n=len(found),
+        mean_m=float(errors.mean()),
+        sd_m=float(errors.std(ddof=1)) if len(found) > 1 else None,
+        rmse_v1_m=fit,
+        rmse_v2_m=survey,
+        rmse_v_m=None if survey is None else hypot(fit, survey),
+        outliers=tuple(one.id for one, far in zip(found, away > limit, strict=True) if far),
+    )
+
+
+def statement(nva: AtCheckpoints, vva: AtCheckpoints, class_m: float) -> str:
+    """What may be said of a product, in the standard's words.
+
+    Parameters
+    ----------
+    nva, vva : AtCheckpoints
+        At open and at vegetated checkpoints.
+    class_m : float
+        Vertical accuracy class that was asked for: the largest RMSE_V [m].
+    """
+    source = f"{STANDARD}, Edition 2 (2023)"
+    found = [
+        _found("NVA", "non-vegetated", nva),
+        *([_found("VVA", "vegetated", vva)] if vva.n else []),
+    ]
+    if not nva.enough or nva.rmse_v_m is None:
+        return f"Insufficient for a statement: {_lacking(nva)}. {' '.join(found)}"
+    meets = "meet" if nva.rmse_v_m <= class_m else "be compared with, and does not meet,"
+    return (
+        f"This data set was tested to {meets} {source} for a {_cm(class_m)} RMSE_V Vertical "
+        f"Accuracy Class. {' '.join(found)}"
+    )
+
+
+def _lacking(nva: AtCheckpoints) -> str:
+    if nva.n < ENOUGH:
+        return f"{nva.n} of the {ENOUGH} non-vegetated checkpoints that it needs lie on the terrain"
+    return "the accuracy of the checkpoints themselves is not given"
+
+
+def _found(name: str, kind: str, of: AtCheckpoints) -> str:
+    if of.rmse_v1_m is None:
+        return f"{name} was not tested: no {kind} checkpoint lies on the terrain."
+    few = "" if of.n >= ENOUGH else f" (fewer than {ENOUGH}: for information)"
+    own = (
+        "the checkpoints' own accuracy is not known"
+        if of.rmse_v2_m is None
+        else f"checkpoints {_cm(of.rmse_v2_m)}"
+    )
+    whole = "not known" if of.rmse_v_m is None else _cm(of.rmse_v_m)
+    return (
+        f"The tested {name} was found to be RMSE_V = {whole} at {of.n} checkpoints{few}: fit "
+        f"{_cm(of.rmse_v1_m)}, {own}."
+    )
+
+
+def _cm(metres: float) -> str:
+    return f"{100 * metres:.1f} cm"

@@ -1,0 +1,418 @@
+"""Is it good enough? Each requirement of a contract, what was found, and whether that will do.
+
+Sources, by the headings of their sections: ASPRS Positional Accuracy Standards for Digital
+Geospatial Data, Edition 2, Version 1.0 (2023); USGS Lidar Base Specification 2024 rev. A. The
+limits of a quality level are in :data:`LEVELS`. Nothing passes for want of evidence: what nobody
+measured is "cannot tell", with what would tell it.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal, NamedTuple
+
+from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STANDARD, AtCheckpoints
+from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
+from spl_batch.engine.report.number_format import centimetres, number, percent, significant
+from spl_batch.errors import named
+
+Answer = Literal["pass", "fail", "cannot tell"]
+
+LBS: Final = "USGS Lidar Base Specification 2024 rev. A"
+
+COLLECTION: Final = "Collection Requirements"
+PROCESSING: Final = "Data Processing and Handling Requirements"
+
+NEVER_CLASSIFIED: Final = 0
+OVERLAP_CLASS: Final = 12
+"""Class of overlap points before there was a flag for them; it is not to be used."""
+
+
+class Level(NamedTuple):
+    """Limits of a quality level [m, 1/m2]; USGS Lidar Base Specification, tables.
+
+    Parameters
+    ----------
+    rmse_v_m : float
+        Absolute vertical accuracy, non-vegetated.
+    pulses_per_m2 : float
+        Aggregate nominal pulse density.
+    spacing : str
+        Key of its nominal pulse spacing.
+    spacing_m : float
+        That spacing.
+    repeatability_m : float
+        Smooth surface repeatability, RMSDz.
+    overlap_rmsd_m, overlap_max_m : float
+        Swath overlap difference, RMSDz and largest.
+    """
+
+    rmse_v_m: float
+    pulses_per_m2: float
+    spacing: str
+    spacing_m: float
+    repeatability_m: float
+    overlap_rmsd_m: float
+    overlap_max_m: float
+
+
+LEVELS: Final[Mapping[str, Level]] = MappingProxyType(
+    {
+        "QL0": Level(0.05, 8.0, "QL1", 0.35, 0.03, 0.04, 0.08),
+        "QL1": Level(0.10, 8.0, "QL1", 0.35, 0.06, 0.08, 0.16),
+        "QL2": Level(0.10, 2.0, "QL2", 0.71, 0.06, 0.08, 0.16),
+        "QL3": Level(0.20, 0.5, "QL3", 1.41, 0.12, 0.16, 0.32),
+    }
+)
+"""Limits by quality level."""
+
+FILLED_SHARE: Final = 0.9
+"""Squares of twice the nominal spacing that hold a first return, 0..1."""
+
+EDGE_SHARE: Final = 0.01
+"""Area off the edge, of all, that may go without a word about voids in it, 0..1."""
+
+MEAN_SHARE: Final = 0.25
+"""Mean error, of the largest RMSE_V, from which on it is to be looked into."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """One line of the page.
+
+    Parameters
+    ----------
+    name : str
+        What is required of.
+    required, found : str
+        In words and numbers with units.
+    verdict : "pass", "fail" or "cannot tell"
+        Whether it is met.
+    why : str
+        One sentence: what it rests on, or what would tell.
+    standard, section : str
+        Who requires it, and where.
+    """
+
+    name: str
+    required: str
+    found: str
+    verdict: Answer
+    why: str
+    standard: str
+    section: str
+
+
+@dataclass(frozen=True, slots=True)
+class PulseTotals:
+    """First returns of a whole survey, water excepted.
+
+    Parameters
+    ----------
+    pulses : int
+        First returns [count].
+    area_m2 : float
+        Area that was flown [m2].
+    squares, filled : int
+        Squares of twice the nominal spacing, and those that hold a first return [count].
+    void_m2 : float
+        Area in data voids [m2].
+    bare_m2 : float
+        Area that was flown and lies beyond every signal: off the edge, or in holes wider than
+        products.void_max_m can fill. It is in no other number [m2].
+    """
+
+    pulses: int
+    area_m2: float
+    squares: int
+    filled: int
+    void_m2: float
+    bare_m2: float
+
+
+@dataclass(frozen=True, slots=True)
+class SwathDifferences:
+    """Heights of flightlines against each other where they overlap.
+
+    Parameters
+    ----------
+    rmsd_m, largest_m : float
+        RMSDz over all pairs; the largest difference [m].
+    pairs : int
+        Pairs of flightlines [count].
+    where : str
+        Pair of the largest one.
+    """
+
+    rmsd_m: float
+    largest_m: float
+    pairs: int
+    where: str
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a run knows of what is required.
+
+    Parameters
+    ----------
+    level : str
+        Quality level asked for.
+    rmse_v_m, pulses_per_m2 : float
+        Limits asked for, the level's unless the contract has others [m, 1/m2].
+    nva, vva : AtCheckpoints or None
+        Accuracy at checkpoints; None where none were given.
+    pulses : PulseTotals or None
+        First returns, by the level's spacing; None where nobody counted.
+    water_known : bool
+        Whether polygons say where water is.
+    swaths : SwathDifferences or None
+        None where no flightlines were compared.
+    flightlines : int
+        Flightlines [count].
+    classes : mapping of int to int
+        Delivered points by class [count].
+    filtered : bool
+        Whether a noise filter ran.
+    vertical_datum : str or None
+        Name of the vertical datum of the CRS.
+    time_standard : str or None
+        GPS time of the points, in words.
+    """
+
+    level: str
+    rmse_v_m: float
+    pulses_per_m2: float
+    nva: AtCheckpoints | None
+    vva: AtCheckpoints | None
+    pulses: PulseTotals | None
+    water_known: bool
+    swaths: SwathDifferences | None
+    flightlines: int
+    classes: Mapping[int, int]
+    filtered: bool
+    vertical_datum: str | None
+    time_standard: str | None
+
+
+def requirements(known: Evidence) -> tuple[Requirement, ...]:
+    """Every line of the page, accuracy first."""
+    rows = (_accuracy, _vegetated, _mean_error, _density, _distribution, _voids, _overlap,
+            _largest_overlap, _repeatability, _class_zero, _noise_classes, _no_class_12,
+            _vertical_datum, _gps_time)  # fmt: skip
+    return tuple(row(known) for row in rows)
+
+
+def _accuracy(known: Evidence) -> Requirement:
+    limit, nva = known.rmse_v_m, known.nva
+    required = f"RMSE_V at most {centimetres(limit)} at {ENOUGH} open checkpoints or more"
+    place = ("Absolute vertical accuracy, NVA", required)
+    section = f"{EDITION}, and {LBS}, {PROCESSING}, Absolute Vertical Accuracy"
+    if nva is None or not nva.n:
+        why = (
+            "no open checkpoint lies on the terrain"
+            if nva is not None
+            else "no checkpoints were given: name them in reference.checkpoints"
+        )
+        return Requirement(*place, "not tested", "cannot tell", why, STANDARD, section)
+    fit, own, whole = map(centimetres, (nva.rmse_v1_m, nva.rmse_v2_m, nva.rmse_v_m))
+    if nva.rmse_v_m is None:
+        found = f"fit {fit} at {nva.n} checkpoints"
+        why = "the checkpoints' own accuracy is not given: column accuracy_m"
+        return Requirement(*place, found, "cannot tell", why, STANDARD, section)
+    found = f"RMSE_V {whole} at {nva.n} checkpoints"
+    if nva.n < ENOUGH:
+        why = f"{nva.n} checkpoints are insufficient for a statement, {ENOUGH} are needed"
+        return Requirement(*place, found, "cannot tell", why, STANDARD, section)
+    why = f"fit {fit}, checkpoints {own}"
+    if nva.outliers:
+        why += f"; look at {named(nva.outliers)}"
+    answer: Answer = "pass" if nva.rmse_v_m <= limit else "fail"
+    return Requirement(*place, found, answer, why, STANDARD, section)
+
+
+def _vegetated(known: Evidence) -> Requirement:
+    place = ("Absolute vertical accuracy, VVA", f"reported, {ENOUGH} checkpoints or more")
+    vva = known.vva
+    if vva is None or vva.rmse_v_m is None or vva.n < ENOUGH:
+        found = "not tested" if vva is None or not vva.n else f"{vva.n} checkpoints"
+        if vva is not None and vva.rmse_v1_m is not None:
+            found = f"fit {centimetres(vva.rmse_v1_m)} at {vva.n} checkpoints"
+        why = f"a statement needs {ENOUGH} vegetated checkpoints of known accuracy"
+        return Requirement(*place, found, "cannot tell", why, STANDARD, EDITION)
+    found = f"RMSE_V {centimetres(vva.rmse_v_m)} at {vva.n} checkpoints"
+    why = "the standard sets no limit any more: it is reported"
+    return Requirement(*place, found, "pass", why, STANDARD, EDITION)
+
+
+def _mean_error(known: Evidence) -> Requirement:
+    limit = MEAN_SHARE * known.rmse_v_m
+    place = ("Systematic error", f"mean error within {centimetres(limit)} of zero")
+    nva = known.nva
+    if nva is None or nva.mean_m is None or nva.n < ENOUGH:
+        why = f"needs {ENOUGH} open checkpoints"
+        found = "not tested" if nva is None else centimetres(nva.mean_m)
+        return Requirement(*place, found, "cannot tell", why, STANDARD, EDITION)
+    good = abs(nva.mean_m) <= limit
+    why = f"a quarter of the largest RMSE_V{'' if good else ': find the cause before delivery'}"
+    answer: Answer = "pass" if good else "fail"
+    return Requirement(*place, centimetres(nva.mean_m), answer, why, STANDARD, EDITION)
+
+
+def _density(known: Evidence) -> Requirement:
+    required = f"at least {significant(known.pulses_per_m2)} first returns per m\N{SUPERSCRIPT TWO}"
+    place = ("Aggregate nominal pulse density", required)
+    where = (LBS, f"{COLLECTION}, Nominal Pulse Spacing")
+    if known.pulses is None or not known.pulses.area_m2:
+        return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)
+    found = known.pulses.pulses / known.pulses.area_m2
+    answer: Answer = "pass" if found >= known.pulses_per_m2 else "fail"
+    why = "highest signal return of each pulse, all flightlines together, water excepted"
+    text = f"{significant(found)} per m\N{SUPERSCRIPT TWO}"
+    return Requirement(*place, text, answer, why, *where)
+
+
+_NOT_COUNTED: Final = "the raster cells were made by a version that did not count: run again"
+
+
+def _distribution(known: Evidence) -> Requirement:
+    edge_m = 2 * LEVELS[known.level].spacing_m
+    required = f"{percent(FILLED_SHARE, 0)} of squares of {edge_m:.2f} m hold a first return"
+    place = ("Spatial distribution", required)
+    where = (LBS, f"{COLLECTION}, Spatial Distribution and Regularity")
+    if known.pulses is None or not known.pulses.squares:
+        return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)
+    share = known.pulses.filled / known.pulses.squares
+    answer: Answer = "pass" if share >= FILLED_SHARE else "fail"
+    why = f"{number(known.pulses.squares)} squares, all flightlines together, water excepted"
+    return Requirement(*place, percent(share), answer, why, *where)
+
+
+def _voids(known: Evidence) -> Requirement:
+    edge_m = 4 * LEVELS[known.level].spacing_m
+    required = f"no empty square of {edge_m:.2f} m, water excepted"
+    place, where = ("Data voids", required), (LBS, f"{COLLECTION}, Data Voids")
+    if known.pulses is None or not known.pulses.area_m2:
+        return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)
+    pulses = known.pulses
+    share = percent(pulses.void_m2 / pulses.area_m2, 2)
+    found = f"{number(pulses.void_m2)} m\N{SUPERSCRIPT TWO}, {share} of what was flown"
+    if pulses.void_m2:
+        if not known.water_known:
+            why = "it may be water, of which nothing is known: draw it and name it as water"
+            return Requirement(*place, found, "cannot tell", why, *where)
+        why = "surfaces that reflect too little are excepted too, and are not told apart here"
+        return Requirement(*place, found, "fail", why, *where)
+    if pulses.bare_m2 > EDGE_SHARE * pulses.area_m2:
+        why = (
+            f"{number(pulses.bare_m2)} m\N{SUPERSCRIPT TWO} were flown without signal, off the "
+            "edge or in wide holes: look at density.tif"
+        )
+        return Requirement(*place, "none within the signal", "cannot tell", why, *where)
+    return Requirement(*place, "none", "pass", "first returns of all flightlines", *where)
+
+
+_OVERLAP: Final = f"{PROCESSING}, Relative Vertical Accuracy"
+
+
+def _not_overlapping(known: Evidence) -> str:
+    if known.flightlines < 2:
+        return "there are no two flightlines to be compared"
+    return "this version does not compare flightlines with each other"
+
+
+def _overlap(known: Evidence) -> Requirement:
+    limit = LEVELS[known.level].overlap_rmsd_m
+    place = ("Swath overlap difference", f"RMSDz at most {centimetres(limit)}")
+    if known.swaths is None:
+        why = _not_overlapping(known)
+        return Requirement(*place, "not measured", "cannot tell", why, LBS, _OVERLAP)
+    answer: Answer = "pass" if known.swaths.rmsd_m <= limit else "fail"
+    found = f"RMSDz {centimetres(known.swaths.rmsd_m)}"
+    why = f"{known.swaths.pairs} pairs of flightlines"
+    return Requirement(*place, found, answer, why, LBS, _OVERLAP)
+
+
+def _largest_overlap(known: Evidence) -> Requirement:
+    limit = LEVELS[known.level].overlap_max_m
+    place = ("Swath overlap, largest difference", f"at most {centimetres(limit)}")
+    if known.swaths is None:
+        why = _not_overlapping(known)
+        return Requirement(*place, "not measured", "cannot tell", why, LBS, _OVERLAP)
+    answer: Answer = "pass" if known.swaths.largest_m <= limit else "fail"
+    found, why = centimetres(known.swaths.largest_m), f"between {known.swaths.where}"
+    return Requirement(*place, found, answer, why, LBS, _OVERLAP)
+
+
+def _repeatability(known: Evidence) -> Requirement:
+    limit = LEVELS[known.level].repeatability_m
+    required = f"RMSDz at most {centimetres(limit)} within a flightline"
+    why = "nobody has marked smooth hard surfaces to measure it on"
+    return Requirement(
+        "Smooth surface repeatability", required, "not measured", "cannot tell", why, LBS, _OVERLAP
+    )
+
+
+def _class_zero(known: Evidence) -> Requirement:
+    left = known.classes.get(NEVER_CLASSIFIED, 0)
+    why = (
+        "withheld, without a time, or outside the area: they keep the class of the input"
+        if left
+        else "every point has a class"
+    )
+    return Requirement(
+        "Points never classified", "none in class 0", number(left) if left else "none",
+        "fail" if left else "pass", why, LBS, f"{PROCESSING}, Point Classification",
+    )  # fmt: skip
+
+
+def _noise_classes(known: Evidence) -> Requirement:
+    low, high = (known.classes.get(kind, 0) for kind in (CLASS_LOW_NOISE, CLASS_HIGH_NOISE))
+    found = f"{number(low)} low, {number(high)} high"
+    answer: Answer = "pass" if known.filtered else "cannot tell"
+    why = "below and above the terrain" if known.filtered else "no noise filter ran"
+    return Requirement(
+        "Noise", "low in class 7, high in class 18", found, answer, why, LBS,
+        f"{PROCESSING}, Point Classification",
+    )  # fmt: skip
+
+
+def _no_class_12(known: Evidence) -> Requirement:
+    held = known.classes.get(OVERLAP_CLASS, 0)
+    why = "no point is in it" if not held else "the input has them: they are carried along"
+    return Requirement(
+        "Overlap by flag", "no point in class 12", number(held) if held else "none",
+        "fail" if held else "pass", why, LBS, f"{PROCESSING}, Use of the LAS Overlap Bit Flag",
+    )  # fmt: skip
+
+
+def _vertical_datum(known: Evidence) -> Requirement:
+    named_datum = known.vertical_datum is not None
+    why = (
+        "the coordinate reference system is a compound one"
+        if named_datum
+        else "the CRS of the input has no vertical part: name a compound one, e.g. EPSG:6344+5703"
+    )
+    return Requirement(
+        "Vertical datum", "named by the CRS", known.vertical_datum or "none",
+        "pass" if named_datum else "fail", why, LBS, f"{PROCESSING}, Coordinate Reference System",
+    )  # fmt: skip
+
+
+def _gps_time(known: Evidence) -> Requirement:
+    place = ("GPS time", "adjusted standard time")
+    where = (LBS, f"{PROCESSING}, Time of Global Positioning System Data")
+    if known.time_standard is None:
+        return Requirement(*place, "none", "cannot tell", "no point has a time", *where)
+    good = known.time_standard == "adjusted"
+    why = "by the size of its numbers" + ("" if good else "; the delivery keeps the input's")
+    answer: Answer = "pass" if good else "fail"
+    return Requirement(*place, f"{known.time_standard} time", answer, why, *where)
+
+
+def answers(verdicts: Iterable[Answer]) -> dict[Answer, int]:
+    """How many requirements are met, are not, and cannot be told of."""
+    found: dict[Answer, int] = {"pass": 0, "fail": 0, "cannot tell": 0}
+    for verdict in verdicts:
+        found[verdict] += 1
+    return found

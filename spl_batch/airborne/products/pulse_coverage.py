@@ -1,0 +1,146 @@
+"""How evenly first returns cover the ground: density, spatial distribution, data voids.
+
+Source: USGS Lidar Base Specification, Collection Requirements: nominal pulse density and spacing;
+spatial distribution, 90 % of the squares of twice the nominal spacing hold a first return; data
+voids, areas of (4 x spacing)^2 without one.
+
+Squares lie on absolute grids, so that no tiling changes them. Deviations: all swaths count
+together, not each by itself; a void is a whole empty square of four spacings, not any shape of its
+area; only places that were flown count (:mod:`~spl_batch.airborne.products.flown_cells`).
+"""
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from spl_batch.constants import NODATA
+from spl_batch.lattice.tiles import Bounds, grow, inside
+
+SPACINGS: Final[Mapping[str, int]] = {"QL1": 350, "QL2": 710, "QL3": 1410}
+"""Aggregate nominal pulse spacing of a quality level, that of QL0 is QL1's [quanta]; USGS Lidar
+Base Specification, table of nominal pulse spacing and density."""
+
+VOID_SPACINGS: Final = 4
+"""Edge of a data void [spacings]."""
+
+MARGIN: Final = 2 * VOID_SPACINGS
+"""Squares around a region that decide on those in it [spacings]."""
+
+
+class Coverage(NamedTuple):
+    """Squares of a region that were flown, water excepted; counts of several regions add up.
+
+    Parameters
+    ----------
+    squares, filled : int
+        Squares of twice the spacing; those that hold a first return [count].
+    places, void : int
+        Squares of the spacing; those that lie in a data void [count].
+    """
+
+    squares: int
+    filled: int
+    places: int
+    void: int
+
+
+def reach_q() -> int:
+    """How far around a region :func:`coverage` looks [quanta]."""
+    return (MARGIN + 2) * max(SPACINGS.values())
+
+
+def coverage(
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    core: Bounds,
+    flown: NDArray[np.bool_],
+    spacing: int,
+) -> tuple[Coverage, NDArray[np.bool_]]:
+    """Squares of a region by one spacing.
+
+    Parameters
+    ----------
+    x, y : (n,) int64
+        First returns of the region and of :func:`reach_q` around it, in any order [quanta].
+    core : Bounds
+        The region [quanta].
+    flown : (rows, cols) bool
+        Which of its raster cells were flown and are no water, row 0 southernmost.
+    spacing : int
+        Nominal pulse spacing, even [quanta].
+
+    Returns
+    -------
+    coverage : Coverage
+        Counts of the squares whose centres lie in the region.
+    void : (rows, cols) bool
+        Which raster cells have their centre in a data void, row 0 southernmost.
+    """
+    i, j, empty = _empty(x, y, core, spacing)
+    void = _opened(empty, VOID_SPACINGS)
+    size = (core.xmax - core.xmin) // flown.shape[1]
+    places, in_void = _counted(void, i, j, spacing, core, flown, size)
+    # Two by two squares, the first of them of even number.
+    pairs = empty[j % 2 :, i % 2 :]
+    rows, cols = (side // 2 * 2 for side in pairs.shape)
+    quarters = pairs[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
+    bare: NDArray[np.bool_] = np.all(quarters, axis=(1, 3))
+    west, south = (i + i % 2) // 2, (j + j % 2) // 2
+    squares, unfilled = _counted(bare, west, south, 2 * spacing, core, flown, size)
+    col = (np.arange(core.xmin + size // 2, core.xmax, size) // spacing) - i
+    row = (np.arange(core.ymin + size // 2, core.ymax, size) // spacing) - j
+    of_cells = void[np.ix_(row, col)] & flown
+    return Coverage(squares, squares - unfilled, places, in_void), of_cells
+
+
+def _empty(
+    x: NDArray[np.int64], y: NDArray[np.int64], core: Bounds, spacing: int
+) -> tuple[int, int, NDArray[np.bool_]]:
+    """First column and row, and which squares around a region hold no return."""
+    wide = grow(core, MARGIN * spacing)
+    i, j = wide.xmin // spacing, wide.ymin // spacing
+    cols, rows = wide.xmax // spacing + 1 - i, wide.ymax // spacing + 1 - j
+    whole = Bounds(i * spacing, j * spacing, (i + cols) * spacing, (j + rows) * spacing)
+    near = inside(x, y, whole)
+    empty = np.ones((rows, cols), np.bool_)
+    empty[y[near] // spacing - j, x[near] // spacing - i] = False
+    return i, j, empty
+
+
+def _opened(empty: NDArray[np.bool_], edge: int) -> NDArray[np.bool_]:
+    """Squares that lie in some empty square of so many times their edge."""
+    # The window of an even size reaches one farther to the west; the second turns it round.
+    begins = minimum_filter(empty, edge, mode="constant", cval=False, origin=-(edge // 2))
+    opened: NDArray[np.bool_] = maximum_filter(
+        begins, edge, mode="constant", cval=False, origin=edge // 2 - 1
+    )
+    return opened
+
+
+def _counted(
+    marked: NDArray[np.bool_],
+    i: int,
+    j: int,
+    edge: int,
+    core: Bounds,
+    flown: NDArray[np.bool_],
+    size: int,
+) -> tuple[int, int]:
+    """Squares whose centres lie where a region was flown, and how many of them are marked."""
+    rows, cols = marked.shape
+    x = (i + np.arange(cols)) * edge + edge // 2
+    y = (j + np.arange(rows)) * edge + edge // 2
+    col, row = (x - core.xmin) // size, (y - core.ymin) // size
+    west, south = (col >= 0) & (col < flown.shape[1]), (row >= 0) & (row < flown.shape[0])
+    there = flown[np.ix_(row[south], col[west])]
+    found = marked[np.ix_(south, west)] & there
+    return int(np.count_nonzero(there)), int(np.count_nonzero(found))
+
+
+def not_flown(raster: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Cells of a delivered density raster that were not flown, row 0 southernmost."""
+    nothing: NDArray[np.bool_] = raster[::-1] == np.float32(NODATA)
+    return nothing

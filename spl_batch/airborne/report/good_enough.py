@@ -1,0 +1,142 @@
+"""What the page "Is it good enough?" rests on: receipts as evidence, and what they say together."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from spl_batch.airborne.accuracy.checkpoint_errors import (
+    AtCheckpoints,
+    CheckpointError,
+    at_checkpoints,
+    statement,
+)
+from spl_batch.airborne.accuracy.requirements import LEVELS, Evidence, PulseTotals, requirements
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.pulse_coverage import SPACINGS, Coverage
+from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
+from spl_batch.airborne.report.model import Requirement as RequirementReport
+from spl_batch.airborne.tasks import checkpoints, pulses
+from spl_batch.constants import QUANTUM_M
+from spl_batch.engine.report.run_record import Receipts
+from spl_batch.formats.checkpoints import vertical
+from spl_batch.formats.gps_clock import time_standard
+
+
+def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
+    """Every requirement, as a report has it.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    """
+    workflow = context.workflow
+    asked, crs = workflow.requirements, context.crs
+    limits = LEVELS[asked.quality_level]
+    nva, vva = _tested(done)
+    datum = None if crs is None else vertical(crs)
+    known = Evidence(
+        level=asked.quality_level,
+        rmse_v_m=asked.rmse_v_m or limits.rmse_v_m,
+        pulses_per_m2=asked.pulses_per_m2 or limits.pulses_per_m2,
+        nva=nva,
+        vva=vva,
+        pulses=_pulses(done, context, limits.spacing),
+        water_known=workflow.water is not None,
+        swaths=None,
+        flightlines=len(done.get("fit_line", {})),
+        classes=_classes(done),
+        filtered=workflow.filter.method != "none",
+        vertical_datum=None if datum is None else datum.name,
+        time_standard=_time_standard(done),
+    )
+    return tuple(
+        RequirementReport(
+            name=row.name,
+            required=row.required,
+            found=row.found,
+            verdict=row.verdict,
+            why=row.why,
+            standard=row.standard,
+            section=row.section,
+        )
+        for row in requirements(known)
+    )
+
+
+def checkpoint_report(done: Receipts, context: Context) -> Checkpoints | None:
+    """What the checkpoints say; None where there are none."""
+    found = checkpoints.results(done.get("checkpoints", {}))
+    nva, vva = _tested(done)
+    if nva is None or vva is None:
+        return None
+    asked = context.workflow.requirements
+    class_m = asked.rmse_v_m or LEVELS[asked.quality_level].rmse_v_m
+    outliers = {*nva.outliers, *vva.outliers}
+    return Checkpoints(
+        statement=statement(nva, vva, class_m),
+        nva=_statistics(nva),
+        vva=_statistics(vva),
+        points=tuple(Checkpoint(**one, outlier=one["id"] in outliers) for one in found),
+    )
+
+
+def _statistics(of: AtCheckpoints) -> CheckpointStatistics:
+    return CheckpointStatistics(
+        n=of.n,
+        mean_m=of.mean_m,
+        sd_m=of.sd_m,
+        rmse_v1_m=of.rmse_v1_m,
+        rmse_v2_m=of.rmse_v2_m,
+        rmse_v_m=of.rmse_v_m,
+        outliers=of.outliers,
+    )
+
+
+def _tested(done: Receipts) -> tuple[AtCheckpoints, AtCheckpoints] | tuple[None, None]:
+    """Accuracy at open and at vegetated checkpoints."""
+    receipts = done.get("checkpoints", {})
+    if not receipts:
+        return None, None
+    errors: dict[str, list[CheckpointError]] = {"open": [], "vegetated": []}
+    for one in checkpoints.results(receipts):
+        if one["error_m"] is not None:
+            errors[one["surface"]].append(
+                CheckpointError(one["id"], one["error_m"], one["accuracy_m"])
+            )
+    return at_checkpoints(errors["open"]), at_checkpoints(errors["vegetated"])
+
+
+def _pulses(done: Receipts, context: Context, spacing: str) -> PulseTotals | None:
+    """First returns of all ground cells; None where one was made without counting."""
+    facts: list[Mapping[str, Any]] = [r.facts for r in done.get("surface", {}).values()]
+    if not facts or any(pulses.LEVELS not in of_cell for of_cell in facts):
+        return None
+    found = [Coverage(*of_cell[pulses.LEVELS][spacing]) for of_cell in facts]
+    cell_m2 = context.workflow.products.cell_m**2
+    place_m2 = (SPACINGS[spacing] * QUANTUM_M) ** 2
+    return PulseTotals(
+        pulses=sum(of_cell[pulses.PULSES] for of_cell in facts),
+        area_m2=sum(of_cell[pulses.CELLS] for of_cell in facts) * cell_m2,
+        squares=sum(one.squares for one in found),
+        filled=sum(one.filled for one in found),
+        void_m2=sum(one.void for one in found) * place_m2,
+        bare_m2=sum(of_cell[pulses.BARE] for of_cell in facts) * cell_m2,
+    )
+
+
+def _classes(done: Receipts) -> Mapping[int, int]:
+    total: Counter[int] = Counter()
+    for receipt in done.get("deliver_file", {}).values():
+        total.update({int(kind): n for kind, n in receipt.facts["classes"].items()})
+    return total
+
+
+def _time_standard(done: Receipts) -> str | None:
+    """Time standard of the flightlines; None where they have no times."""
+    spans = [receipt.facts["span_s"] for receipt in done.get("fit_line", {}).values()]
+    return str(time_standard(np.array(spans).ravel())) if spans else None

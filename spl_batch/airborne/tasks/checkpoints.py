@@ -1,0 +1,71 @@
+"""Heights of the terrain model at the checkpoints of a field survey."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spl_batch.airborne.accuracy import Raster
+from spl_batch.airborne.context import Context
+from spl_batch.engine.tasks.context import Produced
+from spl_batch.errors import Remark, named
+from spl_batch.formats.checkpoints import Checkpoint, read_checkpoints
+from spl_batch.formats.crs import parse_crs
+from spl_batch.formats.rasters.parts import read_part
+
+
+def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
+    """Compare the terrain of every piece of the survey with checkpoints."""
+    settings = context.workflow.reference
+    stated = settings.checkpoints_crs if settings else None
+    own = None if stated is None else parse_crs(stated, "reference.checkpoints_crs")
+    accuracy_m = settings.checkpoints_accuracy_m if settings else None
+    path = Path(args["path"])
+    known, remarks = read_checkpoints(path, context.crs, own, accuracy_m)
+    found = [_record(point, _terrain_m(point, args["rasters"], context)) for point in known]
+    beyond = [one["id"] for one in found if one["error_m"] is None]
+    if beyond:
+        noun = "checkpoint lies" if len(beyond) == 1 else "checkpoints lie"
+        remarks.append(
+            f"{len(beyond)} {noun} where the terrain model has no value, outside of the survey or "
+            f"in a void, and {'counts' if len(beyond) == 1 else 'count'} for nothing: "
+            f"{named(beyond)}"
+        )
+    facts = {
+        "name": args["name"],
+        "checkpoints": found,
+        "warnings": [Remark(text) for text in remarks],
+    }
+    return Produced([], facts, len(known))
+
+
+def _terrain_m(point: Checkpoint, rasters: Iterable[str], context: Context) -> float | None:
+    """Height of the terrain, bilinear between cell centres; None where no raster has one [m]."""
+    place = (point.x_m, point.y_m)
+    for name in rasters:
+        part = read_part(context.output / f"{name}.tif", (*place, *place))
+        if part is None:
+            continue
+        terrain = Raster(part.values, part.left_m, part.top_m, part.cell_m)
+        height = float(terrain.bilinear(np.array([place]))[0])
+        if np.isfinite(height):
+            return height
+    return None
+
+
+def _record(point: Checkpoint, terrain_m: float | None) -> dict[str, Any]:
+    return {
+        "id": point.id,
+        "x_m": point.x_m,
+        "y_m": point.y_m,
+        "z_m": point.z_m,
+        "surface": point.surface,
+        "accuracy_m": point.accuracy_m,
+        "error_m": None if terrain_m is None else terrain_m - point.z_m,
+    }
+
+
+def results(receipts: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    """What the task has found, by its receipts; nothing where it has not run."""
+    return [one for receipt in receipts.values() for one in receipt.facts["checkpoints"]]

@@ -1,0 +1,128 @@
+"""First returns of a ground cell: how densely and how evenly they cover what was flown."""
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.products.flown_cells import close
+from spl_batch.airborne.products.pulse_coverage import SPACINGS, coverage, not_flown, reach_q
+from spl_batch.airborne.products.pulse_returns import COLUMNS_NEEDED, pulse_ends
+from spl_batch.airborne.products.surface_rasters import margin_cells
+from spl_batch.airborne.settings import ProductSettings
+from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.formats.polygons import contains, read_polygons
+from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
+from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+
+PULSES: Final = "pulses"
+"""Fact of a ground cell: first returns on flown cells with signal around, no water [count]."""
+
+CELLS: Final = "pulse_cells"
+"""Fact of a ground cell: those cells [count]."""
+
+BARE: Final = "pulse_bare"
+"""Fact of a ground cell: flown cells beyond every signal, at the edge or in a wide hole [count]."""
+
+LEVELS: Final = "pulse_levels"
+"""Fact of a ground cell: a :class:`~spl_batch.airborne.products.pulse_coverage.Coverage` by
+spacing."""
+
+COLUMNS: Final = COLUMNS_NEEDED
+"""What is looked at, and ``noise_class, flags``."""
+
+
+class PulseReturns(NamedTuple):
+    """Where first and last returns of pulses are: two (n, 2) int64 [quanta]."""
+
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+
+
+def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) -> PulseReturns:
+    """First and last signal returns in and around a ground cell.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of the cell and around it, with :data:`COLUMNS`, ``noise_class`` and ``flags``.
+    core : Bounds
+        The cell [quanta].
+    products : ProductSettings
+        Cell size and voids.
+    """
+    noise_class = table["noise_class"]
+    usable = (noise_class == NOISE_SIGNAL) | (noise_class == NOISE_NOT_ASSESSED)
+    usable &= ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
+    # Returns of one pulse lie side by side: what leans across the margin counts on its own side.
+    margin = max(margin_cells(products) * quanta(products.cell_m), reach_q())
+    usable &= inside(table["x"], table["y"], grow(core, margin))
+    signal = table.select(COLUMNS).take(usable)
+    xy = np.column_stack([signal["x"], signal["y"]])
+    return PulseReturns(*(xy[which] for which in pulse_ends(signal)))
+
+
+def pulse_facts(
+    returns: PulseReturns, core: Bounds, density: NDArray[np.float32], context: Context
+) -> dict[str, Any]:
+    """What the report needs to know: whole numbers, so that sums do not depend on their order.
+
+    Parameters
+    ----------
+    returns : PulseReturns
+        First and last returns.
+    core : Bounds
+        The cell [quanta].
+    density : (rows, cols) float32
+        Its raster of density, nodata where nothing was flown.
+    context : Context
+        The run.
+    """
+    products = context.workflow.products
+    flown = ~not_flown(density)
+    if context.workflow.water is not None:
+        flown &= ~_water(core, flown.shape, context)
+    x, y = returns.first.T
+    bare = flown & ~within_signal(x, y, core, products)
+    flown &= ~bare
+    levels: Mapping[str, Any] = {
+        level: coverage(x, y, core, flown, spacing)[0] for level, spacing in SPACINGS.items()
+    }
+    own = inside(x, y, core)
+    size = (core.xmax - core.xmin) // flown.shape[1]
+    counted = flown[(y[own] - core.ymin) // size, (x[own] - core.xmin) // size]
+    return {
+        PULSES: int(np.count_nonzero(counted)),
+        CELLS: int(np.count_nonzero(flown)),
+        BARE: int(np.count_nonzero(bare)),
+        LEVELS: {level: list(found) for level, found in levels.items()},
+    }
+
+
+def within_signal(
+    x: NDArray[np.int64], y: NDArray[np.int64], core: Bounds, products: ProductSettings
+) -> NDArray[np.bool_]:
+    """Raster cells that hold a first return or lie in a gap no wider than two voids.
+
+    Off the edge of a swath, and of a lake, there is noise but no signal.
+    """
+    size, margin = quanta(products.cell_m), margin_cells(products)
+    wide = grow(core, margin * size)
+    shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
+    held = np.zeros(shape, np.bool_)
+    near = inside(x, y, wide)
+    held[(y[near] - wide.ymin) // size, (x[near] - wide.xmin) // size] = True
+    closed = close(held, quanta(products.void_max_m) // size)
+    return closed[margin : shape[0] - margin, margin : shape[1] - margin]
+
+
+def _water(core: Bounds, shape: tuple[int, int], context: Context) -> NDArray[np.bool_]:
+    """Raster cells whose centres lie in water polygons, row 0 southernmost."""
+    size = (core.xmax - core.xmin) // shape[1]
+    x = np.arange(core.xmin + size // 2, core.xmax, size, dtype=np.int64)
+    y = np.arange(core.ymin + size // 2, core.ymax, size, dtype=np.int64)
+    east, north = (grid.ravel() for grid in np.meshgrid(x, y))
+    polygons = read_polygons(context.resolve(context.workflow.water or ""), context.crs)
+    return contains(polygons, east, north).reshape(shape)

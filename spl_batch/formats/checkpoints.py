@@ -1,0 +1,314 @@
+"""Checkpoints of a field survey: CSV or any vector format, in the survey's CRS.
+
+A checkpoint is a place whose height was measured better than the product's. What is wrong with one
+leaves out that one alone and is told in a sentence that names it.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import pyogrio
+import shapely
+from numpy.typing import NDArray
+from pyogrio.errors import DataLayerError, DataSourceError
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from spl_batch.errors import InputError, named
+from spl_batch.formats.crs import crs_name, horizontal, same_crs
+
+Surface = Literal["open", "vegetated"]
+"""Whether heights there are non-vegetated (NVA) or vegetated (VVA) ones."""
+
+SURFACES: Final[Mapping[str, Surface]] = {
+    "open": "open",
+    "nva": "open",
+    "vegetated": "vegetated",
+    "vva": "vegetated",
+}
+"""Words for a surface class in a file, in any case."""
+
+COLUMNS: Final = ("id", "x", "y", "z", "surface")
+"""Columns that a file has; ``accuracy_m`` and ``crs`` are optional."""
+
+SAME_PLACE_M: Final = 0.01
+"""Checkpoints nearer to each other than this in every axis are one [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """A place of known height.
+
+    Parameters
+    ----------
+    id : str
+        Its name in the field survey.
+    x_m, y_m, z_m : float
+        Easting, northing and height in the survey's CRS [m].
+    surface : "open" or "vegetated"
+        What grows there.
+    accuracy_m : float or None
+        Its own vertical accuracy, one standard deviation [m]; None where nothing tells it.
+    """
+
+    id: str
+    x_m: float
+    y_m: float
+    z_m: float
+    surface: Surface
+    accuracy_m: float | None
+
+
+_Row = dict[str, Any]
+
+
+def read_checkpoints(
+    path: Path, crs: CRS | None, own: CRS | None = None, accuracy_m: float | None = None
+) -> tuple[list[Checkpoint], list[str]]:
+    """Checkpoints of a file in the survey's CRS.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with the columns :data:`COLUMNS`, or points of any vector format that GDAL reads with
+        the same fields; there ``x``, ``y`` and, if the points are 3D, ``z`` come from the geometry.
+    crs : CRS or None
+        The survey's.
+    own : CRS, optional
+        The file's, where neither a column ``crs`` nor the format tells it; by default the survey's.
+    accuracy_m : float, optional
+        Accuracy of checkpoints that state none [m].
+
+    Returns
+    -------
+    checkpoints : list of Checkpoint
+        Those that can be used, in the file's order.
+    remarks : list of str
+        One sentence for each kind of fault, with the checkpoints that it concerns.
+
+    Raises
+    ------
+    InputError
+        If the file as a whole cannot be used.
+    """
+    if not path.exists():
+        raise InputError(str(path), "no such file; check reference.checkpoints")
+    is_csv = path.suffix.lower() in {".csv", ".txt"}
+    rows = _csv_rows(path) if is_csv else _vector_rows(path)
+    if not rows:
+        raise InputError(
+            str(path), "holds no checkpoints: no line below the first, no layer of points"
+        )
+    remarks: list[str] = []
+    kept = _checked(rows, accuracy_m, remarks)
+    moved = _in_crs(path, kept, crs, own, remarks)
+    found = [_checkpoint(row) for row in _once(moved, remarks)]
+    return found, remarks
+
+
+def _checkpoint(row: _Row) -> Checkpoint:
+    x_m, y_m, z_m = row["xyz"]
+    return Checkpoint(row["id"], x_m, y_m, z_m, row["surface"], row["accuracy_m"])
+
+
+def _csv_rows(path: Path) -> list[_Row]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream)
+            names = {name: (name or "").strip().lower() for name in reader.fieldnames or ()}
+            _refuse_without(path, names.values())
+            return [
+                {names[key]: value for key, value in row.items() if key in names} for row in reader
+            ]
+    except (UnicodeDecodeError, csv.Error) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"is no CSV of text in UTF-8: {reason}") from None
+
+
+def _refuse_without(path: Path, names: Iterable[str]) -> None:
+    there = set(names)
+    lacking = [name for name in COLUMNS if name not in there]
+    if lacking:
+        raise InputError(
+            str(path),
+            f"lacks the columns {named(lacking)}; the first line names them: "
+            f"{','.join(COLUMNS)},accuracy_m",
+        )
+
+
+def _vector_rows(path: Path) -> list[_Row]:
+    rows: list[_Row] = []
+    try:
+        for layer, kind in pyogrio.list_layers(path):
+            if kind is None or "Point" not in kind:
+                continue
+            meta, _, wkb, columns = pyogrio.raw.read(path, layer=layer)
+            fields = [str(name).lower() for name in meta["fields"]]
+            points = shapely.from_wkb(wkb)
+            flat = not shapely.has_z(points).all()
+            _refuse_without(path, {*fields, "x", "y", *(() if flat else ("z",))})
+            for k, point in enumerate(points):
+                row = {name: column[k] for name, column in zip(fields, columns, strict=True)}
+                row |= {"x": shapely.get_x(point), "y": shapely.get_y(point)}
+                row |= {} if flat else {"z": shapely.get_z(point)}
+                rows.append({"crs": meta["crs"], **row})
+    except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"cannot be read as points: {reason}") from None
+    return rows
+
+
+def _number(value: Any) -> float | None:
+    """A finite number; None for anything else."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return None
+    return number if isfinite(number) else None
+
+
+def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str]) -> list[_Row]:
+    """Rows whose values can be used, with their values as they are wanted."""
+    kept: list[_Row] = []
+    lacking: list[str] = []
+    strange: list[str] = []
+    for number, row in enumerate(rows, start=1):
+        name = str(row.get("id") or "").strip() or f"row {number}"
+        xyz = [_number(row.get(axis)) for axis in "xyz"]
+        word = str(row.get("surface") or "").strip()
+        surface = SURFACES.get(word.lower())
+        if None in xyz:
+            lacking.append(name)
+        elif surface is None:
+            strange.append(f"{name} ({word!r})")
+        else:
+            given = _number(row.get("accuracy_m"))
+            own = given if given is not None and given > 0 else accuracy_m
+            kept.append({**row, "id": name, "xyz": xyz, "surface": surface, "accuracy_m": own})
+    if lacking:
+        remarks.append(_left_out(lacking, "x, y or z is no finite number"))
+    if strange:
+        remarks.append(_left_out(strange, "their surface is neither open nor vegetated"))
+    return kept
+
+
+def _left_out(names: Sequence[str], why: str) -> str:
+    noun = "checkpoint is" if len(names) == 1 else "checkpoints are"
+    return f"{len(names)} {noun} left out, as {why}: {named(names)}"
+
+
+def _once(rows: Sequence[_Row], remarks: list[str]) -> Iterator[_Row]:
+    """Rows whose name and place no earlier one has."""
+    names: set[str] = set()
+    places: set[tuple[int, ...]] = set()
+    again: list[str] = []
+    for row in rows:
+        place = tuple(round(value / SAME_PLACE_M) for value in row["xyz"])
+        if row["id"] in names or place in places:
+            again.append(row["id"])
+            continue
+        names.add(row["id"])
+        places.add(place)
+        yield row
+    if again:
+        remarks.append(_left_out(again, "an earlier one has their name or place"))
+
+
+def _in_crs(
+    path: Path, rows: Sequence[_Row], crs: CRS | None, own: CRS | None, remarks: list[str]
+) -> list[_Row]:
+    """Rows with coordinates in the survey's CRS, in their order."""
+    by_crs: dict[str, list[int]] = {}
+    for k, row in enumerate(rows):
+        by_crs.setdefault(str(row.get("crs") or "").strip(), []).append(k)
+    placed = list(rows)
+    for stated, members in by_crs.items():
+        source = _named_crs(stated) if stated else own
+        names = [rows[k]["id"] for k in members]
+        if stated and source is None:
+            remarks.append(_left_out(names, f"their CRS {stated!r} is not known"))
+            move = None
+        elif source is None or crs is None or _alike(source, crs):
+            continue
+        else:
+            move = _transformation(path, source, crs)
+            remarks.append(_told(names, source, crs))
+        xyz = np.array([rows[k]["xyz"] for k in members], np.float64)
+        moved = None if move is None else move(xyz)
+        for at, k in enumerate(members):
+            placed[k] = {} if moved is None else {**rows[k], "xyz": moved[at].tolist()}
+    return [row for row in placed if row]
+
+
+def _named_crs(text: str) -> CRS | None:
+    try:
+        return CRS.from_user_input(text)
+    except CRSError:
+        return None
+
+
+def vertical(crs: CRS) -> CRS | None:
+    """The part of a compound CRS that heights refer to; None where it names none."""
+    parts = crs.sub_crs_list if crs.is_compound else []
+    return next((part for part in parts if part.is_vertical), None)
+
+
+def _alike(one: CRS, other: CRS) -> bool:
+    return same_crs(one, other) and not _heights_differ(one, other)
+
+
+def _heights_differ(one: CRS, other: CRS) -> bool:
+    first, second = vertical(one), vertical(other)
+    return first is not None and second is not None and not first.equals(second)
+
+
+def _told(names: Sequence[str], source: CRS, crs: CRS) -> str:
+    heights = "heights too" if _heights_differ(source, crs) else "heights are taken as they are"
+    noun = "checkpoint is" if len(names) == 1 else "checkpoints are"
+    return f"{len(names)} {noun} transformed from {crs_name(source)} to {crs_name(crs)}; {heights}"
+
+
+def _transformation(
+    path: Path, source: CRS, crs: CRS
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    whole = _heights_differ(source, crs)
+    ends = (source, crs) if whole else (horizontal(source), horizontal(crs))
+    try:
+        # Without the grid of a geoid PROJ would leave heights as they are and keep silent.
+        transformer = Transformer.from_crs(*ends, always_xy=True, only_best=whole)
+    except ProjError as error:
+        raise _untransformed(path, source, crs, error) from None
+
+    def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        try:
+            x, y, z = xyz.T
+            if whole:
+                return np.column_stack(transformer.transform(x, y, z, errcheck=True))
+            x, y = transformer.transform(x, y, errcheck=True)
+            return np.column_stack([x, y, z])
+        except ProjError as error:
+            raise _untransformed(path, source, crs, error) from None
+
+    return move
+
+
+def _untransformed(path: Path, source: CRS, crs: CRS, error: ProjError) -> InputError:
+    """What PROJ says, and what helps; it names the grids that it lacks."""
+    lacking = re.findall(r"Grid (\S+) is not available", str(error))
+    between = f"{crs_name(source)} to {crs_name(crs)}"
+    if lacking:
+        return InputError(
+            str(path),
+            f"cannot be transformed from {between}: PROJ lacks the grid {named(lacking)}; put it "
+            "into PROJ's data folder, or give the checkpoints in the survey's CRS",
+        )
+    return InputError(
+        str(path),
+        f"cannot be transformed from {between}; give the checkpoints in the survey's CRS",
+    )

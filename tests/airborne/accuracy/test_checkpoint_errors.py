@@ -1,0 +1,81 @@
+"""Vertical accuracy at checkpoints against the formulas of the standard, done by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spl_batch.airborne.accuracy.checkpoint_errors import (
+    AtCheckpoints,
+    CheckpointError,
+    at_checkpoints,
+    statement,
+)
+
+metres = st.floats(-2, 2)
+
+
+@given(st.lists(st.tuples(metres, st.floats(0.001, 0.2)), min_size=1, max_size=60))
+def test_both_components_add_in_squares(found: list[tuple[float, float]]) -> None:
+    said = at_checkpoints([CheckpointError(str(k), *one) for k, one in enumerate(found)])
+    squares = sum(error**2 for error, _ in found) / len(found)
+    own = sum(accuracy**2 for _, accuracy in found) / len(found)
+    assert said.n == len(found)
+    assert said.mean_m == pytest.approx(sum(error for error, _ in found) / len(found), abs=1e-12)
+    assert said.rmse_v1_m == pytest.approx(math.sqrt(squares))
+    assert said.rmse_v2_m == pytest.approx(math.sqrt(own))
+    assert said.rmse_v_m == pytest.approx(math.sqrt(squares + own))
+    if len(found) > 1:
+        assert said.sd_m == pytest.approx(np.std([e for e, _ in found], ddof=1), abs=1e-12)
+
+
+def many(n: int, *, accuracy: float | None = 0.03, scale: float = 0.04) -> AtCheckpoints:
+    return at_checkpoints([CheckpointError(f"P{k}", scale * (-1) ** k, accuracy) for k in range(n)])
+
+
+def test_a_checkpoint_of_unknown_accuracy_leaves_the_sum_unknown() -> None:
+    found = [CheckpointError("A", 0.1, 0.02), CheckpointError("B", 0.1, None)]
+    assert at_checkpoints(found).rmse_v_m is None
+    assert at_checkpoints(found).rmse_v1_m == pytest.approx(0.1)
+    assert not many(30, accuracy=None).enough
+
+
+def test_outliers_are_named_and_count() -> None:
+    found = [CheckpointError(f"P{k}", e, 0.01) for k, e in enumerate(np.linspace(-0.04, 0.04, 40))]
+    found.append(CheckpointError("blunder", 0.5, 0.01))
+    said = at_checkpoints(found)
+    assert said.outliers == ("blunder",)
+    assert said.n == 41
+    assert said.rmse_v1_m > 0.5 / math.sqrt(41)
+
+
+def test_equal_errors_have_no_outlier_within_a_centimetre() -> None:
+    found = [CheckpointError(str(k), 0.01, 0.01) for k in range(5)]
+    assert at_checkpoints([*found, CheckpointError("near", 0.018, 0.01)]).outliers == ()
+
+
+def test_the_statement_is_in_the_words_of_the_standard() -> None:
+    text = statement(many(30), many(31, scale=0.12, accuracy=0.05), 0.10)
+    assert text.startswith(
+        "This data set was tested to meet ASPRS Positional Accuracy Standards for Digital "
+        "Geospatial Data, Edition 2 (2023) for a 10.0 cm RMSE_V Vertical Accuracy Class."
+    )
+    assert "NVA was found to be RMSE_V = 5.0 cm at 30 checkpoints: fit 4.0 cm" in text
+    assert "VVA was found to be RMSE_V = 13.0 cm at 31 checkpoints" in text
+
+
+@pytest.mark.parametrize(
+    ("nva", "words"),
+    [
+        (many(29), "Insufficient for a statement: 29 of the 30"),
+        (many(30, accuracy=None), "Insufficient for a statement: the accuracy of the checkpoints"),
+        (many(0), "NVA was not tested"),
+        (many(30, scale=0.2), "does not meet"),
+    ],
+)
+def test_what_may_not_be_said_is_not(nva: AtCheckpoints, words: str) -> None:
+    text = statement(nva, many(0), 0.10)
+    assert words in text
+    assert "tested to meet" not in text

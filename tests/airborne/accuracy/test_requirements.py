@@ -1,0 +1,108 @@
+"""The page "Is it good enough?": limits, verdicts, and nothing that passes for want of evidence."""
+
+from dataclasses import replace
+
+import pytest
+
+from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointError, at_checkpoints
+from spl_batch.airborne.accuracy.requirements import (
+    LEVELS,
+    Evidence,
+    PulseTotals,
+    SwathDifferences,
+    answers,
+    requirements,
+)
+
+NOTHING = Evidence(
+    level="QL2",
+    rmse_v_m=0.10,
+    pulses_per_m2=2.0,
+    nva=None,
+    vva=None,
+    pulses=None,
+    water_known=True,
+    swaths=None,
+    flightlines=3,
+    classes={1: 10, 2: 20, 7: 3, 18: 4},
+    filtered=True,
+    vertical_datum="NAVD88 height",
+    time_standard="adjusted",
+)
+GOOD = PulseTotals(pulses=2000, area_m2=1000.0, squares=500, filled=450, void_m2=0.0, bare_m2=0.0)
+
+
+def verdict(known: Evidence, name: str) -> str:
+    return next(row.verdict for row in requirements(known) if row.name == name)
+
+
+def checkpoints(n: int, error: float, accuracy: float | None = 0.0):
+    return at_checkpoints([CheckpointError(str(k), error * (-1) ** k, accuracy) for k in range(n)])
+
+
+def test_the_limits_are_those_of_the_specification() -> None:
+    # USGS Lidar Base Specification, in centimetres, pulses per m2 and metres
+    table = {
+        "QL0": (5, 8, 0.35, 3, 4, 8),
+        "QL1": (10, 8, 0.35, 6, 8, 16),
+        "QL2": (10, 2, 0.71, 6, 8, 16),
+        "QL3": (20, 0.5, 1.41, 12, 16, 32),
+    }
+    for name, (rmse, density, spacing, smooth, overlap, largest) in table.items():
+        level = LEVELS[name]
+        assert level.rmse_v_m == pytest.approx(rmse / 100)
+        assert level.pulses_per_m2 == density
+        assert level.spacing_m == spacing == pytest.approx(density**-0.5, abs=0.006)
+        assert level.repeatability_m == pytest.approx(smooth / 100)
+        assert (level.overlap_rmsd_m, level.overlap_max_m) == pytest.approx(
+            (overlap / 100, largest / 100)
+        )
+
+
+def test_what_nobody_measured_cannot_be_told() -> None:
+    measured = ("Points never classified", "Noise", "Overlap by flag", "Vertical datum", "GPS time")
+    for row in requirements(NOTHING):
+        assert row.verdict == ("pass" if row.name in measured else "cannot tell"), row.name
+        assert row.why
+        assert row.standard
+        assert row.section
+    assert answers(row.verdict for row in requirements(NOTHING)) == {
+        "pass": 5,
+        "fail": 0,
+        "cannot tell": 9,
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "expected"),
+    [
+        ({"nva": checkpoints(30, 0.0999)}, "Absolute vertical accuracy, NVA", "pass"),
+        ({"nva": checkpoints(30, 0.1001)}, "Absolute vertical accuracy, NVA", "fail"),
+        ({"nva": checkpoints(30, 0.09, 0.05)}, "Absolute vertical accuracy, NVA", "fail"),
+        ({"nva": checkpoints(29, 0.01)}, "Absolute vertical accuracy, NVA", "cannot tell"),
+        ({"nva": checkpoints(30, 0.01, None)}, "Absolute vertical accuracy, NVA", "cannot tell"),
+        ({"vva": checkpoints(30, 0.5)}, "Absolute vertical accuracy, VVA", "pass"),
+        ({"nva": checkpoints(31, 0.9)}, "Systematic error", "fail"),
+        ({"nva": checkpoints(30, 0.9)}, "Systematic error", "pass"),
+        ({"pulses": GOOD}, "Aggregate nominal pulse density", "pass"),
+        ({"pulses": replace(GOOD, pulses=1999)}, "Aggregate nominal pulse density", "fail"),
+        ({"pulses": GOOD}, "Spatial distribution", "pass"),
+        ({"pulses": replace(GOOD, filled=449)}, "Spatial distribution", "fail"),
+        ({"pulses": GOOD}, "Data voids", "pass"),
+        ({"pulses": replace(GOOD, void_m2=8.0)}, "Data voids", "fail"),
+        ({"pulses": replace(GOOD, void_m2=8.0), "water_known": False}, "Data voids", "cannot tell"),
+        ({"pulses": replace(GOOD, bare_m2=11.0)}, "Data voids", "cannot tell"),
+        ({"swaths": SwathDifferences(0.08, 0.16, 3, "")}, "Swath overlap difference", "pass"),
+        ({"swaths": SwathDifferences(0.081, 0.1, 3, "")}, "Swath overlap difference", "fail"),
+        ({"swaths": SwathDifferences(0.01, 0.17, 3, "")}, "Swath overlap, largest difference",
+         "fail"),
+        ({"classes": {0: 1}}, "Points never classified", "fail"),
+        ({"classes": {12: 1}}, "Overlap by flag", "fail"),
+        ({"filtered": False}, "Noise", "cannot tell"),
+        ({"vertical_datum": None}, "Vertical datum", "fail"),
+        ({"time_standard": "week"}, "GPS time", "fail"),
+        ({"time_standard": None}, "GPS time", "cannot tell"),
+    ],
+)  # fmt: skip
+def test_each_verdict_turns_at_its_limit(change: dict, name: str, expected: str) -> None:
+    assert verdict(replace(NOTHING, **change), name) == expected

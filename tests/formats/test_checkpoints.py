@@ -1,0 +1,111 @@
+"""Checkpoints: what is wrong with one leaves out that one, in a sentence that names it."""
+
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from pyproj import CRS, Transformer
+
+from spl_batch.errors import InputError
+from spl_batch.formats.checkpoints import read_checkpoints
+
+UTM = CRS.from_epsg(32615)
+HEAD = "id,x,y,z,surface,accuracy_m\n"
+
+
+def read(path: Path, text: str, **how: object) -> tuple[list, list[str]]:
+    path.write_text(text)
+    return read_checkpoints(path, UTM, **how)
+
+
+def test_a_csv_is_read_as_it_stands(tmp_path: Path) -> None:
+    text = HEAD + "A,272000.5,3290001.25,20.125,open,0.02\nB,272003,3290004,21,Vegetated,\n"
+    found, remarks = read(tmp_path / "c.csv", text)
+    assert remarks == []
+    assert (found[0].id, found[0].x_m, found[0].y_m, found[0].z_m) == (
+        *("A", 272000.5, 3290001.25, 20.125),
+    )
+    assert [one.surface for one in found] == ["open", "vegetated"]
+    assert [one.accuracy_m for one in found] == [0.02, None]
+
+
+def test_faults_are_one_line_each_and_the_rest_is_used(tmp_path: Path) -> None:
+    text = HEAD + (
+        "A,1,2,3,open,0.02\n"
+        "A,4,5,6,open,0.02\n"  # the same name
+        "B,1.001,2,3,open,0.02\n"  # the same place
+        "C,nan,2,3,open,0.02\n"
+        "D,1,2,,open,0.02\n"
+        "E,7,8,9,meadow,0.02\n"
+        "F,7,8,9,vva,-1\n"
+    )
+    found, remarks = read(tmp_path / "c.csv", text, accuracy_m=0.05)
+    assert [(one.id, one.accuracy_m) for one in found] == [("A", 0.02), ("F", 0.05)]
+    assert remarks == [
+        "2 checkpoints are left out, as x, y or z is no finite number: C, D",
+        "1 checkpoint is left out, as their surface is neither open nor vegetated: E ('meadow')",
+        "2 checkpoints are left out, as an earlier one has their name or place: A, B",
+    ]
+
+
+def test_another_crs_is_transformed_and_an_unknown_one_left_out(tmp_path: Path) -> None:
+    east, north = 272_010.0, 3_290_010.0
+    lon, lat = Transformer.from_crs(UTM, 4326, always_xy=True).transform(east, north)
+    text = (
+        "id,x,y,z,surface,accuracy_m,crs\n"
+        f"A,{lon:.12f},{lat:.12f},20,open,0.02,EPSG:4326\n"
+        "B,272000,3290000,20,open,0.02,\n"
+        "C,1,2,3,open,0.02,EPSG:nonsense\n"
+    )
+    found, remarks = read(tmp_path / "c.csv", text)
+    assert [one.id for one in found] == ["A", "B"]
+    assert (found[0].x_m, found[0].y_m) == pytest.approx((east, north), abs=1e-4)
+    assert len(remarks) == 2
+    assert "EPSG:4326" in remarks[0]
+    assert "'EPSG:nonsense' is not known: C" in remarks[1]
+
+
+def test_heights_above_a_geoid_need_its_grid(tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text(HEAD + "A,272000,3290000,20,open,0.02\n")
+    survey, own = (CRS.from_user_input(f"EPSG:6344+{code}") for code in (5703, 5773))
+    with pytest.raises(InputError, match=r"c\.csv: cannot be .* lacks the grid us_nga"):
+        read_checkpoints(path, survey, own)
+
+
+def test_points_of_a_geopackage_are_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "c.gpkg"
+    pyogrio.raw.write(
+        path,
+        shapely.to_wkb(shapely.points([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])),
+        [np.array(["A", "B"], object), np.array(["open", "vegetated"], object),
+         np.array([0.01, 0.02])],
+        ["id", "surface", "accuracy_m"],
+        geometry_type="Point Z",
+        crs="EPSG:32615",
+    )  # fmt: skip
+    found, remarks = read_checkpoints(path, UTM)
+    assert remarks == []
+    assert [(one.id, one.x_m, one.y_m, one.z_m, one.accuracy_m) for one in found] == [
+        ("A", 1.0, 2.0, 3.0, 0.01),
+        ("B", 4.0, 5.0, 6.0, 0.02),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [
+        (b"id,x,y\nA,1,2\n", "lacks the columns z, surface"),
+        (HEAD.encode(), "holds no checkpoints"),
+        (b"id,x,y,z,surface\n\xff\xfe\x00,1,2,3,open\n", "no CSV of text in UTF-8"),
+    ],
+)
+def test_a_file_that_is_none_is_refused(tmp_path: Path, content: bytes, fault: str) -> None:
+    path = tmp_path / "c.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=fault):
+        read_checkpoints(path, UTM)
+    with pytest.raises(InputError, match="no such file"):
+        read_checkpoints(tmp_path / "none.csv", UTM)
