@@ -2,16 +2,16 @@
 
 Sources, by the headings of their sections: ASPRS Positional Accuracy Standards for Digital
 Geospatial Data, Edition 2, Version 1.0 (2023); USGS Lidar Base Specification 2024 rev. A. The
-limits of a quality level are in :data:`LEVELS`. Nothing passes for want of evidence: what nobody
-measured is "cannot tell", with what would tell it.
+limits of a quality level are in :data:`~spl_batch.airborne.accuracy.evidence.LEVELS`. Nothing
+passes for want of evidence: what nobody measured is "cannot tell", with what would tell it.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
-from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STANDARD, AtCheckpoints
+from spl_batch.airborne.accuracy.checkpoint_errors import EDITION, ENOUGH, STANDARD
+from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE
 from spl_batch.engine.report.number_format import centimetres, number, percent, significant
 from spl_batch.errors import named
@@ -27,44 +27,6 @@ NEVER_CLASSIFIED: Final = 0
 OVERLAP_CLASS: Final = 12
 """Class of overlap points before there was a flag for them; it is not to be used."""
 
-
-class Level(NamedTuple):
-    """Limits of a quality level [m, 1/m2]; USGS Lidar Base Specification, tables.
-
-    Parameters
-    ----------
-    rmse_v_m : float
-        Absolute vertical accuracy, non-vegetated.
-    pulses_per_m2 : float
-        Aggregate nominal pulse density.
-    spacing : str
-        Key of its nominal pulse spacing.
-    spacing_m : float
-        That spacing.
-    repeatability_m : float
-        Smooth surface repeatability, RMSDz.
-    overlap_rmsd_m, overlap_max_m : float
-        Swath overlap difference, RMSDz and largest.
-    """
-
-    rmse_v_m: float
-    pulses_per_m2: float
-    spacing: str
-    spacing_m: float
-    repeatability_m: float
-    overlap_rmsd_m: float
-    overlap_max_m: float
-
-
-LEVELS: Final[Mapping[str, Level]] = MappingProxyType(
-    {
-        "QL0": Level(0.05, 8.0, "QL1", 0.35, 0.03, 0.04, 0.08),
-        "QL1": Level(0.10, 8.0, "QL1", 0.35, 0.06, 0.08, 0.16),
-        "QL2": Level(0.10, 2.0, "QL2", 0.71, 0.06, 0.08, 0.16),
-        "QL3": Level(0.20, 0.5, "QL3", 1.41, 0.12, 0.16, 0.32),
-    }
-)
-"""Limits by quality level."""
 
 FILLED_SHARE: Final = 0.9
 """Squares of twice the nominal spacing that hold a first return, 0..1."""
@@ -101,98 +63,6 @@ class Requirement:
     why: str
     standard: str
     section: str
-
-
-@dataclass(frozen=True, slots=True)
-class PulseTotals:
-    """First returns of a whole survey, water excepted.
-
-    Parameters
-    ----------
-    pulses : int
-        First returns [count].
-    area_m2 : float
-        Area that was flown [m2].
-    squares, filled : int
-        Squares of twice the nominal spacing, and those that hold a first return [count].
-    void_m2 : float
-        Area in data voids [m2].
-    bare_m2 : float
-        Area that was flown and lies beyond every signal: off the edge, or in holes wider than
-        products.void_max_m can fill. It is in no other number [m2].
-    """
-
-    pulses: int
-    area_m2: float
-    squares: int
-    filled: int
-    void_m2: float
-    bare_m2: float
-
-
-@dataclass(frozen=True, slots=True)
-class SwathDifferences:
-    """Heights of flightlines against each other where they overlap.
-
-    Parameters
-    ----------
-    rmsd_m, largest_m : float
-        RMSDz over all pairs; the largest difference [m].
-    pairs : int
-        Pairs of flightlines [count].
-    where : str
-        Pair of the largest one.
-    """
-
-    rmsd_m: float
-    largest_m: float
-    pairs: int
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """What a run knows of what is required.
-
-    Parameters
-    ----------
-    level : str
-        Quality level asked for.
-    rmse_v_m, pulses_per_m2 : float
-        Limits asked for, the level's unless the contract has others [m, 1/m2].
-    nva, vva : AtCheckpoints or None
-        Accuracy at checkpoints; None where none were given.
-    pulses : PulseTotals or None
-        First returns, by the level's spacing; None where nobody counted.
-    water_known : bool
-        Whether polygons say where water is.
-    swaths : SwathDifferences or None
-        None where no flightlines were compared.
-    flightlines : int
-        Flightlines [count].
-    classes : mapping of int to int
-        Delivered points by class [count].
-    filtered : bool
-        Whether a noise filter ran.
-    vertical_datum : str or None
-        Name of the vertical datum of the CRS.
-    time_standard : str or None
-        GPS time of the points, in words.
-    """
-
-    level: str
-    rmse_v_m: float
-    pulses_per_m2: float
-    nva: AtCheckpoints | None
-    vva: AtCheckpoints | None
-    pulses: PulseTotals | None
-    water_known: bool
-    swaths: SwathDifferences | None
-    flightlines: int
-    classes: Mapping[int, int]
-    filtered: bool
-    vertical_datum: str | None
-    time_standard: str | None
 
 
 def requirements(known: Evidence) -> tuple[Requirement, ...]:

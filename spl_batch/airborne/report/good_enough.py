@@ -12,7 +12,8 @@ from spl_batch.airborne.accuracy.checkpoint_errors import (
     at_checkpoints,
     statement,
 )
-from spl_batch.airborne.accuracy.requirements import LEVELS, Evidence, PulseTotals, requirements
+from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence, PulseTotals
+from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics

@@ -95,7 +95,7 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
             title=report.survey.name,
             kicker="Single-photon lidar" if photons else "Linear-mode lidar",
             facts=tuple(_facts(report.survey, photons=photons)),
-            sections=tuple(s for s in SECTIONS if photons or s[0] not in OF_PHOTONS),
+            sections=tuple(_sections(report, photons=photons)),
             verdicts=tuple(verdicts(report)),
             cards=tuple(_cards(report)),
             unused=() if photons else PHOTON_KEYS,
@@ -111,6 +111,15 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         answers=answers(row.verdict for row in report.requirements),
         level=_asked_level(report),
     )
+
+
+def _sections(report: Report, *, photons: bool) -> Iterator[tuple[str, str]]:
+    """Anchor and name of each section that this report has."""
+    for key, name in SECTIONS:
+        if key == "good-enough" and not report.requirements:
+            continue
+        if photons or key not in OF_PHOTONS:
+            yield key, name
 
 
 def _asked_level(report: Report) -> str:

@@ -5,14 +5,8 @@ from dataclasses import replace
 import pytest
 
 from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointError, at_checkpoints
-from spl_batch.airborne.accuracy.requirements import (
-    LEVELS,
-    Evidence,
-    PulseTotals,
-    SwathDifferences,
-    answers,
-    requirements,
-)
+from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence, PulseTotals, SwathDifferences
+from spl_batch.airborne.accuracy.requirements import answers, requirements
 
 NOTHING = Evidence(
     level="QL2",
