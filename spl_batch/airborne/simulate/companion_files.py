@@ -1,18 +1,17 @@
-"""What comes with the flightlines: trajectory, reference cloud, truth, workflow."""
+"""What comes with the flightlines: trajectory, reference, checkpoints, truth, workflow."""
 
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.beamlet_room import empty_layers
-from spl_batch.airborne.simulate.checkpoints import write_checkpoints
 from spl_batch.airborne.simulate.file_writers import (
     las_header,
     raster_rows,
@@ -35,7 +34,7 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.simulate.true_reflectance import mean_reflectance
 from spl_batch.constants import CLASS_BUILDING, CLASS_GROUND, CLASS_UNCLASSIFIED, CLASS_WATER
-from spl_batch.formats.files.atomic import replacing
+from spl_batch.formats.files.atomic import replacing, write_bytes
 
 TRAJECTORY_HZ = 200.0
 """Records per second of the trajectory [Hz]."""
@@ -51,6 +50,25 @@ ROWS_AT_ONCE = 64
 
 LINEAR_SPOT_M = 0.1
 """Spread of the reference's footprint [m]."""
+
+
+CHECKPOINTS: Final = {"open": 40, "vegetated": 32}
+"""Checkpoints of each kind, as far as the scene has room [count]."""
+
+CHECKPOINT_PLACES: Final = 4000
+"""Places that are looked at [count]."""
+
+CHECKPOINT_ACCURACY_M: Final = 0.015
+"""Vertical accuracy of the field survey, one sigma [m]."""
+
+OPEN_M: Final = 0.05
+"""What stands on open ground is no higher [m]."""
+
+CROWN_M: Final = 2.0
+"""What stands on vegetated ground is no lower [m]."""
+
+INSIDE_M: Final = 5.0
+"""Distance to the scene's edge, to water and to houses, at the least [m]."""
 
 
 def deliver(
@@ -71,7 +89,7 @@ def deliver(
     """
     _trajectory(scene, passes, out)
     _reference(scene, arrays, out)
-    write_checkpoints(scene, arrays, layout, out / "checkpoints.csv")
+    _checkpoints(scene, arrays, layout, out / "checkpoints.csv")
     _rasters(scene, arrays, out)
     origin = scene.origin_m[:2]
     water = [
@@ -193,6 +211,37 @@ def _reference_points(
         "number_of_returns": returns[pulse],
         "point_source_id": np.ones(len(pulse), dtype=np.uint16),
     }
+
+
+def _checkpoints(scene: Scene, arrays: SceneArrays, layout: Layout, path: Path) -> None:
+    """Checkpoints of a field survey: true ground, open and below crowns, with a field's error."""
+    rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(8,)))
+    size = np.array(scene.extent_m)
+    xy = INSIDE_M + rng.random((CHECKPOINT_PLACES, 2)) * np.maximum(size - 2 * INSIDE_M, 0.0)
+    error_m = CHECKPOINT_ACCURACY_M * rng.standard_normal(CHECKPOINT_PLACES)
+    ground, surface = np.empty((2, CHECKPOINT_PLACES))
+    surface_heights(arrays, xy[:, 0].copy(), xy[:, 1].copy(), ground, surface)
+    free = ~_built(scene, layout, xy)
+    kinds = {"open": surface - ground <= OPEN_M, "vegetated": surface - ground >= CROWN_M}
+    lines = ["id,x,y,z,surface,accuracy_m"]
+    for name, there in kinds.items():
+        for number, k in enumerate(np.flatnonzero(free & there)[: CHECKPOINTS[name]], start=1):
+            x, y = xy[k] + scene.origin_m[:2]
+            z = ground[k] + error_m[k]
+            lines.append(
+                f"{name[0].upper()}{number:02d},{x:.3f},{y:.3f},{z:.3f},{name},{CHECKPOINT_ACCURACY_M}"
+            )
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+def _built(scene: Scene, layout: Layout, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Places in or beside houses and water."""
+    shapes = [*footprints(layout.buildings), *(shapely.Polygon(w.ring_m) for w in scene.water)]
+    if not shapes:
+        return np.zeros(len(xy), np.bool_)
+    taken = shapely.union_all(shapes).buffer(INSIDE_M)
+    found: NDArray[np.bool_] = shapely.contains_xy(taken, xy[:, 0], xy[:, 1])
+    return found
 
 
 def _rasters(scene: Scene, arrays: SceneArrays, out: Path) -> None:
