@@ -39,6 +39,7 @@ class Home:
     receiver: str
     report: str
     simulate: str
+    compare: str = ""
 
 
 HOMES: Final[Mapping[str, Home]] = MappingProxyType(
@@ -49,6 +50,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.airborne.receiver:RECEIVER",
             "spl_batch.airborne.report.model:Report",
             "spl_batch.airborne.simulate:simulate_file",
+            "spl_batch.airborne.compare.comparison:compare",
         ),
         "altimetry": Home(
             "spl_batch.altimetry.settings:TrackWorkflow",
@@ -56,6 +58,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.altimetry.receiver:RECEIVER",
             "spl_batch.altimetry.report.model:TrackReport",
             "spl_batch.altimetry.simulate:simulate_file",
+            "spl_batch.altimetry.compare.comparison:compare",
         ),
         "coincidence": Home(
             "spl_batch.geiger.coincidence.settings:CoincidenceWorkflow",
@@ -99,6 +102,12 @@ def report_model(kind: str) -> Any:
 def simulator(kind: str) -> Any:
     """What makes synthetic data for a receiver."""
     return load(HOMES[kind].simulate)
+
+
+def comparison(kind: str) -> Any:
+    """What runs several methods of a receiver side by side; None where it has none."""
+    place = HOMES[kind].compare
+    return load(place) if place else None
 
 
 def load(place: str) -> Any:

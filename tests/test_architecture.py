@@ -39,7 +39,7 @@ FLOW: Mapping[str, tuple[str, ...]] = {
     ),
     "altimetry": (
         *("settings", "photon_table", "formats", "simulate", "water", "noise", "filter", "ground"),
-        *("tasks", "plan", "report", "receiver"),
+        *("tasks", "plan", "report", "receiver", "compare"),
     ),
     "geiger.coincidence": (
         *("settings", "tables", "formats", "surface", "simulate", "accuracy"),
@@ -216,7 +216,7 @@ KERNEL = "from spl_batch.numerics.compiled import njit\n{}\n@njit()\ndef f(): ..
         ("airborne/filter/denoise.py", "from spl_batch.airborne.noise import gate", True),
         ("airborne/tasks/index.py", "from spl_batch.airborne.plan import cost", False),
         ("airborne/receiver.py", "from spl_batch import api", False),
-        ("api/__init__.py", "from spl_batch.airborne.compare.comparison import compare", True),
+        ("api/__init__.py", "from spl_batch.airborne.quickstart import quickstart", True),
         ("airborne/tasks/index.py", "def f():\n    import dask.array", False),
         ("engine/flow/cluster.py", "import distributed", True),
         (

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from spl_batch.altimetry.filter.peer_filters import PEERS
 from spl_batch.altimetry.formats.photons import BeamFacts, TrackFile, inspect
 from spl_batch.altimetry.settings import TrackWorkflow
 from spl_batch.altimetry.tasks.context import Context
@@ -35,6 +36,9 @@ RATES_PHOTONS_PER_S: Final[Mapping[str, float]] = MappingProxyType(
 
 BYTES_PER_PHOTON: Final = 400
 """Memory of a segment's task by each of its photons, halo included [byte]."""
+
+PEER_BYTES_PER_PHOTON: Final = 2000
+"""The same where a published filter holds a whole beam and each photon's neighbours [byte]."""
 
 DISK_BYTES_PER_PHOTON: Final = 45
 """Working store and results [byte]."""
@@ -317,7 +321,11 @@ def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
     workflow = tracks.workflow
     photons = [beam.photons for _, beam, _ in tracks.beams()]
     segments = sum(-(-n // workflow.work.segment_photons) for n in photons)
-    held = max(min(max(photons, default=0), workflow.work.segment_photons), PASS_PHOTONS // 10)
+    longest = max(photons, default=0)
+    if workflow.signal.method in PEERS:
+        held = longest * PEER_BYTES_PER_PHOTON // BYTES_PER_PHOTON
+    else:
+        held = max(min(longest, workflow.work.segment_photons), PASS_PHOTONS // 10)
     rates, measured = measured_rates(RATES_PHOTONS_PER_S, context)
     files = len(tracks.inputs.sources)
     return TrackCost(

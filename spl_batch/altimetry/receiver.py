@@ -5,6 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
+from spl_batch.altimetry.filter.peer_filters import PEERS, require
 from spl_batch.altimetry.plan import PHASES, REMEDIES, TrackCost, Tracks, estimate, gather_inputs
 from spl_batch.altimetry.report.model import TrackReport
 from spl_batch.altimetry.report.page import screen_summary
@@ -46,6 +47,8 @@ class Altimetry(Receiver[Tracks, Context]):
         self, workflow: TrackWorkflow, place: Place, limits: Limits
     ) -> Prepared[Tracks, Context]:
         """Find and check every file of a workflow, from headers alone."""
+        if workflow.signal.method in PEERS:
+            require(workflow.signal.method)
         inputs = gather_inputs(workflow, place.base, place.output)
         context = self.context(workflow, place, "", code_version(workflow.kind))
         tracks = Tracks(inputs, workflow, limits.memory_bytes, limits.workers)

@@ -58,11 +58,17 @@ class BaselineSettings(Section):
     factor: Positive = Field(4.0, description="Least density, in mean densities.")
 
 
+Method = Literal["bayes", "mdbscan", "dbscan", "knn_otsu", "yapc", "histogram"]
+"""What tells signal from noise: ours, [W17]'s earlier one, and published ones."""
+
+
 class SignalSettings(Section):
     """Which photons are signal [W17 4.1.2-4.1.3]."""
 
-    method: Literal["bayes", "mdbscan"] = Field(
-        "bayes", description="Neighbour distances [W17 ch. 4], or mDBSCAN for comparison."
+    method: Method = Field(
+        "bayes",
+        description="Neighbour distances [W17 ch. 4], or for comparison mDBSCAN, and by the extra "
+        "peers DBSCAN, kNN with Otsu's threshold, YAPC, and a histogram.",
     )
     scaling: bool = Field(True, description="Scale the along-track axis by the noise rate.")
     neighbours: int = Field(

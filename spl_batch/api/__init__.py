@@ -10,9 +10,9 @@ from spl_batch.engine.watch.log_follower import Follower, status
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 
 if TYPE_CHECKING:
-    from spl_batch.airborne.compare.comparison import ComparisonResult, compare
     from spl_batch.airborne.quickstart import quickstart
     from spl_batch.engine.verbs.alone import AloneResult, run_alone
+    from spl_batch.engine.verbs.comparing import ComparisonResult, compare
     from spl_batch.engine.verbs.conclusion import RunResult
     from spl_batch.engine.verbs.planning import Left, PlanSummary, plan
     from spl_batch.engine.verbs.reporting import report
@@ -41,8 +41,8 @@ __all__ = [
 _HOMES = {
     "AloneResult": "spl_batch.engine.verbs.alone",
     "run_alone": "spl_batch.engine.verbs.alone",
-    "ComparisonResult": "spl_batch.airborne.compare.comparison",
-    "compare": "spl_batch.airborne.compare.comparison",
+    "ComparisonResult": "spl_batch.engine.verbs.comparing",
+    "compare": "spl_batch.engine.verbs.comparing",
     "RunResult": "spl_batch.engine.verbs.conclusion",
     "run": "spl_batch.engine.verbs.running",
     "Left": "spl_batch.engine.verbs.planning",

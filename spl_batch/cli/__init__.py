@@ -179,14 +179,15 @@ def run(
     "--methods",
     required=True,
     metavar="A,B[,...]",
-    help="Filters to compare, e.g. vsaes,aes,published; the first is the yardstick.",
+    help="Methods to compare, e.g. vsaes,aes,published, or of photon profiles bayes,dbscan,yapc; "
+    "the first is the yardstick.",
 )
 @_limits
 @_SETTINGS
 def compare(
     workflow: Path, methods: str, workers: int, memory: str | None, overrides: tuple[str, ...]
 ) -> int:
-    """Run several filters on the survey of WORKFLOW: a table, and profiles side by side."""
+    """Run several methods on the inputs of WORKFLOW: a table, and profiles side by side."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
     from spl_batch.cli.view import watching  # noqa: PLC0415

@@ -16,10 +16,6 @@ from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, 
 from spl_batch.engine.report import number_format as texts
 from spl_batch.engine.report.number_format import (
     as_ascii,
-    centimetres,
-    number,
-    percent,
-    significant,
 )
 from spl_batch.errors import grouped, storage
 
@@ -65,26 +61,12 @@ def _whole_time(took_s: float | None) -> list[tuple[str, str]]:
 
 
 def print_comparison(result: "ComparisonResult") -> None:
-    """Print how several filters did, and where the rest is."""
-    titles = ("filter", "signal", "noise", "far noise", "DTM RMSE", "DSM RMSE", "s per million")
-    table = Table(*titles, box=None)
+    """Print how several methods did, and where the rest is."""
+    table = Table(*result.titles, box=None)
     table.columns[0].no_wrap = True
-    table.columns[0].min_width = max(len(method.name) for method in result.report.methods)
-    for method in result.report.methods:
-        table.add_row(
-            method.name,
-            *map(
-                as_ascii,
-                (
-                    number(method.signal),
-                    percent(method.removed_share),
-                    percent(method.far_share, 3),
-                    centimetres(method.dtm_rmse_m),
-                    centimetres(method.dsm_rmse_m),
-                    significant(method.denoise_s_per_million),
-                ),
-            ),
-        )
+    table.columns[0].min_width = max(len(row[0]) for row in result.rows)
+    for row in result.rows:
+        table.add_row(*row)
     _OUT.print(table)
     _path("comparison", result.output / "compare.html")
 

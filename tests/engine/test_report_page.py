@@ -22,6 +22,8 @@ from spl_batch.airborne.report.model import Noise, Piece, Report
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import screen_summary, verdicts
+from spl_batch.altimetry.compare.comparison_page import TrackComparison, TrackMethod
+from spl_batch.altimetry.compare.comparison_page import write_comparison as write_tracks
 from spl_batch.altimetry.report import page as track_page
 from spl_batch.altimetry.report import pictures as track_pictures
 from spl_batch.altimetry.report.model import Beam, TrackCounts, TrackReport
@@ -146,6 +148,13 @@ def comparison(folder: Path) -> str:
     return (folder / "compare.html").read_text(encoding="utf-8")
 
 
+def track_comparison(folder: Path) -> str:
+    method = TrackMethod(name="bayes", title="ours", folder="compare/bayes", photons=10, signal=7,
+                         kept_only=0, removed_only=0)  # fmt: skip
+    write_tracks(folder, TrackComparison(name="t", version="0", methods=(method, method)), None)
+    return (folder / "compare.html").read_text(encoding="utf-8")
+
+
 def linear_report(**changes: Any) -> Report:
     """As the workflow for linear-mode lidar gives it."""
     whole = make_report()
@@ -181,10 +190,11 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         ),
         "water": water_page.render(water_report(), {}),
         "compare": comparison(tmp_path_factory.mktemp("compare")),
+        "tracks": track_comparison(tmp_path_factory.mktemp("tracks")),
     }
 
 
-KINDS = ("airborne", "linear", "altimetry", "coincidence", "water", "compare")
+KINDS = ("airborne", "linear", "altimetry", "coincidence", "water", "compare", "tracks")
 
 
 class TestStructure:

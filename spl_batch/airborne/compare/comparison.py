@@ -29,10 +29,18 @@ from spl_batch.airborne.report.verdicts import noise_removed
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import Workflow, load_workflow
 from spl_batch.airborne.tasks.kinds import KINDS
+from spl_batch.engine.report.number_format import (
+    as_ascii,
+    centimetres,
+    number,
+    percent,
+    significant,
+)
 from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.output_lock import locked
 from spl_batch.engine.store.output_owner import usable
 from spl_batch.engine.store.working_store import Store
+from spl_batch.engine.verbs.comparing import ComparisonResult
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.reporting import recalled
 from spl_batch.engine.verbs.running import run
@@ -103,25 +111,6 @@ class Variant:
         return [*keys, f"filter.test={self.test}"] if self.test else keys
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonResult:
-    """How a comparison ended.
-
-    Parameters
-    ----------
-    exit_status : int
-        0 all done, 1 some files or tiles failed.
-    output : Path
-        Folder that holds ``compare.html`` and ``compare.json``.
-    report : ComparisonReport
-        The table.
-    """
-
-    exit_status: int
-    output: Path
-    report: ComparisonReport
-
-
 def compare(
     workflow: Path | str,
     methods: str | Sequence[str],
@@ -131,35 +120,7 @@ def compare(
     overrides: Sequence[str] = (),
     listener: Listener = ignore,
 ) -> ComparisonResult:
-    """Run several filters on the same survey.
-
-    Parameters
-    ----------
-    workflow : Path or str
-        Workflow file.
-    methods : str or sequence of str
-        At least two, separated by commas, e.g. ``"vsaes:tail,voxel,published"``; the
-        first is the one that the others are compared with.
-    workers : int
-        Worker processes; 0 works in this process.
-    memory : str or int, optional
-        Memory limit of a worker [byte]; a share of the machine's unless told.
-    overrides : sequence of str
-        ``key.path=value``, applied to the workflow before the method is.
-    listener : callable
-        Told what happens.
-
-    Returns
-    -------
-    ComparisonResult
-
-    Raises
-    ------
-    WorkflowError, PlanError
-        If nothing can be started.
-    StoppedError
-        If a run had to stop as a whole; the same call continues.
-    """
+    """Run several filters on one survey; see :func:`spl_batch.engine.verbs.comparing.compare`."""
     variants = parse_methods(methods)
     path = Path(workflow)
     settings = load_workflow(path, overrides)
@@ -182,7 +143,24 @@ def compare(
             if result.report is not None:
                 reports[variant.name] = result.report
         report = _write(output, variants, reports)
-    return ComparisonResult(status, output, report)
+    rows = tuple(_row(method) for method in report.methods)
+    return ComparisonResult(status, output, report, TITLES, rows)
+
+
+TITLES: Final = ("filter", "signal", "noise", "far noise", "DTM RMSE", "DSM RMSE", "s per million")
+"""Columns that the console shows."""
+
+
+def _row(method: MethodResult) -> tuple[str, ...]:
+    values = (
+        number(method.signal),
+        percent(method.removed_share),
+        percent(method.far_share, 3),
+        centimetres(method.dtm_rmse_m),
+        centimetres(method.dsm_rmse_m),
+        significant(method.denoise_s_per_million),
+    )
+    return (method.name, *map(as_ascii, values))
 
 
 def parse_methods(methods: str | Sequence[str]) -> list[Variant]:

@@ -5,6 +5,8 @@
   Trans. SMC 9, 1979).
 * ``yapc``: J. Lee's *Yet Another Photon Classifier* of ATL03 (T. Sutterley and A. Gibbons,
   ``yapc``): K photons nearest in height within a window lend each their share of it.
+* ``histogram``: boxes that hold more than their column's mean and three standard deviations, as the
+  signal finding of ATL03 begins (T. Neumann et al., Remote Sens. Environ. 233, 2019).
 
 None of them is scaled by noise, and each knows one beam at a time: they are for comparison.
 """
@@ -42,6 +44,12 @@ YAPC_LEAST: Final = 5
 YAPC_WEIGHT: Final = 80
 """Least weight of signal, of 255."""
 
+BOX_M: Final = (50.0, 2.0)
+"""Length and height of a box of the histogram [m]."""
+
+BOX_SD: Final = 3.0
+"""Standard deviations above its column's mean that a box of signal holds."""
+
 _Filter = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 
 
@@ -62,15 +70,26 @@ def keep(
     WorkflowError
         If scikit-learn is not installed.
     """
+    require(name)
+    if not len(along_m):
+        return np.zeros(0, np.bool_)
+    return PEERS[name](along_m, height_m)
+
+
+def require(name: str) -> None:
+    """Refuse a published filter whose library is missing.
+
+    Raises
+    ------
+    WorkflowError
+        If scikit-learn is not installed.
+    """
     try:
         import sklearn  # noqa: F401, PLC0415
     except ImportError as error:
         raise WorkflowError(
             f"method {name} needs scikit-learn; install it with: pip install 'spl-batch[{EXTRA}]'"
         ) from error
-    if not len(along_m):
-        return np.zeros(0, np.bool_)
-    return PEERS[name](along_m, height_m)
 
 
 def dbscan(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -118,7 +137,21 @@ def yapc(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> NDArray
     return found
 
 
+def histogram(along_m: NDArray[np.float64], height_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Photons of boxes that stand out of their column, (n,) bool."""
+    column, box = (
+        np.floor(v / m).astype(np.int64) for v, m in zip((along_m, height_m), BOX_M, strict=True)
+    )
+    base, width = box.min(), int(np.ptp(box)) + 1
+    columns, at = np.unique(column, return_inverse=True)
+    flat = at * width + box - base
+    count = np.bincount(flat, minlength=len(columns) * width).reshape(-1, width)
+    limit = count.mean(axis=1) + BOX_SD * count.std(axis=1)
+    found: NDArray[np.bool_] = count.ravel()[flat] > limit[at]
+    return found
+
+
 PEERS: Final[Mapping[str, _Filter]] = MappingProxyType(
-    {"dbscan": dbscan, "knn_otsu": knn_otsu, "yapc": yapc}
+    {"dbscan": dbscan, "knn_otsu": knn_otsu, "yapc": yapc, "histogram": histogram}
 )
 """Filters by name."""

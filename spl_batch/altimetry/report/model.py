@@ -1,9 +1,12 @@
 """What the report of photon profiles says: one frozen model, from which its schema is made."""
 
-from typing import Literal
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final, Literal
 
 from pydantic import Field
 
+from spl_batch.altimetry.settings import Method
 from spl_batch.engine.report.parts import (
     SCHEMA_VERSION,
     Count,
@@ -14,6 +17,18 @@ from spl_batch.engine.report.parts import (
     Provenance,
     Statistics,
 )
+
+METHOD_NAMES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "bayes": "ours",
+        "mdbscan": "mDBSCAN",
+        "dbscan": "DBSCAN",
+        "knn_otsu": "kNN + Otsu",
+        "yapc": "YAPC",
+        "histogram": "histogram",
+    }
+)
+"""What a reader knows each method by."""
 
 
 class TrackCounts(Part):
@@ -70,7 +85,7 @@ class TrackReport(Part):
 
     schema_version: Literal[1] = SCHEMA_VERSION
     name: str = Field(description="Title of the report.")
-    method: Literal["bayes", "mdbscan"] = Field(description="What tells signal from noise.")
+    method: Method = Field(description="What tells signal from noise.")
     counts: TrackCounts
     ground: Statistics | None = Field(None, description="Ground minus reference, all beams.")
     baseline_ground: Statistics | None = Field(None, description="The same, by mDBSCAN.")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from spl_batch.altimetry.report.model import TrackReport
+from spl_batch.altimetry.report.model import METHOD_NAMES, TrackReport
 from spl_batch.engine.report import number_format as text
 from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.parts import Statistics
@@ -32,6 +32,7 @@ def render(report: TrackReport, pictures: Sequence[Mapping[str, Picture]]) -> st
         keys=[[f"{key}_{i}" for key in drawn] for i, drawn in enumerate(pictures)],
         compared=_compared(report),
         labelled=[b for b in report.beams if b.labels],
+        names=METHOD_NAMES,
     )
 
 

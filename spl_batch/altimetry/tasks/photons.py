@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spl_batch.altimetry.filter import chance
 from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.filter.likelihood import ratios
+from spl_batch.altimetry.filter.peer_filters import PEERS, keep
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.photon_table import LABELS, PHOTONS, Background, Cells, Scale
 from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, gather, place, rows_between
@@ -49,7 +50,7 @@ ZONES: Final = 2
 """Below a water surface, and elsewhere: each has its own threshold [count]."""
 
 _SURE: Final = np.float32(-30.0)
-"""Score of what mDBSCAN calls signal."""
+"""Score of what a method without scores calls signal."""
 
 
 def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
@@ -67,11 +68,13 @@ def find_rate(args: Mapping[str, Any], context: Context) -> Produced:
     far = rates.far_length_m(cells, workflow.rate)
     arrays = {f"cells_{k}": v for k, v in cells.to_arrays().items()}
     write_arrays(path, {**arrays, **scale.to_arrays(), "far_m": far})
+    limits = workflow.work.segment_photons, signals.most_cells(scale, workflow.rate)
+    if workflow.signal.method in PEERS:
+        # Their thresholds are those of a whole beam.
+        limits = int(cells.count.sum()) + 1, len(cells.index) + 1
     segments = [
         [int(cells.index[a]), int(cells.index[b - 1]) + 1, int(cells.count[a:b].sum())]
-        for a, b in runs(
-            cells.count, workflow.work.segment_photons, signals.most_cells(scale, workflow.rate)
-        )
+        for a, b in runs(cells.count, *limits)
     ]
     facts = {
         "basis": basis,
@@ -181,8 +184,12 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
         )
         labels["baseline"] = dense[mine].astype(np.uint8)
     noise = _NO_PLACES
-    if workflow.signal.method == "mdbscan":
-        labels["score"] = np.where(labels["baseline"] > 0, _SURE, np.float32(0.0))
+    if workflow.signal.method != "bayes":
+        kept = labels["baseline"] > 0
+        if workflow.signal.method in PEERS:
+            beam_m = (labels[name] / QUANTA_PER_M for name in ("along", "height"))
+            kept = keep(workflow.signal.method, *beam_m)
+        labels["score"] = np.where(kept, _SURE, np.float32(0.0))
     else:
         prior = signals.log_prior(cells, scale, workflow.rate, workflow.signal.window_m)
         photons, rest = (table["along"], table["height"]), (workflow.rate, workflow.signal)
@@ -303,7 +310,7 @@ def _least(
 ) -> NDArray[np.int64]:
     """Least bins of windows of a zone, for labels and for the ground: (2, w) int64."""
     workflow = context.workflow
-    if workflow.signal.method == "mdbscan":
+    if workflow.signal.method != "bayes":
         return np.ones((2, len(estimated)), np.int64)
     counts, far, noise = around
     settings, profile = workflow.signal, workflow.profile
