@@ -19,6 +19,7 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import rasterio
+from affine import Affine
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -120,28 +121,19 @@ def _surfaces(
     folder: Path, points: dict[str, NDArray[Any]], noise: NDArray[np.bool_]
 ) -> dict[str, float]:
     """How much of the DSM stands above every true return around, and the error of the DTM."""
-    with rasterio.open(folder / "out" / "dsm.tif") as source:
-        dsm, at = source.read(1).astype(np.float64), source.transform
-    with rasterio.open(folder / "out" / "dtm.tif") as source:
-        dtm = source.read(1).astype(np.float64)
     with rasterio.open(folder / "truth" / "dtm.tif") as source:
         true, origin = source.read(1).astype(np.float64), source.transform
-    row = np.floor((at.f - points["y"][~noise]) / -at.e).astype(int)
-    col = np.floor((points["x"][~noise] - at.c) / at.a).astype(int)
-    inside = (row >= 0) & (row < dsm.shape[0]) & (col >= 0) & (col < dsm.shape[1])
-    top = np.full((dsm.shape[0] + 2, dsm.shape[1] + 2), -np.inf)
+    dsm, dtm = (
+        _on_grid(folder / "out" / f"{name}.tif", origin, true.shape) for name in ("dsm", "dtm")
+    )
+    row = np.floor((origin.f - points["y"][~noise]) / -origin.e).astype(int)
+    col = np.floor((points["x"][~noise] - origin.c) / origin.a).astype(int)
+    inside = (row >= 0) & (row < true.shape[0]) & (col >= 0) & (col < true.shape[1])
+    top = np.full((true.shape[0] + 2, true.shape[1] + 2), -np.inf)
     np.maximum.at(top, (row[inside] + 1, col[inside] + 1), points["z"][~noise][inside])
     near = np.lib.stride_tricks.sliding_window_view(top, (3, 3)).max(axis=(2, 3))
-    first, left = round((at.f - origin.f) / -at.e), round((origin.c - at.c) / at.a)
-    rows, cols = true.shape
-    r0, c0 = max(-first, 0), max(left, 0)
-    scene_part = slice(r0, -first + rows), slice(c0, left + cols)
-    high, terrain = dsm[scene_part], dtm[scene_part]
-    near = near[scene_part]
-    valid = (high > -9000) & np.isfinite(near)
-    over = (high - near)[valid]
-    known = (terrain > -9000) & (true[: terrain.shape[0], : terrain.shape[1]] > -9000)
-    error = (terrain - true[: terrain.shape[0], : terrain.shape[1]])[known]
+    over = (dsm - near)[np.isfinite(dsm) & np.isfinite(near)]
+    error = (dtm - true)[np.isfinite(dtm) & (true > -9000)]
     return {
         "DSM > 1 m": 100 * float((over > 1).mean()),
         "DSM > 10 m": 100 * float((over > 10).mean()),
@@ -151,22 +143,37 @@ def _surfaces(
     }
 
 
+def _on_grid(path: Path, origin: Affine, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Part of a raster on the cells of the truth; NaN where it has none."""
+    with rasterio.open(path) as source:
+        values, at = source.read(1).astype(np.float64), source.transform
+    out = np.full(shape, np.nan)
+    r0, c0 = round((origin.f - at.f) / -origin.e), round((at.c - origin.c) / at.a)
+    rows = slice(max(r0, 0), min(r0 + values.shape[0], shape[0]))
+    cols = slice(max(c0, 0), min(c0 + values.shape[1], shape[1]))
+    part = values[rows.start - r0 : rows.stop - r0, cols.start - c0 : cols.stop - c0]
+    out[rows, cols] = np.where(part > -9000, part, np.nan)
+    return out
+
+
 def main() -> None:
     """Simulate, run, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--only", nargs="+", choices=list(EFFECTS), default=list(EFFECTS))
     parser.add_argument("--times", nargs="+", type=float, default=[1.0])
+    parser.add_argument("--without", action="store_true", help="noise.haze: false")
     parser.add_argument("--say", action="store_true", help="print the warnings")
     given = parser.parse_args()
     folder = given.folder or Path(tempfile.mkdtemp())
     usual: set[str] = set()
+    settings = ["noise.haze=false"] if given.without else []
     for name in given.only:
         for times in [1.0] if name == "base" else given.times:
             survey = folder / f"{name}_{times:g}".replace(" ", "_").replace(",", "")
             if not (survey / "workflow.yaml").exists():
                 simulate(parse_scene(scene(name, times), name), survey)
-            run(survey / "workflow.yaml", workers=1)
+            run(survey / "workflow.yaml", workers=0, overrides=settings)
             figures = measure(survey)
             said = json.loads((survey / "out" / "report.json").read_text())["warnings"]
             if name == "base":

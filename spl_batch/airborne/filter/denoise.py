@@ -24,7 +24,7 @@ from spl_batch.airborne.filter.ellipsoid import ellipsoid_test
 from spl_batch.airborne.filter.filter_interface import Cloud, Verdict
 from spl_batch.airborne.filter.published import aes, cylinder, dcc, multilevel, voxel
 from spl_batch.airborne.filter.wires import wire_null, wire_scan
-from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings
+from spl_batch.airborne.settings import AfterpulseSettings, FilterSettings, NoiseSettings
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.lattice.tables import EXCLUDED, UNFILTERED, PointFlag, PointTable
 from spl_batch.lattice.tiles import quanta
@@ -96,6 +96,11 @@ def asks_for_means(settings: FilterSettings) -> bool:
     The others test a point in the noise of what is listened to around it.
     """
     return settings.method != "none" and METHODS[settings.method].by_voxel
+
+
+def asks_for_air(settings: FilterSettings, noise: NoiseSettings) -> bool:
+    """Whether haze is looked for: by our own tests, the sources' know none."""
+    return noise.haze and _independent(settings)
 
 
 def denoise(

@@ -86,11 +86,12 @@ def choose_region(
     if abs(up - down) <= max(0.15 * min(up, down), 5 * spread):
         return Region(b, "both", notes)
     side: Side = "below" if up > down else "above"
+    more, times = ("above", up / down) if up > down else ("below", down / up)
     text = (
-        "signal reaches into the part of the range gate where noise is counted; noise is counted "
-        f"{side} the surface only"
+        f"where noise is counted, {times:.1f} times as much returns {more} the surface as on its "
+        f"other side: haze, cloud or signal; noise is counted {side} the surface only"
     )
-    return Region(b, side, (*notes, Remark(text)))
+    return Region(b, side, (*notes, Remark(text, times)))
 
 
 def _short(share: float) -> Remark:

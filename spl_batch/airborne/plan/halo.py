@@ -5,14 +5,16 @@ says its own reach; tasks carry the halo in their arguments.
 """
 
 from spl_batch.airborne.filter import denoise
+from spl_batch.airborne.noise import haze
 from spl_batch.airborne.products import surface_rasters
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.settings.workflow import Workflow
 
 
 def halo_m(workflow: Workflow) -> float:
-    """Halo of a denoise block: the sum of the reaches of the filter's steps [m]."""
-    return denoise.reach_m(workflow.filter)
+    """Halo of a denoise block: the sum of the reaches of the filter and of the noise in air [m]."""
+    air = denoise.asks_for_air(workflow.filter, workflow.noise)
+    return denoise.reach_m(workflow.filter) + (haze.REACH_M if air else 0.0)
 
 
 def surface_reach_m(workflow: Workflow) -> float:

@@ -149,6 +149,25 @@ class Density(Part):
     )
 
 
+class Haze(Part):
+    """Air between the start of the gate and the surface that sends light back."""
+
+    low_m: Number = Field(None, description="Height above which 95 % of its returns lie [m].")
+    high_m: Number = Field(None, description="Height below which 95 % of them lie [m].")
+    above_ground_m: Number = Field(
+        None, description="Its lower end above the median terrain below it [m]."
+    )
+    area_km2: Number = Field(None, description="Area over which it was found [km2].")
+    extent_m: tuple[Number, Number, Number, Number] | None = Field(
+        None, description="West, east, south, north of all of it [m]."
+    )
+    returns: Count = Field(0, description="Returns in it, followers of others apart [count].")
+    mean_per_m3: Number = Field(None, description="Mean density of these [1/m3].")
+    times_expected: Number = Field(
+        None, description="Returns over what the model of the noise expects there."
+    )
+
+
 class Noise(Part):
     """What was expected of the background noise, and how it was told apart."""
 
@@ -168,6 +187,7 @@ class Noise(Part):
         description="Background returns expected in the cubes of 1.2 m that hold kept returns, "
         "where nothing tells them apart: kept as well, and not in kept_by_chance [count].",
     )
+    haze: Haze | None = Field(None, description="Haze or cloud that was found; null without.")
     dsm_support: Count | None = Field(
         None, description="Returns nearby that a highest return needs to set a DSM cell [count]."
     )

@@ -21,6 +21,7 @@ from spl_batch.airborne.report.model import (
 )
 from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
+from spl_batch.airborne.report.sky import haze, haze_warning, misfit_warning
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
@@ -56,6 +57,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         What the receipts do not say.
     """
     found, counts = compared(done, context), _counts(done, facts)
+    noise = _noise(done, context, counts.background)
     report = Report(
         survey=_survey(done, context),
         counts=counts,
@@ -63,13 +65,15 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         requirements=judged(done, context),
         checkpoints=checkpoint_report(done, context),
         density=density(done, context, counts.ground),
-        noise=_noise(done, context, counts.background),
+        noise=noise,
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
         warnings=(
             *_unfiltered(counts, context),
             *facts.notes,
             *_uncovered(done),
+            *haze_warning(noise.haze),
+            *misfit_warning(done, context),
             *not_compared(done, context, facts),
         ),
         provenance=_provenance(done, context, facts.reference),
@@ -183,6 +187,7 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
         p95_per_m3=high,
         kept_by_chance=_kept_by_chance(settings, removed),
         kept_within_signal=_kept_within_signal(done, settings),
+        haze=haze(done, context),
         dsm_support=context.workflow.products.dsm_support,
     )
 

@@ -22,6 +22,10 @@ class NoiseSettings(Section):
     correction: Literal["seen", "published"] = Field(
         "seen", description="Silent beamlets: by seen fraction, or the published gamma."
     )
+    haze: bool = Field(
+        True,
+        description="Where returns fill the air evenly, as in haze or cloud, expect what is seen.",
+    )
 
 
 class AfterpulseSettings(Section):

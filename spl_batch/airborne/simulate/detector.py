@@ -78,7 +78,7 @@ def truncated_power(
     """Number of density (1 + x / scale) ** -power that does not pass ``longest``, by inversion."""
     rest = (1.0 + longest / scale) ** (1.0 - power)
     left = 1.0 - rng.random() * (1.0 - rest)
-    return scale * (left ** (1.0 / (1.0 - power)) - 1.0)
+    return float(scale * (left ** (1.0 / (1.0 - power)) - 1.0))
 
 
 @njit()

@@ -62,6 +62,94 @@ class _Box(NamedTuple):
         )
 
 
+class NoiseModel(NamedTuple):
+    """Noise of a region's voxels, ready to be asked at places in it.
+
+    Parameters
+    ----------
+    box : _Box
+        The voxels.
+    density : (i, j, k) float64
+        Mean of each voxel [1/m3].
+    within : (i, j, k) float64
+        The same of the part within the gate, roughly.
+    heard : tuple of Listened
+        What each flightline listens to.
+    """
+
+    box: _Box
+    density: NDArray[np.float64]
+    within: NDArray[np.float64]
+    heard: tuple[Listened, ...]
+
+    def local(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
+        """Noise at places, of the part of their voxels that is listened to: (n,) [1/m3]."""
+        n = len(xyz[0])
+        out = np.empty(n)
+        for some in _batches(n):
+            place = [axis[some] for axis in xyz]
+            voxel = self.box.voxels(place)
+            near = around(self.heard, voxel, self.box.squares(place), self.box.offsets(place))
+            # published, or beside all that any beamlet crosses
+            none = np.flatnonzero(~(near > 0.0))
+            near[none] = self.within[tuple(axis[none] for axis in voxel)]
+            out[some] = near
+        return out
+
+    def mean(
+        self, xyz: Sequence[NDArray[np.integer[Any]]], told: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Mean noise of the voxels of the m places told: (m,) [1/m3]."""
+        found = [np.zeros(0)]
+        for some in _batches(len(told)):
+            chosen = np.flatnonzero(told[some])
+            voxel = self.box.voxels([axis[some][chosen] for axis in xyz])
+            found.append(self.density[voxel])
+        return np.concatenate(found)
+
+
+def noise_model(
+    xyz: Sequence[NDArray[np.integer[Any]]],
+    parts: Sequence[str],
+    beamlets: int,
+    store: Store,
+    settings: NoiseSettings,
+) -> NoiseModel | None:
+    """Noise of the voxels around points; None without points or parts.
+
+    Parameters
+    ----------
+    xyz, parts, beamlets, store, settings
+        As for :func:`expected_noise`.
+    """
+    if not len(xyz[0]) or not parts:
+        return None
+    box = _box(xyz, quanta(settings.voxel_m))
+    published = settings.correction == "published"
+    names = ("amount", "shots", "beamlets") if published else ("amount",)
+    totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
+    heard: list[Listened] = []
+    for line in _by_line(parts):
+        sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
+        if not published:
+            sums["squares"] = np.zeros((*box.shape, SQUARES**2), dtype=np.uint32)
+        for part in line:
+            add_voxels(store.path("voxels", f"{part}.zarr"), box.corner, sums)
+        for name in names:
+            totals[name] += sums[name]
+        if not published:
+            found = listened(sums["amount"], sums["squares"], settings.voxel_m)
+            heard += [] if found is None else [found]
+    density = voxel_noise.density(
+        totals["amount"],
+        settings,
+        shots=totals.get("shots"),
+        beamlets=totals.get("beamlets"),
+        beamlets_per_shot=beamlets,
+    )
+    return NoiseModel(box, density, voxel_noise.within_gate(density), tuple(heard))
+
+
 def expected_noise(
     xyz: Sequence[NDArray[np.integer[Any]]],
     told: NDArray[np.bool_],
@@ -87,44 +175,10 @@ def expected_noise(
     settings : NoiseSettings
         Voxel and correction.
     """
-    n = len(xyz[0])
-    if not n or not parts:
-        return Expected(np.zeros(np.count_nonzero(told)), np.zeros(n))
-    box = _box(xyz, quanta(settings.voxel_m))
-    published = settings.correction == "published"
-    names = ("amount", "shots", "beamlets") if published else ("amount",)
-    totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
-    heard: list[Listened] = []
-    for line in _by_line(parts):
-        sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
-        if not published:
-            sums["squares"] = np.zeros((*box.shape, SQUARES**2), dtype=np.uint32)
-        for part in line:
-            add_voxels(store.path("voxels", f"{part}.zarr"), box.corner, sums)
-        for name in names:
-            totals[name] += sums[name]
-        if not published:
-            found = listened(sums["amount"], sums["squares"], settings.voxel_m)
-            heard += [] if found is None else [found]
-    density = voxel_noise.density(
-        totals["amount"],
-        settings,
-        shots=totals.get("shots"),
-        beamlets=totals.get("beamlets"),
-        beamlets_per_shot=beamlets,
-    )
-    # published, or beside all that any beamlet crosses
-    within, mean, local = voxel_noise.within_gate(density), [], np.empty(n)
-    for some in _batches(n):
-        place = [axis[some] for axis in xyz]
-        voxel = box.voxels(place)
-        near = around(heard, voxel, box.squares(place), box.offsets(place))
-        none = np.flatnonzero(~(near > 0.0))
-        near[none] = within[tuple(axis[none] for axis in voxel)]
-        local[some] = near
-        chosen = np.flatnonzero(told[some])
-        mean.append(density[tuple(axis[chosen] for axis in voxel)])
-    return Expected(np.concatenate(mean), local)
+    model = noise_model(xyz, parts, beamlets, store, settings)
+    if model is None:
+        return Expected(np.zeros(np.count_nonzero(told)), np.zeros(len(xyz[0])))
+    return Expected(model.mean(xyz, told), model.local(xyz))
 
 
 def _box(xyz: Sequence[NDArray[np.integer[Any]]], edge: int) -> _Box:

@@ -22,8 +22,9 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.store.label_tables import read_region, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import pulses
+from spl_batch.airborne.tasks.air import facts_of, look_at_air, noise_in_air
 from spl_batch.airborne.tasks.coverage import covered
-from spl_batch.airborne.tasks.expected_noise import expected_noise
+from spl_batch.airborne.tasks.expected_noise import noise_model
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
@@ -59,15 +60,24 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     cells = _cells(args["tiles"])
     table, origin = read_region(context.store, cells, region, denoising.COLUMNS_NEEDED, {})
     owned = inside(table["x"], table["y"], core)
+    place = origin.of(owned)
+    del origin
     by_voxel = denoising.asks_for_means(workflow.filter)
-    told = np.ones(len(table), np.bool_) if by_voxel else owned
-    xyz = [table[axis] for axis in "xyz"]
-    noise = expected_noise(
-        xyz, told, args["voxels"], args["beamlets"], context.store, workflow.noise
+    model = noise_model(
+        [table[axis] for axis in "xyz"], args["voxels"], args["beamlets"], context.store,
+        workflow.noise,
+    )  # fmt: skip
+    look = look_at_air(table, model, workflow, core)
+    # Air is looked for farther around than the filter looks.
+    near = inside(table["x"], table["y"], grow(core, quanta(denoising.reach_m(workflow.filter))))
+    if not near.all():
+        table, owned = table.take(near), owned[near]
+    noise = noise_in_air(
+        table, np.ones(len(table), np.bool_) if by_voxel else owned, model, look.air
     )
-    mean = noise.mean[owned[told]].astype(np.float32)
+    mean = (noise.mean[owned] if by_voxel else noise.mean).astype(np.float32)
     local, density = noise.local, noise.mean if by_voxel else noise.local
-    del xyz, told, noise
+    del model, near, noise
     found = denoising.resolve(table, local, workflow.filter, workflow.afterpulse)
     del local
     # What has told the afterpulses and the noise is not held while the rest is judged.
@@ -83,11 +93,12 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
         "wire": decided["wire"],
         "noise_density": mean,
     }
-    write_labels(path, *origin.of(owned), labels)
+    write_labels(path, *place, labels)
     kinds, counts = np.unique(decided["noise_class"], return_counts=True)
     facts = {
         "core": list(core),
         "noise_class": dict(zip(map(str, kinds.tolist()), counts.tolist(), strict=True)),
+        **facts_of(look, core),
     }
     return Produced([path], facts, int(np.count_nonzero(owned)))
 

@@ -1,0 +1,413 @@
+r"""Noise that fills the air: haze and cloud between the start of the gate and the surface.
+
+Domain: space. [W17] Eq. 5.1 has the same noise all along a beamlet. Air that sends light back has
+more of it in some heights and places, and a test that does not know takes it for a signal. Four
+things are true of air and of nothing else that a survey sees, and all are asked for, in
+squares of :data:`WINDOW` x :data:`WINDOW` cubes of :data:`CUBE_M`, one layer high:
+
+- *It is everywhere.* Three quarters of the cubes hold clearly more returns than the model of the
+  noise expects. Wires, towers, trees with gaps and roofs smaller than the square do not fill it.
+- *It is smooth upwards.* Within columns of :data:`CELL_M` the returns of a cube lie evenly. With c
+  returns in a column and n in each of its k cells the pairs that share a cell are, evenly spread,
+  one k-th of the pairs that share the column:
+
+  .. math:: \kappa = k \sum n (n - 1) / \sum c (c - 1)
+
+  is 1 in air, whatever the pattern of beams is, k on level ground or a flat roof, and well above 1
+  in a canopy, whose leaves hang in layers and clumps. Three layers hold much the same: crowns
+  shade what is below them. What cannot tell its clumping, for want of pairs, is no air.
+- *It is smooth across.* The upper quarter of the cubes holds no more than :data:`SMOOTH` times what
+  the lower one does; crowns and the gaps between them differ by more.
+
+In the cubes of these squares the noise is what is seen: the median of a cube and those beside it,
+which no wire moves, and the largest of these around, as air ends within a few metres and its edges
+are noise, too. The noise of a point is the larger of the model's and this one. Within a cloud weak
+signals are lost that would be found in clear air.
+
+All that is counted are whole numbers on absolute lattices. A point's noise depends on points up to
+:data:`REACH_M` away. Deviation: [W17] and [W18] know no noise that varies along the gate.
+"""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.compiled import njit
+
+DOMAIN: Final = "space"
+
+CUBE_M: Final = 5.0
+"""Edge of a cube [m]: air changes over tens of metres."""
+
+CELL_M: Final = 1.0
+"""Edge of the cells in which clumping is looked for [m]."""
+
+WINDOW: Final = 5
+"""Cubes along the edge of a square that is looked at."""
+
+REACH_M: Final = (WINDOW + 1) * CUBE_M
+"""How far a point's noise looks: half a square to its middle, half a square on, one cube beside."""
+
+FILLED: Final = 0.25
+"""Part of the cubes of a square that may hold less."""
+
+LEFT_OUT: Final = int(FILLED * WINDOW**2)
+"""The same as a number of cubes [count]."""
+
+CLEARLY: Final = 1.5
+"""Times the expected noise, and one return more, that fills a cube."""
+
+EVEN: Final = 1.15
+"""Largest clumping of air."""
+
+STEADY: Final = 1.4
+"""Largest ratio of the returns of three layers, one above the other."""
+
+SMOOTH: Final = 3.0
+"""Largest ratio of the quarters of a square."""
+
+PAIRS_LEAST: Final = 150
+"""Pairs in columns that tell it: from so many on no square of two real forests, in leaf and of
+needles, has a clumping below 1.3 (``benchmarks.airborne.sky --forests``)."""
+
+CHANCE: Final = 3.0
+"""Standard deviations that chance is allowed where a square tells little."""
+
+SOLID: Final = 3.0
+"""Times the noise of a square beyond which a cube holds a surface, too."""
+
+Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+Expected = Callable[[Axes], NDArray[np.float64]]
+"""Noise that the model expects at places [quanta]: three (m,) int64 to (m,) [1/m3]."""
+
+
+class Air(NamedTuple):
+    """Noise that is seen in cubes.
+
+    Parameters
+    ----------
+    cube : (m, 3) int64
+        Index of each cube on the absolute lattice.
+    density : (m,) float64
+        Noise in it [1/m3].
+    held : (m,) bool
+        Cubes found to hold air; the others lie beside one.
+    returns : (m,) int64
+        Returns in the cube.
+    expected : (m,) float64
+        Noise that the model expects at its centre [1/m3].
+    """
+
+    cube: NDArray[np.int64]
+    density: NDArray[np.float64]
+    held: NDArray[np.bool_]
+    returns: NDArray[np.int64]
+    expected: NDArray[np.float64]
+
+
+class Counts(NamedTuple):
+    """Returns of cubes, and their pairs in columns and cells.
+
+    Parameters
+    ----------
+    corner : (int, int)
+        Index of the first cube along x and y on the absolute lattice.
+    layer : (l,) int64
+        Index of each layer; those without a return are left out.
+    held : (nx, ny, l) int32
+        Returns [count].
+    columns, cells : (nx, ny, l) int64
+        Ordered pairs of them that share a column, and a cell.
+    """
+
+    corner: tuple[int, int]
+    layer: NDArray[np.int64]
+    held: NDArray[np.int32]
+    columns: NDArray[np.int64]
+    cells: NDArray[np.int64]
+
+
+class Layers(NamedTuple):
+    """Returns of cubes within noise alone, by layer, beside what the model expects.
+
+    Parameters
+    ----------
+    layer : (l,) int64
+        Index on the absolute lattice.
+    returns : (l,) int64
+        Returns [count].
+    expected : (l,) float64
+        By the model [count].
+    """
+
+    layer: NDArray[np.int64]
+    returns: NDArray[np.int64]
+    expected: NDArray[np.float64]
+
+
+def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
+    """Returns of each cube, and their pairs; None where nothing counts.
+
+    Parameters
+    ----------
+    xyz : three of (n,) int64
+        Absolute coordinates [quanta].
+    counted : (n,) bool
+        Returns that count: independent ones.
+    """
+    rows = np.flatnonzero(counted)
+    if not len(rows):
+        return None
+    x, y, z = (axis[rows] for axis in xyz)
+    return _count((x, y, z))
+
+
+def find_air(counts: Counts, expected: Expected) -> Air | None:
+    """Cubes of air with the noise in them; None where there is none.
+
+    Parameters
+    ----------
+    counts : Counts
+        From :func:`count_cubes`.
+    expected : callable
+        Model of the noise.
+    """
+    candidate = _even(counts)
+    if not candidate.any():
+        return None
+    lowest, highest = np.zeros((2, *counts.held.shape), np.int32)
+    _quarters(counts.held, _with_beside(candidate), WINDOW // 2, LEFT_OUT, lowest, highest)
+    level = (lowest > 1) & (highest <= SMOOTH * lowest)
+    candidate &= _three(level)
+    level &= _with_beside(candidate)
+    at = np.nonzero(level)
+    if not len(at[0]):
+        return None
+    model = expected(_centres(counts, at))
+    # Where nothing is listened to nothing is known either.
+    level[at] = (lowest[at] >= CLEARLY * model * CUBE_M**3 + 1.0) & (model > 0.0)
+    seed = _with_beside(candidate & _three(level))
+    return _around(counts, seed, lowest, expected) if seed.any() else None
+
+
+def noise_by_layer(
+    counts: Counts, air: Air | None, expected: Expected, core: tuple[int, int, int, int]
+) -> Layers:
+    """Noise that is seen beside noise that is expected, where nothing else and no haze is.
+
+    Squares of an absolute grid are looked at, :data:`WINDOW` cubes wide; those that are even, as
+    far as chance lets so few pairs tell, hold noise alone.
+
+    Parameters
+    ----------
+    counts, expected
+        As for :func:`find_air`.
+    air : Air or None
+        What is left out.
+    core : (int, int, int, int)
+        West, south, east, north: squares whose middle lies in it count [quanta].
+    """
+    edge, half = quanta(CUBE_M), WINDOW // 2
+    asked = np.zeros(counts.held.shape, np.bool_)
+    inside = []
+    for axis, (low, high) in enumerate(((core[0], core[2]), (core[1], core[3]))):
+        cube = np.arange(counts.held.shape[axis]) + counts.corner[axis]
+        middle = cube * edge + edge // 2
+        inside.append((cube % WINDOW == half) & (low <= middle) & (middle < high))
+    asked[np.ix_(*inside, np.ones(len(counts.layer), np.bool_))] = True
+    columns, cells = (_sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
+    parts = round(CUBE_M / CELL_M)
+    asked &= parts * cells <= columns + CHANCE * np.sqrt(2.0 * (parts - 1) * columns)
+    if air is not None:
+        at = air.cube - [*counts.corner, 0]
+        at[:, 2] = np.searchsorted(counts.layer, at[:, 2])
+        asked[tuple(at.T)] = False
+    lower, upper = np.zeros((2, *counts.held.shape), np.int32)
+    _quarters(counts.held, asked, half, LEFT_OUT, lower, upper)
+    asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
+    at_middle = np.nonzero(asked)
+    # The middle cube stands for its square, which may reach beyond an edge.
+    model, seen = expected(_centres(counts, at_middle)) * CUBE_M**3, counts.held[at_middle]
+    heard = model > 0.0
+    returns, predicted = (
+        np.bincount(at_middle[2][heard], values[heard], len(counts.layer))
+        for values in (seen, model)
+    )
+    return Layers(counts.layer, np.rint(returns).astype(np.int64), predicted.astype(np.float64))
+
+
+def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> NDArray[np.float64]:
+    """The larger of a noise and that of the air around points: (n,) [1/m3]."""
+    if air is None:
+        return noise
+    low = air.cube.min(axis=0)
+    shape = air.cube.max(axis=0) - low + 1
+    density = np.zeros(shape)
+    density[tuple((air.cube - low).T)] = air.density
+    out: NDArray[np.float64] = noise.copy()
+    edge = quanta(CUBE_M)
+    _raise(xyz[0], xyz[1], xyz[2], edge, low, density, out)
+    return out
+
+
+def _count(xyz: Axes) -> Counts:
+    """Count points, strip by strip."""
+    edge = quanta(CUBE_M)
+    west, south = (int(axis.min()) // edge for axis in xyz[:2])
+    nx, ny = (
+        int(axis.max()) // edge - low + 1 for axis, low in zip(xyz, (west, south), strict=False)
+    )
+    layer, at = np.unique(xyz[2] // edge, return_inverse=True)
+    strip = xyz[0] // edge - west
+    order = np.argsort(strip.astype(np.int32), kind="stable")
+    start = np.searchsorted(strip[order], np.arange(nx + 1))
+    shape = (nx, ny, len(layer))
+    count = np.zeros(shape, np.int32)
+    columns, cells = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    parts = round(CUBE_M / CELL_M)
+    room = np.zeros((ny, len(layer), parts, parts, parts), np.int32)
+    _count_strips(
+        xyz[0], xyz[1], xyz[2], at.astype(np.int32), order, start, edge, quanta(CELL_M), south,
+        room, count, columns, cells,
+    )  # fmt: skip
+    return Counts((west, south), layer, count, columns, cells)
+
+
+@njit()
+def _count_strips(  # type: ignore[no-untyped-def]
+    x, y, z, layer, order, start, edge, cell, south, room, count, columns, cells
+):
+    """Returns of each cube, and the pairs of them that share a column or a cell."""
+    parts = room.shape[2]
+    for i in range(len(start) - 1):
+        if start[i] == start[i + 1]:
+            continue
+        room[:] = 0
+        for k in range(start[i], start[i + 1]):
+            p = order[k]
+            j = y[p] // edge - south
+            a, b, c = x[p] % edge // cell, y[p] % edge // cell, z[p] % edge // cell
+            room[j, layer[p], a, b, c] += 1
+            count[i, j, layer[p]] += 1
+        for j in range(count.shape[1]):
+            for h in range(count.shape[2]):
+                if count[i, j, h] < 2:
+                    continue
+                in_columns, in_cells = np.int64(0), np.int64(0)
+                for a in range(parts):
+                    for b in range(parts):
+                        total = np.int64(0)
+                        for c in range(parts):
+                            n = np.int64(room[j, h, a, b, c])
+                            total += n
+                            in_cells += n * (n - 1)
+                        in_columns += total * (total - 1)
+                columns[i, j, h], cells[i, j, h] = in_columns, in_cells
+
+
+def _even(counts: Counts) -> NDArray[np.bool_]:
+    """Middles of squares, three layers high, in which returns lie evenly upwards."""
+    columns, cells = (_sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
+    seen = _sum_of_square(counts.held.astype(np.int64))
+    parts = round(CUBE_M / CELL_M)
+    out = np.zeros(seen.shape, np.bool_)
+    three = np.flatnonzero(counts.layer[2:] - counts.layer[:-2] == 2) + 1
+    for h in three:
+        about = slice(h - 1, h + 2)
+        in_columns, in_cells = columns[:, :, about].sum(axis=2), cells[:, :, about].sum(axis=2)
+        least, most = seen[:, :, about].min(axis=2), seen[:, :, about].max(axis=2)
+        out[:, :, h] = (
+            (parts * in_cells <= EVEN * in_columns)
+            & (in_columns >= 2 * PAIRS_LEAST)
+            & (most <= STEADY * least)
+        )
+    return out
+
+
+def _three(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Places that are marked with those above and below."""
+    out = np.zeros(marked.shape, np.bool_)
+    out[:, :, 1:-1] = marked[:, :, 1:-1] & marked[:, :, :-2] & marked[:, :, 2:]
+    return out
+
+
+def _with_beside(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Marked places and those above and below; marked are only such as have both."""
+    out = marked.copy()
+    out[:, :, 1:] |= marked[:, :, :-1]
+    out[:, :, :-1] |= marked[:, :, 1:]
+    return out
+
+
+def _sum_of_square(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    for axis in (0, 1):
+        values = ndimage.convolve1d(values, np.ones(WINDOW, np.int64), axis=axis, mode="constant")
+    return values
+
+
+@njit()
+def _quarters(  # type: ignore[no-untyped-def]
+    count, asked, half, rank, lower, upper
+):
+    """Counts that all but ``rank`` cubes of the square around each asked cube reach, or do not."""
+    nx, ny, layers = count.shape
+    held = np.empty((2 * half + 1) ** 2, np.int32)
+    for i in range(half, nx - half):
+        for j in range(half, ny - half):
+            for h in range(layers):
+                if asked[i, j, h]:
+                    n = 0
+                    for a in range(i - half, i + half + 1):
+                        for b in range(j - half, j + half + 1):
+                            held[n] = count[a, b, h]
+                            n += 1
+                    ordered = np.sort(held)
+                    lower[i, j, h], upper[i, j, h] = ordered[rank], ordered[len(held) - 1 - rank]
+
+
+def _centres(counts: Counts, at: tuple[NDArray[np.intp], ...]) -> Axes:
+    """Centres of cubes [quanta]."""
+    edge = quanta(CUBE_M)
+    index = (at[0] + counts.corner[0], at[1] + counts.corner[1], counts.layer[at[2]])
+    x, y, z = (axis.astype(np.int64) * edge + edge // 2 for axis in index)
+    return x, y, z
+
+
+def _around(
+    counts: Counts, seed: NDArray[np.bool_], lowest: NDArray[np.int32], expected: Expected
+) -> Air:
+    """Air in the squares of the seeds, and what it makes of the cubes beside."""
+    size = (WINDOW, WINDOW, 1)
+    level = ndimage.maximum_filter(np.where(seed, lowest, 0), size, mode="constant")
+    held = (level > 0) & (counts.held > 0) & (counts.held <= SOLID * level)
+    middle = np.where(held, ndimage.median_filter(counts.held, (3, 3, 1), mode="constant"), 0)
+    middle = np.minimum(middle, SOLID * level)
+    largest = ndimage.maximum_filter(middle, (3, 3, 1), mode="constant").astype(np.float64)
+    joined = np.diff(counts.layer) == 1
+    wide = largest.copy()
+    wide[:, :, 1:][:, :, joined] = np.maximum(wide[:, :, 1:], largest[:, :, :-1])[:, :, joined]
+    wide[:, :, :-1][:, :, joined] = np.maximum(wide[:, :, :-1], largest[:, :, 1:])[:, :, joined]
+    # Beside the air a cube that holds much more holds something else.
+    wide[counts.held > SOLID * wide] *= level[counts.held > SOLID * wide] > 0
+    at = np.nonzero(wide)
+    cube = np.column_stack(
+        [at[0] + counts.corner[0], at[1] + counts.corner[1], counts.layer[at[2]]]
+    )
+    return Air(
+        cube.astype(np.int64), wide[at] / CUBE_M**3, held[at], counts.held[at].astype(np.int64),
+        expected(_centres(counts, at)),
+    )  # fmt: skip
+
+
+@njit()
+def _raise(x, y, z, edge, low, density, out):  # type: ignore[no-untyped-def]
+    """Put the density of a point's cube where it is larger."""
+    nx, ny, nz = density.shape
+    for p in range(len(out)):
+        i, j, k = x[p] // edge - low[0], y[p] // edge - low[1], z[p] // edge - low[2]
+        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+            out[p] = max(out[p], density[i, j, k])

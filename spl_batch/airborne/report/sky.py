@@ -1,0 +1,149 @@
+"""Where noise is not what its model says: haze and cloud, and noise that varies in the gate."""
+
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.noise.haze import CUBE_M
+from spl_batch.airborne.report.model import Haze
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.engine.report.number_format import as_ascii, significant
+from spl_batch.engine.report.run_record import Receipts
+from spl_batch.formats.rasters.parts import read_part
+
+BAND: Final = 4
+"""Layers of cubes that are told together: 20 m."""
+
+TOLD: Final = 1.25
+"""Times more, or less, noise than expected that is told; the model is within 1.03 in all strata
+that were simulated."""
+
+SURE: Final = 5.0
+"""Standard deviations of the number of returns beyond which a difference is no chance."""
+
+SHARE: Final = 0.15
+"""Part of the noise that a difference must concern."""
+
+LEAST_M2: Final = 500.0
+"""Area from which haze is told [m2]."""
+
+
+class Band(NamedTuple):
+    """Noise between two heights, over what is expected of it."""
+
+    low_m: float
+    high_m: float
+    times: float
+
+
+def haze(done: Receipts, context: Context) -> Haze | None:
+    """Haze of the whole survey; None where there is none."""
+    parts = [r.facts["air"] for r in done.get("denoise", {}).values() if r.facts.get("air")]
+    area = sum(part["squares"] for part in parts) * CUBE_M**2
+    if area < LEAST_M2:
+        return None
+    returns = sum(part["returns"] for part in parts)
+    expected = sum(part["expected"] for part in parts)
+    volume = sum(part["cubes"] for part in parts) * CUBE_M**3
+    box = np.array([part["box"] for part in parts]) * QUANTUM_M
+    extent = (*box[:, :2].min(axis=0), *box[:, 2:].max(axis=0))
+    low, high = (
+        float(np.average([p[key] for p in parts], weights=[p["returns"] for p in parts]))
+        for key in ("low", "high")
+    )
+    ground = _ground(context, (extent[0], extent[1], extent[2], extent[3]))
+    return Haze(
+        low_m=low * QUANTUM_M,
+        high_m=high * QUANTUM_M,
+        above_ground_m=None if ground is None else low * QUANTUM_M - ground,
+        area_km2=area * 1e-6,
+        extent_m=(float(extent[0]), float(extent[2]), float(extent[1]), float(extent[3])),
+        returns=returns,
+        mean_per_m3=returns / volume,
+        times_expected=returns / expected if expected else None,
+    )
+
+
+def _ground(context: Context, bounds_m: tuple[float, float, float, float]) -> float | None:
+    """Median height of the terrain below a place [m]."""
+    path = context.output / "dtm.tif"
+    part = read_part(path, bounds_m) if path.exists() else None
+    known = np.empty(0) if part is None else part.values[part.values > NODATA]
+    return float(np.median(known)) if len(known) else None
+
+
+def haze_warning(found: Haze | None) -> Iterator[str]:
+    """Sentence that names haze, its place and its consequence."""
+    if found is None or found.low_m is None or found.high_m is None or found.extent_m is None:
+        return
+    west, east, south, north = (f"{side:.0f}" for side in found.extent_m if side is not None)
+    above = found.above_ground_m
+    if above is None:
+        where = f"between heights of {found.low_m:.0f} and {found.high_m:.0f} m"
+    else:
+        thick = found.high_m - found.low_m
+        where = f"between {above:.0f} and {above + thick:.0f} m above ground"
+    times = "more than" if found.times_expected is None else f"{found.times_expected:.1f} times"
+    yield as_ascii(
+        f"noise {where} is {times} what the model of the noise expects, over "
+        f"{significant(found.area_km2, 2)} km2 within x {west} to {east} and y {south} to {north}: "
+        "haze or cloud; its returns are class 18, and weak signals among them are lost"
+    )
+
+
+def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
+    """Sentence on heights in which noise alone is more, or less, than expected."""
+    bands = _bands([r.facts.get("layers", []) for r in done.get("denoise", {}).values()])
+    if not bands:
+        return
+    boxes = [r.facts["bounds"] for r in done["index_file"].values() if r.facts["bounds"]]
+    low = [min(box[axis] for box in boxes) * QUANTUM_M for axis in (0, 1)]
+    high = [max(box[axis] for box in boxes) * QUANTUM_M for axis in (3, 4)]
+    ground = _ground(context, (low[0], low[1], high[0], high[1]))
+    base, of = (0.0, "in height") if ground is None else (ground, "above the mean ground")
+    listed = ", ".join(
+        f"{band.times:.2f} times between {band.low_m - base:.0f} and {band.high_m - base:.0f} m"
+        for band in bands
+    )
+    yield as_ascii(
+        f"where nothing but noise returns it is not what its model expects: {listed} {of}. The "
+        "noise is not the same all along the gate; where there is more, more of it than "
+        "filter.alpha is kept, where there is less, weak signals are lost"
+    )
+
+
+def _bands(parts: list[list[list[Any]]]) -> list[Band]:
+    """Heights in which noise differs from what is expected, joined where they touch."""
+    rows = np.array([row for part in parts for row in part], dtype=np.float64).reshape(-1, 3)
+    if not len(rows):
+        return []
+    band, at = np.unique(np.floor(rows[:, 0] / BAND), return_inverse=True)
+    seen, expected = (np.bincount(at, rows[:, k]).astype(np.float64) for k in (1, 2))
+    differs = _differs(seen, expected)
+    more = seen > expected
+    if expected[differs].sum() < SHARE * expected.sum():
+        return []
+    found: list[Band] = []
+    edge = BAND * CUBE_M
+    start = 0
+    for k in range(len(band)):
+        last = k + 1 == len(band)
+        if last or band[k + 1] != band[k] + 1 or (differs[k + 1], more[k + 1]) != (
+            differs[k], more[k],
+        ):  # fmt: skip
+            if differs[k]:
+                run = slice(start, k + 1)
+                times = seen[run].sum() / expected[run].sum()
+                found.append(Band(band[start] * edge, (band[k] + 1) * edge, float(times)))
+            start = k + 1
+    return found
+
+
+def _differs(seen: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether noise differs from what is expected by more than chance and more than is told."""
+    sure = np.abs(seen - expected) > SURE * np.sqrt(np.maximum(expected, 1.0))
+    large: NDArray[np.bool_] = (seen > TOLD * expected) | (seen < expected / TOLD)
+    return sure & large

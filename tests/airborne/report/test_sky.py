@@ -1,0 +1,68 @@
+"""Haze and noise that does not fit its model, in the report's words."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from spl_batch.airborne.report.sky import haze, haze_warning, misfit_warning
+
+
+def receipt(**facts):
+    return SimpleNamespace(facts=facts)
+
+
+def block(squares, low, high, returns=9000, expected=500.0, west=0):
+    return {
+        "squares": squares, "cubes": 4 * squares, "returns": returns, "expected": expected,
+        "low": low * 1000, "high": high * 1000,
+        "box": [west * 1000, 0, (west + 100) * 1000, 100_000],
+    }  # fmt: skip
+
+
+@pytest.fixture
+def context(tmp_path):
+    return SimpleNamespace(output=tmp_path)
+
+
+def done(airs=(), layers=()):
+    blocks = {str(k): receipt(air=air, layers=[]) for k, air in enumerate(airs)}
+    blocks |= {f"l{k}": receipt(air=None, layers=rows) for k, rows in enumerate(layers)}
+    files = {"a": receipt(bounds=[0, 0, 0, 100_000, 100_000, 50_000])}
+    return {"denoise": blocks, "index_file": files}
+
+
+def test_haze_of_all_blocks_is_one_sentence_with_height_area_and_factor(context):
+    found = haze(done([block(100, 60, 90), block(300, 70, 110, 27_000, 1500.0, 100)]), context)
+    assert found.area_km2 == pytest.approx(0.01)
+    assert found.times_expected == pytest.approx(18)
+    assert found.mean_per_m3 == pytest.approx(36_000 / (1600 * 125))
+    assert (found.low_m, found.high_m) == (67.5, 105.0)
+    assert found.extent_m == (0.0, 200.0, 0.0, 100.0)
+    (text,) = haze_warning(found)
+    assert "18.0 times" in text
+    assert "0.010 km2" in text
+    assert "class 18" in text
+
+
+def test_a_few_squares_of_haze_are_not_told(context):
+    assert haze(done([block(10, 60, 90)]), context) is None
+    assert list(haze_warning(None)) == []
+
+
+def test_noise_that_fits_its_model_is_not_told(context):
+    rows = [[layer, 1000, 1010.0] for layer in range(40)]
+    assert list(misfit_warning(done(layers=[rows]), context)) == []
+    assert list(misfit_warning(done(), context)) == []
+
+
+def test_noise_that_falls_along_the_gate_is_told_with_its_heights(context):
+    above = [[layer, 1400, 1000.0] for layer in range(20)]
+    below = [[layer, 990, 1000.0] for layer in range(-20, 0)]
+    (text,) = misfit_warning(done(layers=[below + above[:8], above[8:]]), context)
+    assert "1.40 times between 0 and 100 m" in text
+    assert "-100" not in text
+
+
+def test_a_difference_by_chance_or_in_few_returns_is_not_told(context):
+    rows = [[layer, 1000, 1000.0] for layer in range(40)] + [[60, 9, 4.0], [61, 300, 100.0]]
+    assert list(misfit_warning(done(layers=[rows]), context)) == []
