@@ -36,6 +36,10 @@ COLUMNS_JUDGED: Final = ("z", "gps_time", "channel", "flags")
 """Those that :func:`judge` looks at."""
 
 
+_GIVEN: Final = PointFlag.WITHHELD | PointFlag.VENDOR_NOISE
+"""What the vendor has judged is not judged again."""
+
+
 class Method(NamedTuple):
     """How one filter judges, how far it looks [m], and whether it adds noise up over voxels."""
 
@@ -219,6 +223,7 @@ def judge(
             noise_class[kin] = follow(family, dependent[kin], noise_class[kin])
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
     noise_class[echo] = NOISE_AFTERPULSE
+    noise_class[table.has(PointFlag.BLOOM) & ~table.has(_GIVEN)] = NOISE_BACKGROUND
     outside = table.has(PointFlag.OUTSIDE_AOI)
     noise_class[outside] = NOISE_NOT_ASSESSED
     p_value[outside] = np.nan

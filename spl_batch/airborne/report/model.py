@@ -187,6 +187,9 @@ class Noise(Part):
         description="Background returns expected in the cubes of 1.2 m that hold kept returns, "
         "where nothing tells them apart: kept as well, and not in kept_by_chance [count].",
     )
+    bloom: Count = Field(
+        0, description="Returns of bright points that lit the whole array, in background [count]."
+    )
     haze: Haze | None = Field(None, description="Haze or cloud that was found; null without.")
     dsm_support: Count | None = Field(
         None, description="Returns nearby that a highest return needs to set a DSM cell [count]."

@@ -12,6 +12,7 @@ from spl_batch.airborne.report.model import Haze
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
+from spl_batch.errors import grouped
 from spl_batch.formats.rasters.parts import read_part
 
 BAND: Final = 4
@@ -92,6 +93,23 @@ def haze_warning(found: Haze | None) -> Iterator[str]:
         f"{significant(found.area_km2, 2)} km2 within x {west} to {east} and y {south} to {north}: "
         "haze or cloud; its returns are class 18, and weak signals among them are lost"
     )
+
+
+def bloom(done: Receipts) -> tuple[int, int]:
+    """Shots that one bright point lit wholly, and their returns at its range [count]."""
+    found = [r.facts.get("bloom", [0, 0]) for r in done.get("scatter", {}).values()]
+    return sum(shots for shots, _ in found), sum(returns for _, returns in found)
+
+
+def bloom_warning(done: Receipts) -> Iterator[str]:
+    """Sentence on shots in which a bright point lit the whole array."""
+    shots, returns = bloom(done)
+    if shots:
+        yield (
+            f"in {grouped(shots)} shots nearly all channels see one range while others of their "
+            f"returns lie before or behind it: bright points, as retro-reflectors, that light the "
+            f"whole array; the {grouped(returns)} returns at that range are noise, class 18 or 7"
+        )
 
 
 def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:

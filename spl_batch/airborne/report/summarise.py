@@ -21,7 +21,7 @@ from spl_batch.airborne.report.model import (
 )
 from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
-from spl_batch.airborne.report.sky import haze, haze_warning, misfit_warning
+from spl_batch.airborne.report.sky import bloom, bloom_warning, haze, haze_warning, misfit_warning
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
@@ -72,6 +72,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *_unfiltered(counts, context),
             *facts.notes,
             *_uncovered(done),
+            *bloom_warning(done),
             *haze_warning(noise.haze),
             *misfit_warning(done, context),
             *not_compared(done, context, facts),
@@ -187,6 +188,7 @@ def _noise(done: Receipts, context: Context, removed: int) -> Noise:
         p95_per_m3=high,
         kept_by_chance=_kept_by_chance(settings, removed),
         kept_within_signal=_kept_within_signal(done, settings),
+        bloom=bloom(done)[1],
         haze=haze(done, context),
         dsm_support=context.workflow.products.dsm_support,
     )

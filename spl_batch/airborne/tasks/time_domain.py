@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
+from spl_batch.airborne.beams.bloom import find_bloom
+from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.published import dcc
 from spl_batch.airborne.noise import line_noise, voxel_noise
@@ -171,6 +173,14 @@ def _assess(
     table = table.with_columns(flags=flags)
     known = rows_of(beams.known)
     subset, beams = table.take(known), beams.take(known)
+    bloom = find_bloom(subset, beams, run_starts(subset["gps_time"]))
+    if bloom.shots:
+        known = np.arange(len(table))[known]
+        flags[known[bloom.returns]] |= np.uint8(PointFlag.BLOOM)
+        table = table.with_columns(flags=flags)
+        facts["bloom"] = [bloom.shots, int(np.count_nonzero(bloom.returns))]
+        subset, beams = subset.take(~bloom.returns), beams.take(~bloom.returns)
+        known = known[~bloom.returns]
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))
     model = line_noise.LineModel.from_arrays(line)
     density = np.zeros(len(table), np.float32)

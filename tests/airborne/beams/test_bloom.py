@@ -1,0 +1,94 @@
+"""Bloom is found in the shots that have it, and in no others."""
+
+import numpy as np
+import pytest
+
+from spl_batch.airborne.beams.bloom import PASSED, find_bloom
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.lattice.tables import BeamTable, PointTable
+
+SIGMA_M = 0.05
+
+
+def shot(rng, *, bright=None, seen=0.66, lean=1.3, ground=2500.0, behind=0.0):
+    """Ranges and channels of one shot: a leaning plane, afterpulses behind it, and a bloom."""
+    channel = np.arange(1, 101)
+    plane = ground + lean * ((channel - 1) % 10 / 9 - 0.5)
+    lit = rng.random(100) < seen
+    ranges, channels = [plane[lit]], [channel[lit]]
+    late = lit & (rng.random(100) < behind)
+    ranges.append(plane[late] + rng.exponential(0.7, late.sum()) + 0.3)
+    channels.append(channel[late])
+    if bright is not None:
+        ranges.append(np.full(100, bright))
+        channels.append(channel)
+    ranges = np.concatenate(ranges)
+    return ranges + rng.normal(0, SIGMA_M, len(ranges)), np.concatenate(channels)
+
+
+def found(shots):
+    time = np.concatenate([np.full(len(r), k / 60_000) for k, (r, _) in enumerate(shots)])
+    channel = np.concatenate([c for _, c in shots])
+    ranges = np.concatenate([r for r, _ in shots])
+    n = len(ranges)
+    beams = BeamTable(np.zeros((n, 3)), np.zeros((n, 3)), ranges, np.ones(n, np.bool_))
+    table = PointTable({"gps_time": time, "channel": channel.astype(np.uint8)})
+    return find_bloom(table, beams, run_starts(time)), time, ranges
+
+
+@pytest.mark.parametrize("above", [-0.2, 1.5, 6.0])
+def test_a_bright_point_is_found_and_the_ground_behind_it_stays(above):
+    rng = np.random.default_rng(1)
+    shots = [shot(rng) for _ in range(20)]
+    shots[7] = shot(rng, bright=2500.0 - above)
+    bloom, time, ranges = found(shots)
+    assert bloom.shots == 1
+    assert set(time[bloom.returns]) == {7 / 60_000}
+    assert np.abs(ranges[bloom.returns] - (2500.0 - above)).max() <= 0.5
+    assert 90 <= bloom.returns.sum() <= 100 + 30
+
+
+def test_surfaces_are_no_bloom_however_bright_and_square_to_the_beam():
+    rng = np.random.default_rng(2)
+    shots = [
+        shot(rng, seen=seen, lean=lean, behind=behind)
+        for seen in (0.3, 0.7, 0.97)
+        for lean in (0.0, 1.3)
+        for behind in (0.0, 0.25)
+    ]
+    assert found(shots)[0].shots == 0
+
+
+def test_a_roof_beside_ground_is_no_bloom():
+    rng = np.random.default_rng(3)
+    ranges, channels = shot(rng, seen=0.98, lean=0.0)
+    ranges[channels > 85] -= 5.0
+    assert found([(ranges, channels)])[0].shots == 0
+
+
+def test_few_channels_tell_nothing():
+    rng = np.random.default_rng(4)
+    ranges, channels = shot(rng, bright=2498.0)
+    few = channels <= 10
+    assert found([(ranges[few], channels[few])])[0].shots == 0
+
+
+def test_what_is_found_agrees_with_looking_at_each_window():
+    rng = np.random.default_rng(5)
+    shots = []
+    for _ in range(60):
+        r, c = shot(rng, bright=2500.0 + rng.uniform(-3, 3), seen=rng.uniform(0.1, 0.9))
+        part = rng.random(len(r)) < rng.uniform(0.6, 1.0)
+        shots.append((r[part], c[part]))
+    bloom, time, _ = found(shots)
+    used = len(np.unique(np.concatenate([c for _, c in shots])))
+    for k, (r, c) in enumerate(shots):
+        inside = max(
+            ((low <= r) & (r <= low + 0.5) for low in np.sort(r)), key=lambda window: window.sum()
+        )
+        low = r[inside].min()
+        near = (np.abs(r - low - 0.25) <= 12.25) & ~inside
+        held = set(c[inside])
+        want = len(held) >= 0.75 * used and len(held & set(c[near])) >= PASSED * len(held)
+        assert bool(bloom.returns[time == k / 60_000].any()) == want
+    assert 5 < bloom.shots < 55
