@@ -29,6 +29,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.airborne.peers import installed
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.plan import space_tasks as places
 from spl_batch.airborne.tasks import space_domain
 from spl_batch.engine.store.working_store import read_receipts
@@ -38,7 +39,9 @@ from spl_batch.formats.verified.parquet_npz import read_columns
 from spl_batch.numerics.neighbours.kdtree import build
 
 STEPS: Final = {
-    "spl_batch.airborne.tasks.space_domain": ("read_region", "expected_noise"),
+    "spl_batch.airborne.tasks.space_domain": (
+        "read_region", "noise_model", "look_at_air", "noise_in_air",
+    ),
     "spl_batch.airborne.store.label_tables": ("read_labelled_tile",),
     "spl_batch.airborne.afterpulse.afterpulse_decision": (
         "resolve", "behind_plane", "weigh_around",
@@ -111,7 +114,7 @@ class Block:
         self.xyz = np.empty((0, 3), np.int32)
         self.read = self.owned = 0
         with mock.patch.object(space_domain, "write_labels", self._keep):
-            with mock.patch.object(space_domain, "expected_noise", self._look):
+            with mock.patch.object(space_domain, "noise_model", self._look):
                 space_domain.denoise(task.args, context)
             start = time.process_time()
             with watched(self.seconds):
@@ -121,9 +124,7 @@ class Block:
     def _look(self, xyz: list[NDArray[Any]], *args: Any) -> Any:
         self.xyz = np.stack([v - v.min() for v in xyz], axis=1).astype(np.int32)
         self.read = len(self.xyz)
-        return importlib.import_module("spl_batch.airborne.tasks.expected_noise").expected_noise(
-            xyz, *args
-        )
+        return noise_model(xyz, *args)
 
     def _keep(
         self, _: Path, tiles: NDArray[Any], rows: NDArray[Any], labels: dict[str, NDArray[Any]]

@@ -9,7 +9,7 @@ whole filter as shipped, its links and the scan for conductors: by layer along t
 upper end and from its lower one; by the number of flightlines over it, away from edges; by distance
 from the edge of what is covered, and from the edge of the other flightline. Printed is the share
 kept over alpha with its standard error, with the density that the test is given
-(:mod:`~spl_batch.airborne.tasks.expected_noise`), and for comparison, without error, with the mean
+(:mod:`~spl_batch.airborne.filter.expected_noise`), and for comparison, without error, with the mean
 of the whole
 voxel [W18 Eq. 2]. With ``--true`` there stands what would be kept with the true density at each
 point, from the simulated beamlets (:mod:`benchmarks.airborne.noise.true_density`), in place of the
@@ -36,12 +36,12 @@ from benchmarks.airborne.filter.methods import AFTERPULSE, BACKGROUND, is_noise,
 from benchmarks.airborne.filter.null_calibration import keeps
 from benchmarks.airborne.noise.true_density import true_density
 from spl_batch import api
+from spl_batch.airborne.filter.expected_noise import expected_noise
 from spl_batch.airborne.filter.filter_interface import Cloud
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene, parse_scene
-from spl_batch.airborne.tasks.expected_noise import expected_noise
 from spl_batch.engine.store.working_store import Store
 
 ALPHAS = (0.05, 0.01, 0.001)

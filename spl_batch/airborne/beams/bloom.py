@@ -18,8 +18,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.beams.bloom_shots import mark_bloom
 from spl_batch.lattice.tables import BeamTable, PointTable
-from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "time"
 
@@ -71,52 +71,7 @@ def find_bloom(table: PointTable, beams: BeamTable, starts: NDArray[np.int64]) -
     used = len(np.unique(channel))
     if used < LEAST or not len(starts):
         return Bloom(returns, 0)
-    shots = _find(starts, channel, beams.range_m, FILLED * used, returns)
+    shots = mark_bloom(
+        starts, channel, beams.range_m, FILLED * used, PASSED, (WINDOW_M, BESIDE_M), returns
+    )
     return Bloom(returns, int(shots))
-
-
-@njit()
-def _find(starts, channel, range_m, needed, out):  # type: ignore[no-untyped-def]
-    """Mark the returns of each shot that has bloom; how many shots have."""
-    shots, seen = 0, np.zeros(256, np.int32)
-    for s in range(len(starts) - 1):
-        first, stop = starts[s], starts[s + 1]
-        if stop - first < needed:
-            continue
-        near, of = range_m[first:stop], channel[first:stop]
-        low = _fullest(near)
-        held, passed = _channels(near, of, low, seen)
-        if held >= needed and passed >= PASSED * held:
-            shots += 1
-            for k in range(first, stop):
-                out[k] = low <= range_m[k] <= low + WINDOW_M
-    return shots
-
-
-@njit()
-def _fullest(near):  # type: ignore[no-untyped-def]
-    """Where the window begins that holds most returns of a shot [m]."""
-    ordered = np.sort(near)
-    begin, most, low = 0, 0, ordered[0]
-    for k in range(len(ordered)):
-        while ordered[k] - ordered[begin] > WINDOW_M:
-            begin += 1
-        if k + 1 - begin > most:
-            most, low = k + 1 - begin, ordered[begin]
-    return low
-
-
-@njit()
-def _channels(near, of, low, seen):  # type: ignore[no-untyped-def]
-    """Channels with a return in the window, and those of them with another one beside it."""
-    high, held, passed = low + WINDOW_M, 0, 0
-    seen[:] = 0
-    for k in range(len(near)):
-        if low <= near[k] <= high:
-            seen[of[k]] |= 1
-        elif low - BESIDE_M <= near[k] <= high + BESIDE_M:
-            seen[of[k]] |= 2
-    for c in range(len(seen)):
-        held += seen[c] & 1
-        passed += seen[c] == 3
-    return held, passed

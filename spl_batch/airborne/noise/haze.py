@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.noise.haze_counts import count_strips, quarters, raise_to
 from spl_batch.lattice.tiles import quanta
-from spl_batch.numerics.compiled import njit
 
 DOMAIN: Final = "space"
 
@@ -180,7 +180,7 @@ def find_air(counts: Counts, expected: Expected) -> Air | None:
     if not candidate.any():
         return None
     lowest, highest = np.zeros((2, *counts.held.shape), np.int32)
-    _quarters(counts.held, _with_beside(candidate), WINDOW // 2, LEFT_OUT, lowest, highest)
+    quarters(counts.held, _with_beside(candidate), WINDOW // 2, LEFT_OUT, lowest, highest)
     level = (lowest > 1) & (highest <= SMOOTH * lowest)
     candidate &= _three(level)
     level &= _with_beside(candidate)
@@ -227,7 +227,7 @@ def noise_by_layer(
         at[:, 2] = np.searchsorted(counts.layer, at[:, 2])
         asked[tuple(at.T)] = False
     lower, upper = np.zeros((2, *counts.held.shape), np.int32)
-    _quarters(counts.held, asked, half, LEFT_OUT, lower, upper)
+    quarters(counts.held, asked, half, LEFT_OUT, lower, upper)
     asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
     at_middle = np.nonzero(asked)
     # The middle cube stands for its square, which may reach beyond an edge.
@@ -250,7 +250,7 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
     density[tuple((air.cube - low).T)] = air.density
     out: NDArray[np.float64] = noise.copy()
     edge = quanta(CUBE_M)
-    _raise(xyz[0], xyz[1], xyz[2], edge, low, density, out)
+    raise_to(xyz[0], xyz[1], xyz[2], edge, low, density, out)
     return out
 
 
@@ -270,43 +270,11 @@ def _count(xyz: Axes) -> Counts:
     columns, cells = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     parts = round(CUBE_M / CELL_M)
     room = np.zeros((ny, len(layer), parts, parts, parts), np.int32)
-    _count_strips(
+    count_strips(
         xyz[0], xyz[1], xyz[2], at.astype(np.int32), order, start, edge, quanta(CELL_M), south,
         room, count, columns, cells,
     )  # fmt: skip
     return Counts((west, south), layer, count, columns, cells)
-
-
-@njit()
-def _count_strips(  # type: ignore[no-untyped-def]
-    x, y, z, layer, order, start, edge, cell, south, room, count, columns, cells
-):
-    """Returns of each cube, and the pairs of them that share a column or a cell."""
-    parts = room.shape[2]
-    for i in range(len(start) - 1):
-        if start[i] == start[i + 1]:
-            continue
-        room[:] = 0
-        for k in range(start[i], start[i + 1]):
-            p = order[k]
-            j = y[p] // edge - south
-            a, b, c = x[p] % edge // cell, y[p] % edge // cell, z[p] % edge // cell
-            room[j, layer[p], a, b, c] += 1
-            count[i, j, layer[p]] += 1
-        for j in range(count.shape[1]):
-            for h in range(count.shape[2]):
-                if count[i, j, h] < 2:
-                    continue
-                in_columns, in_cells = np.int64(0), np.int64(0)
-                for a in range(parts):
-                    for b in range(parts):
-                        total = np.int64(0)
-                        for c in range(parts):
-                            n = np.int64(room[j, h, a, b, c])
-                            total += n
-                            in_cells += n * (n - 1)
-                        in_columns += total * (total - 1)
-                columns[i, j, h], cells[i, j, h] = in_columns, in_cells
 
 
 def _even(counts: Counts) -> NDArray[np.bool_]:
@@ -349,26 +317,6 @@ def _sum_of_square(values: NDArray[np.int64]) -> NDArray[np.int64]:
     return values
 
 
-@njit()
-def _quarters(  # type: ignore[no-untyped-def]
-    count, asked, half, rank, lower, upper
-):
-    """Counts that all but ``rank`` cubes of the square around each asked cube reach, or do not."""
-    nx, ny, layers = count.shape
-    held = np.empty((2 * half + 1) ** 2, np.int32)
-    for i in range(half, nx - half):
-        for j in range(half, ny - half):
-            for h in range(layers):
-                if asked[i, j, h]:
-                    n = 0
-                    for a in range(i - half, i + half + 1):
-                        for b in range(j - half, j + half + 1):
-                            held[n] = count[a, b, h]
-                            n += 1
-                    ordered = np.sort(held)
-                    lower[i, j, h], upper[i, j, h] = ordered[rank], ordered[len(held) - 1 - rank]
-
-
 def _centres(counts: Counts, at: tuple[NDArray[np.intp], ...]) -> Axes:
     """Centres of cubes [quanta]."""
     edge = quanta(CUBE_M)
@@ -401,13 +349,3 @@ def _around(
         cube.astype(np.int64), wide[at] / CUBE_M**3, held[at], counts.held[at].astype(np.int64),
         expected(_centres(counts, at)),
     )  # fmt: skip
-
-
-@njit()
-def _raise(x, y, z, edge, low, density, out):  # type: ignore[no-untyped-def]
-    """Put the density of a point's cube where it is larger."""
-    nx, ny, nz = density.shape
-    for p in range(len(out)):
-        i, j, k = x[p] // edge - low[0], y[p] // edge - low[1], z[p] // edge - low[2]
-        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-            out[p] = max(out[p], density[i, j, k])

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter import denoise as denoising
+from spl_batch.airborne.filter.air import facts_of, look_at_air, noise_in_air
+from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.kept_noise import within_signal
 from spl_batch.airborne.filter.stray_returns import stray
 from spl_batch.airborne.ground import ground_methods as grounding
@@ -22,9 +24,7 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.store.label_tables import read_region, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import pulses
-from spl_batch.airborne.tasks.air import facts_of, look_at_air, noise_in_air
 from spl_batch.airborne.tasks.coverage import covered
-from spl_batch.airborne.tasks.expected_noise import noise_model
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.beams.dependent_returns import dependents
 from spl_batch.airborne.filter import denoise as denoising
+from spl_batch.airborne.filter.expected_noise import Expected, NoiseModel
 from spl_batch.airborne.noise.haze import (
     CUBE_M,
     Air,
@@ -17,7 +18,6 @@ from spl_batch.airborne.noise.haze import (
     noise_with_air,
 )
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.expected_noise import Expected, NoiseModel
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
 
@@ -70,7 +70,7 @@ def noise_in_air(
     told : (n,) bool
         Points whose voxels' mean is wanted.
     model, air
-        From :func:`~spl_batch.airborne.tasks.expected_noise.noise_model` and :func:`look_at_air`.
+        From :func:`~spl_batch.airborne.filter.expected_noise.noise_model` and :func:`look_at_air`.
     """
     if model is None:
         return Expected(np.zeros(np.count_nonzero(told)), np.zeros(len(table)))
