@@ -34,7 +34,7 @@ NAMES = {"constants", "errors", "imports", "receivers", "__init__"}
 FLOW: Mapping[str, tuple[str, ...]] = {
     "airborne": (
         *("sensors", "settings", "context", "store", "beams", "noise", "afterpulse", "filter"),
-        *("ground", "products", "accuracy", "simulate", "tasks", "plan", "report"),
+        *("ground", "products", "accuracy", "catalogue", "simulate", "tasks", "plan", "report"),
         *("precompile", "receiver", "compare", "quickstart"),
     ),
     "altimetry": (

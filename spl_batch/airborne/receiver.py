@@ -5,6 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
+from spl_batch.airborne.catalogue import index_layers, metadata, qgis, stac, virtual_cloud
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.noise.line_noise import RAISE_INTERVAL
 from spl_batch.airborne.plan.block_size import (
@@ -80,7 +81,8 @@ class Imaging(Receiver[Survey, Context]):
     remedies: ClassVar[Mapping[str, str]] = REMEDIES
     essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
     delivered: ClassVar[tuple[str, ...]] = (
-        *("laz/**/*", "tiles/*"),
+        *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
+        *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
         *(f"{p.name}{piece}.tif" for p in PRODUCTS if p.delivered for piece in ("", "_[0-9]*")),
     )
 
@@ -198,6 +200,10 @@ class Imaging(Receiver[Survey, Context]):
             return [f"tiles/{task.name}{copc}.laz"]
         if task.kind == "mosaic" and task.args["delivered"]:
             return [f"{task.name}.tif"]
+        if task.kind == "deliver_copc":
+            return [task.args["target"]]
+        if task.kind == "deliver_catalogue":
+            return _catalogue_files(task)
         return []
 
     def aside(self, phase: Phase, prepared: Prepared[Survey, Context]) -> Iterable[str]:
@@ -262,6 +268,13 @@ class Imaging(Receiver[Survey, Context]):
             ),
             ("clouds", [output / "laz"]),
         ]
+
+
+def _catalogue_files(task: Task) -> list[str]:
+    clouds = [cloud["href"] for cloud in task.args["clouds"]]
+    rasters = task.args["rasters"]
+    files = (virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME)
+    return [*stac.stac_files(clouds, rasters), *files, *map(qgis.style_name, rasters)]
 
 
 def _of_further_pieces(output: Path) -> list[Path]:

@@ -6,7 +6,7 @@ its points stay unlabelled, the rest goes on.
 
 from collections.abc import Iterator, Mapping
 
-from spl_batch.airborne.plan import reference_tasks, space_tasks
+from spl_batch.airborne.plan import catalogue_tasks, reference_tasks, space_tasks
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey
@@ -195,8 +195,10 @@ PHASES = (
     Phase("deliver_tile", space_tasks.deliver_tiles, beside=True),
     Phase("mosaic", space_tasks.mosaic, beside=True),
     Phase("reference", reference_tasks.reference, beside=True),
-    Phase("accuracy", reference_tasks.accuracy),
+    Phase("deliver_copc", catalogue_tasks.deliver_copc),
+    Phase("accuracy", reference_tasks.accuracy, beside=True),
     Phase("checkpoints", reference_tasks.checkpoints, beside=True),
+    Phase("deliver_catalogue", catalogue_tasks.catalogue),
 )
 """Every phase of a run, in order."""
 

@@ -38,6 +38,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "ground": 125,
         "surface": 175,
         "deliver_tile": 280,
+        "deliver_copc": 280,
         "accuracy": 300,
     }
 )
@@ -178,6 +179,7 @@ REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
         "ground": "lower ground.cell_m or ground.buffer_m",
         "surface": "lower ground.cell_m or products.void_max_m",
         "accuracy": "cut the reference into files that fill their bounding boxes evenly",
+        "deliver_copc": "set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
     }
 )
 """What makes a task lighter, by its kind."""
@@ -189,6 +191,7 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
         "ground": "a ground cell",
         "surface": "a surface cell",
         "accuracy": "a square of the reference",
+        "deliver_copc": "an octree of a cloud",
     }
 )
 """What a kind of task is called, in words."""

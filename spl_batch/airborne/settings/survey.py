@@ -106,3 +106,11 @@ class OutputSettings(StoreSettings):
 
     diagnostics: bool = Field(False, description="Extra bytes noise_density and p_value.")
     tiles: Literal["none", "laz", "copc"] = Field("none", description="Points by tile as well.")
+    copc: bool = Field(
+        False, description="Each classified cloud once more as COPC, in the folder copc."
+    )
+    catalogue: bool = Field(
+        True,
+        description="STAC catalogue, virtual point cloud, index.gpkg, layers and styles for QGIS, "
+        "ISO metadata.",
+    )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
@@ -14,6 +15,7 @@ from spl_batch.airborne.tasks import index
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.errors import Remark
+from spl_batch.formats.las.copc_copy import copy_as_copc
 from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
@@ -162,6 +164,21 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     extra = {"noise_class": table["noise_class"]}
     write_points(target, table, crs=context.crs, extra=extra, copc=copc)
     return Produced([target], {"points": len(table)}, len(table))
+
+
+def deliver_copc(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write a delivered cloud once more, as an octree: the same points with all dimensions."""
+    target = context.output / args["target"]
+    written = copy_as_copc(context.output / args["source"], target)
+    return Produced([target], {"points": written}, written)
+
+
+def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write what other tools open at once: STAC, virtual point cloud, index, QGIS, metadata."""
+    name = context.workflow.survey.name
+    written, remarks = write_catalogues(context.output, name, context.crs, args)
+    facts = {"name": "catalogue", "warnings": [Remark(text) for text in remarks]}
+    return Produced(written, facts)
 
 
 def mosaic(args: Mapping[str, Any], context: Context) -> Produced:

@@ -77,6 +77,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "deliver_tile": Kind(
             "deliver", "spl_batch.airborne.tasks.delivery:deliver_tile", ("outputs.tiles",)
         ),
+        "deliver_copc": Kind("deliver", "spl_batch.airborne.tasks.delivery:deliver_copc", ()),
         "mosaic": Kind(
             "deliver",
             "spl_batch.airborne.tasks.delivery:mosaic",
@@ -90,6 +91,10 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "report",
             "spl_batch.airborne.tasks.checkpoints:checkpoints",
             ("reference.checkpoints_crs", "reference.checkpoints_accuracy_m"),
+        ),
+        # It lists everything that is delivered, the checkpoints too: so it comes last.
+        "deliver_catalogue": Kind(
+            "report", "spl_batch.airborne.tasks.delivery:deliver_catalogue", ("survey.name",)
         ),
     }
 )

@@ -1,0 +1,151 @@
+"""All catalogues of a delivery: STAC, virtual point cloud, index, QGIS, metadata."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import shapely
+from pyproj import CRS
+
+from spl_batch.airborne.catalogue import index_layers, metadata, qgis, virtual_cloud
+from spl_batch.airborne.catalogue.delivered_files import (
+    UNKNOWN_SPAN,
+    Cloud,
+    Delivery,
+    RasterFile,
+    Span,
+    read_cloud,
+    read_raster_file,
+    utc_span,
+)
+from spl_batch.airborne.catalogue.index_layers import Layer
+from spl_batch.airborne.catalogue.stac import write_stac
+from spl_batch.constants import QUANTUM_M
+from spl_batch.lattice.tiles import cell_bounds, parse_cell
+
+
+def write_catalogues(
+    output: Path, name: str, crs: CRS | None, args: Mapping[str, Any]
+) -> tuple[list[Path], list[str]]:
+    """Write every catalogue of the clouds and rasters of a run.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    name : str
+        Title of the survey.
+    crs : CRS or None
+        Of everything.
+    args : mapping
+        ``clouds`` (``href``, ``span_s``), ``rasters``, ``flightlines`` (``id, points, first_s,
+        last_s, files``), ``blocks`` (name, core, whether it is finished), ``tiles`` (points by
+        name), ``tile_q`` and ``checkpoints``, as the plan gives them.
+
+    Returns
+    -------
+    written : list of Path
+        Every file.
+    remarks : list of str
+        What could not be written, and why.
+    """
+    clouds = [read_cloud(output, one["href"], _span(one["span_s"])) for one in args["clouds"]]
+    rasters = [read_raster_file(output, href) for href in args["rasters"]]
+    layers = [layer for layer in _layers(args, clouds) if len(layer.shapes)]
+    written = [index_layers.write_index(output, layers, crs)]
+    remarks: list[str] = []
+    vpc = None
+    if crs is None:
+        remarks.append(
+            "without a CRS nothing tells where on earth the survey lies: no STAC, no virtual "
+            "point cloud and no metadata are written; name it in survey.crs"
+        )
+    else:
+        written += _of_places(output, Delivery(name, crs, clouds, rasters))
+        vpc = virtual_cloud.NAME
+    written += _of_qgis(output, rasters, vpc, [layer.name for layer in layers], crs)
+    return written, remarks
+
+
+def _of_places(output: Path, delivery: Delivery) -> list[Path]:
+    held = [cloud for cloud in delivery.clouds if cloud.points]
+    with_points = Delivery(delivery.name, delivery.crs, held, delivery.rasters)
+    return [
+        *write_stac(output, with_points),
+        virtual_cloud.write_vpc(output, with_points),
+        metadata.write_metadata(output, with_points),
+    ]
+
+
+def _of_qgis(
+    output: Path,
+    rasters: Sequence[RasterFile],
+    vpc: str | None,
+    layers: Sequence[str],
+    crs: CRS | None,
+) -> list[Path]:
+    index = index_layers.NAME
+    return [
+        *qgis.write_styles(output, rasters),
+        qgis.write_layers(output, rasters, vpc, index, layers, crs),
+    ]
+
+
+def _span(seconds: Sequence[float] | None) -> Span:
+    return UNKNOWN_SPAN if seconds is None else utc_span(*seconds)
+
+
+def _layers(args: Mapping[str, Any], clouds: Sequence[Cloud]) -> Iterator[Layer]:
+    """Topmost first."""
+    points = args["checkpoints"]
+    yield Layer(
+        "checkpoints",
+        [shapely.Point(one["x_m"], one["y_m"], one["z_m"]) for one in points],
+        {key: [one[key] for one in points] for key in ("id", "surface", "accuracy_m", "error_m")},
+    )
+    boxes = {cloud.href: shapely.box(*cloud.box_m) for cloud in clouds}
+    lines = args["flightlines"]
+    yield Layer(
+        "flightlines",
+        [_together([boxes[href] for href in one["files"]]) for one in lines],
+        {key: [one[key] for one in lines] for key in ("id", "points", "first_s", "last_s")},
+    )
+    yield Layer(
+        "files",
+        list(boxes.values()),
+        {
+            "file": [cloud.href for cloud in clouds],
+            "points": [cloud.points for cloud in clouds],
+            "per_m2": [cloud.per_m2 for cloud in clouds],
+        },
+    )
+    yield from _squares(args)
+
+
+def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:
+    """Where the files of a flightline lie, as several polygons."""
+    found = shapely.union_all(boxes)
+    return found if found.geom_type == "MultiPolygon" else shapely.MultiPolygon([found])
+
+
+def _squares(args: Mapping[str, Any]) -> Iterator[Layer]:
+    blocks = args["blocks"]
+    for name, wanted in (("failures", False), ("blocks", True)):
+        mine = [(block, core) for block, core, done in blocks if done is wanted]
+        yield Layer(name, [_box(core) for _, core in mine], {"block": [b for b, _ in mine]})
+    edge = args["tile_q"]
+    area_m2 = (edge * QUANTUM_M) ** 2
+    tiles = args["tiles"]
+    yield Layer(
+        "tiles",
+        [_box(cell_bounds(parse_cell(tile), edge)) for tile in tiles],
+        {
+            "tile": list(tiles),
+            "points": list(tiles.values()),
+            "per_m2": [count / area_m2 for count in tiles.values()],
+        },
+    )
+
+
+def _box(bounds_q: Sequence[int]) -> shapely.Geometry:
+    return shapely.box(*(edge * QUANTUM_M for edge in bounds_q))

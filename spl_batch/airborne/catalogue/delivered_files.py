@@ -1,0 +1,211 @@
+"""Delivered clouds and rasters as catalogues name them: where they lie, what they hold."""
+
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import laspy
+import rasterio
+import shapely
+from pyproj import CRS, Transformer
+
+from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
+from spl_batch.formats.crs import horizontal
+from spl_batch.formats.gps_clock import leap_seconds
+
+GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
+"""Where GPS time begins; it stands for a time that nothing tells."""
+
+EDGE_POINTS: Final = 8
+"""Points along an edge of a box that is moved to another CRS [count]."""
+
+
+class Span(NamedTuple):
+    """First and last moment of some points, in UTC."""
+
+    first: dt.datetime
+    last: dt.datetime
+
+
+def utc_span(first_s: float, last_s: float) -> Span:
+    """Moments of two adjusted standard GPS times [s]."""
+    moments = (
+        GPS_EPOCH + dt.timedelta(seconds=s + ADJUSTED_STANDARD_OFFSET_S - leap_seconds(s))
+        for s in (first_s, last_s)
+    )
+    return Span(*moments)
+
+
+UNKNOWN_SPAN: Final = Span(GPS_EPOCH, GPS_EPOCH)
+"""Of points without a time, or of a clock that tells no year."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A delivered cloud.
+
+    Parameters
+    ----------
+    href : str
+        Its path below the output.
+    bounds_m : (6,) float
+        West, south, lowest, east, north, highest, in the survey's CRS [m].
+    points : int
+        Points [count].
+    span : Span
+        When it was flown.
+    dimensions : tuple of (str, int, str)
+        Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
+    """
+
+    href: str
+    bounds_m: tuple[float, float, float, float, float, float]
+    points: int
+    span: Span
+    dimensions: tuple[tuple[str, int, str], ...]
+
+    @property
+    def name(self) -> str:
+        """What catalogues call it: its path without its ends."""
+        return self.href.removesuffix(".laz").removesuffix(".copc").replace("/", "-")
+
+    @property
+    def box_m(self) -> tuple[float, float, float, float]:
+        """West, south, east, north [m]."""
+        west, south, _, east, north, _ = self.bounds_m
+        return west, south, east, north
+
+    @property
+    def per_m2(self) -> float:
+        """Points over the area of its box [1/m2]."""
+        west, south, east, north = self.box_m
+        area_m2 = (east - west) * (north - south)
+        return self.points / area_m2 if area_m2 else 0.0
+
+
+def read_cloud(output: Path, href: str, span: Span) -> Cloud:
+    """A delivered cloud, from its header."""
+    with laspy.open(output / href) as reader:
+        header = reader.header
+        low, high = header.mins.tolist(), header.maxs.tolist()
+        dimensions = tuple(_dimension(one) for one in header.point_format.dimensions)
+        points = int(header.point_count)
+    bounds = (*low, *high) if points else (0.0,) * 6
+    west, south, lowest, east, north, highest = bounds
+    return Cloud(href, (west, south, lowest, east, north, highest), points, span, dimensions)
+
+
+def _dimension(one: Any) -> tuple[str, int, str]:
+    kinds = {"FloatingPoint": "floating", "SignedInteger": "signed"}
+    return one.name, max(one.num_bits // 8, 1), kinds.get(one.kind.name, "unsigned")
+
+
+@dataclass(frozen=True)
+class RasterFile:
+    """A delivered raster.
+
+    Parameters
+    ----------
+    href : str
+        Its path below the output.
+    box_m : (4,) float
+        West, south, east, north [m].
+    shape : (int, int)
+        Rows and columns.
+    cell_m : float
+        Edge of a cell [m].
+    meaning, unit : str
+        What its band holds.
+    range : (float, float) or None
+        Smallest and largest value of its overview; None where all is nodata.
+    """
+
+    href: str
+    box_m: tuple[float, float, float, float]
+    shape: tuple[int, int]
+    cell_m: float
+    meaning: str
+    unit: str
+    range: tuple[float, float] | None
+
+    @property
+    def name(self) -> str:
+        """What catalogues call it."""
+        return self.href.removesuffix(".tif").replace("/", "-")
+
+
+def read_raster_file(output: Path, href: str) -> RasterFile:
+    """A delivered raster, from its header and its smallest overview."""
+    with rasterio.open(output / href) as source:
+        bounds, shape = source.bounds, source.shape
+        meaning = source.descriptions[0] or href
+        unit = source.units[0] or ""
+        levels, cell_m, nodata = len(source.overviews(1)), source.transform.a, source.nodata
+    coarse = {"overview_level": levels - 1} if levels else {}
+    with rasterio.open(output / href, **coarse) as source:
+        values = source.read(1)
+    held = values[values != nodata]
+    ends = (float(held.min()), float(held.max())) if held.size else None
+    return RasterFile(href, tuple(bounds), shape, float(cell_m), meaning, unit, ends)
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """Everything that catalogues list.
+
+    Parameters
+    ----------
+    name : str
+        Title of the survey.
+    crs : CRS
+        Of everything.
+    clouds, rasters : sequence
+        Files.
+    """
+
+    name: str
+    crs: CRS
+    clouds: Sequence[Cloud]
+    rasters: Sequence[RasterFile]
+
+    @property
+    def span(self) -> Span:
+        """When the whole was flown."""
+        known = [cloud.span for cloud in self.clouds if cloud.span != UNKNOWN_SPAN]
+        if not known:
+            return UNKNOWN_SPAN
+        return Span(min(one.first for one in known), max(one.last for one in known))
+
+    @cached_property
+    def _to_degrees(self) -> Transformer:
+        return Transformer.from_crs(horizontal(self.crs), 4326, always_xy=True)
+
+    def box_deg(
+        self, box_m: tuple[float, float, float, float]
+    ) -> tuple[float, float, float, float]:
+        """A box of the survey's CRS in longitudes and latitudes, of WGS 84 [deg]."""
+        west, south, east, north = self._to_degrees.transform_bounds(
+            *box_m, densify_pts=EDGE_POINTS
+        )
+        return west, south, east, north
+
+    def outline_deg(self, box_m: tuple[float, float, float, float]) -> dict[str, Any]:
+        """Corners of a box in longitudes and latitudes, as GeoJSON."""
+        ring = shapely.get_coordinates(shapely.box(*box_m, ccw=True))
+        lon, lat = self._to_degrees.transform(*ring.T)
+        return {
+            "type": "Polygon",
+            "coordinates": [[[x, y] for x, y in zip(lon.tolist(), lat.tolist(), strict=True)]],
+        }
+
+
+def outline(box_m: tuple[float, float, float, float]) -> dict[str, Any]:
+    """Corners of a box, as GeoJSON in the survey's CRS."""
+    found: dict[str, Any] = shapely.geometry.mapping(shapely.box(*box_m, ccw=True))
+    return {
+        "type": found["type"],
+        "coordinates": [[list(corner) for corner in ring] for ring in found["coordinates"]],
+    }

@@ -1,0 +1,223 @@
+"""A layer file and styles for QGIS: one double-click shows terrain, shade, density and classes.
+
+``survey.qlr`` is a layer definition with relative paths; ``dtm.qml`` and so on lie beside their
+rasters, where QGIS finds them when one is opened by itself. Written for QGIS 3.34 and later.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+from xml.etree import ElementTree as ET
+
+from pyproj import CRS
+
+from spl_batch.airborne.catalogue.delivered_files import RasterFile
+from spl_batch.formats.files.atomic import write_bytes
+
+NAME: Final = "survey.qlr"
+"""File below the output."""
+
+VERSION: Final = "3.34"
+
+Ramp = tuple[tuple[float, str], ...]
+"""Share of the range, 0..1, and colour."""
+
+TERRAIN: Final[Ramp] = (
+    (0.0, "#2f6b4f"), (0.25, "#8fb573"), (0.5, "#e3d59b"), (0.75, "#b98a5b"), (1.0, "#f5f2ee"),
+)  # fmt: skip
+HEIGHTS: Final[Ramp] = ((0.0, "#f7fcf5"), (0.15, "#c7e9c0"), (0.5, "#41ab5d"), (1.0, "#00441b"))
+COUNTS: Final[Ramp] = ((0.0, "#fde0dd"), (0.1, "#fa9fb5"), (0.4, "#c51b8a"), (1.0, "#49006a"))
+GREY: Final[Ramp] = ((0.0, "#000000"), (1.0, "#ffffff"))
+
+RAMPS: Final = {"dtm": TERRAIN, "dsm": TERRAIN, "chm": HEIGHTS, "density": COUNTS}
+"""Colours by product; others are grey."""
+
+CLASSES: Final = (
+    (1, "unclassified", "#9a9a9a"),
+    (2, "ground", "#a06a3c"),
+    (3, "low vegetation", "#c7e9c0"),
+    (4, "medium vegetation", "#74c476"),
+    (5, "high vegetation", "#238b45"),
+    (6, "building", "#d7301f"),
+    (7, "noise below", "#762a83"),
+    (9, "water", "#2b8cbe"),
+    (14, "conductor", "#fec44f"),
+    (18, "noise above", "#c51b8a"),
+)
+"""Class, label and colour."""
+
+
+class LayerFile(NamedTuple):
+    """A layer of the file.
+
+    Parameters
+    ----------
+    id, name : str
+        Unique name; what the list of layers calls it.
+    source, provider : str
+        Path below the output, and what reads it.
+    kind : str
+        ``raster``, ``vector`` or ``point-cloud``.
+    style : list of ET.Element
+        How it is drawn.
+    shown : bool
+        Whether it is switched on.
+    """
+
+    id: str
+    name: str
+    source: str
+    provider: str
+    kind: str
+    style: list[ET.Element]
+    shown: bool
+
+
+def style_name(raster: str) -> str:
+    """Name of the style beside a raster."""
+    return f"{raster.removesuffix('.tif')}.qml"
+
+
+def write_styles(output: Path, rasters: Sequence[RasterFile]) -> Iterator[Path]:
+    """Write a style beside each raster."""
+    for raster in rasters:
+        root = ET.Element("qgis", version=VERSION, hasScaleBasedVisibilityFlag="0")
+        root.append(_pipe(_pseudocolour(raster)))
+        path = output / style_name(raster.href)
+        write_bytes(path, _text(root, "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"))
+        yield path
+
+
+def write_layers(output: Path, rasters: Sequence[RasterFile], vpc: str | None, index: str,
+                 layers: Sequence[str], crs: CRS | None) -> Path:  # fmt: skip
+    """Write ``survey.qlr``.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    rasters : sequence of RasterFile
+        Delivered rasters.
+    vpc : str or None
+        Virtual point cloud, below the output.
+    index : str
+        GeoPackage, below the output.
+    layers : sequence of str
+        Its layers.
+    crs : CRS or None
+        Of everything.
+    """
+    root = ET.Element("qlr")
+    tree = ET.SubElement(root, "layer-tree-group", name="", expanded="1", checked="Qt::Checked")
+    listed = ET.SubElement(root, "maplayers")
+    for layer in _layers(rasters, vpc, index, layers):
+        checked = "Qt::Checked" if layer.shown else "Qt::Unchecked"
+        ET.SubElement(
+            tree, "layer-tree-layer", id=layer.id, name=layer.name, source=layer.source,
+            providerKey=layer.provider, checked=checked, expanded="0", legend_exp="",
+        )  # fmt: skip
+        listed.append(_layer(layer, crs))
+    path = output / NAME
+    write_bytes(path, _text(root, "<!DOCTYPE qgis-layer-definition>"))
+    return path
+
+
+def _layers(
+    rasters: Sequence[RasterFile], vpc: str | None, index: str, layers: Sequence[str]
+) -> Iterator[LayerFile]:
+    """Topmost first."""
+    for name in layers:
+        source = f"./{index}|layername={name}"
+        yield LayerFile(f"index_{name}", f"index: {name}", source, "ogr", "vector", [],
+                        name == "checkpoints")  # fmt: skip
+    if vpc is not None:
+        style = [_classes()]
+        yield LayerFile("clouds", "clouds by class", f"./{vpc}", "vpc", "point-cloud", style,
+                        shown=False)  # fmt: skip
+    named = {raster.name: raster for raster in rasters}
+    if "dtm" in named:
+        style = [_pipe(_hillshade(), blend="6")]
+        yield LayerFile("hillshade", "hillshade", "./dtm.tif", "gdal", "raster", style, shown=True)
+    for name, raster in named.items():
+        style = [_pipe(_pseudocolour(raster))]
+        title = f"{name}: {raster.meaning}"
+        yield LayerFile(name, title, f"./{raster.href}", "gdal", "raster", style, name == "dtm")
+
+
+def _layer(layer: LayerFile, crs: CRS | None) -> ET.Element:
+    attributes = {"type": layer.kind, "hasScaleBasedVisibilityFlag": "0"}
+    if layer.kind == "vector":
+        attributes["geometry"] = "Point" if layer.name.endswith("checkpoints") else "Polygon"
+    element = ET.Element("maplayer", attributes)
+    for tag, text in (
+        ("id", layer.id),
+        ("datasource", layer.source),
+        ("layername", layer.name),
+        ("provider", layer.provider),
+    ):
+        ET.SubElement(element, tag).text = text
+    if crs is not None:
+        place = ET.SubElement(ET.SubElement(element, "srs"), "spatialrefsys")
+        ET.SubElement(place, "wkt").text = crs.to_wkt("WKT2_2019")
+        authority = crs.to_authority()
+        if authority:
+            ET.SubElement(place, "authid").text = ":".join(authority)
+    element.extend(layer.style)
+    return element
+
+
+def _pipe(renderer: ET.Element, blend: str = "0") -> ET.Element:
+    pipe = ET.Element("pipe")
+    pipe.append(renderer)
+    ET.SubElement(pipe, "brightnesscontrast", brightness="0", contrast="0", gamma="1")
+    ET.SubElement(pipe, "rasterresampler", zoomedInResampler="bilinear", maxOversampling="2")
+    if blend != "0":
+        ET.SubElement(pipe, "blendMode").text = blend
+    return pipe
+
+
+def _hillshade() -> ET.Element:
+    return ET.Element(
+        "rasterrenderer", type="hillshade", band="1", azimuth="315", angle="45", zfactor="1",
+        multidirection="1", opacity="0.6", alphaBand="-1",
+    )  # fmt: skip
+
+
+def _pseudocolour(raster: RasterFile) -> ET.Element:
+    low, high = raster.range or (0.0, 1.0)
+    renderer = ET.Element(
+        "rasterrenderer", type="singlebandpseudocolor", band="1", opacity="1", alphaBand="-1",
+        classificationMin=f"{low:g}", classificationMax=f"{high:g}",
+    )  # fmt: skip
+    shader = ET.SubElement(
+        ET.SubElement(renderer, "rastershader"), "colorrampshader",
+        colorRampType="INTERPOLATED", classificationMode="1", clip="0",
+        minimumValue=f"{low:g}", maximumValue=f"{high:g}",
+    )  # fmt: skip
+    for share, colour in RAMPS.get(raster.name.split("_")[0], GREY):
+        value = low + share * (high - low)
+        ET.SubElement(
+            shader, "item", value=f"{value:g}", label=f"{value:.4g} {raster.unit}".strip(),
+            color=colour, alpha="255",
+        )  # fmt: skip
+    return renderer
+
+
+def _classes() -> ET.Element:
+    renderer = ET.Element(
+        "renderer", type="classified", attribute="Classification", pointSize="2",
+        pointSizeUnit="Pixel", pointSymbol="0", maximumScreenError="0.3",
+    )  # fmt: skip
+    categories = ET.SubElement(renderer, "categories")
+    for number, label, colour in CLASSES:
+        red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+        ET.SubElement(
+            categories, "category", value=str(number), label=label, render="1", pointSize="0",
+            color=f"{red},{green},{blue},255",
+        )  # fmt: skip
+    return renderer
+
+
+def _text(root: ET.Element, doctype: str) -> bytes:
+    ET.indent(root, " ")
+    return f"{doctype}\n{ET.tostring(root, encoding='unicode')}\n".encode()

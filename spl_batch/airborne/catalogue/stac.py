@@ -1,0 +1,193 @@
+"""STAC 1.1: a collection with an item for each cloud and raster, and all items in one file.
+
+Sources: STAC 1.1.0; extensions point cloud 1.0.0 and projection 2.0.0, by pystac. All links are
+relative, so that the folder can be moved.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from spl_batch.airborne.catalogue.delivered_files import Cloud, Delivery, RasterFile, outline
+from spl_batch.formats.files.atomic import write_bytes
+
+FOLDER: Final = "stac"
+"""Of the catalogue, below the output."""
+
+COG_TYPE: Final = "image/tiff; application=geotiff; profile=cloud-optimized"
+LAZ_TYPE: Final = "application/vnd.laszip"
+COPC_TYPE: Final = "application/vnd.laszip+copc"
+SOFTWARE: Final = "spl-batch"
+
+
+def stac_files(delivery_clouds: list[str], rasters: list[str]) -> list[str]:
+    """Names of the files that :func:`write_stac` writes, below the output."""
+    names = [_item_id(href) for href in (*delivery_clouds, *rasters)]
+    return [
+        f"{FOLDER}/collection.json",
+        f"{FOLDER}/items.json",
+        *(f"{FOLDER}/{name}.json" for name in names),
+    ]
+
+
+def _item_id(href: str) -> str:
+    for end in (".laz", ".copc", ".tif"):
+        href = href.removesuffix(end)
+    return href.replace("/", "-")
+
+
+def write_stac(output: Path, delivery: Delivery) -> list[Path]:
+    """Write ``stac/collection.json``, ``stac/items.json`` and the items.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the results.
+    delivery : Delivery
+        What is listed.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
+    import pystac  # noqa: PLC0415 - needed here alone
+
+    items = [_cloud_item(one, delivery) for one in delivery.clouds]
+    items += [_raster_item(one, delivery) for one in delivery.rasters]
+    boxes = [list(item.bbox or ()) for item in items]
+    flat = [box if len(box) == 4 else [*box[:2], *box[3:5]] for box in boxes]
+    whole = [
+        min(b[0] for b in flat), min(b[1] for b in flat),
+        max(b[2] for b in flat), max(b[3] for b in flat),
+    ]  # fmt: skip
+    collection = pystac.Collection(
+        id=_slug(delivery.name),
+        title=delivery.name,
+        description=f"Classified clouds and rasters of the lidar survey {delivery.name}.",
+        extent=pystac.Extent(
+            pystac.SpatialExtent([whole]), pystac.TemporalExtent([list(delivery.span)])
+        ),
+        license="other",
+        providers=[
+            pystac.Provider(SOFTWARE, roles=[pystac.ProviderRole.PROCESSOR]),
+        ],
+    )
+    folder = output / FOLDER
+    for item in items:
+        item.collection_id = collection.id
+        item.links = [
+            pystac.Link("root", "./collection.json", "application/json"),
+            pystac.Link("parent", "./collection.json", "application/json"),
+            pystac.Link("collection", "./collection.json", "application/json"),
+        ]
+        collection.links.append(pystac.Link("item", f"./{item.id}.json", "application/geo+json"))
+    collection.links = [link for link in collection.links if link.rel != "root"]
+    collection.links.insert(0, pystac.Link("root", "./collection.json", "application/json"))
+    # Links are as they stand: nothing is to be resolved, or made absolute.
+    records = [item.to_dict(include_self_link=False, transform_hrefs=False) for item in items]
+    written = [_write(folder / f"{record['id']}.json", record) for record in records]
+    whole_file = {"type": "FeatureCollection", "features": records}
+    of_collection = collection.to_dict(include_self_link=False, transform_hrefs=False)
+    return [
+        _write(folder / "collection.json", of_collection),
+        _write(folder / "items.json", whole_file),
+        *written,
+    ]
+
+
+def _write(path: Path, content: Any) -> Path:
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    write_bytes(path, f"{text}\n".encode())
+    return path
+
+
+def _slug(name: str) -> str:
+    kept = "".join(c if c.isalnum() or c in "-_" else "-" for c in name.lower())
+    return kept.strip("-") or "survey"
+
+
+def _cloud_item(cloud: Cloud, delivery: Delivery) -> Any:
+    import pystac  # noqa: PLC0415
+    from pystac.extensions.pointcloud import (  # noqa: PLC0415
+        PhenomenologyType,
+        PointcloudExtension,
+        Schema,
+        SchemaType,
+        Statistic,
+    )
+
+    west, south, east, north = delivery.box_deg(cloud.box_m)
+    low_m, high_m = cloud.bounds_m[2], cloud.bounds_m[5]
+    item = pystac.Item(
+        id=_item_id(cloud.href),
+        geometry=delivery.outline_deg(cloud.box_m),
+        bbox=[west, south, low_m, east, north, high_m],
+        datetime=None,
+        properties={},
+        start_datetime=cloud.span.first,
+        end_datetime=cloud.span.last,
+    )
+    kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
+    item.add_asset("data", pystac.Asset(f"../{cloud.href}", media_type=kind, roles=["data"]))
+    _project(item, delivery, cloud.box_m, (low_m, high_m))
+    PointcloudExtension.ext(item, add_if_missing=True).apply(
+        count=cloud.points,
+        type=PhenomenologyType.LIDAR,
+        encoding="LASzip",
+        schemas=[Schema.create(n, size, SchemaType(kind)) for n, size, kind in cloud.dimensions],
+        density=cloud.per_m2,
+        statistics=[
+            Statistic.create(axis, minimum=cloud.bounds_m[k], maximum=cloud.bounds_m[k + 3])
+            for k, axis in enumerate("XYZ")
+        ],
+    )
+    return item
+
+
+def _raster_item(raster: RasterFile, delivery: Delivery) -> Any:
+    import pystac  # noqa: PLC0415
+    from pystac.extensions.projection import ProjectionExtension  # noqa: PLC0415
+
+    item = pystac.Item(
+        id=raster.name,
+        geometry=delivery.outline_deg(raster.box_m),
+        bbox=list(delivery.box_deg(raster.box_m)),
+        datetime=None,
+        properties={"title": raster.meaning, "gsd": raster.cell_m},
+        start_datetime=delivery.span.first,
+        end_datetime=delivery.span.last,
+    )
+    asset = pystac.Asset(
+        f"../{raster.href}", title=raster.meaning, media_type=COG_TYPE, roles=["data"]
+    )
+    if raster.unit:
+        asset.extra_fields["unit"] = raster.unit
+    item.add_asset("data", asset)
+    _project(item, delivery, raster.box_m)
+    west, _, _, north = raster.box_m
+    found = ProjectionExtension.ext(item)
+    found.shape = list(raster.shape)
+    found.transform = [raster.cell_m, 0.0, west, 0.0, -raster.cell_m, north]
+    return item
+
+
+def _project(
+    item: Any,
+    delivery: Delivery,
+    box_m: tuple[float, float, float, float],
+    heights_m: tuple[float, float] | None = None,
+) -> None:
+    from pystac.extensions.projection import ProjectionExtension  # noqa: PLC0415
+
+    authority = delivery.crs.to_authority()
+    west, south, east, north = box_m
+    box = [west, south, east, north]
+    if heights_m is not None:
+        box = [west, south, heights_m[0], east, north, heights_m[1]]
+    ProjectionExtension.ext(item, add_if_missing=True).apply(
+        code=":".join(authority) if authority else None,
+        wkt2=delivery.crs.to_wkt("WKT2_2019"),
+        geometry=outline(box_m),
+        bbox=box,
+    )

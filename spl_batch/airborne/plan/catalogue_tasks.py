@@ -1,0 +1,78 @@
+"""COPC twins of delivered clouds, and the catalogues of everything that was delivered."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.engine.tasks.task import Task
+
+
+def copc_name(delivered: str) -> str:
+    """Name below the output of the COPC twin of a delivered cloud."""
+    return f"copc/{delivered.removesuffix('.laz')}.copc.laz"
+
+
+def deliver_copc(survey: Survey) -> Iterator[Task]:
+    """Delivered clouds, each to be written once more as an octree."""
+    if not survey.workflow.outputs.copc:
+        return
+    for key, receipt in sorted(survey.of("deliver_file").items()):
+        name = receipt.facts["name"]
+        args = {"source": f"laz/{name}", "target": copc_name(name)}
+        refused = refusal("deliver_copc", receipt.points, survey.memory_bytes)
+        yield Task("deliver_copc", key, args, (("deliver_file", key),), receipt.points, refused)
+
+
+def catalogue(survey: Survey) -> Iterator[Task]:
+    """One task, once there is anything to list."""
+    delivered, made = survey.of("deliver_file"), survey.of("mosaic")
+    if not survey.workflow.outputs.catalogue or not delivered:
+        return
+    twins = survey.of("deliver_copc")
+    clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
+    rasters = [name for _, r in sorted(made.items()) for name in r.outputs if "store/" not in name]
+    checkpoints = survey.of("checkpoints")
+    args = {
+        "clouds": list(clouds.values()),
+        "rasters": rasters,
+        "flightlines": list(_flightlines(survey, clouds)),
+        "blocks": [
+            [unit.name, list(unit.core), unit.name in survey.of("denoise")]
+            for unit in survey.blocks()
+        ],
+        "tiles": {str(tile): count for tile, count in sorted(survey.counts.items())},
+        "tile_q": survey.tile_q,
+        "checkpoints": [one for r in checkpoints.values() for one in r.facts["checkpoints"]],
+    }
+    needs = (
+        *(("deliver_file", key) for key in clouds),
+        *(("deliver_copc", key) for key in sorted(twins)),
+        *(("mosaic", name) for name in sorted(made)),
+        *(("checkpoints", name) for name in sorted(checkpoints)),
+    )
+    yield Task("deliver_catalogue", "all", args, needs)
+
+
+def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: FBT001 - one caller
+    name = survey.of("deliver_file")[key].facts["name"]
+    facts = survey.of("index_file")[key].facts
+    spans = [span for mine in facts["spans"].values() for span in mine]
+    known = facts["standard"] == "adjusted" and spans
+    return {
+        "href": copc_name(name) if as_copc else f"laz/{name}",
+        "span_s": [min(s[0] for s in spans), max(s[1] for s in spans)] if known else None,
+    }
+
+
+def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    for line in survey.flightlines:
+        files = [clouds[key]["href"] for key in line.sources if key in clouds]
+        if files:
+            yield {
+                "id": line.name,
+                "points": line.points,
+                "first_s": line.first_s,
+                "last_s": line.last_s,
+                "files": files,
+            }

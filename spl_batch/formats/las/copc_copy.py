@@ -1,0 +1,68 @@
+"""A LAS 1.4 file once more as COPC, with everything that its records hold."""
+
+from pathlib import Path
+
+from spl_batch.errors import InputError
+from spl_batch.formats.crs import WKT_KEY
+from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
+from spl_batch.formats.las.copc import write_copc
+from spl_batch.formats.las.frame import Frame, preamble
+from spl_batch.formats.las.header import read_header
+from spl_batch.formats.las.records import EXTRA_BYTES_KEY
+
+POINT_FORMATS = (6, 7, 8)
+"""Point formats that COPC knows [COPC 1.0]."""
+
+
+def copy_as_copc(src: Path, dst: Path) -> int:
+    """Write the points of a file as an octree.
+
+    All dimensions are kept, extra bytes too, and so are scale, offset and the records of the
+    header; extended records are left out. The order of the points changes.
+
+    Parameters
+    ----------
+    src : Path
+        LAS or LAZ of point format 6, 7 or 8.
+    dst : Path
+        Final name, written atomically.
+
+    Returns
+    -------
+    int
+        Points written.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or has what COPC cannot hold.
+    StoppedError
+        If the disk is full.
+    WorkflowError
+        If the place cannot be written.
+    """
+    header = read_header(src)
+    if header.point_format not in POINT_FORMATS:
+        raise InputError(
+            str(src),
+            f"point format {header.point_format} with waveforms is none that COPC knows; "
+            "set outputs.copc: false",
+        )
+    if len(set(header.scales)) > 1:
+        raise InputError(
+            str(src),
+            f"scales {', '.join(f'{scale:g}' for scale in header.scales)} differ by axis, COPC "
+            "has one; set outputs.copc: false",
+        )
+    with RecordReader(header) as reader:
+        records, layout = reader.read(0, header.n_points), reader.layout
+    dropped = {LASZIP_KEY, EXTRA_BYTES_KEY}
+    vlrs = [v for v in header.vlrs if v.key not in dropped and v.key[0] != "copc"]
+    frame = Frame(
+        preamble=preamble(header.raw, wkt=WKT_KEY in {v.key for v in vlrs}),
+        scales=header.scales,
+        offsets=header.offsets,
+        layout=layout,
+        vlrs=vlrs,
+    )
+    return write_copc(dst, frame, records)

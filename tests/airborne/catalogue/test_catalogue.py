@@ -1,0 +1,268 @@
+"""Catalogues of one delivery: schemas offline, every link there, every number counted again."""
+
+import datetime as dt
+import json
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import laspy
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+from jsonschema import Draft7Validator
+from jsonschema.validators import validator_for
+from pystac.validation.local_validator import get_local_schema_cache
+from referencing import Registry, Resource
+from referencing.jsonschema import DRAFT7
+
+from spl_batch.airborne.catalogue.delivered_files import utc_span
+from tests import surveys
+
+EXTENSIONS = {
+    # What the schemas of the extensions require of an item, in their own words shortened.
+    "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json": {
+        "required": ["properties"],
+        "properties": {
+            "properties": {
+                "required": ["pc:count", "pc:type", "pc:encoding", "pc:schemas"],
+                "properties": {
+                    "pc:count": {"type": "integer", "minimum": 0},
+                    "pc:type": {"enum": ["lidar", "eopc", "radar", "sonar", "other"]},
+                    "pc:encoding": {"type": "string"},
+                    "pc:density": {"type": "number", "minimum": 0},
+                    "pc:schemas": {
+                        "type": "array",
+                        "minItems": 1,
+                        "items": {
+                            "required": ["name", "size", "type"],
+                            "properties": {
+                                "size": {"type": "integer"},
+                                "type": {"enum": ["floating", "unsigned", "signed"]},
+                            },
+                        },
+                    },
+                    "pc:statistics": {"type": "array", "items": {"required": ["name"]}},
+                },
+            }
+        },
+    },
+    "https://stac-extensions.github.io/projection/v2.0.0/schema.json": {
+        "properties": {
+            "properties": {
+                "properties": {
+                    "proj:code": {"type": ["string", "null"], "pattern": "^[A-Z]+:"},
+                    "proj:wkt2": {"type": ["string", "null"]},
+                    "proj:bbox": {
+                        "oneOf": [{"minItems": 4, "maxItems": 4}, {"minItems": 6, "maxItems": 6}],
+                        "items": {"type": "number"},
+                    },
+                    "proj:shape": {"minItems": 2, "maxItems": 2, "items": {"type": "integer"}},
+                    "proj:transform": {"minItems": 6, "maxItems": 9},
+                    "proj:epsg": False,
+                }
+            }
+        }
+    },
+}
+
+
+def schema(uri: str) -> Draft7Validator:
+    known = {**get_local_schema_cache(), **EXTENSIONS}
+    found = known[uri]
+    registry = Registry().with_resources(
+        [(key, Resource.from_contents(content, default_specification=DRAFT7))
+         for key, content in known.items()]
+    )  # fmt: skip
+    return validator_for(found, Draft7Validator)(found, registry=registry)
+
+
+CORE = "https://schemas.stacspec.org/v1.1.0/{0}-spec/json-schema/{0}.json"
+
+
+def faults(content: dict[str, Any]) -> list[str]:
+    kind = {"Feature": "item", "Collection": "collection"}[content["type"]]
+    uris = [CORE.format(kind), *content.get("stac_extensions", [])]
+    return [error.message for uri in uris for error in schema(uri).iter_errors(content)]
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("catalogued")
+    workflow = surveys.small_survey(
+        folder, outputs={"copc": True}, reference={"checkpoints": "checkpoints.csv"}
+    )
+    x, y = (value for value in surveys.ORIGIN_M)
+    lines = ["id,x,y,z,surface,accuracy_m"]
+    lines += [f"P{k},{x + 2 + k},{y},{20.0 + 0.05 * (2 + k)},open,0.01" for k in range(6)]
+    lines += ["AWAY,0,0,0,open,0.01"]
+    (folder / "checkpoints.csv").write_text("\n".join(lines) + "\n")
+    result = surveys.run(workflow)
+    assert result.exit_status == 0
+    return result.output
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_stac_keeps_to_its_schemas(output: Path) -> None:
+    items = read(output / "stac" / "items.json")["features"]
+    assert len(items) == 5 + len([*(output / "laz").rglob("*.laz")])
+    assert faults(read(output / "stac" / "collection.json")) == []
+    assert [fault for item in items for fault in faults(item)] == []
+    broken = {**items[0], "properties": {**items[0]["properties"], "pc:count": -1}}
+    assert faults(broken) != [], "the check finds something"
+    assert faults({**items[0], "bbox": [0]}) != []
+
+
+def test_every_link_of_stac_leads_somewhere(output: Path) -> None:
+    folder = output / "stac"
+    pages = [read(path) for path in folder.glob("*.json") if path.name != "items.json"]
+    targets = [link["href"] for page in pages for link in page["links"]]
+    targets += [asset["href"] for page in pages for asset in page.get("assets", {}).values()]
+    assert len(targets) > 10
+    assert [t for t in targets if t.startswith(("/", "http"))] == []
+    assert [t for t in targets if not (folder / t).resolve().is_file()] == []
+    listed = [link["href"] for link in read(folder / "collection.json")["links"]
+              if link["rel"] == "item"]  # fmt: skip
+    assert len(listed) == len(pages) - 1
+
+
+def test_items_hold_what_the_files_do(output: Path) -> None:
+    for item in read(output / "stac" / "items.json")["features"]:
+        path = output / "stac" / item["assets"]["data"]["href"]
+        found = item["properties"]
+        if path.suffix == ".tif":
+            with rasterio.open(path) as source:
+                assert found["proj:shape"] == list(source.shape)
+                assert found["proj:bbox"] == list(source.bounds)
+                assert found["proj:transform"] == list(source.transform)[:6]
+            continue
+        cloud = laspy.read(path)
+        assert found["pc:count"] == len(cloud)
+        low, high = np.min(cloud.xyz, axis=0), np.max(cloud.xyz, axis=0)
+        np.testing.assert_allclose(found["proj:bbox"], [*low, *high], atol=1e-6)
+        assert [one["name"] for one in found["pc:schemas"]] == list(
+            cloud.point_format.dimension_names
+        )
+        first = dt.datetime.fromisoformat(found["start_datetime"])
+        # adjusted standard time of 2024 and before is 18 leap seconds ahead of UTC
+        seconds = (first - dt.datetime(1980, 1, 6, tzinfo=dt.UTC)).total_seconds()
+        assert seconds - 1e9 + 18 == pytest.approx(np.min(cloud.gps_time), abs=1e-3)
+        west, south, _, east, north, _ = item["bbox"]
+        assert -96 < west < east < -95
+        assert 29 < south < north < 30
+
+
+def test_the_virtual_cloud_is_what_its_readers_want(output: Path) -> None:
+    content = read(output / "survey.vpc")
+    assert content["type"] == "FeatureCollection"
+    clouds = {}
+    for feature in content["features"]:
+        assert feature["stac_version"] == "1.0.0"
+        path = output / next(iter(feature["assets"].values()))["href"]
+        with laspy.open(path) as reader:
+            clouds[path.name] = reader.header.point_count
+            bounds = [*reader.header.mins, *reader.header.maxs]
+        assert feature["properties"]["pc:count"] == clouds[path.name]
+        assert feature["properties"]["proj:bbox"] == pytest.approx(bounds)
+        assert feature["properties"]["proj:wkt2"].startswith("PROJCRS")
+        assert feature["properties"]["proj:geometry"]["type"] == "Polygon"
+    assert all(name.endswith(".copc.laz") for name in clouds)
+    assert len(clouds) == len([*(output / "laz").rglob("*.laz")])
+
+
+def test_copc_holds_the_same_points(output: Path) -> None:
+    for path in sorted((output / "laz").rglob("*.laz")):
+        twin = output / "copc" / path.relative_to(output / "laz").with_suffix(".copc.laz")
+        plain = laspy.read(path)
+        with laspy.CopcReader.open(twin) as reader:
+            octree = reader.query()
+        names = list(plain.point_format.dimension_names)
+        assert names == list(octree.point_format.dimension_names)
+        rows = [
+            np.column_stack([np.asarray(cloud[name], np.float64) for name in names])
+            for cloud in (plain, octree)
+        ]
+        sorted_rows = [np.array(sorted(map(tuple, np.nan_to_num(r, nan=-1.0)))) for r in rows]
+        np.testing.assert_array_equal(*sorted_rows)
+
+
+def test_the_index_counts_what_is_there(output: Path) -> None:
+    layers = {name for name, _ in pyogrio.list_layers(output / "index.gpkg")}
+    assert layers == {"checkpoints", "flightlines", "files", "blocks", "tiles"}
+    columns: dict[str, Any] = {}
+    for layer in layers:
+        meta, _, shapes, values = pyogrio.raw.read(output / "index.gpkg", layer=layer)
+        columns[layer] = dict(zip(meta["fields"], values, strict=True))
+        assert len(shapes)
+        assert "32615" in str(meta["crs"])
+    points = sum(len(laspy.read(path)) for path in (output / "laz").rglob("*.laz"))
+    for layer in ("files", "tiles", "flightlines"):
+        assert columns[layer]["points"].sum() == points
+    report = read(output / "report.json")
+    errors = {one["id"]: one["error_m"] for one in report["checkpoints"]["points"]}
+    told = dict(zip(columns["checkpoints"]["id"], columns["checkpoints"]["error_m"], strict=True))
+    assert set(told) == set(errors)
+    for name, error in errors.items():
+        assert told[name] == error or (np.isnan(told[name]) and error is None)
+
+
+def test_checkpoint_errors_are_those_of_the_raster(output: Path) -> None:
+    with rasterio.open(output / "dtm.tif") as source:
+        values, transform = source.read(1).astype(float), source.transform
+    report = read(output / "report.json")["checkpoints"]
+    inside = [one for one in report["points"] if one["error_m"] is not None]
+    assert len(inside) == 6
+    for one in inside:
+        col, row = ~transform @ (one["x_m"], one["y_m"])
+        c, r = int(np.floor(col - 0.5)), int(np.floor(row - 0.5))
+        u, v = col - 0.5 - c, row - 0.5 - r
+        square = values[r : r + 2, c : c + 2]
+        height = np.array([1 - v, v]) @ square @ np.array([1 - u, u])
+        assert one["error_m"] == pytest.approx(height - one["z_m"], abs=1e-6)
+    assert report["statement"].startswith("Insufficient for a statement: 6 of the 30")
+
+
+def xml(path: Path) -> ET.Element:
+    return ET.fromstring(path.read_bytes())  # noqa: S314 - of our own making
+
+
+def test_layers_and_styles_are_xml_whose_sources_exist(output: Path) -> None:
+    root = xml(output / "survey.qlr")
+    sources = [layer.findtext("datasource") for layer in root.iter("maplayer")]
+    assert len(sources) >= 8
+    assert [s for s in sources if not (output / s.split("|")[0]).is_file()] == []
+    ids = [layer.findtext("id") for layer in root.iter("maplayer")]
+    assert ids == [layer.get("id") for layer in root.iter("layer-tree-layer")]
+    assert len(set(ids)) == len(ids)
+    for raster in output.glob("*.tif"):
+        style = xml(raster.with_suffix(".qml"))
+        shades = [float(item.get("value")) for item in style.iter("item")]
+        assert shades == sorted(shades)
+    assert xml(output / "metadata.xml").tag.endswith("MD_Metadata")
+
+
+def test_a_run_owns_its_catalogues(output: Path) -> None:
+    owned = set(read(output / "delivered.json")["files"])
+    there = {
+        path.relative_to(output).as_posix()
+        for pattern in (
+            "stac/*",
+            "copc/**/*.laz",
+            "*.qml",
+            "survey.*",
+            "index.gpkg",
+            "metadata.xml",
+        )
+        for path in output.glob(pattern)
+    }
+    assert there <= owned
+
+
+def test_leap_seconds_are_taken_off() -> None:
+    span = utc_span(371_000_000.0, 371_000_001.5)
+    assert span.first.isoformat() == "2023-06-17T01:19:42+00:00"
+    assert (span.last - span.first).total_seconds() == 1.5
