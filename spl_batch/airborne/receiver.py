@@ -32,7 +32,7 @@ from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import REMEDIES
 from spl_batch.airborne.precompile import compile_share
-from spl_batch.airborne.products.product_table import NAMES, PRODUCTS
+from spl_batch.airborne.products.product_table import HILLSHADE, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
@@ -83,7 +83,12 @@ class Imaging(Receiver[Survey, Context]):
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
         *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
-        *(f"{p.name}{piece}.tif" for p in PRODUCTS if p.delivered for piece in ("", "_[0-9]*")),
+        *(
+            f"{p.name}{piece}.tif"
+            for p in (*PRODUCTS, HILLSHADE)
+            if p.delivered
+            for piece in ("", "_[0-9]*")
+        ),
     )
 
     @property
@@ -200,7 +205,7 @@ class Imaging(Receiver[Survey, Context]):
             return [f"tiles/{task.name}{copc}.laz"]
         if task.kind == "mosaic" and task.args["delivered"]:
             return [f"{task.name}.tif"]
-        if task.kind == "deliver_copc":
+        if task.kind in {"deliver_copc", "deliver_hillshade"}:
             return [task.args["target"]]
         if task.kind == "deliver_catalogue":
             return _catalogue_files(task)

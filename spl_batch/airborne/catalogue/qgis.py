@@ -29,7 +29,8 @@ HEIGHTS: Final[Ramp] = ((0.0, "#f7fcf5"), (0.15, "#c7e9c0"), (0.5, "#41ab5d"), (
 COUNTS: Final[Ramp] = ((0.0, "#fde0dd"), (0.1, "#fa9fb5"), (0.4, "#c51b8a"), (1.0, "#49006a"))
 GREY: Final[Ramp] = ((0.0, "#000000"), (1.0, "#ffffff"))
 
-RAMPS: Final = {"dtm": TERRAIN, "dsm": TERRAIN, "chm": HEIGHTS, "density": COUNTS}
+RAMPS: Final = {"dtm": TERRAIN, "dsm": TERRAIN, "chm": HEIGHTS, "density": COUNTS,
+         "first": COUNTS, "last": COUNTS, "voids": COUNTS, "swaths": COUNTS}  # fmt: skip
 """Colours by product; others are grey."""
 
 CLASSES: Final = (

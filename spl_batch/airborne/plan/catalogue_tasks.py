@@ -29,9 +29,10 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     delivered, made = survey.of("deliver_file"), survey.of("mosaic")
     if not survey.workflow.outputs.catalogue or not delivered:
         return
-    twins = survey.of("deliver_copc")
+    twins, shades = survey.of("deliver_copc"), survey.of("deliver_hillshade")
     clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
-    rasters = [name for _, r in sorted(made.items()) for name in r.outputs if "store/" not in name]
+    receipts = [r for kept in (made, shades) for _, r in sorted(kept.items())]
+    rasters = [name for r in receipts for name in r.outputs if "store/" not in name]
     checkpoints = survey.of("checkpoints")
     args = {
         "clouds": list(clouds.values()),
@@ -49,6 +50,7 @@ def catalogue(survey: Survey) -> Iterator[Task]:
         *(("deliver_file", key) for key in clouds),
         *(("deliver_copc", key) for key in sorted(twins)),
         *(("mosaic", name) for name in sorted(made)),
+        *(("deliver_hillshade", name) for name in sorted(shades)),
         *(("checkpoints", name) for name in sorted(checkpoints)),
     )
     yield Task("deliver_catalogue", "all", args, needs)

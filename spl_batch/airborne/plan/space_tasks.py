@@ -13,7 +13,7 @@ from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.space_units import Unit, fired_index, voxel_index
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import refusal
-from spl_batch.airborne.products.product_table import products
+from spl_batch.airborne.products.product_table import HILLSHADE, products
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
 
@@ -121,6 +121,9 @@ def surface(survey: Survey) -> Iterator[Task]:
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
     holders = survey.holders()
+    # Only the map of swaths asks which flightline a time belongs to.
+    lines = survey.flightlines if survey.workflow.products.maps else []
+    spans_s = sorted([line.first_s, line.last_s] for line in lines)
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         if str(cell.cell) not in survey.of("ground"):
             continue
@@ -134,6 +137,7 @@ def surface(survey: Survey) -> Iterator[Task]:
             "ground": _named("ground", ground_of),
             "polygons": list(survey.inputs.polygons),
             "fired": parts,
+            "spans_s": spans_s,
         }
         labels = (*_label_needs("denoise", noise), *_label_needs("ground", ground_of))
         needs = (*_tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
@@ -188,7 +192,8 @@ def mosaic(survey: Survey) -> Iterator[Task]:
     for number, (cells, bounds) in enumerate(mosaic_parts(survey), start=1):
         keepers = dict.fromkeys(map(survey.ground_cells.keeper, cells))
         needs = tuple(("surface", str(cell)) for cell in keepers)
-        for product in products(reflectance=knows_reflectance(survey)):
+        maps = survey.workflow.products.maps
+        for product in products(reflectance=knows_reflectance(survey), maps=maps):
             name = product.name if number == 1 else f"{product.name}_{number}"
             args = {
                 "product": product.name,
@@ -200,6 +205,17 @@ def mosaic(survey: Survey) -> Iterator[Task]:
                 "unit": product.unit,
             }
             yield Task("mosaic", name, args, needs)
+
+
+def hillshade(survey: Survey) -> Iterator[Task]:
+    """Relief of each terrain model, where maps are asked for."""
+    if not survey.workflow.products.maps:
+        return
+    for name in sorted(survey.of("mosaic")):
+        if name.partition("_")[0] == "dtm":
+            made = name.replace("dtm", HILLSHADE.name)
+            args = {"source": f"{name}.tif", "target": f"{made}.tif"}
+            yield Task("deliver_hillshade", made, args, (("mosaic", name),))
 
 
 def _task(

@@ -16,12 +16,15 @@ class Product(NamedTuple):
         Unit of its values, as GDAL's unit type; empty where they have none.
     delivered : bool
         Whether it goes into the output; else it serves the report alone.
+    is_map : bool
+        Whether it is one of the maps of ``products.maps``.
     """
 
     name: str
     meaning: str
     unit: str
     delivered: bool = True
+    is_map: bool = False
 
 
 PRODUCTS: Final = (
@@ -30,6 +33,10 @@ PRODUCTS: Final = (
     Product("chm", "height of the surface above the terrain", "m"),
     Product("density", "signal returns per m2", "1/m2"),
     Product("intensity", "mean LAS intensity of first returns", ""),
+    Product("first_returns", "first returns of pulses per m2", "1/m2", is_map=True),
+    Product("last_returns", "last returns of pulses per m2", "1/m2", is_map=True),
+    Product("voids", "edge of the largest empty square of four spacings", "m", is_map=True),
+    Product("swaths", "flightlines with a first return", "1", is_map=True),
     Product("noise", "expected noise", "1/m3", delivered=False),
 )
 """Every raster, in the order in which they are written."""
@@ -41,13 +48,20 @@ NAMES: Final = tuple(product.name for product in PRODUCTS)
 """Names of all rasters."""
 
 
-def products(*, reflectance: bool) -> tuple[Product, ...]:
+HILLSHADE: Final = Product("hillshade", "shaded relief of the terrain", "", is_map=True)
+"""Made of the finished terrain model, not of ground cells."""
+
+
+def products(*, reflectance: bool, maps: bool = False) -> tuple[Product, ...]:
     """Every raster of a survey.
 
     Parameters
     ----------
     reflectance : bool
         Whether the intensity raster is made of detections, and not of the input's values.
+    maps : bool
+        Whether there are maps of pulses, voids and swaths.
     """
     of_detections = {REFLECTANCE.name: REFLECTANCE} if reflectance else {}
-    return tuple(of_detections.get(product.name, product) for product in PRODUCTS)
+    wanted = (product for product in PRODUCTS if maps or not product.is_map)
+    return tuple(of_detections.get(product.name, product) for product in wanted)

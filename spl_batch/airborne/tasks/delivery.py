@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.products import hillshade
+from spl_batch.airborne.products.product_table import HILLSHADE
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.tasks import index
@@ -22,6 +24,7 @@ from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.layers import GIVEN
 from spl_batch.formats.las.writer import Decoded, write_classified, write_points
 from spl_batch.formats.rasters.geotiff import write_cog
+from spl_batch.formats.rasters.parts import windows
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
 from spl_batch.lattice.tables import COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
@@ -179,6 +182,22 @@ def deliver_catalogue(args: Mapping[str, Any], context: Context) -> Produced:
     written, remarks = write_catalogues(context.output, name, context.crs, args)
     facts = {"name": "catalogue", "warnings": [Remark(text) for text in remarks]}
     return Produced(written, facts)
+
+
+def deliver_hillshade(args: Mapping[str, Any], context: Context) -> Produced:
+    """Shade a terrain model, some of it at a time."""
+    source, target = context.output / args["source"], context.output / args["target"]
+    with windows(source) as terrain:
+        write_cog(
+            target,
+            hillshade.blocks(terrain.read, terrain.shape, terrain.cell_m),
+            shape=terrain.shape,
+            origin_xy_m=(terrain.left_m, terrain.top_m),
+            cell_m=terrain.cell_m,
+            crs=context.crs_wkt or None,
+            description=HILLSHADE.meaning,
+        )
+    return Produced([target], {"rows": terrain.shape[0], "columns": terrain.shape[1]})
 
 
 def mosaic(args: Mapping[str, Any], context: Context) -> Produced:

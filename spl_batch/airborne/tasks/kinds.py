@@ -78,6 +78,9 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "deliver", "spl_batch.airborne.tasks.delivery:deliver_tile", ("outputs.tiles",)
         ),
         "deliver_copc": Kind("deliver", "spl_batch.airborne.tasks.delivery:deliver_copc", ()),
+        "deliver_hillshade": Kind(
+            "deliver", "spl_batch.airborne.tasks.delivery:deliver_hillshade", ()
+        ),
         "mosaic": Kind(
             "deliver",
             "spl_batch.airborne.tasks.delivery:mosaic",

@@ -1,6 +1,6 @@
 """First returns of a ground cell: how densely and how evenly they cover what was flown."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.flown_cells import close
 from spl_batch.airborne.products.pulse_coverage import SPACINGS, coverage, not_flown, reach_q
+from spl_batch.airborne.products.pulse_maps import flightline_of, pulse_maps
 from spl_batch.airborne.products.pulse_returns import COLUMNS_NEEDED, pulse_ends
 from spl_batch.airborne.products.surface_rasters import margin_cells
 from spl_batch.airborne.settings import ProductSettings
@@ -35,10 +36,19 @@ COLUMNS: Final = COLUMNS_NEEDED
 
 
 class PulseReturns(NamedTuple):
-    """Where first and last returns of pulses are: two (n, 2) int64 [quanta]."""
+    """First and last returns of pulses.
+
+    Parameters
+    ----------
+    first, last : (n, 2) int64
+        Where they are [quanta].
+    time_s : (n,) float64
+        Times of the first ones [s].
+    """
 
     first: NDArray[np.int64]
     last: NDArray[np.int64]
+    time_s: NDArray[np.float64]
 
 
 def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) -> PulseReturns:
@@ -61,7 +71,8 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
     usable &= inside(table["x"], table["y"], grow(core, margin))
     signal = table.select(COLUMNS).take(usable)
     xy = np.column_stack([signal["x"], signal["y"]])
-    return PulseReturns(*(xy[which] for which in pulse_ends(signal)))
+    first, last = pulse_ends(signal)
+    return PulseReturns(xy[first], xy[last], signal["gps_time"][first])
 
 
 def pulse_facts(
@@ -99,6 +110,30 @@ def pulse_facts(
         BARE: int(np.count_nonzero(bare)),
         LEVELS: {level: list(found) for level, found in levels.items()},
     }
+
+
+def pulse_rasters(
+    returns: PulseReturns,
+    core: Bounds,
+    density: NDArray[np.float32],
+    spans_s: Sequence[Sequence[float]],
+) -> dict[str, NDArray[np.float32]]:
+    """Maps of a ground cell.
+
+    Parameters
+    ----------
+    returns : PulseReturns
+        First and last returns.
+    core : Bounds
+        The cell [quanta].
+    density : (rows, cols) float32
+        Its raster of density, nodata where nothing was flown.
+    spans_s : sequence of (float, float)
+        First and last time of each flightline, by the first [s].
+    """
+    spans = np.array(spans_s, np.float64).reshape(-1, 2)
+    line = flightline_of(returns.time_s, spans)
+    return pulse_maps(returns.first, returns.last, line, core, ~not_flown(density))
 
 
 def within_signal(

@@ -163,6 +163,8 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     counted = covered(shown, core, arrays, context)
     counted |= pulses.pulse_facts(returns, core, arrays["density"], context)
     del shown
+    if workflow.products.maps:
+        arrays |= pulses.pulse_rasters(returns, core, arrays["density"], args["spans_s"])
     arrays["noise"] = noise_m3
     chunks = _write_rasters(args["cell"], core, arrays, context)
     path = context.store.labels("classes", args["cell"])

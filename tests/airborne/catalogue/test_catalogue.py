@@ -91,7 +91,10 @@ def faults(content: dict[str, Any]) -> list[str]:
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("catalogued")
     workflow = surveys.small_survey(
-        folder, outputs={"copc": True}, reference={"checkpoints": "checkpoints.csv"}
+        folder,
+        outputs={"copc": True},
+        products={"maps": True},
+        reference={"checkpoints": "checkpoints.csv"},
     )
     x, y = (value for value in surveys.ORIGIN_M)
     lines = ["id,x,y,z,surface,accuracy_m"]
@@ -109,7 +112,7 @@ def read(path: Path) -> Any:
 
 def test_stac_keeps_to_its_schemas(output: Path) -> None:
     items = read(output / "stac" / "items.json")["features"]
-    assert len(items) == 5 + len([*(output / "laz").rglob("*.laz")])
+    assert len(items) == 10 + len([*(output / "laz").rglob("*.laz")])
     assert faults(read(output / "stac" / "collection.json")) == []
     assert [fault for item in items for fault in faults(item)] == []
     broken = {**items[0], "properties": {**items[0]["properties"], "pc:count": -1}}

@@ -1,0 +1,109 @@
+"""Maps of pulses that clients ask for: density of first and last returns, voids, swaths.
+
+Domain: space. Each cell has its own value; only :mod:`~spl_batch.airborne.products.pulse_coverage`
+looks at cells around it.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.products.pulse_coverage import SPACINGS, VOID_SPACINGS, coverage
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.lattice.tiles import Bounds, inside
+
+NAMES: Final = ("first_returns", "last_returns", "voids", "swaths")
+"""Rasters that :func:`pulse_maps` makes."""
+
+
+def pulse_maps(
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+    line: NDArray[np.int64],
+    core: Bounds,
+    flown: NDArray[np.bool_],
+) -> dict[str, NDArray[np.float32]]:
+    """Maps of a region.
+
+    Parameters
+    ----------
+    first, last : (n, 2) int64
+        Places of first and of last returns, the first of those that lie around the region too
+        [quanta].
+    line : (n,) int64
+        Flightline of each first return; -1 where none is known.
+    core : Bounds
+        The region [quanta].
+    flown : (rows, cols) bool
+        Which of its raster cells were flown, row 0 southernmost.
+
+    Returns
+    -------
+    dict of str to (rows, cols) float32
+        Row 0 northernmost, nodata where nothing was flown: ``first_returns`` and ``last_returns``
+        [1/m2]; ``voids``, edge of the largest empty square of four nominal spacings that covers the
+        cell's centre, 0 without any [m]; ``swaths``, flightlines with a first return in the cell
+        [count], nodata everywhere where no flightlines are known.
+    """
+    size = (core.xmax - core.xmin) // flown.shape[1]
+    area_m2 = (size * QUANTUM_M) ** 2
+    voids = np.zeros(flown.shape)
+    for spacing in sorted(SPACINGS.values()):
+        _, empty = coverage(first[:, 0], first[:, 1], core, flown, spacing)
+        voids[empty] = VOID_SPACINGS * spacing * QUANTUM_M
+    found = {
+        "first_returns": _counts(first, core, flown.shape) / area_m2,
+        "last_returns": _counts(last, core, flown.shape) / area_m2,
+        "voids": voids,
+        "swaths": _swaths(first, line, core, flown.shape),
+    }
+    return {name: _delivered(values, flown) for name, values in found.items()}
+
+
+def _cells(xy: NDArray[np.int64], core: Bounds, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Number of the cell of each place within the region, and which places lie there."""
+    size = (core.xmax - core.xmin) // shape[1]
+    number: NDArray[np.int64] = (xy[:, 1] - core.ymin) // size * shape[1]
+    return number + (xy[:, 0] - core.xmin) // size
+
+
+def _counts(xy: NDArray[np.int64], core: Bounds, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    mine = xy[inside(xy[:, 0], xy[:, 1], core)]
+    counts = np.bincount(_cells(mine, core, shape), minlength=shape[0] * shape[1])
+    return counts.reshape(shape).astype(np.float64)
+
+
+def _swaths(
+    xy: NDArray[np.int64], line: NDArray[np.int64], core: Bounds, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    mine = inside(xy[:, 0], xy[:, 1], core) & (line >= 0)
+    if not (line >= 0).any():
+        return np.full(shape, np.nan)
+    cells = shape[0] * shape[1]
+    pairs = np.unique(line[mine] * cells + _cells(xy[mine], core, shape))
+    return np.bincount(pairs % cells, minlength=cells).reshape(shape).astype(np.float64)
+
+
+def _delivered(values: NDArray[np.float64], flown: NDArray[np.bool_]) -> NDArray[np.float32]:
+    north_up = np.where(flown & ~np.isnan(values), values, NODATA)[::-1]
+    return np.ascontiguousarray(north_up, dtype=np.float32)
+
+
+def flightline_of(
+    time_s: NDArray[np.float64], spans_s: NDArray[np.float64]
+) -> NDArray[np.int64]:  # fmt: skip
+    """Flightline of each time: number of the span that holds it, -1 where none does.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Times [s].
+    spans_s : (k, 2) float64
+        First and last time of each flightline, by the first [s].
+    """
+    if not len(spans_s):
+        return np.full(len(time_s), -1, np.int64)
+    number = np.searchsorted(spans_s[:, 0], time_s, side="right") - 1
+    held = (number >= 0) & (time_s <= spans_s[np.maximum(number, 0), 1])
+    return np.where(held, number, -1).astype(np.int64)

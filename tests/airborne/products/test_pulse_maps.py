@@ -1,0 +1,102 @@
+"""Maps of pulses and relief against loops, analytic slopes, and another tiling of one survey."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.airborne.products import hillshade
+from spl_batch.airborne.products.pulse_maps import NAMES, flightline_of, pulse_maps
+from spl_batch.constants import NODATA
+from spl_batch.lattice.tiles import Bounds
+from tests import surveys
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200))
+def test_each_cell_counts_its_own(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    core = Bounds(-4_000, 6_000, 4_000, 12_000)
+    first, last = rng.integers(-6_000, 14_000, (2, n, 2))
+    line = rng.integers(-1, 4, n)
+    flown = rng.random((3, 4)) < 0.8
+    maps = pulse_maps(first, last, line, core, flown)
+    for row in range(3):
+        for col in range(4):
+            west, south = core.xmin + 2000 * col, core.ymin + 2000 * row
+            held = [
+                [(west <= x < west + 2000) and (south <= y < south + 2000) for x, y in places]
+                for places in (first, last)
+            ]
+            found = {name: maps[name][2 - row, col] for name in NAMES}
+            if not flown[row, col]:
+                assert set(found.values()) == {np.float32(NODATA)}
+                continue
+            assert found["first_returns"] == sum(held[0]) / 4
+            assert found["last_returns"] == sum(held[1]) / 4
+            lines = {int(k) for k, there in zip(line, held[0], strict=True) if there and k >= 0}
+            known = (line >= 0).any()
+            assert found["swaths"] == (len(lines) if known else np.float32(NODATA))
+            assert found["voids"] in np.array([0, 1.4, 2.84, 5.64], np.float32)
+
+
+def test_times_belong_to_the_span_that_holds_them() -> None:
+    spans = np.array([[0.0, 10.0], [20.0, 30.0]])
+    times = np.array([-1.0, 0.0, 10.0, 15.0, 25.0, 31.0, np.nan])
+    assert flightline_of(times, spans).tolist() == [-1, 0, 0, -1, 1, -1, -1]
+
+
+@pytest.mark.parametrize("towards_deg", [0, 45, 135, 225, 315])
+def test_a_plane_is_as_bright_as_lambert_says(towards_deg: float) -> None:
+    # It falls by 1 in 2 towards a direction, clockwise from north.
+    slope, cell_m = 0.5, 2.0
+    y, x = np.mgrid[0:12, 0:15] * cell_m
+    angle = np.radians(towards_deg)
+    z = 100 - slope * (x * np.sin(angle) + (-y) * np.cos(angle))
+    found = hillshade.shade(z.astype(np.float32), cell_m)
+    normal = np.array([slope * np.sin(angle), slope * np.cos(angle), 1.0])
+    light = np.array([-0.5, 0.5, np.sqrt(0.5)])  # north-west, 45 degrees high
+    wanted = 1 + 254 * max(float(normal @ light) / float(np.linalg.norm(normal)), 0.0)
+    assert found.shape == (10, 13)
+    np.testing.assert_allclose(found, wanted, rtol=1e-5)
+
+
+def test_relief_has_no_value_beside_a_void_and_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    z = rng.normal(50, 1, (23, 31)).astype(np.float32)
+    z[9, 12] = NODATA
+    padded = np.pad(z, 1, constant_values=NODATA)
+    whole = hillshade.shade(padded, 1.0)
+    assert (whole[8:11, 11:14] == NODATA).all()
+    assert (whole[1:-1, 1:-1] == NODATA).sum() == 9
+    monkeypatch.setattr(hillshade, "BLOCK", 7)
+    again = np.empty_like(whole)
+    for row, col, block in hillshade.blocks(
+        lambda a, b, c, d: padded[a + 1 : b + 1, c + 1 : d + 1], z.shape, 1.0
+    ):
+        again[row : row + block.shape[0], col : col + block.shape[1]] = block
+    np.testing.assert_array_equal(again, whole)
+
+
+def test_maps_of_a_run_do_not_depend_on_its_tiles(tmp_path: Path) -> None:
+    found = []
+    for name, tile_m in (("a", 100), ("b", 30)):
+        workflow = surveys.small_survey(
+            tmp_path / name, products={"maps": True}, tiling={"tile_m": tile_m}
+        )
+        result = surveys.run(workflow)
+        assert result.exit_status == 0, result.report.failures
+        output = result.output
+        files = [*(f"{n}.tif" for n in NAMES), "hillshade.tif"]
+        found.append({n: (output / n).read_bytes() for n in files})
+        with rasterio.open(output / "swaths.tif") as source:
+            assert set(np.unique(source.read(1))) <= {NODATA, 0.0, 1.0, 2.0}
+        with rasterio.open(output / "first_returns.tif") as source:
+            first = source.read(1)
+        with rasterio.open(output / "last_returns.tif") as source:
+            last = source.read(1)
+        assert first[first != NODATA].sum() == pytest.approx(last[last != NODATA].sum(), rel=0.01)
+    assert found[0] == found[1]
