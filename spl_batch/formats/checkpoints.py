@@ -21,7 +21,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from spl_batch.errors import InputError, named
-from spl_batch.formats.crs import crs_name, horizontal, same_crs
+from spl_batch.formats.crs import crs_name, horizontal, same_crs, vertical
 
 Surface = Literal["open", "vegetated"]
 """Whether heights there are non-vegetated (NVA) or vegetated (VVA) ones."""
@@ -251,12 +251,6 @@ def _named_crs(text: str) -> CRS | None:
         return CRS.from_user_input(text)
     except CRSError:
         return None
-
-
-def vertical(crs: CRS) -> CRS | None:
-    """The part of a compound CRS that heights refer to; None where it names none."""
-    parts = crs.sub_crs_list if crs.is_compound else []
-    return next((part for part in parts if part.is_vertical), None)
 
 
 def _alike(one: CRS, other: CRS) -> bool:

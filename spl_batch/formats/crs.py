@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 from pyproj import CRS
+from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
@@ -149,6 +150,48 @@ def horizontal(crs: CRS) -> CRS:
     if crs.is_bound and crs.source_crs is not None:
         return horizontal(crs.source_crs)
     return crs.to_2d() if len(crs.axis_info) > 2 and not crs.is_geocentric else crs
+
+
+def vertical(crs: CRS) -> CRS | None:
+    """The part of a compound CRS that heights refer to; None where it names none."""
+    parts = crs.sub_crs_list if crs.is_compound else []
+    return next((part for part in parts if part.is_vertical), None)
+
+
+def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
+    """A compound CRS of a horizontal one and the vertical one that a user names.
+
+    Parameters
+    ----------
+    crs : CRS or None
+        CRS of the files.
+    text : str
+        Anything that PROJ takes as a vertical CRS: ``EPSG:5703``.
+    key : str
+        The workflow key, for the message.
+
+    Raises
+    ------
+    WorkflowError
+        If it is no vertical CRS in metres, contradicts the files, or there is none to complete.
+    """
+    named = parse_crs(text, key)
+    if not named.is_vertical:
+        raise WorkflowError(f"{key}: {crs_name(named)} is no vertical CRS; write e.g. EPSG:5703")
+    if any(axis.unit_conversion_factor != 1.0 for axis in named.axis_info):
+        raise WorkflowError(f"{key}: {crs_name(named)} is not in metres; write one that is")
+    if crs is None:
+        raise WorkflowError(f"{key}: the files have no CRS that it could complete: set survey.crs")
+    found = vertical(crs)
+    if found is not None and not found.equals(named):
+        raise WorkflowError(
+            f"{key}: the files say {crs_name(found)}, not {crs_name(named)}; leave the key out, or "
+            "correct the files"
+        )
+    if found is not None:
+        return crs
+    flat = horizontal(crs)
+    return CompoundCRS(f"{flat.name} + {named.name}", [flat, named])
 
 
 def same_crs(a: CRS, b: CRS) -> bool:

@@ -1,10 +1,22 @@
 """CRS: what suits the work, what does not, and that messages say why."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
+import rasterio
 from pyproj import CRS
 
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import crs_problems, horizontal, parse_crs, same_crs
+from spl_batch.formats.crs import (
+    crs_problems,
+    horizontal,
+    parse_crs,
+    same_crs,
+    vertical,
+    with_vertical,
+)
+from spl_batch.formats.rasters.geotiff import write_cog
 
 BOX = ((515_368.0, 4_918_340.0, 2322.0), (515_401.0, 4_918_381.0, 2339.0))
 
@@ -56,3 +68,41 @@ def test_unknown_crs() -> None:
     assert parse_crs("EPSG:2154", "survey.crs").to_epsg() == 2154
     with pytest.raises(WorkflowError, match=r"survey\.crs: 'UTM' is not a known CRS"):
         parse_crs("UTM", "survey.crs")
+
+
+def test_a_named_vertical_crs_completes_that_of_the_files(tmp_path: Path) -> None:
+    flat = CRS.from_epsg(32615)
+    whole = with_vertical(flat, "EPSG:5703", "survey.vertical_crs")
+    assert vertical(whole).to_epsg() == 5703
+    assert same_crs(whole, flat)
+    assert with_vertical(whole, "EPSG:5703", "key") is whole
+    write_cog(
+        tmp_path / "a.tif",
+        np.ones((3, 4), np.float32),
+        shape=(3, 4),
+        origin_xy_m=(272_000.0, 3_290_000.0),
+        cell_m=1.0,
+        crs=whole.to_wkt(),
+        description="height",
+    )
+    with rasterio.open(tmp_path / "a.tif") as source:
+        read = CRS.from_wkt(source.crs.to_wkt())
+    assert vertical(read).to_epsg() == 5703
+    assert same_crs(read, flat)
+
+
+@pytest.mark.parametrize(
+    ("crs", "text", "fault"),
+    [
+        ("EPSG:32615", "EPSG:32615", "is no vertical CRS"),
+        ("EPSG:32615", "EPSG:6360", "is not in metres"),
+        ("EPSG:32615+5703", "EPSG:5773", "the files say 'NAVD88 height'"),
+        (None, "EPSG:5703", "no CRS that it could complete"),
+    ],
+)
+def test_what_is_no_vertical_crs_of_the_files_is_refused(
+    crs: str | None, text: str, fault: str
+) -> None:
+    given = None if crs is None else CRS.from_user_input(crs)
+    with pytest.raises(WorkflowError, match=f"key: .*{fault}"):
+        with_vertical(given, text, "key")

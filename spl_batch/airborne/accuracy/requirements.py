@@ -261,7 +261,7 @@ def _vertical_datum(known: Evidence) -> Requirement:
     why = (
         "the coordinate reference system is a compound one"
         if named_datum
-        else "the CRS of the input has no vertical part: name a compound one, e.g. EPSG:6344+5703"
+        else "the CRS of the input has no vertical part: name it in survey.vertical_crs"
     )
     return Requirement(
         "Vertical datum", "named by the CRS", known.vertical_datum or "none",

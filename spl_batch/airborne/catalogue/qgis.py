@@ -138,7 +138,7 @@ def _layers(
     named = {raster.name: raster for raster in rasters}
     if "dtm" in named:
         style = [_pipe(_hillshade(), blend="6")]
-        yield LayerFile("hillshade", "hillshade", "./dtm.tif", "gdal", "raster", style, shown=True)
+        yield LayerFile("relief", "relief", "./dtm.tif", "gdal", "raster", style, shown=True)
     for name, raster in named.items():
         style = [_pipe(_pseudocolour(raster))]
         title = f"{name}: {raster.meaning}"

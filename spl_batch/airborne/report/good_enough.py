@@ -21,7 +21,7 @@ from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.tasks import checkpoints, pulses
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.run_record import Receipts
-from spl_batch.formats.checkpoints import vertical
+from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
 
 

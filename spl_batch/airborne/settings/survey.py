@@ -25,6 +25,11 @@ class SurveySettings(Section):
 
     name: str = Field("survey", description="Title of the report.")
     crs: str | None = Field(None, description="CRS for LAS files that carry none, e.g. EPSG:32615.")
+    vertical_crs: str | None = Field(
+        None,
+        description="Vertical CRS of the heights, in metres, where the files name none, e.g. "
+        "EPSG:5703: rasters and catalogues get a compound CRS. No height changes.",
+    )
     flightlines: str | tuple[str, ...] = Field(
         description="LAS, LAZ or COPC files: a path or glob, or several, relative to this file."
     )

@@ -21,6 +21,7 @@ from spl_batch.formats.crs import (
     look_like_degrees,
     parse_crs,
     same_crs,
+    with_vertical,
 )
 from spl_batch.formats.files.atomic import checksum
 from spl_batch.formats.las.reader import LasFacts, inspect
@@ -132,6 +133,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, bad = _inspect(paths)
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = _survey_crs(workflow, good)
+    if workflow.survey.vertical_crs is not None and good:
+        crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
     warnings = [*workflow.remarks()]
     said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
