@@ -47,6 +47,7 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
             np.float32, "1/m", "afterpulses per metre of beamlet at its lags, 0 for no parent"
         ),
         "afterpulse_share": Column(np.float32, "", "afterpulses per detection of its flightline"),
+        "range_sigma": Column(np.float32, "m", "ranging spread of its flightline, one sigma"),
         "noise_density": Column(np.float32, "1/m3", "expected noise points per cubic metre"),
         "p_value": Column(np.float32, "", "P(at least as many neighbours | noise)"),
         "noise_class": Column(
@@ -356,5 +357,6 @@ TILE_COLUMNS: Final = (
     "afterpulse",
     "afterpulse_rate",
     "afterpulse_share",
+    "range_sigma",
 )
 """Columns of a point tile."""

@@ -45,6 +45,7 @@ COLUMNS = (
     "afterpulse",
     "afterpulse_rate",
     "afterpulse_share",
+    "range_sigma",
 )
 
 TINY = 1e-12
@@ -153,6 +154,7 @@ def _line(
             afterpulse=chance,
             afterpulse_rate=rate,
             afterpulse_share=np.full(len(table), law.probability, np.float32),
+            range_sigma=np.full(len(table), law.sigma_m, np.float32),
         ),
         truth["kind"].to_numpy()[order],
         truth["parent"].to_numpy()[order],

@@ -59,7 +59,7 @@ from spl_batch.lattice.tiles import quanta
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = (
     "x", "y", "z", "gps_time", "channel", "flags", "line_density", "afterpulse", "afterpulse_rate",
-    "afterpulse_share",
+    "afterpulse_share", "range_sigma",
 )  # fmt: skip
 
 FLAT_M: Final = (1.5, 0.2)
@@ -85,7 +85,11 @@ WATER_MAX: Final = 0.5
 
 PLANE_M: Final = (0.8, 1.0, 0.15)
 """Cylinder around a parent in which such a plane is sought, radius and half-height, and its
-half-thickness, three ranging spreads [m]."""
+half-thickness [m]: three ranging spreads of the preset."""
+
+SPREADS: Final = (4.0, 7.0, 3.0)
+"""Where the ranging spread is larger than the preset's, the least vertical radius of the ellipsoid,
+half-height of the cylinder, and half-thickness of a plane [ranging spreads]."""
 
 PLANE_SHARE: Final = 0.7
 PLANE_LEAST: Final = 8
@@ -102,7 +106,9 @@ SETTLED: Final = 0.3
 """Probability in crowns below which the first round is the last: it hardly rises so far."""
 
 LEAST: Final = 0.1
-"""Returns that a place behind a hard surface without any has."""
+LEAST_ODDS: Final = 0.5
+"""Returns that a place behind a hard surface without any has, and the most that they are over the
+afterpulses due there: few come as late as the last ones, but nothing else comes from behind."""
 
 BATCH: Final = 1 << 17
 """Candidates in crowns that are weighed at once [count]."""
@@ -129,12 +135,15 @@ class Chances(NamedTuple):
         Whether it lies behind a hard surface, of its shot or of all flightlines.
     clumped : (m,) float64
         Whether the leaves around it hang evenly, 0, or in clumps, towards 1.
+    far : (m,) bool
+        Whether its parent is too far in front for it to share the parent's label.
     """
 
     rows: NDArray[np.intp]
     chance: NDArray[np.float64]
     hard: NDArray[np.bool_]
     clumped: NDArray[np.float64]
+    far: NDArray[np.bool_]
 
 
 class Echoes(NamedTuple):
@@ -163,9 +172,12 @@ def resolve(
     if "afterpulse" not in table:
         return found
     dependent = dependents(table)
-    rows, chance, hard, clumped = probability(table, density)
+    rows, chance, hard, clumped, far = probability(table, density)
     spared = np.where(table.has(PointFlag.WATER)[rows], WATER_MAX, SURFACE_MAX)
-    found.echo[rows] = chance >= np.where(hard, spared, _enough(table, rows, clumped, settings))
+    enough = _enough(table, rows, clumped, settings)
+    # As likely an afterpulse as not, it is no evidence, and there is no label for it to share.
+    enough = np.where(far, np.minimum(enough, RESOLVED_MIN), enough)
+    found.echo[rows] = chance >= np.where(hard, spared, enough)
     dependent[rows] = chance >= RESOLVED_MIN
     return Echoes(found.echo, dependent & ~found.echo & ~table.has(EXCLUDED))
 
@@ -199,7 +211,8 @@ def probability(table: PointTable, density: NDArray[np.float64]) -> Chances:
         As in :func:`resolve`, points in canonical order.
     """
     if "afterpulse_rate" not in table or not len(table):
-        return Chances(np.empty(0, np.intp), np.empty(0), np.empty(0, np.bool_), np.empty(0))
+        none = np.empty(0, np.bool_)
+        return Chances(np.empty(0, np.intp), np.empty(0), none, np.empty(0), none)
     strips = []
     for own, weighed, near in _strips(table["x"]):
         start, end = weighed.start - near.start, weighed.stop - near.start
@@ -241,7 +254,8 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
     per_metre = table["line_density"][rows].astype(np.float64) / density[rows]
     rate = table["afterpulse_rate"][rows].astype(np.float64)
     alone = places.listed(usable & (table["afterpulse_rate"] == 0))
-    behind, tilt, parents = places.behind_plane(at, alone)
+    sigma = _spreads(table, rows)
+    behind, tilt, parents = places.behind_plane(at, alone, sigma)
     hard |= behind
     chance = np.zeros(len(rows))
     clumping = places.clumping(rows, parents[~hard & (parents >= 0)], true)
@@ -249,9 +263,13 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
     for last in (False, True):
         if last:
             # Spheres would hold the surface itself, a level ellipsoid that of a steep roof.
-            flat = places.around(at[hard], true, (FLAT_M,), tilt[hard])
-            returns = (flat[:, 0] / UNIT**2 + LEAST) / foliage.volume_m3(*FLAT_M)
-            chance[hard] = rate[hard] / (rate[hard] + returns * per_metre[hard])
+            for spread, own in _alike(sigma, hard):
+                flat_m = (FLAT_M[0], max(FLAT_M[1], SPREADS[0] * spread))
+                flat = places.around(at[own], true, (flat_m,), tilt[own])[:, 0] / UNIT**2
+                others = flat / foliage.volume_m3(*flat_m) * per_metre[own]
+                least = LEAST / foliage.volume_m3(*flat_m) * per_metre[own]
+                others += np.minimum(least, LEAST_ODDS * rate[own])
+                chance[own] = rate[own] / (rate[own] + others)
             open_ = np.flatnonzero(~hard & (chance >= SETTLED))
         for first in range(0, len(open_), BATCH):
             some = open_[first : first + BATCH]
@@ -260,7 +278,23 @@ def _within(table: PointTable, density: NDArray[np.float64], start: int, end: in
             chance[some] = rate[some] / (rate[some] + returns * per_metre[some])
         # All at once: what one finds must not hang on which were looked at before.
         true[at[open_]] = _weights(1.0 - chance[open_])
-    return Chances(rows, chance, hard, foliage.clumped(clumping))
+    return Chances(rows, chance, hard, foliage.clumped(clumping), parents < 0)
+
+
+def _spreads(table: PointTable, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Ranging spread of the flightlines of some rows [m]; 0 where it is not known."""
+    if "range_sigma" not in table:
+        return np.zeros(len(rows))
+    spreads: NDArray[np.float64] = table["range_sigma"][rows].astype(np.float64)
+    return spreads
+
+
+def _alike(
+    sigma: NDArray[np.float64], chosen: NDArray[np.bool_]
+) -> Iterator[tuple[float, NDArray[np.intp]]]:
+    """Chosen ones by their ranging spread: a flightline has one, and few surveys have many."""
+    for spread in np.unique(sigma[chosen]):
+        yield round(float(spread), 4), np.flatnonzero(chosen & (sigma == spread))
 
 
 def _weights(true: NDArray[np.float64]) -> NDArray[np.int16]:
@@ -333,22 +367,29 @@ class _Places:
         return foliage.clumping(x, y, named, true[parents], counts, rows)
 
     def behind_plane(
-        self, places: NDArray[np.int32], alone: NDArray[np.bool_]
+        self, places: NDArray[np.int32], alone: NDArray[np.bool_], sigma: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int32]]:
         """Which places lie behind a hard surface of returns without a parent, and its slopes.
 
         (m,) bool, and (m, 2) float64, 0 where there is none; then the places of their parents,
-        (m,) int32, -1 for none. ``alone`` goes by place.
+        (m,) int32, -1 for none. ``alone`` goes by place, ``sigma`` is the ranging spread [m].
         """
         listed = self._listed
         out, tilt = np.empty(len(places), dtype=np.bool_), np.empty((len(places), 2))
         parents = np.empty(len(places), dtype=np.int32)
-        wide, high, thick = (quanta(m) for m in PLANE_M)
-        behind_plane(
-            self._xyz, self._time, self._channel, alone, listed.starts, listed.shape,
-            listed.edge, places, quanta(LAG_M), wide, high, thick, PLANE_SHARE, PLANE_LEAST,
-            out, tilt, parents,
-        )  # fmt: skip
+        for spread, own in _alike(sigma, np.ones(len(places), np.bool_)):
+            wide, high, thick = (quanta(m) for m in PLANE_M)
+            high, thick = (
+                max(least, quanta(spreads * spread))
+                for least, spreads in ((high, SPREADS[1]), (thick, SPREADS[2]))
+            )
+            found, slopes, above = out[own], tilt[own], parents[own]
+            behind_plane(
+                self._xyz, self._time, self._channel, alone, listed.starts, listed.shape,
+                listed.edge, places[own], quanta(LAG_M), wide, high, thick, PLANE_SHARE,
+                PLANE_LEAST, found, slopes, above,
+            )  # fmt: skip
+            out[own], tilt[own], parents[own] = found, slopes, above
         return out, tilt, parents
 
 

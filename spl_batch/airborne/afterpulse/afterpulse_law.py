@@ -1,37 +1,50 @@
 r"""How many afterpulses follow a detection, and how far behind it, flightline by flightline.
 
 Domain: time. [W17] 7.5 finds 10-20 afterpulses for 80-100 signal returns of a shot, in a band of
-2-3 m; a law is not given there. Here a detection starts an afterpulse with probability
-:math:`p`, at a lag with density
-
-.. math:: f(l) = \frac{e^{-(l - d) / s}}{s\,(1 - e^{-(L - d) / s})}, \quad d \le l \le L,
-
-:math:`d` the dead time as range, :math:`L` the sensor's longest lag; the simulator draws from the
-same law. p and s are fitted. Only shots of one hard plane and nothing else tell them: whatever
-follows a return there can be an afterpulse only, or background, whose rate is known. One shot in
+2-3 m; a law is not given there. Here it is a table, :math:`p f(l)`, afterpulses per detection and
+metre at lag l: what is counted behind hard planes that are alone in their shot, as far as it shows
+itself. Whatever follows a return there can be an afterpulse only, or background. One shot in
 :data:`EVERY` is enough.
-The sensor's own p and s count as :data:`PRIOR` afterpulses that were seen, so a flightline
-without hard surfaces has those of its sensor.
+
+A lag counts as the next return of the beamlet, so what is counted is a hazard, as of lifetimes:
+returns that are followed sooner cannot be followed later. Of :math:`A` returns that have no
+follower before a bin of width w, n have one in it, and background b A w of them. Then
+
+.. math:: h = \max(n - b A w, 0) / (A w), \quad p f = h\, e^{-\int h}
+
+The sensor's own law, an exponential from the dead time to its longest lag, counts as
+:data:`PRIOR` afterpulses that were seen, so a flightline without hard surfaces has that of its
+sensor. Beyond the sensor's longest lag the table goes on to where more follow than chance and the
+background explain.
+
+The same planes tell the ranging spread
+(:mod:`~spl_batch.airborne.afterpulse.ranging_spread`).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.afterpulse.hard_surfaces import Rules
-from spl_batch.airborne.afterpulse.lag_counts import observe_lags, rate_behind
+from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, Rules
+from spl_batch.airborne.afterpulse.lag_counts import (
+    LAG_EDGES_M,
+    SPREAD_STEP_M,
+    STEP_M,
+    Counts,
+    no_counts,
+    observe_lags,
+    rate_behind,
+)
+from spl_batch.airborne.afterpulse.ranging_spread import ranging_spread
 from spl_batch.airborne.beams.shot_runs import lag_behind, offsets, run_starts
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
 
 DOMAIN: Final = "time"
-
-BIN_M: Final = 0.05
-"""Bins of the observed lags [m]."""
 
 EVERY: Final = 4
 """One shot in so many is observed; by shot number, so that no cut matters."""
@@ -42,6 +55,22 @@ PRIOR: Final = 100.0
 SCALE_M: Final = (0.05, 5.0)
 """Shortest and longest scale that is believed [m]."""
 
+COARSE: Final = (0.1, 0.15)
+"""Width of the bins of a law: at least so much [m], and so much of the lag behind the dead time."""
+
+SURE: Final = 4.0
+"""Standard deviations by which followers exceed background where a tail shows itself."""
+
+ABOVE: Final = 0.25
+"""And by how much of the background: fewer are as little seen as that is known."""
+
+DEEP_M: Final = 40.0
+"""From this lag on what follows is background, where it is as much as the noise model says [m]."""
+
+AGREES: Final = (0.7, 1.3)
+"""Followers so deep over the noise model's background, where the two agree; fewer where the gate
+ends, more where the noise model falls short."""
+
 
 class AfterpulseLaw(NamedTuple):
     """Afterpulses of a flightline.
@@ -51,11 +80,16 @@ class AfterpulseLaw(NamedTuple):
     probability : float
         Afterpulses per detection.
     scale_m : float
-        Scale of the exponential lag behind the dead time [m].
+        Scale of the exponential lag behind the dead time that has the same mean [m].
     dead_m, longest_m : float
         Dead time as range, and the longest lag [m].
     sigma_m : float
         Ranging spread [m].
+    parents, seen : float
+        Returns that were observed, and the afterpulses among what followed them [count].
+    density : (k,) float64
+        Afterpulses per detection and metre, from the dead time on, every
+        :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
     """
 
     probability: float
@@ -63,19 +97,51 @@ class AfterpulseLaw(NamedTuple):
     dead_m: float
     longest_m: float
     sigma_m: float
+    parents: float
+    seen: float
+    density: NDArray[np.float64]
 
     @property
     def least_m(self) -> float:
         """Shortest lag that can be measured: both returns carry the ranging spread [m]."""
         return max(self.dead_m - 5.0 * self.sigma_m, 1e-3)
 
+    def later_than(self, lag_m: float) -> float:
+        """Share of the afterpulses whose lag is longer, 0..1."""
+        late = _nodes(self.dead_m, self.longest_m) > lag_m
+        total = self.density.sum()
+        return float(self.density[late].sum() / total) if total > 0 else 0.0
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """The law as arrays for a file."""
+        return {
+            "afterpulse_law": np.array(self[:-1], dtype=np.float64),
+            "afterpulse_density": self.density,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "AfterpulseLaw":
+        """What :meth:`to_arrays` has made."""
+        numbers = map(float, arrays["afterpulse_law"])
+        named = dict(zip(cls._fields, numbers, strict=False))
+        return cls(**named, density=arrays["afterpulse_density"])
+
 
 def sensor_law(sensor: Sensor) -> AfterpulseLaw:
     """The law that the sensor's facts give."""
+    dead, longest, scale = sensor.dead_m, sensor.afterpulse_lag_max_m, sensor.afterpulse_scale_m
+    behind = _nodes(dead, longest) - dead
+    density = np.exp(-behind / scale) / scale / -np.expm1(-(longest - dead) / scale)
     return AfterpulseLaw(
-        sensor.afterpulse_probability, sensor.afterpulse_scale_m, sensor.dead_m,
-        sensor.afterpulse_lag_max_m, sensor.range_sigma_m,
+        sensor.afterpulse_probability, scale, dead, longest, sensor.range_sigma_m, 0.0, 0.0,
+        sensor.afterpulse_probability * density,
     )  # fmt: skip
+
+
+def _nodes(dead_m: float, longest_m: float) -> NDArray[np.float64]:
+    """Lags at which a law is tabled [m]; the last one is the longest, or beyond it by a part."""
+    steps = math.ceil((longest_m - dead_m) / STEP_M - 1e-9)
+    return dead_m + STEP_M * np.arange(steps + 1, dtype=np.float64)
 
 
 def observe(
@@ -97,23 +163,22 @@ def observe(
     Returns
     -------
     dict
-        ``afterpulse_parents`` (1,) and ``afterpulse_lags`` (b,) int64 [count], in bins of
-        :data:`BIN_M` up to the longest lag.
+        The arrays of :class:`~spl_batch.airborne.afterpulse.lag_counts.Counts`, their names
+        beginning with ``afterpulse_``.
     """
-    lags = _no_lags(rules.longest_m)
+    counts = no_counts()
     rows = np.flatnonzero(beams.known & (table["shot"] % EVERY == 0))
-    parents = 0
     if len(rows):
         time, channel = table["gps_time"][rows], table["channel"][rows]
         range_m = beams.range_m[rows]
         shots = run_starts(time)
         lag = np.empty(len(rows), dtype=np.float32)
-        lag_behind(run_starts(time, channel), range_m, least_m, rules.longest_m, lag)
-        parents = observe_lags(
+        lag_behind(run_starts(time, channel), range_m, least_m, float(LAG_EDGES_M[-1]), lag)
+        observe_lags(
             shots, np.flatnonzero(_several(channel, shots)), shot_offsets(table.take(rows), shots),
-            beams.direction.take(rows, axis=0), range_m, channel, lag, rules, BIN_M, lags,
+            beams.direction.take(rows, axis=0), range_m, channel, lag, rules, LAG_EDGES_M, counts,
         )  # fmt: skip
-    return {"afterpulse_parents": np.array([parents], np.int64), "afterpulse_lags": lags}
+    return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}
 
 
 def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -121,11 +186,6 @@ def shot_offsets(table: PointTable, shots: NDArray[np.int64]) -> NDArray[np.floa
     offset = np.empty((len(table), 3))
     offsets(shots, (table["x"], table["y"], table["z"]), QUANTUM_M, offset)
     return offset
-
-
-def _no_lags(longest_m: float) -> NDArray[np.int64]:
-    """Counts of lags up to a longest one, before any is seen."""
-    return np.zeros(math.ceil(longest_m / BIN_M - 1e-9), dtype=np.int64)
 
 
 def _several(channel: NDArray[np.uint8], shots: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -149,20 +209,120 @@ def fit(
     sensor : Sensor
         Dead time, and what is expected beforehand.
     """
+    counts = _added(parts)
+    sigma_m = ranging_spread(counts.planes, sensor)
+    hard = np.arange(len(counts.planes)) * SPREAD_STEP_M < SHARP * sigma_m
+    entries, followers = counts.entries[hard].sum(axis=0), counts.followers[hard].sum(axis=0)
+    left = np.cumsum(entries) - np.cumsum(followers) + 0.5 * followers
     prior = sensor_law(sensor)
-    parents = sum(int(p["afterpulse_parents"][0]) for p in parts)
-    lags = sum((p["afterpulse_lags"] for p in parts), _no_lags(prior.longest_m))
-    middle = (np.arange(len(lags)) + 0.5) * BIN_M
-    late = middle > prior.dead_m
-    count = lags.sum() - noise_per_m * BIN_M * parents * np.count_nonzero(late)
-    excess = np.dot(lags, middle) - noise_per_m * BIN_M * parents * middle[late].sum()
-    count = max(float(count), 0.0)
-    excess = max(float(excess) - count * prior.dead_m, 0.0)
-    window = prior.longest_m - prior.dead_m
-    total = count + PRIOR
-    mean = (excess + PRIOR * truncated_mean(prior.scale_m, window)) / total
-    probability = total / (parents + PRIOR / max(prior.probability, 1e-6))
-    return prior._replace(probability=min(probability, 0.95), scale_m=scale_of_mean(mean, window))
+    edges, bins = _coarse(prior.dead_m, prior.longest_m)
+    width = np.diff(edges)
+    n = np.add.reduceat(followers[bins[0] : bins[-1]], bins[:-1] - bins[0]).astype(np.float64)
+    fine = np.diff(np.maximum(LAG_EDGES_M[bins[0] : bins[-1] + 1], prior.dead_m))
+    looked = np.add.reduceat(left[bins[0] : bins[-1]] * fine, bins[:-1] - bins[0])
+    background = looked * _background(n, looked, edges, noise_per_m)
+    longest = _reach(n, background, edges, prior.longest_m)
+    within = edges[1:] < longest + 0.5 * STEP_M
+    excess = np.where(within, np.maximum(n - background, 0.0), 0.0)
+    stated = prior.probability * _share_before(edges, prior)
+    lent = PRIOR / max(prior.probability, 1e-6)
+    # Exactly the hazard that gives the stated share where nothing is seen.
+    due = lent * -np.diff(np.log1p(-stated))
+    hazard = (excess + due) / (looked + lent * width)
+    passed = np.exp(-np.insert(np.cumsum(hazard * width), 0, 0.0))
+    return _tabled(
+        edges, np.minimum(-np.diff(passed), 0.95), longest,
+        prior._replace(sigma_m=sigma_m, parents=float(entries.sum()), seen=float(excess.sum())),
+    )  # fmt: skip
+
+
+def _added(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Counts:
+    """Sums of what the stretches of a flightline show."""
+    total = no_counts()
+    for part in parts:
+        for name, sums in total._asdict().items():
+            np.add(sums, part[f"afterpulse_{name}"], out=sums)
+    return total
+
+
+def _coarse(
+    dead_m: float, stated_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # fmt: skip
+    """Edges of the bins of a law [m], the first at the dead time; where they are among the fine.
+
+    One is the stated longest lag, or as near as the fine ones are.
+    """
+    stated = int(np.abs(LAG_EDGES_M - stated_m).argmin())
+    at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right")) - 1
+    chosen, last = [at], len(LAG_EDGES_M) - 1
+    while at < last:
+        low = max(float(LAG_EDGES_M[at]), dead_m)
+        wide = low + max(COARSE[0], COARSE[1] * (low - dead_m)) - 1e-9
+        end = stated if at < stated else last
+        at = min(int(np.searchsorted(LAG_EDGES_M, wide)), end)
+        chosen.append(at)
+    edges = LAG_EDGES_M[chosen].copy()
+    edges[0] = dead_m
+    return edges, np.array(chosen, dtype=np.int64)
+
+
+def _background(
+    n: NDArray[np.float64], looked: NDArray[np.float64], edges: NDArray[np.float64],
+    noise_per_m: float,
+) -> float:  # fmt: skip
+    """Background behind a return [1/m]: the noise model's, as far as the deepest lags agree."""
+    deep = edges[:-1] >= DEEP_M
+    expected = noise_per_m * float(looked[deep].sum())
+    if expected < 100.0:
+        return noise_per_m
+    ratio = float(n[deep].sum()) / expected
+    return noise_per_m * (1.0 if ratio < AGREES[0] else min(ratio, AGREES[1]))
+
+
+def _reach(
+    n: NDArray[np.float64], background: NDArray[np.float64], edges: NDArray[np.float64],
+    stated_m: float,
+) -> float:  # fmt: skip
+    """Longest lag at which more follow than background and chance explain, or the stated [m]."""
+    beyond = edges[:-1] > stated_m - 0.5 * STEP_M
+    more = np.where(beyond, n - background, 0.0)
+    due = np.where(beyond, background, 0.0)
+    # Three bins together, as each holds few far behind.
+    three, due_three = (np.convolve(values, np.ones(3), "same") for values in (more, due))
+    shows = three > np.maximum(SURE * np.sqrt(due_three + 1.0), ABOVE * due_three)
+    own = more > np.maximum(0.5 * SURE * np.sqrt(due + 1.0), ABOVE * due)
+    last = np.flatnonzero(own & np.convolve(shows, np.ones(3), "same").astype(np.bool_))
+    return max(stated_m, float(edges[last[-1] + 1])) if len(last) else stated_m
+
+
+def _share_before(edges: NDArray[np.float64], law: AfterpulseLaw) -> NDArray[np.float64]:
+    """Share of the sensor's afterpulses before some lags, 0..1."""
+    window, behind = law.longest_m - law.dead_m, np.maximum(edges - law.dead_m, 0.0)
+    share: NDArray[np.float64] = np.expm1(-np.minimum(behind, window) / law.scale_m)
+    share /= np.expm1(-window / law.scale_m)
+    return share
+
+
+def _tabled(
+    edges: NDArray[np.float64], share: NDArray[np.float64], longest_m: float, law: AfterpulseLaw
+) -> AfterpulseLaw:
+    """A law of so many afterpulses per detection in each bin, as a table."""
+    middle, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    held = edges[1:] < longest_m + 0.5 * STEP_M
+    # What lies between the middles of bins is as exponential as what they hold.
+    level = np.log(np.maximum(share[held] / width[held], 1e-12))
+    nodes = _nodes(law.dead_m, longest_m)
+    found = np.interp(nodes, middle[held], level)
+    slope = min((level[1] - level[0]) / (middle[1] - middle[0]), 0.0)
+    found += np.where(nodes < middle[0], slope * (nodes - middle[0]), 0.0)
+    density = np.exp(found)
+    probability = float(share[held].sum())
+    density *= probability / max(float(np.trapezoid(density, nodes)), 1e-12)
+    mean_m = float(np.dot(share[held], middle[held])) / max(probability, 1e-12) - law.dead_m
+    return law._replace(
+        probability=probability, scale_m=scale_of_mean(mean_m, longest_m - law.dead_m),
+        longest_m=longest_m, density=density,
+    )  # fmt: skip
 
 
 def truncated_mean(scale_m: float, window_m: float) -> float:
@@ -207,7 +367,7 @@ def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.
     found = np.empty(len(time), dtype=np.float32)
     rate_behind(
         run_starts(time, channel), beams.range_m[rows], law.least_m, law.longest_m, law.dead_m,
-        law.probability, law.scale_m, found,
+        law.density, found,
     )  # fmt: skip
     shots = run_starts(time)
     found[~np.repeat(_several(channel, shots), np.diff(shots))] = 0.0

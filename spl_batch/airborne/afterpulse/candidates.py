@@ -35,6 +35,20 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel")
 COLUMNS_ADDED: Final = ("afterpulse",)
 
 
+CHAIN: Final = 5.0 / 3.0
+"""How far behind a hard surface chains of afterpulses go, where the data show longer lags than the
+sensor states [longest lags]; 5 m and 3 m are the default and the source's longest."""
+
+
+BLIND: Final = 4.5
+"""A dead time of so many ranging spreads keeps a second return of a surface from being far behind
+it: the first one would have to be as far in front."""
+
+APART: Final = (2.5, 3.3)
+"""How far behind a surface a return is none of it, where the dead time is so long, and where it is
+not and a surface gives beamlets two returns [spreads]."""
+
+
 def probability(
     table: PointTable,
     beams: BeamTable,
@@ -75,11 +89,12 @@ def probability(
     shots = run_starts(time)
     law = law or sensor_law(sensor)
     lag = np.empty(len(table), dtype=np.float32)
-    lag_behind(run_starts(time, channel), range_m, law.least_m, settings.lag_max_m, lag)
+    rules = hard_rules(settings, sensor, law, gate_m)
+    lag_behind(run_starts(time, channel), range_m, law.least_m, rules.chain_m, lag)
     found = np.empty(len(table), dtype=np.float32)
     shot_probabilities(
         shots, shot_offsets(table, shots), np.ascontiguousarray(beams.direction[rows]),
-        range_m, channel, lag, hard_rules(settings, sensor, law, gate_m), found,
+        range_m, channel, lag, rules, found,
     )  # fmt: skip
     out[rows] = found
     return out
@@ -102,18 +117,21 @@ def hard_rules(
     gate_m: float | None = None,
 ) -> Rules:
     """Numbers of the method for the kernels."""
+    # Afterpulses start others, so chains go deeper than one lag.
+    deeper = law.longest_m > sensor.afterpulse_lag_max_m
     return Rules(
         gate_m=gate_m or sensor.gate_m or GATE_ASSUMED_M,
         coarse_m=settings.coarse_bin_m,
         fine_m=settings.fine_bin_m,
         weight_min=settings.weight_min,
         p68_max_m=settings.fit_p68_max_m,
-        below_m=settings.below_plane_m,
+        below_m=max(settings.below_plane_m, 4.0 * law.sigma_m),
         lag_max_m=settings.lag_max_m,
+        chain_m=max(settings.lag_max_m, CHAIN * law.longest_m * deeper),
         dead_m=law.dead_m,
-        sigma_m=sensor.range_sigma_m,
-        probability=law.probability,
-        scale_m=law.scale_m,
+        sigma_m=law.sigma_m,
+        apart=APART[law.dead_m < BLIND * law.sigma_m],
         longest_m=law.longest_m,
         beamlets=float(sensor.beamlets),
+        law=law.density,
     )

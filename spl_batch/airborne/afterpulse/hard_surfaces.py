@@ -41,13 +41,18 @@ class Rules(NamedTuple):
     weight_min, p68_max_m : float
         Hard surface and trust.
     below_m, lag_max_m, dead_m : float
-        Threshold behind the plane, longest lag, dead time.
-    sigma_m : float
-        Ranging spread.
-    probability, scale_m, longest_m : float
-        Afterpulses per detection, the scale of their lag behind the dead time, the longest lag.
+        Threshold behind the plane, how far behind a surface others are looked for, dead time.
+    chain_m : float
+        How far behind a surface its afterpulses go, those of afterpulses among them.
+    sigma_m, apart : float
+        Ranging spread; how many of it behind a surface a return is none of it.
+    longest_m : float
+        The longest lag of an afterpulse.
     beamlets : float
         Beamlets fired per shot.
+    law : (k,) float64
+        Afterpulses per detection and metre, from the dead time on, every
+        :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
     """
 
     gate_m: float
@@ -57,12 +62,13 @@ class Rules(NamedTuple):
     p68_max_m: float
     below_m: float
     lag_max_m: float
+    chain_m: float
     dead_m: float
     sigma_m: float
-    probability: float
-    scale_m: float
+    apart: float
     longest_m: float
     beamlets: float
+    law: NDArray[np.float64]
 
 
 @njit()

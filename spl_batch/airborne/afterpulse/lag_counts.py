@@ -4,13 +4,13 @@ See :mod:`spl_batch.airborne.afterpulse.afterpulse_law`.
 """
 
 import math
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse.hard_surfaces import (
     RETURNS_MIN,
-    SHARP,
     Rules,
     fit_surfaces,
     on_surface,
@@ -24,6 +24,25 @@ CLEAN = 0.9
 
 PARENTS_MIN = 12
 """Least first returns on that plane [count]."""
+
+DEEP_MIN = 3.0
+DEEP_SHARE = 0.1
+"""Other beamlets' returns at one depth far behind the plane that are of a surface: least number,
+and share of those on the plane."""
+
+BEHIND = 2.5
+"""A follower so far behind the plane is none of the surface itself [spreads]."""
+
+SPREAD_STEP_M = 0.01
+SPREADS = 64
+"""Steps in which planes are told by their spread [m], and how many there are."""
+
+STEP_M = 0.05
+"""Steps in which a law is tabled [m]."""
+
+LAG_EDGES_M: Final = np.concatenate([np.arange(81) * STEP_M, np.geomspace(4.0, 60.0, 56)[1:]])
+"""Edges of the bins of lags [m]: as fine as the law near the return, a twentieth of the lag far
+behind it."""
 
 
 @njit()
@@ -65,6 +84,34 @@ def across_beams(
             v[i] = vx * x + vy * y + vz * z
 
 
+class Counts(NamedTuple):
+    """What the planes of a flightline show; parts of it add up.
+
+    Lags are counted for planes that spread alike, as what is a hard surface depends on the ranging
+    noise, which is known when all are counted.
+
+    Parameters
+    ----------
+    planes : (s,) int64
+        Planes by the spread of the returns on them, in steps of :data:`SPREAD_STEP_M`.
+    entries : (s, b) int64
+        Returns on them, by the shortest lag at which a follower would be seen to be none of the
+        surface itself; bins as in :data:`LAG_EDGES_M`.
+    followers : (s, b) int64
+        The next return of the beamlet, by its lag, where it is no shorter than that.
+    """
+
+    planes: NDArray[np.int64]
+    entries: NDArray[np.int64]
+    followers: NDArray[np.int64]
+
+
+def no_counts() -> Counts:
+    """Counts before any plane is seen."""
+    shape = (SPREADS, len(LAG_EDGES_M) - 1)
+    return Counts(np.zeros(SPREADS, np.int64), np.zeros(shape, np.int64), np.zeros(shape, np.int64))
+
+
 @njit()
 def observe_lags(
     starts: NDArray[np.int64],
@@ -75,10 +122,10 @@ def observe_lags(
     channel: NDArray[np.uint8],
     lag: NDArray[np.float32],
     rules: Rules,
-    bin_m: float,
-    lags: NDArray[np.int64],
-) -> int:
-    """Lags behind first returns on a hard plane that is alone in its shot.
+    edges: NDArray[np.float64],
+    counts: Counts,
+) -> None:
+    """Count what follows the first returns on a plane that is alone in its shot.
 
     Parameters
     ----------
@@ -87,16 +134,12 @@ def observe_lags(
     chosen : (s,) int64
         Shots to look at.
     offset, direction, range_m, channel, lag, rules
-        As in :func:`~spl_batch.airborne.afterpulse.shot_evidence.shot_probabilities`.
-    bin_m : float
-        Width of the lags' bins [m].
-    lags : (b,) int64
-        Counts are added.
-
-    Returns
-    -------
-    int
-        First returns that could have been followed.
+        As in :func:`~spl_batch.airborne.afterpulse.shot_evidence.shot_probabilities`; lags up to
+        the last edge.
+    edges : (b + 1,) float64
+        :data:`LAG_EDGES_M`.
+    counts : Counts
+        Added to.
     """
     n = len(range_m)
     u, v = np.empty(n), np.empty(n)
@@ -106,15 +149,14 @@ def observe_lags(
     sets = _candidates(starts, chosen, range_m, lag, rules, member, first, owner)
     plane, trusted, spreads = np.empty((sets, 3)), np.empty(sets, np.bool_), np.empty(sets)
     fit_surfaces(sets, first, member, u, v, range_m, rules, plane, trusted, spreads)
-    parents = 0
     for one in range(sets):
-        if trusted[one] and spreads[one] <= SHARP * rules.sigma_m:
+        if trusted[one]:
             rows = slice(starts[owner[one]], starts[owner[one] + 1])
             distance = residual(plane[one], u[rows], v[rows], range_m[rows])
-            parents += _observe(
-                range_m[rows], channel[rows], lag[rows], distance, spreads[one], rules, bin_m, lags
-            )
-    return parents
+            _observe(
+                range_m[rows], channel[rows], lag[rows], distance, spreads[one], rules, edges,
+                counts,
+            )  # fmt: skip
 
 
 @njit()
@@ -139,44 +181,97 @@ def _candidates(starts, chosen, range_m, lag, rules, member, first, owner):  # t
 
 
 @njit()
-def _observe(w, channel, lag, distance, spread, rules, bin_m, lags):  # type: ignore[no-untyped-def]
-    """Count the lags of a shot if its plane is alone in it: first returns on that, else 0."""
+def _observe(w, channel, lag, distance, spread, rules, edges, counts):  # type: ignore[no-untyped-def]
+    """Count what follows the first returns on a shot's plane if that is alone in it."""
     first = lag == 0
-    on = near = 0
+    if not _alone(distance, first, spread, rules):
+        return
+    on = np.empty(len(w), np.bool_)
     for i in range(len(w)):
-        if on_surface(distance[i], spread, rules):
-            on += first[i]
-        else:
-            near += first[i] and 0.0 < distance[i] <= rules.lag_max_m
-    if on < PARENTS_MIN or on < CLEAN * (on + near):
-        return 0
+        on[i] = first[i] and on_surface(distance[i], spread, rules)
+    scale = _scale(distance, on)
+    k = min(int(scale / SPREAD_STEP_M), len(counts.planes) - 1)
+    counts.planes[k] += 1
     for i in range(len(w)):
-        if lag[i] > 0:
-            _count(i, w, channel, first, distance, spread, rules, bin_m, lags)
-    return on
+        if on[i]:
+            # Shorter lags may be those of a second return of the plane itself.
+            begin = np.searchsorted(edges, max(BEHIND * scale - distance[i], 0.0))
+            follower = next_return(i, w, channel)
+            at = len(edges) - 1
+            if follower >= 0:
+                at = min(np.searchsorted(edges, w[follower] - w[i], side="right") - 1, at)
+            if at >= begin:
+                counts.entries[k, begin] += 1
+                if at < len(edges) - 1:
+                    counts.followers[k, at] += 1
 
 
 @njit()
-def _count(
-    i: int, w: NDArray[np.float64], channel: NDArray[np.uint8], first: NDArray[np.bool_],
-    distance: NDArray[np.float64], spread: float, rules: Rules, bin_m: float,
-    lags: NDArray[np.int64],
-) -> None:  # fmt: skip
-    """Count the lag of a return whose nearest earlier one is a first one on the surface."""
-    parent = -1
+def _alone(distance, first, spread, rules):  # type: ignore[no-untyped-def]
+    """Whether first returns lie on the plane, and none of another surface behind it."""
+    on = near = deep = 0
+    depths = np.empty(len(distance))
+    for i in range(len(distance)):
+        if not first[i]:
+            continue
+        if on_surface(distance[i], spread, rules):
+            on += 1
+        elif 0.0 < distance[i] <= rules.lag_max_m:
+            near += 1
+        elif distance[i] > 0.0:
+            depths[deep] = distance[i]
+            deep += 1
+    if on < PARENTS_MIN or on < CLEAN * (on + near):
+        return False
+    return most_within(depths[:deep], 2.0 * rules.below_m) < max(DEEP_MIN, DEEP_SHARE * on)
+
+
+@njit()
+def next_return(i: int, w: NDArray[np.float64], channel: NDArray[np.uint8]) -> int:
+    """The next return of a beamlet behind one of it; -1 for none."""
+    found = -1
     for j in range(len(w)):
-        if channel[j] == channel[i] and w[j] < w[i] and (parent < 0 or w[j] > w[parent]):
-            parent = j
-    if parent >= 0 and first[parent] and on_surface(distance[parent], spread, rules):
-        bin_ = int((w[i] - w[parent]) / bin_m)
-        if bin_ < len(lags):
-            lags[bin_] += 1
+        if channel[j] == channel[i] and w[j] > w[i] and (found < 0 or w[j] < w[found]):
+            found = j
+    return found
+
+
+@njit()
+def most_within(depths: NDArray[np.float64], width: float) -> int:
+    """Most of some depths within a window [count]."""
+    most = 0
+    for i in range(len(depths)):
+        within = 0
+        for j in range(len(depths)):
+            within += 0.0 <= depths[j] - depths[i] <= width
+        most = max(most, within)
+    return most
+
+
+@njit()
+def _scale(distance: NDArray[np.float64], on: NDArray[np.bool_]) -> float:
+    """Standard deviation of the returns on a plane, which takes three of them [m]."""
+    total, count = 0.0, 0
+    for i in range(len(distance)):
+        if on[i]:
+            total += distance[i] ** 2
+            count += 1
+    return math.sqrt(total / max(count - 3, 1))
+
+
+@njit()
+def law_at(lag: float, dead_m: float, law: NDArray[np.float64]) -> float:
+    """Afterpulses per detection and metre at a lag, linear between what is tabled [1/m]."""
+    at = max(lag - dead_m, 0.0) / STEP_M
+    k = min(int(at), len(law) - 1)
+    up = min(k + 1, len(law) - 1)
+    return float(law[k] + min(at - k, 1.0) * (law[up] - law[k]))
 
 
 @njit()
 def rate_behind(
     starts: NDArray[np.int64], range_m: NDArray[np.float64], least_m: float, reach_m: float,
-    dead_m: float, probability: float, scale_m: float, rate: NDArray[np.float32],
+    dead_m: float, law: NDArray[np.float64], rate: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Afterpulses per metre expected at each return, of all earlier ones of its beamlet.
 
@@ -188,17 +283,18 @@ def rate_behind(
         Slant ranges [m], in any order within a beamlet.
     least_m, reach_m : float
         Lags that count [m].
-    dead_m, probability, scale_m : float
-        The law: p exp(-(l - dead) / scale) / scale, l up to ``reach_m``.
+    dead_m : float
+        Dead time as range [m].
+    law : (k,) float64
+        As :func:`law_at` takes it, up to ``reach_m`` [1/m].
     rate : (n,) float32
         Filled [1/m]; 0 where no return is in front.
     """
-    top = probability / scale_m / (1.0 - math.exp(-(reach_m - dead_m) / scale_m))
     for b in range(len(starts) - 1):
         for i in range(starts[b], starts[b + 1]):
             total = 0.0
             for j in range(starts[b], starts[b + 1]):
                 lag = range_m[i] - range_m[j]
                 if lag > 0.0 and least_m <= lag <= reach_m:
-                    total += top * math.exp(-max(lag - dead_m, 0.0) / scale_m)
+                    total += law_at(lag, dead_m, law)
             rate[i] = total

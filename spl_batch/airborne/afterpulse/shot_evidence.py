@@ -3,8 +3,6 @@
 See :mod:`spl_batch.airborne.afterpulse.candidates` for the method and its source.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +16,7 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     on_surface,
     returns_behind,
 )
-from spl_batch.airborne.afterpulse.lag_counts import across_beams
+from spl_batch.airborne.afterpulse.lag_counts import across_beams, law_at
 from spl_batch.airborne.beams.differential_cell_count import dcc_keep
 from spl_batch.numerics.compiled import njit
 from spl_batch.numerics.planes.robust_planes_simd import fit_planes
@@ -29,6 +27,9 @@ TOGETHER = 128
 
 HARD_SHARE = 0.8
 """Least share of the returns of a hard place that lie on its plane."""
+
+BESIDE_MIN = 4
+"""Least returns of a surface around where a beamlet crosses it behind its last return [count]."""
 
 HARD = 0.95
 """Probability of a return behind a parent on a hard surface."""
@@ -41,25 +42,17 @@ SOFT_CAP = 0.49
 
 
 @njit()
-def share_within(rules: Rules) -> float:
-    """Share of the afterpulses of an endless law whose lag is not the longest or longer."""
-    return -math.expm1(-(rules.longest_m - rules.dead_m) / rules.scale_m)
-
-
-@njit()
 def soft_probability(
-    i: int, lag: float, within: float, rows: tuple[int, int], w: NDArray[np.float64],
-    first: NDArray[np.bool_], rules: Rules,
+    i: int, lag: float, rows: tuple[int, int], w: NDArray[np.float64], first: NDArray[np.bool_],
+    rules: Rules,
 ) -> float:  # fmt: skip
     """Probability of an afterpulse from its lag and what else returns at its range.
 
     Density of afterpulses at this lag against that of real returns there, the latter
-    from the other beamlets' first returns within 1.5 m. ``within`` is :func:`share_within`,
-    ``rows`` are the first one of the shot and the one after its last.
+    from the other beamlets' first returns within 1.5 m. ``rows`` are the first one of the shot
+    and the one after its last.
     """
-    lag = max(lag - rules.dead_m, 0.0)
-    afterpulse = rules.probability * math.exp(-lag / rules.scale_m) / rules.scale_m
-    afterpulse /= within
+    afterpulse = law_at(lag, rules.dead_m, rules.law)
     others, at = 0, w[i]
     for j in range(rows[0], rows[1]):
         others += first[j] & (abs(w[j] - at) <= 1.5)
@@ -82,31 +75,56 @@ def plane_probability(
 
 @njit()
 def follows_surface(
-    i: int, own: tuple[int, int], behind: NDArray[np.float64], spreads: NDArray[np.float64],
-    depths: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
+    i: int, own: tuple[int, int], rows: tuple[int, int], behind: NDArray[np.float64],
+    spreads: NDArray[np.float64], depths: NDArray[np.float64], u: NDArray[np.float64],
+    v: NDArray[np.float64], w: NDArray[np.float64], rules: Rules,
 ) -> bool:  # fmt: skip
-    """Whether a return lies on no surface and behind one that its own beamlet hit.
+    """Whether a return lies on no surface and behind one that its own beamlet hit, or must have.
 
     ``own`` is :func:`beamlet_of` it; ``depths`` (found,) holds what :func:`returns_behind` gives,
     NaN for penetrable surfaces. A beamlet's second return cannot be of the surface that gave the
-    first: the dead time is longer than a hard surface is thick. So half of it is distance enough.
+    first, unless ranging noise is large: the dead time is longer than a hard surface is thick. So
+    half of it is distance enough. What lies behind a hard surface with a parent in front of it,
+    as the leaves of a tree, has come from there no more than what follows the surface itself, if
+    others have hit the surface close by.
     """
     for s in range(len(behind)):
-        if abs(behind[s, i]) <= max(0.5 * rules.dead_m, 2.5 * spreads[s]):
+        if abs(behind[s, i]) <= max(0.5 * rules.dead_m, rules.apart * spreads[s]):
             return False
         if depths[s] <= behind[s, i] <= depths[s] + 2.0 * rules.below_m:
             return False
-    for j in range(own[0], own[1]):
-        if not 0.0 < w[i] - w[j] <= rules.lag_max_m:
+    for s in range(len(behind)):
+        if np.isnan(depths[s]) or behind[s, i] <= 0.0:
             continue
-        for s in range(len(behind)):
-            if (
-                not np.isnan(depths[s])
-                and behind[s, i] > 0.0
-                and on_surface(behind[s, j], spreads[s], rules)
-            ):
-                return True
+        before = False
+        for j in range(own[0], own[1]):
+            if 0.0 < w[i] - w[j] <= rules.chain_m:
+                if on_surface(behind[s, j], spreads[s], rules):
+                    return True
+                before = before or behind[s, j] < 0.0
+        if before and hit_beside(i, rows, behind[s], spreads[s], u, v, rules):
+            return True
     return False
+
+
+@njit()
+def hit_beside(
+    i: int, rows: tuple[int, int], behind: NDArray[np.float64], spread: float,
+    u: NDArray[np.float64], v: NDArray[np.float64], rules: Rules,
+) -> bool:  # fmt: skip
+    """Whether a surface has returns all around where a return's beamlet crosses it.
+
+    Of those within :data:`NEAR_M` across the beam at least :data:`BESIDE_MIN`, on both sides along
+    either axis.
+    """
+    count, left, right, low, high = 0, False, False, False, False
+    for j in range(rows[0], rows[1]):
+        du, dv = u[j] - u[i], v[j] - v[i]
+        if du * du + dv * dv <= NEAR_M**2 and on_surface(behind[j], spread, rules):
+            count += 1
+            left, right = left or du < 0.0, right or du > 0.0
+            low, high = low or dv < 0.0, high or dv > 0.0
+    return count >= BESIDE_MIN and left and right and low and high
 
 
 @njit()
@@ -122,10 +140,10 @@ def beamlet_of(i: int, rows: tuple[int, int], channel: NDArray[np.uint8]) -> tup
 
 @njit()
 def nearest_parent(i: int, own: tuple[int, int], w: NDArray[np.float64], rules: Rules) -> int:
-    """The nearest earlier return of the beamlet within ``lag_max_m``; -1 for none."""
+    """The nearest earlier return of the beamlet within ``chain_m``; -1 for none."""
     parent = -1
     for j in range(own[0], own[1]):
-        behind = 0.0 < w[i] - w[j] <= rules.lag_max_m
+        behind = 0.0 < w[i] - w[j] <= rules.chain_m
         if behind and (parent < 0 or w[j] > w[parent]):
             parent = j
     return parent
@@ -180,7 +198,7 @@ def in_hard_place(
     a, b, c = sets.plane[which, 0], sets.plane[which, 1], sets.plane[which, 2]
     own = w[parent] - (a + b * u[parent] + c * v[parent])
     depth = w[i] - (a + b * u[i] + c * v[i])
-    if abs(own) > rules.below_m or depth <= 0.5 * rules.dead_m:
+    if abs(own) > rules.below_m or depth <= max(0.5 * rules.dead_m, rules.apart * rules.sigma_m):
         return False
     low, high = sets.first[which], sets.first[which + 1]
     hard = beside = 0
@@ -261,8 +279,8 @@ def _of_shots(shots, offset, direction, range_m, channel, lag, rules, out):  # t
         rows, surfaces = (shots[shot], shots[shot + 1]), behind[: found[shot]]
         if with_channels[shot]:
             askers = _judge(
-                rows, surfaces, spreads[shot], depths[shot], channel, lag, w, first, rules, out,
-                asked, askers,
+                rows, surfaces, spreads[shot], depths[shot], channel, lag, u, v, w, first, rules,
+                out, asked, askers,
             )  # fmt: skip
             continue
         for i in range(rows[0], rows[1]):
@@ -310,23 +328,24 @@ def _lay_behind(rows, u, v, w, planes, spreads, first, rules, behind, depths):  
 
 
 @njit()
-def _judge(rows, behind, spreads, depths, channel, lag, w, first, rules, out, asked, askers):  # type: ignore[no-untyped-def]
+def _judge(  # type: ignore[no-untyped-def]
+    rows, behind, spreads, depths, channel, lag, u, v, w, first, rules, out, asked, askers
+):
     """Probabilities of a shot's returns by its surfaces and lags.
 
     Lists returns that may lie behind a hard place, as their row, their parent's and ``rows``, in
     ``asked`` from ``askers`` on; the number of those listed.
     """
-    within = share_within(rules)
     for i in range(rows[0], rows[1]):
         out[i] = 0.0
         # One farther behind its nearest parent cannot have been started by any.
         if not 0.0 < lag[i] <= rules.longest_m:
             continue
         own = beamlet_of(i, rows, channel)
-        if follows_surface(i, own, behind, spreads, depths, w, rules):
+        if follows_surface(i, own, rows, behind, spreads, depths, u, v, w, rules):
             out[i] = HARD
             continue
-        out[i] = soft_probability(i, lag[i], within, rows, w, first, rules)
+        out[i] = soft_probability(i, lag[i], rows, w, first, rules)
         parent = nearest_parent(i, own, w, rules)
         if parent >= 0:
             asked[askers, 0], asked[askers, 1] = i, parent

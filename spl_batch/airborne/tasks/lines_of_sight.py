@@ -11,8 +11,10 @@ import numpy as np
 
 from spl_batch.airborne.afterpulse import candidates
 from spl_batch.airborne.beams import geometry, sensor_path
+from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.noise import line_noise
+from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.tasks.stretches import read_stretch
 from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.tasks.context import Produced
@@ -56,6 +58,12 @@ def basis(args: Mapping[str, Any]) -> str:
     if args["sensor_path"]:
         return "intersection"
     return "vertical" if args["heading_rad"] is None else "scan_angle"
+
+
+def tells_beamlets(args: Mapping[str, Any], sensor: Sensor) -> bool:
+    """Whether beams tell beamlets apart which the files do not number."""
+    unnumbered = args["beamlets"] == 1 and sensor.beamlets > 1
+    return unnumbered and bool(args["trajectory"] or args["sensor_path"])
 
 
 def find_path(args: Mapping[str, Any], context: Context) -> Produced:
@@ -122,7 +130,11 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
     if args["trajectory"] and (unknown_part > 0.5 or (ahead is not None and not ahead.is_above)):
         facts["leap_s"] = _leap(table, context.store)
     observed = line_noise.observe(table, known, context.workflow.noise)
-    observed |= candidates.observe(table, known, context.workflow.sensor)
+    sensor = context.workflow.sensor
+    if tells_beamlets(args, sensor):
+        table, order = told_apart(table, known, sensor)
+        known = known.take(order)
+    observed |= candidates.observe(table, known, sensor)
     stats = context.store.path("observed", f"{args['stretch']}.npz")
     write_arrays(stats, observed)
     return Produced([stats], facts, int(np.count_nonzero(known.known)))

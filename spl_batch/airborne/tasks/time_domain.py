@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
+from spl_batch.airborne.afterpulse.law_warnings import disagreements
 from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.published import dcc
 from spl_batch.airborne.noise import line_noise, voxel_noise
@@ -84,8 +86,13 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     parts = [read_arrays(context.store.path("observed", f"{s}.npz")) for s in args["stretches"]]
     model = line_noise.fit(line_noise.merge(parts), context.workflow.noise, _sensor(args, context))
     path = context.store.path("lines", f"{args['line']}.npz")
-    law = afterpulse_law.fit(parts, model.mean_rate, _sensor(args, context))
-    write_arrays(path, {**model.to_arrays(), "afterpulse_law": np.array(law)})
+    sensor = _sensor(args, context)
+    # Without channels the model's noise is that of a whole shot.
+    stated = context.workflow.sensor
+    beamlets = stated.beamlets if lines_of_sight.tells_beamlets(args, stated) else 1
+    law = afterpulse_law.fit(parts, model.mean_rate / beamlets, sensor)
+    told = disagreements(law, sensor) if context.workflow.afterpulse.enabled else ()
+    write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
     facts = {
         **{k: args[k] for k in ("points", "span_s", "prf_hz", "prf_basis")},
@@ -95,8 +102,14 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "gate_basis": model.gate_basis,
         "noise_per_m": model.mean_rate,
         "seen_fraction": float(seen.mean()) if len(seen) else None,
-        "afterpulses": {"probability": law.probability, "scale_m": law.scale_m},
-        "warnings": list(model.warnings),
+        "afterpulses": {
+            "probability": law.probability,
+            "scale_m": law.scale_m,
+            "longest_m": law.longest_m,
+            "sigma_m": law.sigma_m,
+            "seen": law.seen,
+        },
+        "warnings": [*model.warnings, *told],
     }
     return Produced([path], facts, args["points"])
 
@@ -112,8 +125,9 @@ def scatter(args: Mapping[str, Any], context: Context) -> Produced:
     facts: dict[str, Any] = {"tiles": {}}
     zeros = np.zeros(len(table), np.float32)
     table = table.with_columns(
-        line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros, afterpulse_share=zeros
-    )
+        line_density=zeros, afterpulse=zeros, afterpulse_rate=zeros, afterpulse_share=zeros,
+        range_sigma=zeros,
+    )  # fmt: skip
     if len(table) and not args["timeless"]:
         table, parts = _assess(table, args, context, facts)
         outputs.extend(parts)
@@ -185,15 +199,9 @@ def _assess(
     model = line_noise.LineModel.from_arrays(line)
     density = np.zeros(len(table), np.float32)
     density[known] = line_noise.line_density(subset, model)
-    chance, rate, share = np.zeros((3, len(table)), np.float32)
     if workflow.afterpulse.enabled:
-        law = afterpulse_law.AfterpulseLaw(*line["afterpulse_law"].tolist())
-        chance[known] = candidates.probability(
-            subset, beams, workflow.afterpulse, _sensor(args, context),
-            gate_m=model.gate_m, law=law,
-        )  # fmt: skip
-        rate[known] = afterpulse_law.rate(subset, beams, law)
-        share[known] = law.probability
+        law = afterpulse_law.AfterpulseLaw.from_arrays(line)
+        table = _with_afterpulses(table, known, beams, law, model.gate_m, args, context)
     if args["dcc"] is not None:
         noise = dcc.shot_noise(subset, beams, DccSettings(**args["dcc"]), model.gate_m)
         flags[known] |= noise * np.uint8(PointFlag.SHOT_NOISE)
@@ -207,10 +215,32 @@ def _assess(
     boxes = [part.box() for part in parts]
     facts |= {"voxels": boxes[0]} if boxes else {}
     facts |= {"voxels_apart": dict(zip(names[1:], boxes[1:], strict=True))} if boxes[1:] else {}
-    table = table.with_columns(
-        line_density=density, afterpulse=chance, afterpulse_rate=rate, afterpulse_share=share
-    )
+    table = table.with_columns(line_density=density)
     return table, [*paths, *_write_fired(subset, beams, model, args, context, facts)]
+
+
+def _with_afterpulses(
+    table: PointTable, known: slice | NDArray[np.intp], beams: BeamTable,
+    law: afterpulse_law.AfterpulseLaw, gate_m: float, args: Mapping[str, Any], context: Context,
+) -> PointTable:  # fmt: skip
+    """Table with what its shots say of afterpulses, for the rows whose beams are known."""
+    settings, stated = context.workflow.afterpulse, context.workflow.sensor
+    sensor, subset, found = _sensor(args, context), table.take(known), np.arange(len(table))[known]
+    channel, of_shot = table["channel"], 1.0
+    if lines_of_sight.tells_beamlets(args, stated):
+        # A beamlet is one of many of the shot's, whose noise is counted as that of one.
+        sensor, of_shot = stated, float(stated.beamlets)
+        subset, order = told_apart(subset, beams, sensor)
+        beams, found, channel = beams.take(order), found[order], channel.copy()
+        channel[found] = subset["channel"]
+    chance, rate, share, sigma = np.zeros((4, len(table)), np.float32)
+    chance[found] = candidates.probability(subset, beams, settings, sensor, gate_m=gate_m, law=law)
+    rate[found] = afterpulse_law.rate(subset, beams, law) * np.float32(of_shot)
+    share[found], sigma[found] = law.probability, law.sigma_m
+    return table.with_columns(
+        channel=channel, afterpulse=chance, afterpulse_rate=rate, afterpulse_share=share,
+        range_sigma=sigma,
+    )  # fmt: skip
 
 
 def _write_fired(

@@ -32,7 +32,7 @@ from spl_batch.formats.files.atomic import read_bytes, replacing, write_bytes
 from spl_batch.formats.files.remote import RemoteFile, is_remote
 from spl_batch.lattice.tables import COLUMNS, PointTable
 
-_FEW_VALUES: Final = {"source", "afterpulse_share"}
+_FEW_VALUES: Final = {"source", "afterpulse_share", "range_sigma"}
 """Columns of long numbers that take few values."""
 
 _MOSTLY_ZERO: Final = {"afterpulse", "afterpulse_rate"}

@@ -220,7 +220,7 @@ def test_in_crowns_the_ratio_of_rates_decides() -> None:
     true_rate = 3000 / 8**3 / BEAMLETS_PER_M2
     for odds in (0.2, 1.0, 30.0):
         table, density = survey(first, followers(first, rows, 0.6), rate=odds * true_rate)
-        _, chance, hard, _ = afterpulse_decision.probability(table, density)
+        _, chance, hard, *_ = afterpulse_decision.probability(table, density)
         assert not hard.any()
         assert float(np.median(chance)) == pytest.approx(odds / (odds + foliage.SIGHT[0]), abs=0.04)
         assert bool(echo_of(table, density)[len(first) :].mean() > 0.9) is (odds > 5)

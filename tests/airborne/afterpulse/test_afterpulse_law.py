@@ -5,17 +5,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.afterpulse import afterpulse_law, candidates
+from spl_batch.airborne.afterpulse import afterpulse_law, candidates, lag_counts
 from spl_batch.airborne.afterpulse.afterpulse_law import (
-    BIN_M,
     scale_of_mean,
     sensor_law,
     truncated_mean,
 )
-from spl_batch.airborne.afterpulse.lag_counts import rate_behind
+from spl_batch.airborne.afterpulse.lag_counts import (
+    LAG_EDGES_M,
+    SPREAD_STEP_M,
+    SPREADS,
+    STEP_M,
+    law_at,
+    no_counts,
+    rate_behind,
+)
+from spl_batch.airborne.afterpulse.law_warnings import disagreements
+from spl_batch.airborne.afterpulse.ranging_spread import ranging_spread
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.sensors.sensor import Sensor, load_preset
-from spl_batch.airborne.simulate.detector import truncated_exponential
+from spl_batch.airborne.settings import AfterpulseSettings
+from spl_batch.airborne.simulate.detector import Receiver, draw_lag, truncated_exponential
 from spl_batch.lattice.tables import BeamTable
 from tests.airborne.afterpulse.test_candidates import shots
 
@@ -32,14 +42,30 @@ def observed(number: int = 400, **keys: float) -> dict[str, np.ndarray]:
     return candidates.observe(table, geometry.beams(table, trajectory), SENSOR)
 
 
+def counted(
+    lags: np.ndarray, parents: int, spread_m: float = 0.05, noise: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """Counts of so many returns of hard planes, some of which are followed."""
+    counts, k = no_counts(), int(spread_m / SPREAD_STEP_M)
+    counts.planes[k] = parents // 30
+    counts.entries[k, 0] = parents
+    for followers in (lags, [] if noise is None else noise):
+        counts.followers[k] += np.histogram(followers, LAG_EDGES_M)[0]
+    return {f"afterpulse_{name}": value for name, value in counts._asdict().items()}
+
+
 @pytest.mark.parametrize("share", [0.08, 0.25])
 def test_the_share_of_afterpulses_is_found(share: float) -> None:
     parts = [observed(afterpulses=share, seed=s) for s in range(2)]
-    assert parts[0]["afterpulse_parents"][0] > 3000
+    assert parts[0]["afterpulse_entries"].sum() > 3000
     law = afterpulse_law.fit(parts, 1e-3, SENSOR)
     assert law.probability == pytest.approx(share, abs=0.02)
     assert law.scale_m == pytest.approx(0.7, abs=0.08)
-    assert law == afterpulse_law.fit(parts[::-1], 1e-3, SENSOR)
+    # Lags of these shots have no end: two in a hundred pass the 3 m that the sensor states.
+    assert 3.0 <= law.longest_m < 6.0
+    again = afterpulse_law.fit(parts[::-1], 1e-3, SENSOR)
+    np.testing.assert_array_equal(law.density, again.density)
+    assert law[:-1] == again[:-1]
 
 
 def test_background_is_not_taken_for_afterpulses() -> None:
@@ -55,11 +81,14 @@ def test_without_hard_surfaces_the_sensor_is_believed() -> None:
     table, trajectory, _ = shots(lambda x, _: np.full(len(x), 30 + next(heights)), number=40)
     table = table.with_columns(shot=np.rint(table["gps_time"] / 2e-5).astype(np.int64))
     part = candidates.observe(table, geometry.beams(table, trajectory), SENSOR)
-    assert part["afterpulse_parents"][0] == 0
-    law = afterpulse_law.fit([part], 1e-3, SENSOR)
-    assert law.probability == pytest.approx(SENSOR.afterpulse_probability)
-    assert law.scale_m == pytest.approx(SENSOR.afterpulse_scale_m, rel=1e-6)
-    assert observed(channels=False, number=20)["afterpulse_parents"][0] == 0  # type: ignore[arg-type]
+    assert part["afterpulse_entries"].sum() == 0
+    law, stated = afterpulse_law.fit([part], 1e-3, SENSOR), sensor_law(SENSOR)
+    assert law.probability == pytest.approx(SENSOR.afterpulse_probability, rel=1e-3)
+    assert law.scale_m == pytest.approx(SENSOR.afterpulse_scale_m, rel=0.02)
+    assert law.sigma_m == SENSOR.range_sigma_m
+    np.testing.assert_allclose(law.density[:50], stated.density[:50], rtol=0.05)
+    assert disagreements(law, SENSOR) == ()
+    assert observed(channels=False, number=20)["afterpulse_entries"].sum() == 0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("scale", "longest"), [(0.3, 3.0), (0.7, 3.0), (1.0, 3.0), (0.7, 1.8)])
@@ -68,13 +97,101 @@ def test_what_the_simulator_draws_is_what_the_fit_finds(scale: float, longest: f
     rng, count = np.random.default_rng(7), 40_000
     drawn = [truncated_exponential.py_func(rng, scale, longest - sensor.dead_m)
              for _ in range(count)]  # fmt: skip
-    lags = np.histogram(sensor.dead_m + np.array(drawn), bins=round(longest / BIN_M),
-                        range=(0.0, longest))[0]  # fmt: skip
-    part = {"afterpulse_parents": np.array([200_000]), "afterpulse_lags": lags}
-    law = afterpulse_law.fit([part], 0.0, sensor)
+    law = afterpulse_law.fit([counted(sensor.dead_m + np.array(drawn), 200_000)], 0.0, sensor)
     assert law.probability == pytest.approx(0.2, rel=0.01)
-    assert law.scale_m == pytest.approx(scale, rel=0.03)
-    assert law.longest_m == longest
+    assert law.scale_m == pytest.approx(scale, rel=0.04)
+    assert law.longest_m == pytest.approx(longest, abs=0.06)
+    lag = np.arange(0.3, min(longest, 4 * scale), 0.1)
+    window = longest - sensor.dead_m
+    true = 0.2 * np.exp(-(lag - sensor.dead_m) / scale) / scale / -np.expm1(-window / scale)
+    at = [law_at(float(x), law.dead_m, law.density) for x in lag]
+    np.testing.assert_allclose(at, true, rtol=0.12)
+
+
+@pytest.mark.parametrize("power", [0.0, 1.5])
+@pytest.mark.parametrize("longest", [8.0, 15.0, 30.0])
+def test_a_tail_is_followed_as_deep_as_it_goes(power: float, longest: float) -> None:
+    receiver = Receiver(SENSOR.dead_m, 0.25, 0.7, longest, 0.4, 4.0 if power == 0 else 0.5, power)
+    rng = np.random.default_rng(3)
+    parents, noise = 60_000, 2e-3
+    lags = np.array([draw_lag.py_func(rng, receiver) for _ in range(parents // 4)])
+    behind = rng.exponential(1 / noise, parents - len(lags))
+    part = counted(lags, parents, noise=behind)
+    law = afterpulse_law.fit([part], noise, SENSOR)
+    assert 0.6 * longest < law.longest_m < 1.2 * longest
+    assert law.probability == pytest.approx(0.25, abs=0.01)
+    late = float(np.mean(lags > 3.0))
+    assert law.later_than(3.0) == pytest.approx(late, abs=0.03)
+    (said,) = disagreements(law, SENSOR)
+    assert f"up to {law.longest_m:.0f} m, and the sensor states 3 m" in said.text
+
+
+def test_a_noise_model_that_falls_short_makes_no_tail() -> None:
+    rng = np.random.default_rng(3)
+    behind = rng.exponential(1 / 2e-3, 60_000)
+    for model in (1.6e-3, 2e-3, 2.6e-3):
+        law = afterpulse_law.fit([counted(behind, 60_000)], model, SENSOR)
+        assert law.longest_m == 3.0
+        assert law.probability < 0.003
+
+
+@pytest.mark.parametrize(("spread", "found"), [(0.03, 0.05), (0.055, 0.05), (0.155, 0.16)])
+def test_the_ranging_spread_is_what_planes_show(spread: float, found: float) -> None:
+    rng = np.random.default_rng(1)
+    planes = np.zeros(SPREADS, np.int64)
+    of_planes = spread * rng.normal(1.0, 0.12, 2000)
+    # Half of the planes are overgrown.
+    of_planes[::2] += rng.exponential(0.1, 1000)
+    np.add.at(planes, (of_planes / SPREAD_STEP_M).astype(int).clip(0, SPREADS - 1), 1)
+    assert ranging_spread(planes, SENSOR) == pytest.approx(found, rel=0.1)
+    assert ranging_spread(planes * 0, SENSOR) == SENSOR.range_sigma_m
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_what_follows_a_plane_is_counted_as_by_hand(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, spread = int(rng.integers(12, 60)), 0.06
+    channel = np.arange(n, dtype=np.uint8)
+    distance = rng.normal(0, 0.06, n)
+    chosen = rng.random(n) < 0.5
+    lags = 0.1 + rng.exponential(4.0, n)[chosen]
+    channel = np.concatenate([channel, channel[chosen]])
+    w = np.concatenate([distance, distance[chosen] + lags])
+    lag = np.concatenate([np.zeros(n), lags]).astype(np.float32)
+    order = np.lexsort([rng.random(len(w)), channel])
+    channel, w, lag = channel[order], w[order], lag[order]
+    rules = candidates.hard_rules(AfterpulseSettings(), SENSOR, sensor_law(SENSOR))
+    counts = no_counts()
+    lag_counts._observe(w, channel, lag, w.copy(), spread, rules, LAG_EDGES_M, counts)
+    entries, followers = np.zeros((2, len(LAG_EDGES_M) - 1), np.int64)
+    near = [i for i in range(len(w)) if lag[i] == 0 and abs(w[i]) <= 0.3]
+    scale = np.sqrt(sum(w[i] ** 2 for i in near) / (len(near) - 3))
+    for i in near:
+        begin = int(np.sum(max(2.5 * scale - w[i], 0.0) > LAG_EDGES_M))
+        later = sorted(w[(channel == channel[i]) & (w > w[i])] - w[i])
+        at = int(np.sum(later[0] >= LAG_EDGES_M)) - 1 if later else 10**6
+        entries[begin] += at >= begin
+        if begin <= at < len(followers):
+            followers[at] += 1
+    k = int(scale / SPREAD_STEP_M)
+    assert counts.planes.sum() == counts.planes[k] == 1
+    np.testing.assert_array_equal(counts.entries[k], entries)
+    np.testing.assert_array_equal(counts.followers[k], followers)
+
+
+def test_other_beamlets_at_one_depth_far_behind_tell_that_a_plane_is_not_alone() -> None:
+    n = 40
+    rng = np.random.default_rng(0)
+    w = np.concatenate([rng.normal(0, 0.05, n), 9.0 + rng.normal(0, 0.05, 6)])
+    rules = candidates.hard_rules(AfterpulseSettings(), SENSOR, sensor_law(SENSOR))
+    channel, lag = np.arange(len(w), dtype=np.uint8), np.zeros(len(w), np.float32)
+    for few in (False, True):
+        counts, some = no_counts(), slice(0, n + 2 if few else n + 6)
+        lag_counts._observe(
+            w[some], channel[some], lag[some], w[some], 0.05, rules, LAG_EDGES_M, counts
+        )
+        assert counts.planes.sum() == few
 
 
 def test_a_longest_lag_within_the_dead_time_is_refused() -> None:
@@ -102,28 +219,22 @@ def test_rates_add_up_over_all_parents(seed: int, n: int) -> None:
     range_m = rng.uniform(100, 106, n)
     starts = np.searchsorted(beamlet, np.arange(5)).astype(np.int64)
     law = sensor_law(SENSOR)
+    density = rng.uniform(0, 1, len(law.density))
     found = np.empty(n, np.float32)
-    rate_behind(starts, range_m, law.least_m, law.longest_m, law.dead_m, 0.2, 0.5, found)
+    rate_behind(starts, range_m, law.least_m, law.longest_m, law.dead_m, density, found)
+    nodes = law.dead_m + STEP_M * np.arange(len(density))
     for i in range(n):
         lags = range_m[i] - range_m[beamlet == beamlet[i]]
         lags = lags[(lags >= law.least_m) & (lags <= law.longest_m)]
-        density = np.exp(-np.maximum(lags - law.dead_m, 0) / 0.5) / 0.5
-        total = 0.2 * density.sum() / (1 - np.exp(-(law.longest_m - law.dead_m) / 0.5))
+        total = np.interp(lags, nodes, density).sum()
         assert found[i] == pytest.approx(total, rel=1e-5, abs=1e-7)
 
 
 def test_the_law_integrates_to_its_probability() -> None:
-    law = sensor_law(SENSOR)._replace(probability=0.2, scale_m=0.5)
+    law = sensor_law(SENSOR)
     lag = np.arange(law.dead_m, law.longest_m, 0.001)
-    rate = np.empty(2, np.float32)
-    total = 0.0
-    for step in lag:
-        rate_behind(
-            np.array([0, 2]), np.array([100.0, 100.0 + step]), law.least_m, law.longest_m,
-            law.dead_m, law.probability, law.scale_m, rate,
-        )  # fmt: skip
-        total += 0.001 * float(rate[1])
-    assert total == pytest.approx(0.2, rel=0.01)
+    total = sum(0.001 * law_at(float(step), law.dead_m, law.density) for step in lag)
+    assert total == pytest.approx(law.probability, rel=0.01)
 
 
 def test_rows_without_beams_or_channels_have_no_rate() -> None:

@@ -1,0 +1,48 @@
+"""Ranging spread of a flightline, from the planes that its shots see.
+
+Domain: time. A plane in one shot is rough, curved or overgrown, or hard; the returns on a hard one
+spread by the ranging noise alone, and no plane spreads less. So the least that planes spread tells
+it, where there are many: the sensor's own figure counts as :data:`PRIOR` planes.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse.lag_counts import SPREAD_STEP_M
+from spl_batch.airborne.sensors.sensor import Sensor
+
+DOMAIN: Final = "time"
+
+PRIOR: Final = 30.0
+"""Planes that the sensor's own figure is worth [count]."""
+
+QUANTILE: Final = 0.2
+"""Share of the planes that spread less: a fifth of them is hard in any survey with planes."""
+
+CHANCE: Final = 1.15
+"""Spread of hard planes over that quantile of it, as some twenty returns of a plane tell it."""
+
+BELIEVED: Final = 1.3
+"""How much larger than the sensor's it must be: little more is the roughness of the ground."""
+
+
+def ranging_spread(planes: NDArray[np.int64], sensor: Sensor) -> float:
+    """One standard deviation of ranges [m], never less than the sensor's.
+
+    Parameters
+    ----------
+    planes : (s,) int64
+        Planes by their spread, in steps of
+        :data:`~spl_batch.airborne.afterpulse.lag_counts.SPREAD_STEP_M` [count].
+    sensor : Sensor
+        Its ranging spread.
+    """
+    stated = sensor.range_sigma_m
+    counts = planes.astype(np.float64)
+    counts[min(int(stated / CHANCE / SPREAD_STEP_M), len(counts) - 1)] += PRIOR
+    before = np.insert(np.cumsum(counts), 0, 0.0) / counts.sum()
+    edges = np.arange(len(counts) + 1) * SPREAD_STEP_M
+    found = CHANCE * float(np.interp(QUANTILE, before, edges))
+    return found if found > BELIEVED * stated else stated

@@ -1,0 +1,94 @@
+"""Beamlets of a shot told apart by where they point, where files do not number them.
+
+Domain: time. Returns of one beamlet lie on one line of sight; those beside it are a pitch away. So
+returns whose directions differ by less than a part of the pitch are of one beamlet. Numbers mean
+nothing beyond their shot: the same one is another beamlet in the next shot, and neither a channel's
+gain nor a dead one is told.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.lattice.tables import BeamTable, PointTable, rows_of
+from spl_batch.numerics.compiled import njit
+
+DOMAIN: Final = "time"
+
+SAME: Final = 0.25
+"""Directions of one beamlet differ by less [pitches of the array]."""
+
+
+def told_apart(
+    table: PointTable, beams: BeamTable, sensor: Sensor
+) -> tuple[PointTable, NDArray[np.intp]]:
+    """Table with a beamlet's number in ``channel``, its rows in the order of these.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by time.
+    beams : BeamTable
+        Their beams; rows without a known one are beamlets by themselves, of number 0.
+    sensor : Sensor
+        The pitch of its array.
+
+    Returns
+    -------
+    table : PointTable
+        Sorted by (gps_time, channel), and as before within a beamlet.
+    order : (n,) intp
+        The rows of the given table in that order.
+    """
+    channel = np.zeros(len(table), np.uint8)
+    rows = rows_of(beams.known)
+    known = table["gps_time"][rows]
+    found = np.zeros(len(known), np.uint8)
+    number_beamlets(
+        run_starts(known), np.ascontiguousarray(beams.direction[rows]),
+        SAME * sensor.beamlet_pitch_urad * 1e-6, found,
+    )  # fmt: skip
+    channel[rows] = found
+    shots = run_starts(table["gps_time"])
+    shot = np.repeat(np.arange(len(shots) - 1), np.diff(shots))
+    order = np.lexsort((channel, shot))
+    return table.with_columns(channel=channel).take(order), order
+
+
+@njit()
+def number_beamlets(
+    starts: NDArray[np.int64], direction: NDArray[np.float64], apart_rad: float,
+    number: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Number the different directions of each shot from 1 on, in the order of its rows.
+
+    Parameters
+    ----------
+    starts : (s + 1,) int64
+        Rows where shots start, then n.
+    direction : (n, 3) float64
+        Unit vectors along the beams.
+    apart_rad : float
+        Directions that differ by less are one [rad].
+    number : (n,) uint8
+        Filled; a return is of the nearest direction that came before it; 255 are told apart.
+    """
+    seen = np.empty((255, 3))
+    for shot in range(len(starts) - 1):
+        count = 0
+        for i in range(starts[shot], starts[shot + 1]):
+            best, nearest = -1, apart_rad * apart_rad
+            for k in range(count):
+                off = 0.0
+                for axis in range(3):
+                    off += (direction[i, axis] - seen[k, axis]) ** 2
+                if off < nearest:
+                    best, nearest = k, off
+            if best < 0 and count < 255:
+                best = count
+                seen[count] = direction[i]
+                count += 1
+            number[i] = best + 1
