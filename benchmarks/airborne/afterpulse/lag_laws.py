@@ -3,10 +3,11 @@
 Run ``python -m benchmarks.airborne.afterpulse.lag_laws [FOLDER] [--only WORD]``.
 
 Each row is a small scene whose detector has lags with a long tail, more or fewer afterpulses, more
-ranging noise, or range walk; the workflow knows the preset alone. The same scene without
-afterpulses, but for the ranging noise, gives the terrain to compare with. *Stated* has the law and
-the ranging noise that the sensor states, as flightlines without a hard surface have; *shown* is
-what runs by default. FOLDER keeps the surveys (a temporary one by default).
+ranging noise, or range walk, or whose files do not number the beamlets; the workflow knows the
+preset alone. The same scene without afterpulses gives the terrain to compare with. *Stated* has the
+law and the ranging noise that the sensor states, as flightlines without a hard surface have, and no
+beamlets but by number; *shown* is what runs by default. FOLDER keeps the surveys (a temporary one
+by default).
 """
 
 import argparse
@@ -30,6 +31,7 @@ from spl_batch.airborne.afterpulse import afterpulse_law
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.airborne.tasks import lines_of_sight
 
 KINDS: Final = (*methods.KINDS, "bottom")
 GROUND, ROOF, VEGETATION, AFTERPULSE = (
@@ -70,8 +72,12 @@ ROWS: Final[dict[str, dict[str, Any]]] = {
     "ranging noise 15 cm": {"range_sigma_m": 0.15},
     "ranging noise 30 cm": {"range_sigma_m": 0.3},
     "range walk 10 cm": {"range_walk_m": 0.1},
+    "no channel numbers": {},
 }
 """What the detector does in each row."""
+
+OVERRIDES: Final = {"no channel numbers": ("survey.channel_dimension=null",)}
+"""What the workflow is told in some rows."""
 
 
 def content(detector: Mapping[str, Any], seed: int = 5) -> dict[str, Any]:
@@ -94,19 +100,22 @@ def content(detector: Mapping[str, Any], seed: int = 5) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def as_stated() -> Iterator[None]:
-    """Flightlines have the law and the ranging noise of the sensor, whatever they show."""
+    """Flightlines have the law and the noise of the sensor, and the beamlets that files number."""
 
     def stated(parts: Any, noise_per_m: float, sensor: Sensor) -> afterpulse_law.AfterpulseLaw:
         del parts, noise_per_m
         return afterpulse_law.sensor_law(sensor)
 
-    with mock.patch.object(afterpulse_law, "fit", stated):
+    with (
+        mock.patch.object(afterpulse_law, "fit", stated),
+        mock.patch.object(lines_of_sight, "tells_beamlets", return_value=False),
+    ):
         yield
 
 
-def run(survey: Path, name: str) -> tuple[Path, list[str]]:
+def run(survey: Path, name: str, told: Sequence[str] = ()) -> tuple[Path, list[str]]:
     """Run the chain on a survey; its output and what it warns of."""
-    overrides = [f"output={name}", "reference=null"]
+    overrides = [f"output={name}", "reference=null", *told]
     result = api.run(survey / "workflow.yaml", overrides=overrides, workers=0)
     if result.exit_status:
         raise SystemExit(f"{survey}: the run failed; see {name}/log.jsonl")
@@ -182,7 +191,7 @@ def table(folder: Path, rows: Sequence[str], *, stated: bool = True) -> list[dic
         without, _ = run(plain, "out")
         for how in ("stated", "shown") if stated else ("shown",):
             with as_stated() if how == "stated" else contextlib.nullcontext():
-                out, said = run(survey, f"out_{how}")
+                out, said = run(survey, f"out_{how}", OVERRIDES.get(name, ()))
             values = figures(survey, out, without)
             if number == 0 and not found:
                 heads = "".join(f"{head:>14s}" for head in values)

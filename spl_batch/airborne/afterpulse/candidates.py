@@ -12,7 +12,10 @@ surfaces the lag, by the flightline's own law
 (:mod:`~spl_batch.airborne.afterpulse.afterpulse_law`), gives
 a probability below one half: the space domain decides
 (:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`).
-Where a shot knows no channels, the published rule stands, but not deeper than ``lag_max_m``.
+A parent may lie in front of the hard surface, too, as leaves over ground: nothing passes that.
+Where a shot knows no channels, nor tells its beamlets apart by their directions
+(:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, but not deeper than
+``lag_max_m``.
 """
 
 from typing import Final

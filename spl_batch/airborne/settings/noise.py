@@ -41,8 +41,8 @@ class AfterpulseSettings(Section):
     )
     lag_max_m: Positive = Field(
         5.0,
-        description="Greatest depth behind a hard surface [m]; one step is no longer than the "
-        "sensor's afterpulse_lag_max_m.",
+        description="Greatest depth behind a hard surface [m]; deeper where a flightline shows "
+        "longer lags than the sensor's afterpulse_lag_max_m.",
     )
     vegetation_loss: Share = Field(
         0.0125,

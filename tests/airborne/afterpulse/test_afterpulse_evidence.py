@@ -70,3 +70,31 @@ def test_true_bottoms_of_clear_water_stay(tmp_path: Path, *, polygons: bool) -> 
     assert found["bottom kept"] >= 95
     assert found["ground kept"] >= 99.5
     assert found["afterpulses of ground removed"] >= 97
+
+
+def test_lags_that_the_sensor_does_not_state_are_followed(tmp_path: Path) -> None:
+    tail = {"share": 1.0, "scale_m": 0.5, "power": 1.5}
+    detector = {"afterpulse_probability": 0.25, "afterpulse_lag_max_m": 15.0, "tail": tail}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(afterpulse_tables, "echo_chance", no_bound)
+        survey = afterpulse_tables.prepare(SCENE | {"detector": detector}, tmp_path)
+    mine = (survey.kind == AFTERPULSE) & (survey.parent == GROUND)
+    late = mine & (survey.table["afterpulse_rate"] > 0) & (survey.table["afterpulse_rate"] < 8e-3)
+    assert late.sum() > 100
+    found = resolved(survey, survey.table)
+    assert found[mine].mean() >= 0.95
+    assert found[late].mean() >= 0.9
+    assert found[survey.kind == GROUND].mean() <= 0.001
+
+
+def test_surfaces_are_as_thick_as_the_ranging_noise(tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(afterpulse_tables, "echo_chance", no_bound)
+        survey = afterpulse_tables.prepare(SCENE | {"detector": {"range_sigma_m": 0.15}}, tmp_path)
+    sigma = float(survey.table["range_sigma"].max())
+    assert sigma == pytest.approx(0.15, abs=0.02)
+    found = resolved(survey, survey.table)
+    for of in (GROUND, ROOF):
+        assert found[survey.kind == of].mean() <= 0.005
+        mine = (survey.kind == AFTERPULSE) & (survey.parent == of)
+        assert found[mine].mean() > 0.8
