@@ -15,7 +15,7 @@ from spl_batch.airborne.sensors.sensor import Sensor
 
 DOMAIN: Final = "time"
 
-PRIOR: Final = 30.0
+PRIOR: Final = 6.0
 """Planes that the sensor's own figure is worth [count]."""
 
 QUANTILE: Final = 0.2
