@@ -13,6 +13,7 @@ from spl_batch.airborne.afterpulse.hard_surfaces import (
     SHARP,
     SURFACES_MAX,
     Rules,
+    hit_beside,
     on_surface,
     returns_behind,
 )
@@ -27,9 +28,6 @@ TOGETHER = 128
 
 HARD_SHARE = 0.8
 """Least share of the returns of a hard place that lie on its plane."""
-
-BESIDE_MIN = 4
-"""Least returns of a surface around where a beamlet crosses it behind its last return [count]."""
 
 HARD = 0.95
 """Probability of a return behind a parent on a hard surface."""
@@ -105,26 +103,6 @@ def follows_surface(
         if before and hit_beside(i, rows, behind[s], spreads[s], u, v, rules):
             return True
     return False
-
-
-@njit()
-def hit_beside(
-    i: int, rows: tuple[int, int], behind: NDArray[np.float64], spread: float,
-    u: NDArray[np.float64], v: NDArray[np.float64], rules: Rules,
-) -> bool:  # fmt: skip
-    """Whether a surface has returns all around where a return's beamlet crosses it.
-
-    Of those within :data:`NEAR_M` across the beam at least :data:`BESIDE_MIN`, on both sides along
-    either axis.
-    """
-    count, left, right, low, high = 0, False, False, False, False
-    for j in range(rows[0], rows[1]):
-        du, dv = u[j] - u[i], v[j] - v[i]
-        if du * du + dv * dv <= NEAR_M**2 and on_surface(behind[j], spread, rules):
-            count += 1
-            left, right = left or du < 0.0, right or du > 0.0
-            low, high = low or dv < 0.0, high or dv > 0.0
-    return count >= BESIDE_MIN and left and right and low and high
 
 
 @njit()
