@@ -225,3 +225,31 @@ def test_wrong_requests_to_the_store_are_refused(store, tmp_path):
         read_window(store, "dtm", Bounds(0, 0, 1500, 1000))
     with pytest.raises(StoreError, match="is \\(9, 10\\), not whole squares"):
         write_cell(store, CellId(0, 0), {"dtm": np.zeros((9, 10), np.float32)})
+
+
+def test_a_raster_knows_its_statistics_whatever_the_order_of_its_pieces(tmp_path):
+    values = np.random.default_rng(4).normal(300, 20, (40, 60)).astype(np.float32)
+    values[3:9, 5:20] = NODATA
+    pieces = [(0, 0, values[:, :25]), (0, 25, values[:, 25:])]
+    for name, those in (("a", pieces), ("b", pieces[::-1])):
+        write_cog(
+            tmp_path / f"{name}.tif",
+            those,
+            shape=values.shape,
+            origin_xy_m=(0.0, 40.0),
+            cell_m=1.0,
+            crs=None,
+            description="height",
+        )
+    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
+    with rasterio.open(tmp_path / "a.tif") as source:
+        tags = source.tags(1)
+    known = values[values != NODATA].astype(np.float64)
+    for key, wanted in (
+        ("MINIMUM", known.min()),
+        ("MAXIMUM", known.max()),
+        ("MEAN", known.mean()),
+        ("STDDEV", known.std()),
+        ("VALID_PERCENT", 100 * known.size / values.size),
+    ):
+        assert float(tags[f"STATISTICS_{key}"]) == pytest.approx(wanted, rel=1e-3)

@@ -1,5 +1,6 @@
 """Delivered rasters: cloud-optimised GeoTIFF."""
 
+import math
 import shutil
 import zlib
 from collections.abc import Iterable
@@ -115,6 +116,7 @@ def _write_plain(
     """
     layout = {"tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX, "sparse_ok": True}
     marks = []
+    summary = _Summary(profile["nodata"], profile["height"] * profile["width"])
     with rasterio.open(path, "w", bigtiff="if_safer", **layout, **profile) as out:
         out.set_band_description(1, named[0])
         if named[1]:
@@ -125,7 +127,52 @@ def _write_plain(
             values = block.astype(np.float32, copy=False)
             out.write(values, 1, window=window)
             marks.append((window, zlib.crc32(values.tobytes())))
+            summary.add(values)
+        out.update_tags(1, **summary.tags())
     return marks
+
+
+class _Summary:
+    """Statistics of a raster, as GDAL keeps them for whoever draws it.
+
+    Parameters
+    ----------
+    nodata : float
+        Value of cells that hold nothing.
+    cells : int
+        Cells of the whole raster [count].
+    """
+
+    def __init__(self, nodata: float, cells: int) -> None:
+        self.nodata, self.cells = np.float32(nodata), cells
+        self.ends: list[float] = []
+        self.sums: list[float] = []
+        self.squares: list[float] = []
+        self.held = 0
+
+    def add(self, values: NDArray[np.float32]) -> None:
+        """Take a piece in."""
+        known = values[values != self.nodata].astype(np.float64)
+        self.held += known.size
+        if known.size:
+            self.ends += [float(known.min()), float(known.max())]
+            self.sums.append(float(known.sum()))
+            self.squares.append(float((known**2).sum()))
+
+    def tags(self) -> dict[str, str]:
+        """Items of GDAL's metadata; none where the raster is empty."""
+        if not self.held:
+            return {}
+        # Exact sums of the pieces' sums: their order does not count.
+        mean = math.fsum(self.sums) / self.held
+        variance = max(math.fsum(self.squares) / self.held - mean**2, 0.0)
+        return {
+            "STATISTICS_MINIMUM": f"{min(self.ends):.9g}",
+            "STATISTICS_MAXIMUM": f"{max(self.ends):.9g}",
+            "STATISTICS_MEAN": f"{mean:.9g}",
+            "STATISTICS_STDDEV": f"{math.sqrt(variance):.9g}",
+            "STATISTICS_VALID_PERCENT": f"{100 * self.held / self.cells:.4g}",
+        }
 
 
 def _verify(cog: Path, marks: Iterable[tuple[Window, int]]) -> None:
