@@ -87,6 +87,7 @@ def make_inputs() -> PictureInputs:
         noise_density=Raster(noise, EXTENT),
         differences_m=difference[~void],
         profile=make_profile(rng),
+        strips=Raster(0.05 + 0.0001 * x[::20, ::20], EXTENT),
     )
 
 

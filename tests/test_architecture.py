@@ -34,8 +34,8 @@ NAMES = {"constants", "errors", "imports", "receivers", "__init__"}
 FLOW: Mapping[str, tuple[str, ...]] = {
     "airborne": (
         *("sensors", "settings", "context", "store", "beams", "noise", "afterpulse", "filter"),
-        *("ground", "products", "accuracy", "catalogue", "simulate", "tasks", "plan", "report"),
-        *("precompile", "receiver", "compare", "quickstart"),
+        *("ground", "strips", "products", "accuracy", "catalogue", "simulate", "tasks", "plan"),
+        *("report", "precompile", "receiver", "compare", "quickstart"),
     ),
     "altimetry": (
         *("settings", "photon_table", "formats", "simulate", "water", "noise", "filter", "ground"),

@@ -37,6 +37,8 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
+from spl_batch.airborne.strips.pair_sentences import offset_warnings
+from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.report.run_record import Receipts, RunFacts
@@ -61,11 +63,15 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "denoise": "block",
         "ground": "ground cell",
         "surface": "ground cell",
+        "strip_patches": "ground cell",
         "accuracy": "square of the reference",
         "checkpoints": "file",
     }
 )
 
+
+_CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches"})
+"""Kinds of task that work on a ground cell."""
 
 FEW_PIECES: Final = 2
 """Further pieces of a survey whose rasters the console names [count]."""
@@ -190,6 +196,8 @@ class Imaging(Receiver[Survey, Context]):
                 raise WorkflowError(f"survey.trajectory: {failures[-1]}")
         if phase.kind == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
+        for receipt in survey.of("strip_pairs").values() if phase.kind == "strip_pairs" else ():
+            yield from offset_warnings(pairs_of(receipt.facts))
         if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
             yield (
                 "the survey lies in pieces far apart: each has rasters of its own "
@@ -236,7 +244,7 @@ class Imaging(Receiver[Survey, Context]):
         """Edge of the squares that a kind of task works on; 0 where they are no squares [m]."""
         if kind in {"build_tile", "denoise", "deliver_tile"}:
             return ledger.tile_q / QUANTA_PER_M
-        return ledger.cell_q / QUANTA_PER_M if kind in {"ground", "surface"} else 0.0
+        return ledger.cell_q / QUANTA_PER_M if kind in _CELL_KINDS else 0.0
 
     def reference(self, ledger: Survey) -> list[str]:
         """Files that the results are compared with."""

@@ -348,6 +348,7 @@ TILE_COLUMNS: Final = (
     "gps_time",
     "channel",
     "return_number",
+    "point_source_id",
     "intensity",
     "input_class",
     "flags",

@@ -6,7 +6,7 @@ its points stay unlabelled, the rest goes on.
 
 from collections.abc import Iterator, Mapping
 
-from spl_batch.airborne.plan import catalogue_tasks, reference_tasks, space_tasks
+from spl_batch.airborne.plan import catalogue_tasks, reference_tasks, space_tasks, strip_tasks
 from spl_batch.airborne.plan.flightlines import Flightline
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.survey_ledger import Survey
@@ -190,7 +190,9 @@ PHASES = (
     Phase("build_tile", space_tasks.build),
     Phase("denoise", space_tasks.denoise),
     Phase("ground", space_tasks.ground),
+    Phase("strip_patches", strip_tasks.patches, beside=True),
     Phase("surface", space_tasks.surface),
+    Phase("strip_pairs", strip_tasks.pairs, beside=True),
     Phase("deliver_file", space_tasks.deliver),
     Phase("deliver_tile", space_tasks.deliver_tiles, beside=True),
     Phase("mosaic", space_tasks.mosaic, beside=True),

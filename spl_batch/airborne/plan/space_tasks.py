@@ -99,7 +99,7 @@ def denoise(survey: Survey) -> Iterator[Task]:
             "beamlets": survey.beamlets,
         }
         needs = (
-            *_tile_needs(block),
+            *tile_needs(block),
             *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
         )
         yield _task("denoise", block, args, needs, survey)
@@ -111,8 +111,8 @@ def ground(survey: Survey) -> Iterator[Task]:
     holders = survey.holders()
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         noise = holders.of(cell.tiles)
-        args = {**_cell_args(cell), "halo": halo, "noise": _named("noise", noise)}
-        needs = (*_tile_needs(cell), *_label_needs("denoise", noise))
+        args = {**cell_args(cell), "halo": halo, "noise": named_units("noise", noise)}
+        needs = (*tile_needs(cell), *label_needs("denoise", noise))
         yield _task("ground", cell, args, needs, survey)
 
 
@@ -131,16 +131,16 @@ def surface(survey: Survey) -> Iterator[Task]:
         ground_of = survey.ground_cells.owners(cell.tiles, survey.tile_q, survey.of("ground"))
         parts = None if index is None else index.overlapping(grow(cell.core, halo))
         args = {
-            **_cell_args(cell),
+            **cell_args(cell),
             "halo": halo,
-            "noise": _named("noise", noise),
-            "ground": _named("ground", ground_of),
+            "noise": named_units("noise", noise),
+            "ground": named_units("ground", ground_of),
             "polygons": list(survey.inputs.polygons),
             "fired": parts,
             "spans_s": spans_s,
         }
-        labels = (*_label_needs("denoise", noise), *_label_needs("ground", ground_of))
-        needs = (*_tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
+        labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
+        needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
         yield _task("surface", cell, args, needs, survey)
 
 
@@ -235,7 +235,8 @@ def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:
     return {name: facts[fact] for name, facts in scattered if fact in facts}
 
 
-def _cell_args(cell: Unit) -> dict[str, object]:
+def cell_args(cell: Unit) -> dict[str, object]:
+    """What the tasks of a ground cell are told of it."""
     return {
         "cell": str(cell.cell),
         "core": list(cell.core),
@@ -243,15 +244,18 @@ def _cell_args(cell: Unit) -> dict[str, object]:
     }
 
 
-def _named(kind: str, listed: Mapping[CellId, list[str]]) -> dict[str, list[list[str]]]:
+def named_units(kind: str, listed: Mapping[CellId, list[str]]) -> dict[str, list[list[str]]]:
+    """Units that hold labels of each tile, as the arguments of a task carry them."""
     return {str(tile): [[kind, name] for name in names] for tile, names in listed.items()}
 
 
-def _tile_needs(unit: Unit) -> tuple[tuple[str, str], ...]:
+def tile_needs(unit: Unit) -> tuple[tuple[str, str], ...]:
+    """The tiles that a unit reads."""
     return tuple(("build_tile", str(t)) for t in unit.tiles)
 
 
-def _label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[str, str], ...]:
+def label_needs(kind: str, listed: Mapping[CellId, list[str]]) -> tuple[tuple[str, str], ...]:
+    """The tasks that gave the labels of some tiles."""
     return tuple((kind, name) for name in sorted({n for names in listed.values() for n in names}))
 
 
@@ -268,4 +272,4 @@ def _delivery_needs(labels: Mapping[CellId, dict[str, list[str]]]) -> tuple[tupl
     built = tuple(("build_tile", str(tile)) for tile in labels)
     noise = {tile: units_of["noise"] for tile, units_of in labels.items()}
     classes = {tile: units_of["classes"] for tile, units_of in labels.items()}
-    return (*built, *_label_needs("denoise", noise), *_label_needs("surface", classes))
+    return (*built, *label_needs("denoise", noise), *label_needs("surface", classes))

@@ -246,6 +246,28 @@ class Checkpoints(Part):
     points: tuple[Checkpoint, ...] = ()
 
 
+class StripPair(Part):
+    """Where a flightline lies against another that overlaps it, from planar patches of both."""
+
+    first: str = Field(description="The flightline that is compared with.")
+    second: str = Field(description="The one whose place is told.")
+    patches: Count = Field(description="Planar patches that both have [count].")
+    area_m2: Number = Field(description="Area of these patches [m2].")
+    centre_m: tuple[Number, Number] = Field(description="Easting and northing of their middle [m].")
+    up_m: Number = Field(description="The second above the first [m].")
+    up_sd_m: Number = Field(description="Standard deviation of it [m].")
+    east_m: Number = Field(None, description="The second east of the first; null if flat [m].")
+    north_m: Number = Field(None, description="The second north of the first; null if flat [m].")
+    horizontal_sd_m: Number = Field(
+        None, description="Standard deviation of these, in the worst direction [m]."
+    )
+    flat_patches: Count = Field(0, description="Smooth patches of up to 10 degrees [count].")
+    rmsd_z_m: Number = Field(
+        None, description="Root mean square of the vertical differences of these [m]."
+    )
+    noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
+
+
 class Report(Part):
     """Everything that ``report.json`` holds and ``report.html`` shows."""
 
@@ -257,6 +279,9 @@ class Report(Part):
     checkpoints: Checkpoints | None = Field(None, description="Null without checkpoints.")
     density: Density = Density()
     noise: Noise = Noise()
+    strips: tuple[StripPair, ...] = Field(
+        (), description="Pairs of flightlines that share enough planar patches, by their names."
+    )
     performance: Performance = Performance()
     failures: tuple[Failure, ...] = Field((), description="Everything that did not make it.")
     warnings: tuple[str, ...] = Field((), description="What a reader has to know, in sentences.")

@@ -48,6 +48,8 @@ class PictureInputs:
         A vertical strip, about 100 m long and 2-3 m wide; maps show where it lies.
     others : sequence of PictureInputs
         DTM and DSM of the survey's other pieces, the largest first.
+    strips : Raster, optional
+        Height between flightlines that overlap, whichever lies above [m].
     """
 
     dtm: Raster | None = None
@@ -59,6 +61,7 @@ class PictureInputs:
     differences_m: NDArray[Any] | None = None
     profile: Profile | None = None
     others: Sequence["PictureInputs"] = ()
+    strips: Raster | None = None
 
 
 NO_REFERENCE: Final = "Without reference points there is nothing to compare with."
@@ -79,8 +82,8 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
     -------
     dict of str to Picture
         Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density,
-        density``, in the order in which a reader wants them; of a survey in pieces ``locator``
-        as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
+        density, strips``, in the order in which a reader wants them; of a survey in pieces
+        ``locator`` as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
     """
     inputs, photons = _with_line(inputs), photon_counting(report)
     terrain = terrain_statistics(report)
@@ -96,6 +99,7 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
         "profile": _profile(inputs.profile, photons=photons),
         "noise_density": _noise(inputs.noise_density),
         "density": _density(inputs.density, photons=photons),
+        "strips": _strips(inputs.strips),
     }
     if report.survey.pieces:
         made["locator"] = _locator([piece.extent_m for piece in report.survey.pieces])
@@ -291,3 +295,23 @@ def _density(raster: Raster | None, *, photons: bool) -> Picture:
         )
 
     return _or_missing(raster, title, "This raster was not made.", draw)
+
+
+def _strips(raster: Raster | None) -> Picture:
+    title = "Height between flightlines"
+
+    def draw(given: Raster) -> Picture:
+        scaled = Raster(100 * given.masked(), given.extent_m)
+        top = max(spread(scaled.values, 1, 98)[1], 1.0)
+        drawn = draw_ramp(
+            scaled, title, "height between flightlines [cm]", ramp=style.DENSITY, limits=(0.0, top)
+        )
+        return _finished(
+            drawn,
+            title,
+            "Median over the planar patches of a place, whichever flightline lies above. An even "
+            "tint along a flightline is an offset of the whole strip, a change across it a roll "
+            "angle that is off.",
+        )
+
+    return _or_missing(raster, title, "No two flightlines share planar patches.", draw)

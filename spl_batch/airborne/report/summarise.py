@@ -22,6 +22,7 @@ from spl_batch.airborne.report.model import (
 from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.sky import bloom, bloom_warning, haze, haze_warning, misfit_warning
+from spl_batch.airborne.report.strip_pairs import strip_map, strip_pairs
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
 from spl_batch.airborne.report.verdicts import mostly_unfiltered
@@ -66,6 +67,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         checkpoints=checkpoint_report(done, context),
         density=density(done, context, counts.ground),
         noise=noise,
+        strips=strip_pairs(done),
         performance=performance(facts, sum(r.facts["points"] for r in done["index_file"].values())),
         failures=tuple(facts.failures),
         warnings=(
@@ -302,6 +304,7 @@ def _pictures(done: Receipts, context: Context, found: Comparison | None) -> Pic
         difference=difference,
         differences_m=None if found is None else found.differences_m,
         profile=cut_profile(parts["chm"], done, context),
+        strips=strip_map(done, context),
         others=[
             PictureInputs(
                 dtm=_raster(folder / f"dtm{piece.suffix}.tif", piece.bounds_m),

@@ -22,6 +22,7 @@ SECTIONS: Final = (
     ("good-enough", "Is it good enough?"),
     ("accuracy", "Accuracy"),
     ("surfaces", "Surfaces"),
+    ("strips", "Between flightlines"),
     ("noise", "Noise"),
     ("survey", "Survey"),
 )

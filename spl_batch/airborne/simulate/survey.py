@@ -319,10 +319,11 @@ def _columns(
     angle = np.degrees(np.arctan2(starboard, -beam[:, 2]))
     # a silicon photomultiplier's pulse grows with the cells that fire [W17 2.2.1]
     pulse = 8000.0 + 1500.0 * (points.electrons - 1) + 600.0 * rng.standard_normal(len(time_s))
+    east, north, up = run.flight.strip_offset_m
     return {
-        "x": points.xyz[:, 0] + rig.scene.origin_m[0],
-        "y": points.xyz[:, 1] + rig.scene.origin_m[1],
-        "z": points.xyz[:, 2],
+        "x": points.xyz[:, 0] + rig.scene.origin_m[0] + east,
+        "y": points.xyz[:, 1] + rig.scene.origin_m[1] + north,
+        "z": points.xyz[:, 2] + up,
         "gps_time": time_s,
         "channel": points.channel,
         "intensity": np.clip(np.rint(pulse), 1, 65535).astype(np.uint16),

@@ -66,10 +66,16 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             ("filter", "noise", "afterpulse", "outputs.diagnostics"),
         ),
         "ground": Kind("ground", "spl_batch.airborne.tasks.space_domain:ground", ("ground",)),
+        "strip_patches": Kind(
+            "ground", "spl_batch.airborne.strips.strip_comparison:strip_patches", ("survey.gap_s",)
+        ),
         "surface": Kind(
             "surfaces",
             "spl_batch.airborne.tasks.space_domain:surface",
             ("ground.cell_m", "products", "aoi", "water"),
+        ),
+        "strip_pairs": Kind(
+            "surfaces", "spl_batch.airborne.strips.strip_comparison:strip_pairs", ()
         ),
         "deliver_file": Kind(
             "deliver", "spl_batch.airborne.tasks.delivery:deliver_file", ("outputs.diagnostics",)

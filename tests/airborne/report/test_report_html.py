@@ -32,6 +32,7 @@ KEYS = (
     "profile",
     "noise_density",
     "density",
+    "strips",
 )
 VOID_ELEMENTS = {"meta", "img", "br", "hr", "link", "input"}
 

@@ -118,6 +118,11 @@ class Flight(Section):
     speed_m_s: Positive = Field(85.0, description="Over ground [m/s].")
     offset_m: float = Field(0.0, description="To starboard of the scene's centre [m].")
     sky: Positive = Field(1.0, description="Sunlight relative to the scene's [1].")
+    strip_offset_m: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0),
+        description="East, north and up by which its recorded returns lie off, as where strips are "
+        "not adjusted [m].",
+    )
 
 
 class Haze(Section):

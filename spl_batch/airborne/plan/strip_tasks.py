@@ -1,0 +1,44 @@
+"""Tasks that compare flightlines with each other: by ground cell, then all together."""
+
+from collections.abc import Iterator
+
+from spl_batch.airborne.plan.flightlines import find_flightlines, is_timeless
+from spl_batch.airborne.plan.space_tasks import cell_args, label_needs, named_units, tile_needs
+from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.airborne.strips.strip_patches import SQUARE_M
+from spl_batch.engine.tasks.task import Task
+from spl_batch.lattice.tiles import quanta
+
+
+def patches(survey: Survey) -> Iterator[Task]:
+    """Ground cells, where there can be more than one flightline."""
+    if len(_strips(survey)) < 2 and not _has_timeless(survey):
+        return
+    halo = quanta(SQUARE_M)
+    holders = survey.holders()
+    for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
+        noise = holders.of(cell.tiles)
+        args = {**cell_args(cell), "noise": named_units("noise", noise)}
+        needs = (*tile_needs(cell), *label_needs("denoise", noise))
+        refused = refusal("ground", cell.held, survey.memory_bytes)
+        yield Task("strip_patches", cell.name, args, needs, 0, refused)
+
+
+def pairs(survey: Survey) -> Iterator[Task]:
+    """One task that puts all cells together."""
+    cells = sorted(name for name, r in survey.of("strip_patches").items() if r.facts["patches"])
+    if cells:
+        args = {"strips": _strips(survey), "cells": cells}
+        yield Task("strip_pairs", "all", args, tuple(("strip_patches", name) for name in cells))
+
+
+def _has_timeless(survey: Survey) -> bool:
+    """Whether some files have no times: which flightlines they hold shows in their points."""
+    return any(is_timeless(r, survey.workflow) for r in survey.of("index_file").values())
+
+
+def _strips(survey: Survey) -> list[list[object]]:
+    """Flightlines with times, also of a survey that is not filtered."""
+    lines = find_flightlines(survey.of("index_file"), survey.workflow, survey.stretch_points)
+    return [[line.name, line.psid, line.first_s, line.last_s] for line in lines]

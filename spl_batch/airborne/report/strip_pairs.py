@@ -1,0 +1,41 @@
+"""What a report says of flightlines that overlap."""
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.report.model import StripPair
+from spl_batch.airborne.strips.strip_comparison import difference_map, pairs_of
+from spl_batch.engine.report.maps import Raster
+from spl_batch.engine.report.run_record import Receipts
+
+
+def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
+    """Pairs of flightlines, as the report has them."""
+    return tuple(
+        StripPair(
+            first=pair.first,
+            second=pair.second,
+            patches=pair.patches,
+            area_m2=pair.area_m2,
+            centre_m=(pair.x_m, pair.y_m),
+            up_m=pair.up_m,
+            up_sd_m=pair.up_sd_m,
+            east_m=pair.east_m,
+            north_m=pair.north_m,
+            horizontal_sd_m=pair.horizontal_sd_m,
+            flat_patches=pair.flat_patches,
+            rmsd_z_m=pair.rmsd_z_m,
+            noise_m=pair.noise_m,
+        )
+        for receipt in done.get("strip_pairs", {}).values()
+        for pair in pairs_of(receipt.facts)
+    )
+
+
+def strip_map(done: Receipts, context: Context) -> Raster | None:
+    """Height between flightlines by place; None where none overlap [m]."""
+    if not done.get("strip_pairs"):
+        return None
+    found = difference_map(context)
+    if found is None:
+        return None
+    values, (west, east, south, north) = found
+    return Raster(values, (west, east, south, north))

@@ -1,0 +1,56 @@
+"""What a run says of flightlines that do not fit together."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from spl_batch.airborne.strips.pair_table import PairDifference
+from spl_batch.errors import grouped
+
+TOLD: Final = 3
+"""Pairs that get a sentence of their own, the worst first [count]."""
+
+
+def offset_warnings(pairs: Sequence[PairDifference]) -> Iterator[str]:
+    """Sentences on pairs whose flightlines differ by more than a single range does.
+
+    Parameters
+    ----------
+    pairs : sequence of PairDifference
+        All pairs.
+    """
+    off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
+    off.sort(key=lambda found: (-found[0], found[1].first, found[1].second))
+    for _, pair in off[:TOLD]:
+        yield (
+            f"{pair.second} lies {' and '.join(_parts(pair))} of {pair.first}, around "
+            f"{grouped(pair.x_m)} E, {grouped(pair.y_m)} N ({grouped(pair.patches)} planar "
+            f"patches), more than the ranging noise of {100 * pair.noise_m:.1f} cm: surfaces that "
+            "both have seen are double, and rasters lie between them; adjust the strips and run "
+            "again"
+        )
+    if len(off) > TOLD:
+        yield (
+            f"{grouped(len(off) - TOLD)} more pairs of flightlines differ by more than their "
+            "ranging noise; report.json lists all under strips"
+        )
+
+
+def _away(pair: PairDifference) -> float:
+    """How far a pair is off, in parts of its ranging noise; 0 where it is not."""
+    vertical = abs(pair.up_m) if pair.is_off_vertically else 0.0
+    horizontal = 0.0
+    if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
+        horizontal = float(np.hypot(pair.east_m, pair.north_m))
+    return max(vertical, horizontal) / max(pair.noise_m, 1e-3)
+
+
+def _parts(pair: PairDifference) -> Iterator[str]:
+    if pair.is_off_vertically:
+        yield f"{100 * abs(pair.up_m):.1f} cm {'above' if pair.up_m > 0 else 'below'}"
+    if pair.is_off_horizontally and pair.east_m is not None and pair.north_m is not None:
+        yield (
+            f"{100 * abs(pair.east_m):.0f} cm {'east' if pair.east_m > 0 else 'west'} and "
+            f"{100 * abs(pair.north_m):.0f} cm {'north' if pair.north_m > 0 else 'south'}"
+        )

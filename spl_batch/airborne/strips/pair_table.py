@@ -1,0 +1,301 @@
+"""One row for each pair of flightlines that overlap: how far the second lies from the first.
+
+A flightline that is shifted by ``(east, north, up)`` meets a plane of slope ``(p, q)`` higher by
+``up - p east - q north``. So flat patches tell the vertical part and slopes the horizontal one. It
+is found by least squares over the patches, weighted by their variance, with Huber's weights and
+then Tukey's biweight against patches that differ for reasons of their own. Slopes are measured,
+too: their noise would make a horizontal shift seem less than it is, and one that nothing tells seem
+to be zero. So their covariance is taken from the normal equations (W. A. Fuller, 1987, *Measurement
+Error Models*, section 2.2), and where what is left does not determine the horizontal part it is not
+told.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.strips.strip_patches import Patches
+
+FEWEST: Final = 10
+"""Patches of a pair that tell something, at least [count]."""
+
+OWN_M: Final = 0.01
+"""What a patch differs for reasons of its own beside noise [m]."""
+
+BIWEIGHT: Final = 4.685
+"""Tukey's constant [standard deviations]."""
+
+HUBER: Final = 1.345
+"""Huber's constant [standard deviations]."""
+
+FIRST_ROUNDS: Final = 10
+"""Rounds with Huber's weights [count], which leave steep patches a say before a shift is known."""
+
+ROUNDS: Final = 20
+"""Rounds of weights [count]; they stand still after five or so of each kind."""
+
+NEIGHBOURS_M: Final = 100.0
+"""Patches in one square of this edge may differ for the same reason, as a turn of the aircraft or a
+slope of the terrain, and count as one witness [m]."""
+
+DETERMINED_M: Final = 0.1
+"""Standard deviation of a horizontal difference, above which it is not told [m]."""
+
+FLAT: Final = 0.176
+"""Slope up to which a patch counts for the root mean square of heights: 10 degrees, as the USGS
+Lidar Base Specification has it [rise/run]."""
+
+TWICE: Final = 2.0
+"""A patch thicker than this times the noise is overgrown, and no measure of heights."""
+
+QUARTER: Final = 0.25
+"""Share of the patches that are taken for smooth: the thickest of these is the ranging noise."""
+
+
+class Strip(NamedTuple):
+    """A flightline.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    psid : int
+        Its point source id.
+    first_s, last_s : float
+        Times of its first and last return [s].
+    """
+
+    name: str
+    psid: int
+    first_s: float
+    last_s: float
+
+
+class PairDifference(NamedTuple):
+    """How far the second of two flightlines lies from the first.
+
+    Parameters
+    ----------
+    first, second : str
+        The flightlines.
+    patches : int
+        Planar patches of both [count].
+    area_m2 : float
+        Their area [m2].
+    x_m, y_m : float
+        Where they lie, on average [m].
+    up_m, up_sd_m : float
+        Vertical difference, and its standard deviation [m].
+    east_m, north_m, horizontal_sd_m : float or None
+        Horizontal difference, and its standard deviation in the worst direction; None where no
+        slopes tell them [m].
+    flat_patches : int
+        Smooth patches of up to 10 degrees [count].
+    rmsd_z_m : float or None
+        Root mean square of their vertical differences [m].
+    noise_m : float
+        Standard deviation of ranges: that about the smoothest patches [m].
+    """
+
+    first: str
+    second: str
+    patches: int
+    area_m2: float
+    x_m: float
+    y_m: float
+    up_m: float
+    up_sd_m: float
+    east_m: float | None
+    north_m: float | None
+    horizontal_sd_m: float | None
+    flat_patches: int
+    rmsd_z_m: float | None
+    noise_m: float
+
+    @property
+    def is_off_vertically(self) -> bool:
+        """Whether the flightlines differ by more than a single range does."""
+        return abs(self.up_m) > max(self.noise_m, 3 * self.up_sd_m)
+
+    @property
+    def is_off_horizontally(self) -> bool:
+        """The same for the horizontal difference."""
+        if self.east_m is None or self.north_m is None or self.horizontal_sd_m is None:
+            return False
+        away = float(np.hypot(self.east_m, self.north_m))
+        return away > max(self.noise_m, 3 * self.horizontal_sd_m)
+
+
+def named_passes(
+    psid: NDArray[np.int64], time_s: NDArray[np.float64], strips: Sequence[Strip]
+) -> list[str]:
+    """Flightline of each pass of a cell; one that is none of those known is named by its id."""
+    names = []
+    for one, time in zip(psid.tolist(), time_s.tolist(), strict=True):
+        mine = [s for s in strips if s.psid == one]
+        there = [s.name for s in mine if s.first_s - 1 <= time <= s.last_s + 1]
+        names.append(there[0] if there else f"{one:05d}")
+    return names
+
+
+def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[PairDifference]:
+    """Differences of all pairs of flightlines that share enough patches.
+
+    Parameters
+    ----------
+    cells : iterable of (sequence of str, dict of str to ndarray)
+        Of each ground cell the names of its passes, and its patches.
+
+    Returns
+    -------
+    list of PairDifference
+        By names.
+    """
+    parts: dict[tuple[str, str], list[Patches]] = {}
+    for names, patches in cells:
+        for (first, second), mine in _by_pair(names, patches):
+            parts.setdefault((first, second), []).append(mine)
+    found = []
+    for (first, second), listed in sorted(parts.items()):
+        whole = {k: np.concatenate([part[k] for part in listed]) for k in listed[0]}
+        if len(whole["rise"]) >= FEWEST:
+            found.append(_difference(first, second, whole))
+    return found
+
+
+def _by_pair(names: Sequence[str], patches: Patches) -> Iterable[tuple[tuple[str, str], Patches]]:
+    """Patches of a cell by flightlines, the lesser name first; none of one with itself."""
+    pairs = np.stack([patches["first"], patches["second"]], axis=1)
+    for one, other in np.unique(pairs, axis=0).tolist():
+        first, second = names[one], names[other]
+        if first == second:
+            continue
+        mine = np.flatnonzero((pairs == (one, other)).all(axis=1))
+        chosen = {k: v[mine] for k, v in patches.items()}
+        if first > second:
+            first, second = second, first
+            chosen["rise"] = -chosen["rise"]
+        yield (first, second), chosen
+
+
+def _difference(first: str, second: str, patches: Patches) -> PairDifference:
+    noise = float(np.quantile(patches["thickness"], QUARTER))
+    slope = np.hypot(patches["east"], patches["north"])
+    smooth = (slope <= FLAT) & (patches["thickness"] <= TWICE * noise)
+    flat = patches["rise"][smooth]
+    shift = fit_shift(patches)
+    area = patches["edge_m"] ** 2
+    return PairDifference(
+        first,
+        second,
+        len(area),
+        float(area.sum()),
+        float(np.average(patches["x"], weights=area)),
+        float(np.average(patches["y"], weights=area)),
+        shift.up_m,
+        shift.up_sd_m,
+        shift.east_m,
+        shift.north_m,
+        shift.horizontal_sd_m,
+        len(flat),
+        float(np.sqrt(np.mean(flat**2))) if len(flat) else None,
+        noise,
+    )
+
+
+class Shift(NamedTuple):
+    """Where a flightline lies against another, and how surely [m]; None what nothing tells."""
+
+    up_m: float
+    up_sd_m: float
+    east_m: float | None = None
+    north_m: float | None = None
+    horizontal_sd_m: float | None = None
+
+
+def fit_shift(patches: Mapping[str, NDArray[Any]]) -> Shift:
+    """Shift of the second flightline against the first, from patches of both.
+
+    Parameters
+    ----------
+    patches : mapping of str to (p,) ndarray
+        ``x, y, rise, variance, east, north, ee, en, nn``; p >= 1.
+    """
+    rise, own = patches["rise"], patches["variance"] + OWN_M**2
+    ones = np.ones(len(rise))
+    design = np.stack([-patches["east"], -patches["north"], ones], axis=1)
+    noise = np.zeros((len(rise), 3, 3))
+    noise[:, 0, 0], noise[:, 1, 1] = patches["ee"], patches["nn"]
+    noise[:, 0, 1] = noise[:, 1, 0] = patches["en"]
+    square = _square(patches)
+    level = _robust(rise, design[:, 2:], own, noise[:, 2:, 2:], square)
+    if level is None:  # one patch, or all alike: nothing to weigh
+        return Shift(float(np.median(rise)), float(np.sqrt(own.min())))
+    up, up_sd = float(level[0][0]), float(np.sqrt(level[1][0, 0]))
+    whole = _robust(rise, design, own, noise, square)
+    if whole is None:
+        return Shift(up, up_sd)
+    found, covariance = whole
+    worst = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    if worst > DETERMINED_M:
+        return Shift(up, up_sd)
+    east, north, up = found.tolist()
+    return Shift(up, float(np.sqrt(covariance[2, 2])), east, north, worst)
+
+
+def _robust(
+    rise: NDArray[np.float64],
+    design: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    square: NDArray[np.intp],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Unknowns by reweighted least squares, and their covariance; None if not determined."""
+    found = np.zeros(design.shape[1])
+    found[-1] = np.median(rise)
+    for number in range(ROUNDS):
+        left = rise - design @ found
+        # What the slopes' noise adds to the residual of a patch for the shift that was found.
+        spread = np.sqrt(variance + np.einsum("i,pij,j->p", found, noise, found))
+        ratio = left / spread
+        scale = max(1.4826 * float(np.median(np.abs(ratio))), 1e-6)
+        if number < FIRST_ROUNDS:
+            given = 1 / np.maximum(np.abs(ratio) / (HUBER * scale), 1.0)
+        else:
+            given = np.clip(1 - (ratio / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2
+        weight = given / spread**2
+        raw = np.einsum("p,pi,pj->ij", weight, design, design)
+        normal = raw - np.einsum("p,pij->ij", weight, noise)
+        if not _determines(normal, raw):
+            return None
+        found = np.linalg.solve(normal, design.T @ (weight * rise))
+    # The sandwich: residuals as they are, not as their variances promise, by squares of place.
+    scores = (weight * (rise - design @ found))[:, None] * design
+    together = np.stack([np.bincount(square, column) for column in scores.T], axis=1)
+    seen = len(together) / max(len(together) - 1, 1)
+    inverse = np.linalg.inv(normal)
+    covariances = [
+        inverse @ (part.T @ part) @ inverse for part in (scores, np.sqrt(seen) * together)
+    ]
+    return found, max(covariances, key=lambda covariance: float(np.trace(covariance)))
+
+
+def _square(patches: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
+    """Which patches lie in the same square of :data:`NEIGHBOURS_M`, by number."""
+    i, j = (np.floor(patches[axis] / NEIGHBOURS_M).astype(np.int64) for axis in "xy")
+    _, number = np.unique(np.stack([i, j], axis=1), axis=0, return_inverse=True)
+    return number.reshape(-1)
+
+
+def _determines(normal: NDArray[np.float64], raw: NDArray[np.float64]) -> bool:
+    """Whether slopes vary by more than their noise explains, in every direction."""
+    if normal[-1, -1] <= 0:
+        return False
+    if len(normal) == 1:
+        return True
+    level = raw[:-1, -1:] @ raw[-1:, :-1] / raw[-1, -1]
+    true = np.linalg.eigvalsh(normal[:-1, :-1] - level)
+    seen = np.linalg.eigvalsh(raw[:-1, :-1] - level)
+    return bool(true[0] > 0.5 * seen[0] > 0)

@@ -1,0 +1,270 @@
+"""Planar patches that two flightlines share, and by how much the later lies above the earlier.
+
+A patch is a square of an absolute grid in which the returns of both flightlines lie on one plane,
+but for a step between them. Squares of 5 m are tried first, and where these do not hold enough
+returns those of 10 and 20 m. All returns of a square that count as signal are taken. Those of the
+ground alone would tell less than there is: where two flightlines lie apart, what is taken for
+ground is chosen from the lower one.
+
+The planes are fitted by least squares, with slopes that both flightlines share and a height of
+each. What is adjusted between strips is the same as in H.-G. Maas (2002, *Methods for measuring
+height and planimetry discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940), who
+compares heights where slopes tell the horizontal part; he does so at points of a triangulation,
+here whole patches are compared, whose noise is known.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.strips.patch_moments import add_moments, doubled
+from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, quanta
+
+COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "point_source_id")
+"""Columns of the points that patches are made of."""
+
+EDGE_M: Final = 5.0
+"""Edge of the smallest patch [m]."""
+
+LEVELS: Final = 3
+"""Sizes of patches [count]: each has twice the edge of the one before."""
+
+SQUARE_M: Final = EDGE_M * 2 ** (LEVELS - 1)
+"""Edge of the largest patch [m]: a region is looked at in whole squares of it."""
+
+FEWEST: Final = 12
+"""Returns that each flightline has in a patch, at least [count]."""
+
+THICKEST_M: Final = 0.25
+"""Standard deviation of the returns about the plane of a patch, at most [m]."""
+
+STEEPEST: Final = 1.2
+"""Slope of a patch, at most [rise/run]."""
+
+SPREAD: Final = 0.15
+"""Standard deviation of a flightline's returns in each direction, at least [edges of the patch]:
+0.29 where they lie evenly."""
+
+MOST: Final = 256
+"""Patches of a pair that a ground cell keeps [count]: more tell no more of it."""
+
+Patches = dict[str, NDArray[Any]]
+"""Columns of patches, see :func:`find_patches`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """Which points of a region were flown over in one go.
+
+    Parameters
+    ----------
+    psid : (s,) int64
+        Point source id of each pass.
+    time_s : (s,) float64
+        Second in which it begins there; NaN where its points have no time.
+    of_point : (n,) int16
+        Pass of each point.
+    """
+
+    psid: NDArray[np.int64]
+    time_s: NDArray[np.float64]
+    of_point: NDArray[np.int16]
+
+
+def find_passes(table: PointTable, gap_s: float) -> Passes:
+    """Divide points by point source id and, where one has long pauses, by time.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points with ``gps_time`` and ``point_source_id``.
+    gap_s : float
+        A pause of more than this parts two passes [s].
+    """
+    psid, time = table["point_source_id"], table["gps_time"]
+    timed = np.isfinite(time)
+    of_point = np.empty(len(table), np.int16)
+    ids: list[int] = []
+    starts: list[float] = []
+    for one in np.flatnonzero(np.bincount(psid)).tolist():
+        mine = np.flatnonzero(psid == one)
+        known = mine[timed[mine]]
+        if len(known) < len(mine):
+            of_point[mine] = len(ids)
+            ids.append(one)
+            starts.append(np.nan)
+        if len(known):
+            second = np.floor(time[known])
+            held, place = _distinct(second)
+            begins = np.diff(held, prepend=-np.inf) > gap_s
+            of_point[known] = (len(ids) + np.cumsum(begins) - 1)[place]
+            starts += held[begins].tolist()
+            ids += [one] * int(begins.sum())
+    return Passes(np.array(ids, np.int64), np.array(starts), of_point)
+
+
+def find_patches(table: PointTable, passes: Passes, core: Bounds) -> Patches:
+    """Patches of a ground cell that two passes share.
+
+    Parameters
+    ----------
+    table : PointTable
+        Signal returns with ``x, y, z`` of :func:`region`.
+    passes : Passes
+        Theirs.
+    core : Bounds
+        What the cell owns: patches in squares that begin in it [quanta].
+
+    Returns
+    -------
+    dict of str to (p,) ndarray
+        ``first, second``: passes, the one with less point source id and time first; ``x, y``:
+        middle [m]; ``edge_m``; ``rise``: the second above the first [m]; ``variance`` of it [m2];
+        ``east, north``: slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``:
+        standard deviation about the plane [m]; ``returns``: those of both [count].
+    """
+    whole = region(core)
+    edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
+    columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
+    strips = len(passes.psid)
+    found: list[Patches] = []
+    if strips < 2 or not len(table) or not rows or not columns:
+        return _joined(found)
+    x, y, z = (np.ascontiguousarray(table[axis], np.int64) for axis in "xyz")
+    corner = np.array([whole.xmin, whole.ymin, z.min()], np.int64)
+    moments = np.zeros((strips, rows, columns, 10), np.int64)
+    add_moments(x, y, z, passes.of_point, corner, edge, joined, moments)
+    order = sorted(range(strips), key=lambda k: (passes.psid[k], passes.time_s[k]))
+    free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(order, 2)}
+    for level in range(LEVELS):
+        size = EDGE_M * 2**level
+        for pair, room in free.items():
+            planar, fitted = _fitted(moments[pair[0]], moments[pair[1]], size)
+            found.append(_rows(fitted, planar & room, pair, whole, size))
+            free[pair] = room & ~planar
+        if level + 1 < LEVELS:
+            moments = doubled(moments)
+            free = {pair: _all_four(room) for pair, room in free.items()}
+    return _thinned(_joined(found))
+
+
+def region(core: Bounds) -> Bounds:
+    """Whole squares whose south-west corners lie in a core [quanta]."""
+    square = quanta(SQUARE_M)
+    return Bounds(*(-(-end // square) * square for end in core))
+
+
+def _distinct(values: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """Whole numbers without repetition, rising, and where each of the given ones is."""
+    low, high = float(values.min()), float(values.max())
+    if high - low > 1e6:
+        return np.unique(values, return_inverse=True)
+    step = (values - low).astype(np.intp)
+    there = np.bincount(step) > 0
+    return low + np.flatnonzero(there), (np.cumsum(there) - 1)[step]
+
+
+def _all_four(room: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Squares of twice the edge of which no part is taken."""
+    rows, columns = room.shape
+    return np.asarray(room.reshape(rows // 2, 2, columns // 2, 2).all(axis=(1, 3)))
+
+
+def _fitted(
+    first: NDArray[np.int64], second: NDArray[np.int64], edge_m: float
+) -> tuple[NDArray[np.bool_], Patches]:
+    """Planes of all squares with slopes in common, and which of them are patches."""
+    one, other = _centred(first), _centred(second)
+    xx, xy, yy, xz, yz, zz = (one[k] + other[k] for k in ("xx", "xy", "yy", "xz", "yz", "zz"))
+    returns = one["n"] + other["n"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = xx * yy - xy * xy
+        east = (yy * xz - xy * yz) / determinant
+        north = (xx * yz - xy * xz) / determinant
+        square = np.maximum(zz - east * xz - north * yz, 0.0) / (returns - 4)
+        scale = square / determinant
+        ee, en, nn = yy * scale, -xy * scale, xx * scale
+        dx, dy = other["x"] - one["x"], other["y"] - one["y"]
+        rise = other["z"] - one["z"] - east * dx - north * dy
+        variance = square * (1 / one["n"] + 1 / other["n"])
+        variance += dx * dx * ee + 2 * dx * dy * en + dy * dy * nn
+        least = (SPREAD * edge_m) ** 2
+        planar = (determinant > 0) & (square <= THICKEST_M**2)
+        planar &= (one["n"] >= FEWEST) & (other["n"] >= FEWEST)
+        planar &= np.hypot(east, north) <= STEEPEST
+        for side in (one, other):
+            planar &= _narrowest(side) >= least
+    columns = {
+        "rise": rise, "variance": variance, "east": east, "north": north,
+        "ee": ee, "en": en, "nn": nn, "square": square, "returns": returns,
+    }  # fmt: skip
+    return planar, columns
+
+
+def _centred(moments: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+    """Count, means [m] and sums about them [m2] of each square."""
+    n, x, y, z, xx, xy, yy, xz, yz, zz = moments.transpose(2, 0, 1).astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = {
+            "x": x / n, "y": y / n, "z": z / n,
+            "xx": xx - x * x / n, "xy": xy - x * y / n, "yy": yy - y * y / n,
+            "xz": xz - x * z / n, "yz": yz - y * z / n, "zz": zz - z * z / n,
+        }  # fmt: skip
+    scaled = {k: v * QUANTUM_M ** len(k) for k, v in found.items()}
+    return {"n": n, **scaled}
+
+
+def _narrowest(side: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Variance of the returns in the direction in which they spread least [m2]."""
+    half = (side["xx"] - side["yy"]) / 2
+    root = np.hypot(half, side["xy"])
+    narrow: NDArray[np.float64] = ((side["xx"] + side["yy"]) / 2 - root) / side["n"]
+    return narrow
+
+
+def _rows(
+    fitted: Patches, chosen: NDArray[np.bool_], pair: tuple[int, int], whole: Bounds, edge_m: float
+) -> Patches:
+    row, column = np.nonzero(chosen)
+    count = len(row)
+    values = {name: one[row, column] for name, one in fitted.items()}
+    values["thickness"] = np.sqrt(values.pop("square"))
+    return {
+        "first": np.full(count, pair[0], np.int16),
+        "second": np.full(count, pair[1], np.int16),
+        "x": whole.xmin / QUANTA_PER_M + (column + 0.5) * edge_m,
+        "y": whole.ymin / QUANTA_PER_M + (row + 0.5) * edge_m,
+        "edge_m": np.full(count, edge_m),
+        **values,
+    }
+
+
+def _joined(found: list[Patches]) -> Patches:
+    if not found:
+        names = ("x", "y", "edge_m", "rise", "variance", "east", "north", "ee", "en", "nn")
+        empty = {name: np.empty(0) for name in (*names, "returns", "thickness")}
+        return {"first": np.empty(0, np.int16), "second": np.empty(0, np.int16), **empty}
+    return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+
+
+def _thinned(patches: Patches) -> Patches:
+    """No more than :data:`MOST` patches of each pair, of all slopes."""
+    pair = patches["first"].astype(np.int64) * 2**16 + patches["second"]
+    keep = []
+    for one in np.unique(pair):
+        mine = np.flatnonzero(pair == one)
+        if len(mine) > MOST:
+            slope = np.hypot(patches["east"][mine], patches["north"][mine])
+            mine = mine[np.argsort(slope, kind="stable")]
+            steep = mine[-MOST // 2 :]
+            rest = mine[: -MOST // 2]
+            evenly = np.linspace(0, len(rest) - 1, MOST // 2).astype(int)
+            mine = np.sort(np.concatenate([rest[evenly], steep]))
+        keep.append(mine)
+    rows = np.concatenate(keep) if keep else np.empty(0, np.intp)
+    return {name: values[rows] for name, values in patches.items()}

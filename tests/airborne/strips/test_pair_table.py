@@ -1,0 +1,145 @@
+"""Pairs of flightlines with a known shift, aligned ones, and what is said of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from spl_batch.airborne.strips.pair_sentences import offset_warnings
+from spl_batch.airborne.strips.pair_table import (
+    DETERMINED_M,
+    FEWEST,
+    PairDifference,
+    Strip,
+    fit_shift,
+    named_passes,
+    pair_table,
+)
+from spl_batch.airborne.strips.strip_patches import Patches, find_passes, find_patches
+from tests.airborne.strips.two_strips import CORE, Heights, Shift, flat, hills, two_strips
+
+STRIPS = [Strip("one", 1, 1000.0, 1001.0), Strip("two", 2, 2000.0, 2001.0)]
+SEEDS = range(6)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What was flown over, and with which noise."""
+
+    heights: Heights = hills
+    noise_m: float = 0.05
+
+
+def patches_of(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> tuple[list[str], Patches]:
+    points = two_strips(shift, noise_m=scene.noise_m, heights=scene.heights, seed=seed)
+    passes = find_passes(points, 60.0)
+    names = named_passes(passes.psid, passes.time_s, STRIPS)
+    return names, find_patches(points, passes, CORE)
+
+
+def pair(shift: Shift, scene: Scene = Scene(), seed: int = 0) -> PairDifference:
+    (found,) = pair_table([patches_of(shift, scene, seed)])
+    return found
+
+
+@pytest.mark.parametrize("shift", [Shift(), Shift(0.3, -0.2, 0.2), Shift(-0.1, 0.4, -0.05)])
+@pytest.mark.parametrize("noise_m", [0.05, 0.15])
+def test_known_shifts_are_found_within_their_errors(shift: Shift, noise_m: float) -> None:
+    found = [pair(shift, Scene(noise_m=noise_m), seed) for seed in SEEDS]
+    for wanted, name, error in (
+        (shift.east, "east_m", "horizontal_sd_m"),
+        (shift.north, "north_m", "horizontal_sd_m"),
+        (shift.up, "up_m", "up_sd_m"),
+    ):
+        values = np.array([getattr(one, name) for one in found])
+        promised = np.array([getattr(one, error) for one in found])
+        assert abs(values.mean() - wanted) < 4 * promised.mean() / np.sqrt(len(values)) + 0.002
+        assert np.abs(values - wanted).max() < 5 * promised.max()
+    assert np.mean([one.noise_m for one in found]) == pytest.approx(noise_m, rel=0.12)
+    assert found[0].horizontal_sd_m < DETERMINED_M  # type: ignore[operator]
+
+
+def test_level_ground_tells_the_height_alone() -> None:
+    found = pair(Shift(0.5, 0.5, 0.1), Scene(heights=flat))
+    assert (found.east_m, found.north_m, found.horizontal_sd_m) == (None, None, None)
+    assert found.up_m == pytest.approx(0.1, abs=5 * found.up_sd_m)
+    assert found.rmsd_z_m == pytest.approx(0.1, abs=0.01)
+    one_slope = pair(Shift(0.5, 0.5, 0.1), Scene(heights=lambda x, _: 0.3 * x))
+    assert one_slope.east_m is None, "a slope that is the same everywhere tells no part of it"
+
+
+def test_aligned_flightlines_are_null_and_nothing_is_said() -> None:
+    for seed in range(20):
+        found = pair(Shift(), seed=seed)
+        assert abs(found.up_m) < 4 * found.up_sd_m
+        assert list(offset_warnings([found])) == []
+
+
+def test_patches_that_differ_for_reasons_of_their_own_do_not_count() -> None:
+    names, patches = patches_of(Shift(0.2, 0.1, 0.1))
+    wrong = np.arange(len(patches["rise"])) % 5 == 0
+    (found,) = pair_table([(names, {**patches, "rise": patches["rise"] + 0.8 * wrong})])
+    assert found.up_m == pytest.approx(0.1, abs=0.01)
+    assert found.east_m == pytest.approx(0.2, abs=0.05)
+
+
+def test_roofs_alone_tell_a_horizontal_shift() -> None:
+    def roofs(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        u, v = x % 40 - 20, y % 40 - 20
+        along, across = np.where((x // 40 + y // 40) % 2 == 0, [u, v], [v, u])
+        on = (np.abs(along) < 16) & (np.abs(across) < 12)
+        return np.where(on, 8 + 0.6 * (12 - np.abs(across)), 0.0)
+
+    found = pair(Shift(0.3, -0.2, 0.0), Scene(heights=roofs))
+    assert found.east_m == pytest.approx(0.3, abs=0.05)
+    assert found.north_m == pytest.approx(-0.2, abs=0.05)
+
+
+def test_the_lesser_name_comes_first_whatever_the_order() -> None:
+    names, patches = patches_of(Shift(0.2, 0.1, 0.3))
+    (found,) = pair_table([(names, patches)])
+    (turned,) = pair_table([([{"one": "two", "two": "one"}[n] for n in names], patches)])
+    assert (found.first, turned.first) == ("one", "one")
+    assert turned.up_m == pytest.approx(-found.up_m, abs=1e-9)
+    assert turned.east_m == pytest.approx(-float(found.east_m or 0), abs=1e-9)
+
+
+def test_a_flightline_is_not_compared_with_itself_nor_by_few_patches() -> None:
+    names, patches = patches_of(Shift())
+    assert pair_table([(["one", "one"], patches)]) == []
+    few = {k: v[: FEWEST - 1] for k, v in patches.items()}
+    assert pair_table([(names, few)]) == []
+    both = [(names, {k: v[:6] for k, v in patches.items()})] * 2
+    (found,) = pair_table(both)
+    assert found.patches == 12
+    assert pair_table([]) == []
+
+
+def test_equal_patches_have_a_difference_too() -> None:
+    _, patches = patches_of(Shift())
+    same = {k: np.repeat(v[:1], 12) for k, v in patches.items()}
+    assert fit_shift(same).up_m == pytest.approx(float(patches["rise"][0]))
+
+
+def test_passes_take_the_name_of_their_flightline() -> None:
+    psid, time_s = np.array([1, 1, 2, 7]), np.array([1000.5, 5000.0, np.nan, 3.0])
+    assert named_passes(psid, time_s, STRIPS) == ["one", "00001", "00002", "00007"]
+
+
+def test_what_is_off_is_told_with_number_place_and_consequence() -> None:
+    (said,) = offset_warnings([pair(Shift(0.3, -0.2, 0.2))])
+    for word in ("two lies 20.", "cm above", "cm east", "cm south", "of one", "10 040 E"):
+        assert word in said
+    assert "ranging noise of" in said
+    assert "double" in said
+    many = [pair(Shift(up=0.2))._replace(second=f"s{k}") for k in range(6)]
+    told = list(offset_warnings(many))
+    assert len(told) == 4
+    assert told[-1].startswith("3 more pairs")
+    assert "east" not in told[0]
+
+
+def test_less_than_the_ranging_noise_is_not_told() -> None:
+    found = pair(Shift(up=0.03))
+    assert found.up_m == pytest.approx(0.03, abs=0.005)
+    assert list(offset_warnings([found])) == []

@@ -1,0 +1,73 @@
+"""Flightlines that do not fit together, from files to report, without a noise filter."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests import surveys
+from tests.airborne.strips.two_strips import Returns, Shift, ground
+
+LINEAR = {"filter": {"method": "none"}, "afterpulse": {"enabled": False}}
+FINE = {"ground": {"cell_m": 25, "buffer_m": 20}, "tiling": {"tile_m": 20}}
+
+
+def survey(folder: Path, shift: Shift, *, timed: bool = True, **sections: object) -> Path:
+    """Two flightlines in linear mode, each in a file."""
+    for line in (ground(1, Shift()), ground(2, shift)):
+        write(folder / "lines" / f"{line.psid}.laz", line, timed=timed)
+    return surveys.write_workflow(folder, **{**LINEAR, **sections})
+
+
+def write(path: Path, line: Returns, *, timed: bool) -> None:
+    count = len(line.xyz)
+    time = np.linspace(0, 1, count) + 1000.0 * line.psid
+    columns = dict(zip("xyz", line.xyz.T, strict=True))
+    columns["gps_time"] = surveys.START_S + time if timed else np.zeros(count)
+    columns["point_source_id"] = np.full(count, line.psid, np.uint16)
+    surveys.write_cloud(path, columns)
+
+
+def test_an_offset_is_in_warnings_report_and_page(tmp_path: Path) -> None:
+    result = surveys.run(survey(tmp_path, Shift(0.3, -0.2, 0.2)))
+    (pair,) = json.loads((result.output / "report.json").read_text())["strips"]
+    assert pair["up_m"] == pytest.approx(0.2, abs=0.01)
+    assert pair["east_m"] == pytest.approx(0.3, abs=0.08)
+    assert pair["north_m"] == pytest.approx(-0.2, abs=0.08)
+    assert pair["noise_m"] == pytest.approx(0.05, abs=0.01)
+    assert (pair["first"][:5], pair["second"][:5]) == ("00001", "00002")
+    (said,) = [text for text in result.report.warnings if "ranging noise" in text]
+    assert said.startswith(f"{pair['second']} lies ")
+    page = (result.output / "report.html").read_text()
+    assert "Between flightlines" in page
+    assert f"<td>{100 * pair['up_m']:.1f}</td>" in page
+    assert "Height between flightlines" in page
+
+
+def test_aligned_flightlines_raise_no_warning_and_tiling_does_not_count(tmp_path: Path) -> None:
+    found = []
+    for name, sections in (("whole", {}), ("fine", FINE)):
+        result = surveys.run(survey(tmp_path / name, Shift(), **sections))
+        assert not [text for text in result.report.warnings if "ranging noise" in text]
+        (pair,) = result.report.strips
+        found.append(pair)
+    whole, fine = found
+    assert (whole.patches, whole.first, whole.second) == (fine.patches, fine.first, fine.second)
+    assert fine.up_m == pytest.approx(whole.up_m, abs=1e-9)
+    assert fine.noise_m == pytest.approx(whole.noise_m, abs=1e-9)
+
+
+def test_flightlines_without_times_are_told_by_their_ids(tmp_path: Path) -> None:
+    result = surveys.run(survey(tmp_path, Shift(up=0.2), timed=False))
+    (pair,) = result.report.strips
+    assert (pair.first, pair.second) == ("00001", "00002")
+    assert pair.up_m == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_flightline_alone_is_compared_with_nothing(tmp_path: Path) -> None:
+    workflow = survey(tmp_path, Shift())
+    (tmp_path / "lines" / "2.laz").unlink()
+    result = surveys.run(workflow)
+    assert result.report.strips == ()
+    assert "No two flightlines share" in (result.output / "report.html").read_text()
