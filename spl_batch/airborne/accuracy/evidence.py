@@ -84,17 +84,20 @@ class SwathDifferences:
 
     Parameters
     ----------
-    rmsd_m, largest_m : float
-        RMSDz over all pairs; the largest difference [m].
-    pairs : int
-        Pairs of flightlines [count].
+    rmsd_m : float
+        RMSDz over all pairs, at smooth places of up to 10 degrees [m].
+    worst_m : float
+        That of the pair that is worst [m].
+    pairs, places : int
+        Pairs of flightlines; places that both of a pair have [count].
     where : str
-        Pair of the largest one.
+        The worst pair.
     """
 
     rmsd_m: float
-    largest_m: float
+    worst_m: float
     pairs: int
+    places: int
     where: str
 
 

@@ -188,30 +188,39 @@ _OVERLAP: Final = f"{PROCESSING}, Relative Vertical Accuracy"
 def _not_overlapping(known: Evidence) -> str:
     if known.flightlines < 2:
         return "there are no two flightlines to be compared"
-    return "this version does not compare flightlines with each other"
+    return "no two flightlines share enough smooth places of up to 10 degrees"
 
 
 def _overlap(known: Evidence) -> Requirement:
     limit = LEVELS[known.level].overlap_rmsd_m
     place = ("Swath overlap difference", f"RMSDz at most {centimetres(limit)}")
-    if known.swaths is None:
+    swaths = known.swaths
+    if swaths is None:
         why = _not_overlapping(known)
         return Requirement(*place, "not measured", "cannot tell", why, LBS, _OVERLAP)
-    answer: Answer = "pass" if known.swaths.rmsd_m <= limit else "fail"
-    found = f"RMSDz {centimetres(known.swaths.rmsd_m)}"
-    why = f"{known.swaths.pairs} pairs of flightlines"
+    answer: Answer = "pass" if swaths.rmsd_m <= limit else "fail"
+    found = f"RMSDz {centimetres(swaths.rmsd_m)}"
+    why = (
+        f"{number(swaths.places)} smooth places of {swaths.pairs} "
+        f"pair{'s' * (swaths.pairs != 1)} of flightlines"
+    )
     return Requirement(*place, found, answer, why, LBS, _OVERLAP)
 
 
 def _largest_overlap(known: Evidence) -> Requirement:
+    """Of the differences only root mean squares are known: one above the limit is enough."""
     limit = LEVELS[known.level].overlap_max_m
     place = ("Swath overlap, largest difference", f"at most {centimetres(limit)}")
-    if known.swaths is None:
+    swaths = known.swaths
+    if swaths is None:
         why = _not_overlapping(known)
         return Requirement(*place, "not measured", "cannot tell", why, LBS, _OVERLAP)
-    answer: Answer = "pass" if known.swaths.largest_m <= limit else "fail"
-    found, why = centimetres(known.swaths.largest_m), f"between {known.swaths.where}"
-    return Requirement(*place, found, answer, why, LBS, _OVERLAP)
+    found = f"RMSDz of the worst pair {centimetres(swaths.worst_m)}"
+    if swaths.worst_m > limit:
+        why = f"{swaths.where}: some difference is larger than their root mean square"
+        return Requirement(*place, found, "fail", why, LBS, _OVERLAP)
+    why = f"of {swaths.where}; single differences are not kept"
+    return Requirement(*place, found, "cannot tell", why, LBS, _OVERLAP)
 
 
 def _repeatability(known: Evidence) -> Requirement:

@@ -1,7 +1,8 @@
 """What the page "Is it good enough?" rests on: receipts as evidence, and what they say together."""
 
+import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,18 @@ from spl_batch.airborne.accuracy.checkpoint_errors import (
     at_checkpoints,
     statement,
 )
-from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence, PulseTotals
+from spl_batch.airborne.accuracy.evidence import (
+    LEVELS,
+    Evidence,
+    PulseTotals,
+    SwathDifferences,
+)
 from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.pulse_coverage import SPACINGS, Coverage
-from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics
+from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
 from spl_batch.airborne.report.model import Requirement as RequirementReport
+from spl_batch.airborne.report.strip_pairs import strip_pairs
 from spl_batch.airborne.tasks import checkpoints, pulses
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.run_record import Receipts
@@ -48,7 +55,7 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         vva=vva,
         pulses=_pulses(done, context, limits.spacing),
         water_known=workflow.water is not None,
-        swaths=None,
+        swaths=_swaths(strip_pairs(done)),
         flightlines=len(done.get("fit_line", {})),
         classes=_classes(done),
         filtered=workflow.filter.method != "none",
@@ -127,6 +134,23 @@ def _pulses(done: Receipts, context: Context, spacing: str) -> PulseTotals | Non
         filled=sum(one.filled for one in found),
         void_m2=sum(one.void for one in found) * place_m2,
         bare_m2=sum(of_cell[pulses.BARE] for of_cell in facts) * cell_m2,
+    )
+
+
+def _swaths(pairs: Sequence[StripPair]) -> SwathDifferences | None:
+    """Differences of all pairs of flightlines together; None where none were measured."""
+    known = [(p.flat_patches, p.rmsd_z_m, p) for p in pairs if p.flat_patches and p.rmsd_z_m]
+    if not known:
+        return None
+    places = sum(count for count, _, _ in known)
+    squares = sum(count * rmsd**2 for count, rmsd, _ in known)
+    _, worst_m, worst = max(known, key=lambda one: one[1])
+    return SwathDifferences(
+        rmsd_m=math.sqrt(squares / places),
+        worst_m=worst_m,
+        pairs=len(known),
+        places=places,
+        where=f"{worst.first} and {worst.second}",
     )
 
 
