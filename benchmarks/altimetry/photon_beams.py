@@ -88,6 +88,7 @@ class Beam:
                 least[z] = np.minimum(least[z], signals.thresholds(counts[z], away[z], *limits))
         passed = signals.score_bins(found) >= least[self._zone(along, height, window)]
         self.told = float(each[passed].sum() / chance.SHARE_QUANTA)
+        self.told_at = along[passed], each[passed] / chance.SHARE_QUANTA
         kept: Mask = signals.score_bins(score) >= least[self._zone(*photons, window)]
         return kept
 

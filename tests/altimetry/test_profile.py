@@ -122,12 +122,28 @@ def test_a_line_is_fitted_as_by_least_squares_where_nothing_strays() -> None:
     out = np.empty((1, 4))
     bounds = np.array([0]), np.array([300])
     along = np.rint(x * 1000).astype(np.int64)
-    fit_ground(along, z, *bounds, np.zeros(1, np.int64), 1.5, 3, np.array([[3.2, 0.2]]), out)
+    fit_ground(along, z, *bounds, np.zeros(1, np.int64), 1.5, 100.0, 3, np.array([[3.2, 0.2]]), out)
     slope, level = np.polyfit(x, z, 1)
     assert out[0, 0] == pytest.approx(level, abs=0.01)
     assert out[0, 1] == pytest.approx(slope, abs=0.001)
     assert out[0, 2] == pytest.approx(0.1 / np.sqrt(300), rel=0.3)
     assert out[0, 3] == 300
+
+
+def test_curved_ground_is_followed_and_its_error_is_told() -> None:
+    rng = np.random.default_rng(4)
+    x = np.sort(rng.uniform(0.0, 4000.0, 12_000))
+    for curvature, most in ((0.0, 0.05), (0.002, 0.15)):
+        truth = curvature * (4000.0 / (2.0 * np.pi * 16.0)) ** 2 * np.sin(2.0 * np.pi * x / 250.0)
+        along, height = quanta(np.stack([x, truth + rng.normal(0.0, 0.2, len(x))], axis=1))
+        order = np.lexsort((height, along))
+        found = profile(
+            along[order], height[order], np.ones(len(x), np.bool_), EVERYTHING, ProfileSettings()
+        ).columns
+        error = found["ground"] - np.interp(found["along_track"], x, truth)
+        assert np.sqrt(np.mean(error**2)) < most
+        told = np.abs(error) < 2.0 * found["ground_error"]
+        assert told.mean() > 0.75
 
 
 @settings(max_examples=8, deadline=None)

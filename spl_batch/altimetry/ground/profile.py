@@ -113,8 +113,9 @@ def profile(
         if np.count_nonzero(inside) < (1 if asked[c] >= 2 else _ALONE * settings.photons_min):
             agreed[c] = np.nan
     fit_ground(
-        along, z, first, stop, centre, thickness_m(settings), settings.photons_min, agreed, fit
-    )
+        along, z, first, stop, centre,
+        thickness_m(settings), settings.cell_m / 2.0, settings.photons_min, agreed, fit,
+    )  # fmt: skip
     mine = np.flatnonzero((index >= owned[0]) & (index < owned[1]))
     top, photons = _canopy(along, z, sure, index, centre, fit, mine, settings)
     ground = fit[mine, 0]
