@@ -209,11 +209,9 @@ def fit(
     sensor : Sensor
         Dead time, and what is expected beforehand.
     """
-    counts = _added(parts)
+    counts = added(parts)
     sigma_m = ranging_spread(counts.planes, sensor)
-    hard = np.arange(len(counts.planes)) * SPREAD_STEP_M < SHARP * sigma_m
-    entries, followers = counts.entries[hard].sum(axis=0), counts.followers[hard].sum(axis=0)
-    left = np.cumsum(entries) - np.cumsum(followers) + 0.5 * followers
+    entries, followers, left = of_hard_planes(counts, sigma_m)
     prior = sensor_law(sensor)
     edges, bins = _coarse(prior.dead_m, prior.longest_m)
     width = np.diff(edges)
@@ -236,13 +234,22 @@ def fit(
     )  # fmt: skip
 
 
-def _added(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Counts:
+def added(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Counts:
     """Sums of what the stretches of a flightline show."""
     total = no_counts()
     for part in parts:
         for name, sums in total._asdict().items():
             np.add(sums, part[f"afterpulse_{name}"], out=sums)
     return total
+
+
+def of_hard_planes(
+    counts: Counts, sigma_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Entries, followers and returns that have none so far of planes that spread as hard ones."""
+    hard = np.arange(len(counts.planes)) * SPREAD_STEP_M < SHARP * sigma_m
+    entries, followers = counts.entries[hard].sum(axis=0), counts.followers[hard].sum(axis=0)
+    return entries, followers, np.cumsum(entries) - np.cumsum(followers) + 0.5 * followers
 
 
 def _coarse(

@@ -4,15 +4,86 @@ Domain: time. The law and the ranging spread of a flightline follow what it show
 where that is not what the sensor states, as other figures of the sensor may be wrong too.
 """
 
-from typing import Final
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
-from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw
-from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.afterpulse.afterpulse_law import AfterpulseLaw, added, of_hard_planes
+from spl_batch.airborne.afterpulse.lag_counts import LAG_EDGES_M, STEP_M
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.errors import Remark, grouped
 
 LATE_MIN: Final = 0.02
 """Share of afterpulses with longer lags than the sensor states that is worth a word."""
+
+
+def expected_and_seen(
+    part: Mapping[str, NDArray[Any]], law: AfterpulseLaw, noise_per_m: float, within_m: float
+) -> tuple[float, int]:
+    """How many returns of a stretch's hard planes are followed by the flightline's law, and are.
+
+    Parameters
+    ----------
+    part : dict
+        Result of :func:`~spl_batch.airborne.afterpulse.afterpulse_law.observe`.
+    law, noise_per_m
+        Of the flightline; background per metre of beamlet [1/m].
+    within_m : float
+        Lags that count [m].
+    """
+    _, followers, left = of_hard_planes(added([part]), law.sigma_m)
+    low, high = LAG_EDGES_M[:-1], LAG_EDGES_M[1:]
+    taken = (high > law.dead_m) & (high <= within_m + 0.5 * STEP_M)
+    middle, width = 0.5 * (low + high), high - np.maximum(low, law.dead_m)
+    nodes = law.dead_m + STEP_M * np.arange(len(law.density))
+    passed = 1.0 - STEP_M * (np.cumsum(law.density) - 0.5 * law.density)
+    hazard = np.interp(middle, nodes, law.density / np.maximum(passed, 0.05), right=0.0)
+    expected = float(np.sum((left * width * (hazard + noise_per_m))[taken]))
+    return expected, int(followers[taken].sum())
+
+
+UNEVEN: Final = 1.5
+"""Times as often or as seldom as the law says that a stretch's returns may be followed."""
+
+UNEVEN_SIGMA: Final = 6.0
+"""And by how many standard deviations of chance it must be more or less."""
+
+
+def uneven(
+    parts: Sequence[Mapping[str, NDArray[Any]]], spans_s: Sequence[tuple[float, float]],
+    law: AfterpulseLaw, noise_per_m: float, sensor: Sensor,
+) -> tuple[Remark, ...]:  # fmt: skip
+    """What to tell where stretches of a flightline do not follow its law.
+
+    Parameters
+    ----------
+    parts : sequence of dict
+        Results of :func:`~spl_batch.airborne.afterpulse.afterpulse_law.observe`.
+    spans_s : sequence of (float, float)
+        First and last time of each [s].
+    law, noise_per_m
+        Of the flightline; background per metre of beamlet [1/m].
+    sensor : Sensor
+        Its longest lag: what follows later is told of a whole flightline alone.
+    """
+    odd = []
+    for part, span_s in zip(parts, spans_s, strict=True):
+        due, seen = expected_and_seen(part, law, noise_per_m, sensor.afterpulse_lag_max_m)
+        ratio = (seen + 1.0) / (due + 1.0)
+        if max(ratio, 1.0 / ratio) > UNEVEN and abs(seen - due) > UNEVEN_SIGMA * math.sqrt(due + 1):
+            odd.append((ratio, span_s))
+    if not odd:
+        return ()
+    ratio, (first, last) = max(odd, key=lambda one: abs(math.log(one[0])))
+    text = (
+        f"in {len(odd)} of {len(parts)} stretches returns of hard surfaces are followed more or "
+        f"less often than the law of the flightline says, {ratio:.1f} times as often between "
+        f"gps_time {first:.0f} and {last:.0f}: there afterpulses among leaves are told worse"
+    )
+    return (Remark(text, abs(math.log(ratio))),)
 
 
 def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:

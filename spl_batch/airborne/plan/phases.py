@@ -150,6 +150,7 @@ def _fit(survey: Survey) -> Iterator[Task]:
                 "stretches": names,
                 "points": line.points,
                 "span_s": [line.first_s, line.last_s],
+                "stretch_s": line.stretch_shots / line.clock.prf_hz,
                 "prf_basis": line.prf_basis,
             }
             yield Task("fit_line", line.name, args, tuple((observing, n) for n in names))

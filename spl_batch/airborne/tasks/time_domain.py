@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
-from spl_batch.airborne.afterpulse.law_warnings import disagreements
+from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
 from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.beams.told_apart import told_apart
@@ -92,6 +92,8 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     beamlets = stated.beamlets if lines_of_sight.tells_beamlets(args, stated) else 1
     law = afterpulse_law.fit(parts, model.mean_rate / beamlets, sensor)
     told = disagreements(law, sensor) if context.workflow.afterpulse.enabled else ()
+    if context.workflow.afterpulse.enabled:
+        told += uneven(parts, _spans_s(args), law, model.mean_rate / beamlets, sensor)
     write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
     facts = {
@@ -112,6 +114,14 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
         "warnings": [*model.warnings, *told],
     }
     return Produced([path], facts, args["points"])
+
+
+def _spans_s(args: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """Times of the stretches of a flightline, as far as it goes [s]."""
+    first, last = args["span_s"]
+    starts = [args["t0_s"] + int(name.rpartition("/")[2]) * args["stretch_s"]
+              for name in args["stretches"]]  # fmt: skip
+    return [(max(start, first), min(start + args["stretch_s"], last)) for start in starts]
 
 
 def scatter(args: Mapping[str, Any], context: Context) -> Produced:

@@ -20,7 +20,7 @@ from spl_batch.airborne.afterpulse.lag_counts import (
     no_counts,
     rate_behind,
 )
-from spl_batch.airborne.afterpulse.law_warnings import disagreements
+from spl_batch.airborne.afterpulse.law_warnings import disagreements, expected_and_seen, uneven
 from spl_batch.airborne.afterpulse.ranging_spread import ranging_spread
 from spl_batch.airborne.beams import geometry
 from spl_batch.airborne.sensors.sensor import Sensor, load_preset
@@ -124,6 +124,25 @@ def test_a_tail_is_followed_as_deep_as_it_goes(power: float, longest: float) -> 
     assert law.later_than(3.0) == pytest.approx(late, abs=0.03)
     (said,) = disagreements(law, SENSOR)
     assert f"up to {law.longest_m:.0f} m, and the sensor states 3 m" in said.text
+
+
+def test_stretches_that_do_not_follow_the_law_are_named() -> None:
+    rng = np.random.default_rng(6)
+    parents, noise = 20_000, 2e-3
+
+    def part(share: float) -> dict[str, np.ndarray]:
+        lags = SENSOR.dead_m + rng.exponential(0.7, int(share * parents))
+        return counted(lags, parents, noise=rng.exponential(1 / noise, parents - len(lags)))
+
+    spans = [(10.0 * k, 10.0 * k + 10.0) for k in range(4)]
+    for shares, odd in (((0.15,) * 4, False), ((0.15, 0.15, 0.15, 0.4), True)):
+        parts = [part(share) for share in shares]
+        law = afterpulse_law.fit(parts, noise, SENSOR)
+        due, seen = zip(*(expected_and_seen(p, law, noise, 3.0) for p in parts), strict=True)
+        assert sum(due) == pytest.approx(sum(seen), rel=0.03)
+        said = uneven(parts, spans, law, noise, SENSOR)
+        assert len(said) == odd
+        assert not odd or "between gps_time 30 and 40" in said[0].text
 
 
 def test_a_noise_model_that_falls_short_makes_no_tail() -> None:
