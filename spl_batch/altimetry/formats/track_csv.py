@@ -81,7 +81,7 @@ def _batches(path: Path, stream: Any, names: dict[str, str]) -> Iterator[pa.Reco
             stream, read_options=pa.csv.ReadOptions(use_threads=False), convert_options=options
         )
         yield from reader
-    except pa.ArrowInvalid as error:
+    except (pa.ArrowException, KeyError) as error:  # of a column that is lost too
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read as numbers: {reason[:200]}") from None
 

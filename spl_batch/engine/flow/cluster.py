@@ -129,6 +129,8 @@ def check_workers(client: Any, footing: Footing, memory_bytes: int) -> None:
             "install the same version on all"
         ) from error
     for address, fault in sorted(faults.items()):
+        if isinstance(fault, OSError | TimeoutError):
+            continue  # it was lost while it was asked: as any worker that is lost
         if isinstance(fault, Exception):
             fault = f"cannot run this spl_batch ({type(fault).__name__}: {fault})"  # noqa: PLW2901
         if fault:

@@ -129,7 +129,7 @@ def _client(
         address = stack.enter_context(local_cluster(workers, memory_bytes))
     try:
         client = stack.enter_context(Client(address))
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: TLS without keys
         raise StoppedError(
             f"--scheduler {scheduler}: no answer ({error}); is `dask scheduler` running there?"
         ) from error

@@ -7,6 +7,7 @@ begins alike, wherever it lies now. The name does not count, as names are copied
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -39,6 +40,7 @@ def usable(prepared: Prepared[Any, Any]) -> Deliveries:
     """
     context = prepared.context
     refuse_unwritable(context.output)
+    refuse_links_out(context.output)
     refuse_claimed(context.store)
     deliveries = Deliveries(context)
     refuse_foreign(prepared, deliveries)
@@ -72,6 +74,29 @@ def refuse_foreign(prepared: Prepared[Any, Any], deliveries: Deliveries) -> None
             f"output: {output} holds the results of another survey, {survey['name']!r}, made of "
             f"{named(inputs, 2)}, no input of this one; name another output, or delete that folder"
         )
+
+
+def refuse_links_out(output: Path) -> None:
+    """Refuse an output in which a link leads elsewhere: what a run writes would be written there.
+
+    ``store`` may be a link, to a faster disk; what lies in it is the run's alone.
+
+    Raises
+    ------
+    WorkflowError
+        If there is one.
+    """
+    home = output.resolve()
+    for place, folders, files in os.walk(output):
+        if place == str(output):
+            folders[:] = [name for name in folders if name != "store"]
+        for name in (*folders, *files):
+            path = Path(place, name)
+            if path.is_symlink() and home not in path.resolve().parents:
+                raise WorkflowError(
+                    f"output: {path} is a link to {path.resolve()}, out of the output: remove it, "
+                    "or name another output"
+                )
 
 
 def this_survey(prepared: Prepared[Any, Any]) -> dict[str, Any]:

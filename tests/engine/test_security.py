@@ -1,0 +1,229 @@
+"""What `docs/security.md` promises: who listens, what is encrypted, what is never executed."""
+
+import ast
+import io
+import json
+import os
+import pickle
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+import yaml
+
+from spl_batch.engine.flow.cluster import local_cluster
+from spl_batch.errors import DamagedError, InputError, WorkflowError
+from spl_batch.formats.verified.parquet_npz import read_arrays
+from spl_batch.geiger.water.formats import inspect_frames, iter_frames
+from tests import surveys
+from tests.clusters import ROOT
+
+PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
+LOOPBACK = {"127.0.0.1", "::1"}
+
+
+def listening(process: psutil.Process) -> set[str]:
+    """Addresses on which a process and its children listen."""
+    found = (p.net_connections("inet") for p in (process, *process.children(recursive=True)))
+    listed = (c for connections in found for c in connections)
+    return {c.laddr.ip for c in listed if c.status == psutil.CONN_LISTEN}
+
+
+def test_local_workers_listen_on_loopback_alone() -> None:
+    with local_cluster(1, 1 << 30):
+        addresses = listening(psutil.Process())
+    assert addresses
+    assert addresses <= LOOPBACK
+
+
+# TLS
+
+
+def blocks(kind: str) -> list[str]:
+    """Pieces of code of the page, in order."""
+    return re.findall(rf"```{kind}\n(.*?)```", PAGE, flags=re.DOTALL)
+
+
+@contextmanager
+def started(folder: Path, name: str, *command: str) -> Iterator[Path]:
+    """A process of dask's own with the page's settings; the file that holds what it says."""
+    said = folder / f"{name}.txt"
+    with said.open("wb") as stream:
+        process = subprocess.Popen(  # noqa: S603
+            [sys.executable, "-m", "dask", *command],
+            cwd=folder,
+            env=encrypted(folder),
+            stdout=stream,
+            stderr=stream,
+        )
+    try:
+        yield said
+    finally:
+        process.kill()
+        process.wait()
+
+
+def encrypted(folder: Path) -> dict[str, str]:
+    """Environment in which dask finds the page's settings."""
+    return {**os.environ, "DASK_CONFIG": str(folder / "dask"), "PYTHONPATH": str(ROOT)}
+
+
+@pytest.mark.slow
+def test_the_example_of_a_cluster_with_tls_works(tmp_path: Path) -> None:
+    keys, *_ = blocks("sh")
+    command = ["bash", "-euc", keys]
+    made = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)  # noqa: S603
+    assert made.returncode == 0, made.stderr.decode()
+    settings = yaml.safe_load(blocks("yaml")[0].replace("/secrets", str(tmp_path)))
+    (tmp_path / "dask").mkdir()
+    (tmp_path / "dask/tls.yaml").write_text(yaml.safe_dump(settings))
+    surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=25))
+    workflow = surveys.write_workflow(tmp_path)
+    place = tmp_path / "scheduler.json"
+    scheduler = ("scheduler", "--protocol", "tls", "--host", "127.0.0.1", "--port", "0")
+    worker = ("worker", "--scheduler-file", str(place), "--nthreads", "1", "--no-nanny")
+    common = ("--no-dashboard",)
+    with (
+        started(tmp_path, "s", *scheduler, "--scheduler-file", str(place), *common),
+        started(tmp_path, "w", *worker, *common),
+    ):
+        command = [sys.executable, "-c", RUN, str(place), str(workflow)]
+        ended = subprocess.run(  # noqa: S603
+            command, env=encrypted(tmp_path), capture_output=True, check=False, timeout=240
+        )
+        assert ended.returncode == 0, ended.stderr.decode()
+        assert (tmp_path / "out/laz/lines/1.laz").exists()
+        address = json.loads(place.read_text())["address"]
+        assert address.startswith("tls://127.0.0.1:")
+        without = surveys.command("run", workflow, "--scheduler", address, "--fresh")
+        assert without.status == 3, "who has no key gets no answer"
+
+
+RUN = """
+import json, sys, time
+from pathlib import Path
+from spl_batch.cli import main
+
+place = Path(sys.argv[1])
+while not place.exists():
+    time.sleep(0.1)
+main(["run", sys.argv[2], "--scheduler", json.loads(place.read_text())["address"],
+      "--memory", "1GiB"])
+"""
+
+# Nothing is executed
+
+
+FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
+
+
+def test_nothing_of_ours_unpickles_or_evaluates() -> None:
+    for path in sorted((ROOT / "spl_batch").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = {alias.name.split(".")[0] for alias in node.names}
+                names.add((getattr(node, "module", "") or "").split(".")[0])
+                assert not names & FORBIDDEN, path
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in {"eval", "exec"}, path
+            if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+                assert isinstance(node.value, ast.Constant), path
+                assert node.value.value is False, path
+
+
+class Executed:
+    """Writes a file when it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.mark,)
+
+
+def test_a_pickle_in_the_store_is_damage(tmp_path: Path) -> None:
+    mark = tmp_path / "executed"
+    content = io.BytesIO()
+    np.savez(content, a=np.array([Executed(mark)], dtype=object))
+    with zipfile.ZipFile(content) as made:
+        assert b"Executed" in made.read("a.npy") or b"touch" in made.read("a.npy")
+    (tmp_path / "a.npz").write_bytes(content.getvalue())
+    with pytest.raises(DamagedError):
+        read_arrays(tmp_path / "a.npz")
+    assert not mark.exists()
+
+
+PICKLE = {"id": "pickle", "protocol": 5}
+SHUFFLE = {"id": "shuffle", "elementsize": 2}
+
+
+@pytest.mark.parametrize(
+    ("compressor", "filters"),
+    [(None, [PICKLE]), (PICKLE, None), (PICKLE, [SHUFFLE]), (None, [SHUFFLE, PICKLE])],
+)
+def test_a_pickle_in_an_input_is_never_unpickled(
+    tmp_path: Path, compressor: Any, filters: Any
+) -> None:
+    """Zarr knows a codec of that name; frames that ask for it are refused."""
+    group, mark = tmp_path / "f.zarr", tmp_path / "executed"
+    (group / "frames").mkdir(parents=True)
+    (group / ".zgroup").write_text('{"zarr_format": 2}')
+    array = {"zarr_format": 2, "shape": [10, 4, 5], "chunks": [10, 4, 5], "dtype": "<u2"}
+    array |= {"compressor": compressor, "filters": filters, "fill_value": 0, "order": "C"}
+    (group / "frames/.zarray").write_text(json.dumps(array))
+    (group / "frames/0.0.0").write_bytes(pickle.dumps(Executed(mark)))
+    with pytest.raises(InputError):
+        inspect_frames(group, 4, 5)
+    with pytest.raises(InputError):
+        list(iter_frames(group, 0, 10, 1000))
+    assert not mark.exists()
+
+
+# Links
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    surveys.write_cloud(tmp_path / "s/lines/1.laz", surveys.flightline(shots=10))
+    return surveys.write_workflow(tmp_path / "s")
+
+
+@pytest.mark.parametrize("name", ["laz", "laz/lines", "log.jsonl", "dtm.tif"])
+def test_a_link_out_of_the_output_is_refused(survey: Path, tmp_path: Path, name: str) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    link = survey.parent / "out" / name
+    link.parent.mkdir(parents=True)
+    link.symlink_to(elsewhere if "." not in name else elsewhere / "file")
+    for verb in ("run", "plan"):
+        ended = surveys.command(verb, survey, "--workers", 0)
+        assert ended.status == 2, ended.text
+        assert f"out/{name} is a link to {elsewhere}" in ended.err
+    assert not any(elsewhere.iterdir())
+
+
+def test_a_link_within_the_output_or_to_a_faster_disk_is_none(survey: Path, tmp_path: Path) -> None:
+    output = survey.parent / "out"
+    (output / "here").mkdir(parents=True)
+    (output / "laz").symlink_to(output / "here")
+    (tmp_path / "scratch").mkdir()
+    (output / "store").symlink_to(tmp_path / "scratch")
+    ended = surveys.command("run", survey, "--workers", 0, "--until", "index")
+    assert ended.status == 0, ended.text
+    assert (tmp_path / "scratch/receipts").is_dir()
+
+
+def test_the_page_says_what_is_trusted() -> None:
+    """Words that the page must not lose."""
+    for word in ("trusted", "loopback", "TLS", "pickle", "link"):
+        assert word in PAGE
+    assert issubclass(InputError, ValueError)
+    assert issubclass(WorkflowError, ValueError)
