@@ -82,7 +82,7 @@ def test_the_example_of_a_cluster_with_tls_works(tmp_path: Path) -> None:
     command = ["bash", "-euc", keys]
     made = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)  # noqa: S603
     assert made.returncode == 0, made.stderr.decode()
-    settings = yaml.safe_load(blocks("yaml")[0].replace("/secrets", str(tmp_path)))
+    settings = yaml.safe_load(blocks("yml")[0].replace("/secrets", str(tmp_path)))
     (tmp_path / "dask").mkdir()
     (tmp_path / "dask/tls.yaml").write_text(yaml.safe_dump(settings))
     surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=25))

@@ -101,13 +101,13 @@ def kind(name: str) -> Kind:
             write_atl03(folder / "good.h5", {"gt1r": small_track(1, length_m=120.0)})
             write_track_workflow(folder, "*.h5")
             return Kind(seed("atl03"), kept(folder), "mutant_1.h5", ())
-        workflow = write_tank(folder, calibration=None, target=None)
-        files = {**kept(workflow.parent)}
-        frames = sorted(n for n in files if n.endswith(".h5"))
-        return Kind(Seed(files[frames[-1]], ".h5"), files, frames[-1], (), lost=True)
+        workflow = write_tank(folder)
+        files = kept(workflow.parent)
+        (first, *_) = sorted(n for n in files if n.startswith("frames/") and n.endswith(".h5"))
+        return Kind(Seed(files[first], ".h5"), files, first, ())
 
 
-KINDS: Final = ("flightlines", "old flightlines", "trajectory", "polygons", "granules")
+KINDS: Final = ("flightlines", "old flightlines", "trajectory", "polygons", "granules", "frames")
 """Kinds of whole runs."""
 
 
