@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.noise.haze import CUBE_M
+from spl_batch.airborne.products import near_ground
 from spl_batch.airborne.report.model import Haze
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
@@ -27,6 +28,10 @@ SURE: Final = 5.0
 
 SHARE: Final = 0.15
 """Part of the noise that a difference must concern."""
+
+FOG_LEAST_M2: Final = 2000.0
+FOG_SHARE: Final = 0.5
+"""Area from which fog is told [m2], and part of it that it fills."""
 
 LEAST_M2: Final = 500.0
 """Area from which haze is told [m2]."""
@@ -110,6 +115,26 @@ def bloom_warning(done: Receipts) -> Iterator[str]:
             f"returns lie before or behind it: bright points, as retro-reflectors, that light the "
             f"whole array; the {grouped(returns)} returns at that range are noise, class 18 or 7"
         )
+
+
+def fog_warning(done: Receipts) -> Iterator[str]:
+    """Sentence on returns that fill the air just above the ground nearly everywhere."""
+    parts = [r.facts["filled"] for r in done.get("surface", {}).values() if r.facts.get("filled")]
+    if not parts:
+        return
+    places, *filled = np.array(parts).sum(axis=0)
+    area_m2 = places * near_ground.SQUARE_M**2
+    shares = np.array(filled) / max(places, 1)
+    if area_m2 < FOG_LEAST_M2 or shares[0] < FOG_SHARE:
+        return
+    steps = int(np.argmax(np.append(shares < FOG_SHARE, True)))
+    top = near_ground.FLOOR_M + steps * near_ground.STEP_M
+    yield as_ascii(
+        f"returns fill the air up to {top:.1f} m above the ground evenly in "
+        f"{100 * shares[0]:.0f} % of {significant(area_m2 * 1e-6, 2)} km2: ground fog, or low "
+        f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the kept points can "
+        "be trusted"
+    )
 
 
 def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:

@@ -21,7 +21,14 @@ from spl_batch.airborne.report.model import (
 )
 from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
-from spl_batch.airborne.report.sky import bloom, bloom_warning, haze, haze_warning, misfit_warning
+from spl_batch.airborne.report.sky import (
+    bloom,
+    bloom_warning,
+    fog_warning,
+    haze,
+    haze_warning,
+    misfit_warning,
+)
 from spl_batch.airborne.report.strip_pairs import strip_map, strip_pairs
 from spl_batch.airborne.report.survey_files import write_report
 from spl_batch.airborne.report.survey_pieces import PICTURED, cropped, find_pieces, in_words
@@ -76,6 +83,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *_uncovered(done),
             *bloom_warning(done),
             *haze_warning(noise.haze),
+            *fog_warning(done),
             *misfit_warning(done, context),
             *not_compared(done, context, facts),
         ),

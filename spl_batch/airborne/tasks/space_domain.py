@@ -16,7 +16,7 @@ from spl_batch.airborne.filter.kept_noise import within_signal
 from spl_batch.airborne.filter.stray_returns import stray
 from spl_batch.airborne.ground import ground_methods as grounding
 from spl_batch.airborne.ground.water_level import off_surface
-from spl_batch.airborne.products import point_classes
+from spl_batch.airborne.products import near_ground, point_classes
 from spl_batch.airborne.products import surface_rasters as surfacing
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.reflectance import reflectance
@@ -155,12 +155,14 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     mine, place = table.select(classified).take(owned), origin.of(owned)
     del origin, owned
     shown = _makes_surfaces(table)
-    del table
+    table = table.select(near_ground.COLUMNS_NEEDED)
     arrays = surfacing.surfaces(shown, core, workflow.products)
     arrays |= reflected
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     counted = covered(shown, core, arrays, context)
+    counted |= _fog_facts(table, core, arrays["dtm"], noise_m3)
+    del table
     counted |= pulses.pulse_facts(returns, core, arrays["density"], context)
     del shown
     if workflow.products.maps:
@@ -173,6 +175,17 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
     facts = {"core": list(core), "rasters": sums, "kept_noise": kept_noise, **counted}
     return Produced([path, *chunks], facts, len(mine))
+
+
+def _fog_facts(
+    table: PointTable, core: Bounds, dtm: NDArray[np.float32], noise_m3: NDArray[np.float32]
+) -> dict[str, Any]:
+    """How many places of a ground cell hold returns evenly just above the ground."""
+    known = noise_m3[noise_m3 > NODATA]
+    if not len(known) or not known.any():
+        return {}
+    noise = float(np.median(known))
+    return {"filled": near_ground.filled_places(table, core, dtm, noise)}
 
 
 def _makes_surfaces(table: PointTable) -> PointTable:

@@ -4,7 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from spl_batch.airborne.report.sky import haze, haze_warning, misfit_warning
+from spl_batch.airborne.report.sky import (
+    bloom_warning,
+    fog_warning,
+    haze,
+    haze_warning,
+    misfit_warning,
+)
 
 
 def receipt(**facts):
@@ -66,3 +72,23 @@ def test_noise_that_falls_along_the_gate_is_told_with_its_heights(context):
 def test_a_difference_by_chance_or_in_few_returns_is_not_told(context):
     rows = [[layer, 1000, 1000.0] for layer in range(40)] + [[60, 9, 4.0], [61, 300, 100.0]]
     assert list(misfit_warning(done(layers=[rows]), context)) == []
+
+
+def test_fog_is_told_where_most_places_are_filled_with_the_height_that_it_reaches():
+    cells = {
+        "a": receipt(filled=[50, 40, 36, 30, 5, 0, 0, 0, 0]),
+        "b": receipt(filled=[50] + [40] * 2 + [10] * 6),
+    }
+    (text,) = fog_warning({"surface": cells})
+    assert "up to 2.8 m above the ground evenly in 80 % of 0.010 km2" in text
+    bare = {"a": receipt(filled=[100, 20, 0, 0, 0, 0, 0, 0, 0]), "b": receipt()}
+    assert list(fog_warning({"surface": bare})) == []
+    assert list(fog_warning({"surface": {"a": receipt(filled=[10] * 9)}})) == []
+
+
+def test_bloom_is_counted_in_one_sentence():
+    parts = {"a": receipt(bloom=[2, 180]), "b": receipt(), "c": receipt(bloom=[1, 95])}
+    (text,) = bloom_warning({"scatter": parts})
+    assert text.startswith("in 3 shots")
+    assert "275 returns" in text
+    assert list(bloom_warning({"scatter": {"b": receipt()}})) == []

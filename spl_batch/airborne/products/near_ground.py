@@ -1,0 +1,110 @@
+"""Returns that fill the air just above the ground everywhere, as fog does.
+
+Domain: space. Fog lies on the ground, is densest there and is everywhere; its returns have
+neighbours enough to pass any test of noise, and the top of it becomes the surface. Places of
+:data:`SQUARE_M` are looked at in steps of height. In a step a place is *filled* where much more
+returns than noise explains, evenly over its cells of 1 m. Bushes, trees and walls leave gaps, and
+roads, meadows and roofs have nothing there at all: that most places are filled is fog, or low
+vegetation without a gap. It is told, and nothing is taken away.
+
+Our own rule; the sources are silent on it.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.constants import NODATA, NOISE_AFTERPULSE, NOISE_NOT_ASSESSED, QUANTUM_M
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, quanta
+
+DOMAIN: Final = "space"
+
+COLUMNS_NEEDED: Final = ("x", "y", "z", "noise_class")
+
+SQUARE_M: Final = 10.0
+"""Edge of a place [m]."""
+
+CELL_M: Final = 1.0
+"""Edge of its cells [m]."""
+
+FLOOR_M: Final = 0.75
+"""Lower end of the first step: above what slopes and ranging noise lift off the ground [m]."""
+
+STEP_M: Final = 1.0
+STEPS: Final = 8
+"""Height and number of the steps."""
+
+TIMES_NOISE: Final = 4.0
+LEAST: Final = 10.0
+"""A filled place holds so many times the noise, and so many returns more."""
+
+UNEVEN: Final = 0.5
+"""Largest variance of the cells' counts beyond chance, over their squared mean."""
+
+
+def filled_places(
+    table: PointTable, core: Bounds, dtm: NDArray[np.float32], noise_m3: float
+) -> list[int]:
+    """How many places there are with ground, and how many of them are filled, step by step.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points of a ground cell, :data:`COLUMNS_NEEDED`.
+    core : Bounds
+        The ground cell; squares of the absolute grid that lie in it count [quanta].
+    dtm : (rows, cols) float32
+        Its DTM, north up [m].
+    noise_m3 : float
+        Expected noise [1/m3].
+
+    Returns
+    -------
+    list of int
+        Places [count], then those filled in each of the :data:`STEPS`.
+    """
+    edge, cell = quanta(SQUARE_M), quanta(CELL_M)
+    west, south = -(-core.xmin // edge), -(-core.ymin // edge)
+    columns, rows = core.xmax // edge - west, core.ymax // edge - south
+    if columns < 1 or rows < 1:
+        return [0] * (STEPS + 1)
+    x, y = table["x"] - west * edge, table["y"] - south * edge
+    kind = table["noise_class"]
+    chosen = (x >= 0) & (x < columns * edge) & (y >= 0) & (y < rows * edge)
+    chosen &= (kind != NOISE_AFTERPULSE) & (kind != NOISE_NOT_ASSESSED)
+    x, y = x[chosen], y[chosen]
+    height, near = _heights(table, chosen, core, dtm)
+    step = np.floor((height - FLOOR_M) / STEP_M)
+    place = (y // edge) * columns + x // edge
+    places = int(rows * columns)
+    parts = edge // cell
+    within = (y % edge // cell) * parts + x % edge // cell
+    grounded = np.bincount(place[near], minlength=places) > 0
+    out = [int(np.count_nonzero(grounded))]
+    for k in range(STEPS):
+        inside = step == k
+        number = place[inside] * parts**2 + within[inside]
+        count = np.bincount(number, minlength=places * parts**2).reshape(places, parts**2)
+        mean = count.mean(axis=1)
+        excess = count.var(axis=1) - mean
+        noise = noise_m3 * SQUARE_M**2 * STEP_M
+        full = count.sum(axis=1) >= TIMES_NOISE * noise + LEAST
+        full &= (excess <= UNEVEN * mean**2) & grounded
+        out.append(int(np.count_nonzero(full)))
+    return out
+
+
+def _heights(
+    table: PointTable, chosen: NDArray[np.bool_], core: Bounds, dtm: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Heights above the DTM, NaN where it is void [m]; which points lie on it."""
+    rows, cols = dtm.shape
+    size = (core.xmax - core.xmin) // cols
+    row = rows - 1 - (table["y"][chosen] - core.ymin) // size
+    col = (table["x"][chosen] - core.xmin) // size
+    surface = dtm[row, col].astype(np.float64)
+    surface[surface == np.float32(NODATA)] = np.nan
+    height = table["z"][chosen] * QUANTUM_M - surface
+    return height, np.abs(height) < FLOOR_M / 2
