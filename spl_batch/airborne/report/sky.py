@@ -132,8 +132,8 @@ def fog_warning(done: Receipts) -> Iterator[str]:
     yield as_ascii(
         f"returns fill the air up to {top:.1f} m above the ground evenly in "
         f"{100 * shares[0]:.0f} % of {significant(area_m2 * 1e-6, 2)} km2: ground fog, or low "
-        f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the kept points can "
-        "be trusted"
+        f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the points "
+        "that are kept can be trusted"
     )
 
 
