@@ -71,8 +71,7 @@ SMOOTH: Final = 3.0
 """Largest ratio of the quarters of a square."""
 
 PAIRS_LEAST: Final = 150
-"""Pairs in columns that tell it: from so many on no square of two real forests, in leaf and of
-needles, has a clumping below 1.3 (``benchmarks.airborne.sky --forests``)."""
+"""Pairs in columns that tell it: chance then leaves an error of a sixth."""
 
 CHANCE: Final = 3.0
 """Standard deviations that chance is allowed where a square tells little."""
