@@ -16,8 +16,8 @@ from spl_batch.airborne.sensors.sensor import Sensor
 DOMAIN: Final = "time"
 
 PRIOR: Final = 15.0
-"""Planes that the sensor's own figure is worth [count]: fewer than 60 in all tell nothing else, as few
-planes of shrubs look alike."""
+"""Planes that the sensor's own figure is worth [count]: fewer than 60 in all tell nothing else, as
+few planes of shrubs look alike."""
 
 QUANTILE: Final = 0.2
 """Share of the planes that spread less: a fifth of them is hard in any survey with planes."""
