@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import shapely
 from pyproj import CRS
@@ -14,6 +14,7 @@ from spl_batch.airborne.catalogue.delivered_files import (
     Delivery,
     RasterFile,
     Span,
+    leads_to_degrees,
     read_cloud,
     read_raster_file,
     utc_span,
@@ -21,7 +22,11 @@ from spl_batch.airborne.catalogue.delivered_files import (
 from spl_batch.airborne.catalogue.index_layers import Layer
 from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.constants import QUANTUM_M
+from spl_batch.formats.crs import crs_name
 from spl_batch.lattice.tiles import cell_bounds, parse_cell
+
+REMEDY: Final = "; name it in survey.crs"
+"""Where no CRS is known."""
 
 
 def write_catalogues(
@@ -53,23 +58,31 @@ def write_catalogues(
     rasters = [read_raster_file(output, href) for href in args["rasters"]]
     layers = [layer for layer in _layers(args, clouds) if len(layer.shapes)]
     written = [index_layers.write_index(output, layers, crs)]
-    remarks: list[str] = []
+    held = [cloud for cloud in clouds if cloud.points]
+    reason = _why_without_places(crs, held, rasters)
     vpc = None
-    if crs is None:
-        remarks.append(
-            "without a CRS nothing tells where on earth the survey lies: no STAC, no virtual "
-            "point cloud and no metadata are written; name it in survey.crs"
-        )
-    else:
-        written += _of_places(output, Delivery(name, crs, clouds, rasters))
+    if crs is not None and not reason:
+        written += _of_places(output, Delivery(name, crs, held, rasters))
         vpc = virtual_cloud.NAME
     written += _of_qgis(output, rasters, vpc, [layer.name for layer in layers], crs)
-    return written, remarks
+    remark = f"{reason}: no STAC, no virtual point cloud and no metadata are written"
+    return written, [f"{remark}{REMEDY if crs is None else ''}"] if reason else []
 
 
-def _of_places(output: Path, delivery: Delivery) -> list[Path]:
-    held = [cloud for cloud in delivery.clouds if cloud.points]
-    with_points = Delivery(delivery.name, delivery.crs, held, delivery.rasters)
+def _why_without_places(
+    crs: CRS | None, held: Sequence[Cloud], rasters: Sequence[RasterFile]
+) -> str:
+    """Why nothing can be listed by its place on earth; empty if it can."""
+    if crs is None:
+        return "without a CRS nothing tells where on earth the survey lies"
+    if not leads_to_degrees(crs):
+        return f"the CRS {crs_name(crs)} does not tell where on earth the survey lies"
+    if not held and not rasters:
+        return "no delivered cloud holds a point, and there is no raster"
+    return ""
+
+
+def _of_places(output: Path, with_points: Delivery) -> list[Path]:
     return [
         *write_stac(output, with_points),
         virtual_cloud.write_vpc(output, with_points),

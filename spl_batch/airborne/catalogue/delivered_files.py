@@ -11,6 +11,7 @@ import laspy
 import rasterio
 import shapely
 from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
 from spl_batch.formats.crs import horizontal
@@ -181,7 +182,7 @@ class Delivery:
 
     @cached_property
     def _to_degrees(self) -> Transformer:
-        return Transformer.from_crs(horizontal(self.crs), 4326, always_xy=True)
+        return _to_degrees(self.crs)
 
     def box_deg(
         self, box_m: tuple[float, float, float, float]
@@ -200,6 +201,19 @@ class Delivery:
             "type": "Polygon",
             "coordinates": [[[x, y] for x, y in zip(lon.tolist(), lat.tolist(), strict=True)]],
         }
+
+
+def _to_degrees(crs: CRS) -> Transformer:
+    return Transformer.from_crs(horizontal(crs), 4326, always_xy=True)
+
+
+def leads_to_degrees(crs: CRS) -> bool:
+    """Whether a CRS tells where on earth its places lie; that of a building site does not."""
+    try:
+        _to_degrees(crs)
+    except ProjError:
+        return False
+    return True
 
 
 def outline(box_m: tuple[float, float, float, float]) -> dict[str, Any]:

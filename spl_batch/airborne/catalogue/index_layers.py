@@ -18,6 +18,13 @@ WRITTEN: Final = "1980-01-06T00:00:00.000Z"
 """Date of change that the file states, so that the same content has the same bytes."""
 
 
+UNDEFINED: Final = (
+    'ENGCRS["Undefined Cartesian SRS",EDATUM["Unknown engineering datum"],CS[Cartesian,2],'
+    'AXIS["easting",east,ORDER[1]],AXIS["northing",north,ORDER[2]],LENGTHUNIT["metre",1]]'
+)
+"""What GeoPackage 1.3 calls coordinates in metres without a CRS (``srs_id`` -1), by GDAL's name."""
+
+
 class Layer(NamedTuple):
     """Features of one kind.
 
@@ -46,7 +53,7 @@ def write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path:
     layers : sequence of Layer
         What it holds.
     crs : CRS or None
-        Of the coordinates.
+        Of the coordinates; :data:`UNDEFINED` where it is None.
     """
     path = output / NAME
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WRITTEN})
@@ -73,7 +80,7 @@ def _write(path: Path, layer: Layer, crs: CRS | None) -> None:
         layer=layer.name,
         driver="GPKG",
         geometry_type=f"{kinds.pop()}{' Z' if layer.shapes[0].has_z else ''}",
-        crs=None if crs is None else crs.to_wkt(),
+        crs=UNDEFINED if crs is None else crs.to_wkt(),
         append=path.exists(),
     )
 

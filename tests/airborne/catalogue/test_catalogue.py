@@ -2,6 +2,8 @@
 
 import datetime as dt
 import json
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -13,10 +15,12 @@ import pytest
 import rasterio
 from jsonschema import Draft7Validator
 from jsonschema.validators import validator_for
+from pyproj import CRS
 from pystac.validation.local_validator import get_local_schema_cache
 from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT7
 
+from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.catalogue.delivered_files import utc_span
 from tests import surveys
 
@@ -263,6 +267,43 @@ def test_a_run_owns_its_catalogues(output: Path) -> None:
         for path in output.glob(pattern)
     }
     assert there <= owned
+
+
+SITE = (
+    'ENGCRS["Site grid",EDATUM["Site"],CS[Cartesian,2],AXIS["easting",east,ORDER[1]],'
+    'AXIS["northing",north,ORDER[2]],LENGTHUNIT["metre",1]]'
+)
+"""CRS of a building site: metres from a peg."""
+
+
+def nothing_but(name: str) -> dict[str, Any]:
+    """Arguments of a catalogue of one cloud alone."""
+    lists: dict[str, Any] = {k: [] for k in ("rasters", "flightlines", "blocks", "checkpoints")}
+    clouds = [{"href": name, "span_s": None}]
+    return {**lists, "clouds": clouds, "tiles": {}, "tile_q": 1000}
+
+
+@pytest.mark.parametrize(
+    ("crs", "shots", "reason", "srs_id"),
+    [
+        (None, 5, "without a CRS nothing tells", -1),
+        (SITE, 5, "the CRS 'Site grid' does not tell where on earth", 100_000),
+        ("EPSG:32615", 0, "no delivered cloud holds a point", 32615),
+    ],
+)
+def test_what_has_no_place_on_earth_is_not_listed(
+    tmp_path: Path, crs: str | None, shots: int, reason: str, srs_id: int
+) -> None:
+    line = {key: values[:shots] for key, values in surveys.flightline(shots=5).items()}
+    surveys.write_cloud(tmp_path / "a.laz", line, crs=None)
+    known = None if crs is None else CRS.from_user_input(crs)
+    written, remarks = write_catalogues(tmp_path, "name", known, nothing_but("a.laz"))
+    assert len(remarks) == 1
+    assert remarks[0].startswith(reason)
+    assert ("survey.crs" in remarks[0]) is (crs is None)
+    assert {path.name for path in written} == {"index.gpkg", "survey.qlr"}
+    with closing(sqlite3.connect(tmp_path / "index.gpkg")) as database:
+        assert database.execute("SELECT srs_id FROM gpkg_contents").fetchall() == [(srs_id,)]
 
 
 def test_leap_seconds_are_taken_off() -> None:
