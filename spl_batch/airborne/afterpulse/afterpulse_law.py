@@ -219,8 +219,10 @@ def fit(
     fine = np.diff(np.maximum(LAG_EDGES_M[bins[0] : bins[-1] + 1], prior.dead_m))
     looked = np.add.reduceat(left[bins[0] : bins[-1]] * fine, bins[:-1] - bins[0])
     background = looked * _background(n, looked, edges, noise_per_m)
-    longest = _reach(n, background, edges, prior.longest_m)
-    within = edges[1:] < longest + 0.5 * STEP_M
+    stated_end = float(LAG_EDGES_M[_stated_edge(prior.dead_m, prior.longest_m)])
+    reach = _reach(n, background, edges, stated_end)
+    longest = reach if reach > stated_end else prior.longest_m
+    within = edges[1:] <= reach
     excess = np.where(within, np.maximum(n - background, 0.0), 0.0)
     stated = prior.probability * _share_before(edges, prior)
     lent = PRIOR / max(prior.probability, 1e-6)
@@ -229,7 +231,7 @@ def fit(
     hazard = (excess + due) / (looked + lent * width)
     passed = np.exp(-np.insert(np.cumsum(hazard * width), 0, 0.0))
     return _tabled(
-        edges, np.minimum(-np.diff(passed), 0.95), longest,
+        edges[: within.sum() + 1], np.minimum(-np.diff(passed), 0.95)[within], longest,
         prior._replace(sigma_m=sigma_m, parents=float(entries.sum()), seen=float(excess.sum())),
     )  # fmt: skip
 
@@ -257,9 +259,9 @@ def _coarse(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # fmt: skip
     """Edges of the bins of a law [m], the first at the dead time; where they are among the fine.
 
-    One is the stated longest lag, or as near as the fine ones are.
+    One is the stated longest lag, or the next of the fine ones behind it.
     """
-    stated = int(np.abs(LAG_EDGES_M - stated_m).argmin())
+    stated = _stated_edge(dead_m, stated_m)
     at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right")) - 1
     chosen, last = [at], len(LAG_EDGES_M) - 1
     while at < last:
@@ -271,6 +273,13 @@ def _coarse(
     edges = LAG_EDGES_M[chosen].copy()
     edges[0] = dead_m
     return edges, np.array(chosen, dtype=np.int64)
+
+
+def _stated_edge(dead_m: float, stated_m: float) -> int:
+    """The fine edge at the stated longest lag or next behind it; a bin lies before it at least."""
+    at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right"))
+    last = len(LAG_EDGES_M) - 1
+    return min(max(int(np.searchsorted(LAG_EDGES_M, stated_m - 1e-9)), at), last)
 
 
 def _background(
@@ -291,7 +300,7 @@ def _reach(
     stated_m: float,
 ) -> float:  # fmt: skip
     """Longest lag at which more follow than background and chance explain, or the stated [m]."""
-    beyond = edges[:-1] > stated_m - 0.5 * STEP_M
+    beyond = edges[:-1] >= stated_m
     more = np.where(beyond, n - background, 0.0)
     due = np.where(beyond, background, 0.0)
     # Three bins together, as each holds few far behind.
@@ -315,17 +324,17 @@ def _tabled(
 ) -> AfterpulseLaw:
     """A law of so many afterpulses per detection in each bin, as a table."""
     middle, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
-    held = edges[1:] < longest_m + 0.5 * STEP_M
     # What lies between the middles of bins is as exponential as what they hold.
-    level = np.log(np.maximum(share[held] / width[held], 1e-12))
+    level = np.log(np.maximum(share / width, 1e-12))
     nodes = _nodes(law.dead_m, longest_m)
-    found = np.interp(nodes, middle[held], level)
-    slope = min((level[1] - level[0]) / (middle[1] - middle[0]), 0.0)
+    found = np.interp(nodes, middle, level)
+    several = len(level) > 1
+    slope = min((level[1] - level[0]) / (middle[1] - middle[0]), 0.0) if several else 0.0
     found += np.where(nodes < middle[0], slope * (nodes - middle[0]), 0.0)
     density = np.exp(found)
-    probability = float(share[held].sum())
+    probability = float(share.sum())
     density *= probability / max(float(np.trapezoid(density, nodes)), 1e-12)
-    mean_m = float(np.dot(share[held], middle[held])) / max(probability, 1e-12) - law.dead_m
+    mean_m = float(np.dot(share, middle)) / max(probability, 1e-12) - law.dead_m
     return law._replace(
         probability=probability, scale_m=scale_of_mean(mean_m, longest_m - law.dead_m),
         longest_m=longest_m, density=density,
@@ -334,7 +343,7 @@ def _tabled(
 
 def truncated_mean(scale_m: float, window_m: float) -> float:
     """Mean of an exponential lag that does not pass a window [m]."""
-    return float(scale_m - window_m / np.expm1(window_m / scale_m))
+    return float(scale_m - window_m / np.expm1(min(window_m / scale_m, 700.0)))
 
 
 def scale_of_mean(mean_m: float, window_m: float) -> float:

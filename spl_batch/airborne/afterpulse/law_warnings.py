@@ -101,7 +101,7 @@ def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
 
 def _late(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
     stated, late = sensor.afterpulse_lag_max_m, law.later_than(sensor.afterpulse_lag_max_m)
-    if late < LATE_MIN:
+    if law.longest_m <= stated or late < LATE_MIN:
         return ()
     ends = "" if law.longest_m < LAG_EDGES_M[-1] else " and farther, which is not looked for"
     text = (

@@ -2,7 +2,7 @@
 
 from functools import cache
 from importlib import resources
-from typing import Annotated
+from typing import Annotated, Final
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
@@ -11,6 +11,9 @@ from spl_batch.constants import SPEED_OF_LIGHT_M_S
 from spl_batch.errors import WorkflowError
 
 Positive = Annotated[float, Field(gt=0)]
+
+DEAD_MOST_M: Final = 60.0
+"""A dead time of this range or more is no sensor's: lags are looked at as far [m]."""
 
 
 class Sensor(BaseModel):
@@ -61,6 +64,13 @@ class Sensor(BaseModel):
         description="Longest lag of an afterpulse behind its parent [m]; W17 7.2: 2-3 m.",
         validate_default=True,
     )
+
+    @field_validator("dead_time_ns")
+    @classmethod
+    def _short_enough(cls, time_ns: float) -> float:
+        if _range_m(time_ns) >= DEAD_MOST_M:
+            raise ValueError(f"must be below {2e9 * DEAD_MOST_M / SPEED_OF_LIGHT_M_S:.0f} ns")
+        return time_ns
 
     @field_validator("afterpulse_lag_max_m")
     @classmethod

@@ -220,6 +220,27 @@ def test_a_longest_lag_within_the_dead_time_is_refused() -> None:
         Sensor.model_validate({"name": "slow", "dead_time_ns": 30.0})
 
 
+def test_a_dead_time_beyond_the_lags_that_are_looked_at_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"(?s)dead_time_ns.*must be below 400 ns"):
+        Sensor.model_validate({"name": "slow", "dead_time_ns": 401.0, "afterpulse_lag_max_m": 70.0})
+
+
+@pytest.mark.parametrize(
+    ("dead_ns", "longest"), [(1.6, 0.35), (1.6, 0.241), (1.4, 0.21), (50.0, 8.0), (399.0, 70.0)]
+)
+def test_any_sensor_that_is_admitted_has_a_law(dead_ns: float, longest: float) -> None:
+    sensor = Sensor(dead_time_ns=dead_ns, afterpulse_lag_max_m=longest)
+    drawn = np.random.default_rng(5).uniform(sensor.dead_m, longest, 8_000)
+    for lags, share in ((drawn, 0.2), (drawn[:0], 0.0)):
+        law = afterpulse_law.fit([counted(lags, 40_000)], 1e-4, sensor)
+        seen = float(np.mean(lags < LAG_EDGES_M[-1])) if len(lags) else 0.0
+        assert law.probability == pytest.approx(share * seen, abs=0.005)
+        assert law.dead_m < law.scale_m + law.dead_m <= longest + 5.0
+        assert law.longest_m == longest
+        assert np.isfinite(law.density).all()
+        assert disagreements(law, sensor) == ()
+
+
 @given(st.floats(0.06, 4.0), st.floats(1.0, 6.0))
 def test_scale_and_mean_are_inverse(scale: float, window: float) -> None:
     assert scale_of_mean(truncated_mean(scale, window), window) == pytest.approx(scale, rel=1e-3)
