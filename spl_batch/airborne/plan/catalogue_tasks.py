@@ -68,7 +68,7 @@ def _cloud(survey: Survey, key: str, as_copc: bool) -> dict[str, Any]:  # noqa: 
 
 
 def _flightlines(survey: Survey, clouds: dict[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    for line in survey.flightlines:
+    for line in survey.flown:
         files = [clouds[key]["href"] for key in line.sources if key in clouds]
         if files:
             yield {

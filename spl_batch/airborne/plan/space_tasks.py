@@ -122,7 +122,7 @@ def surface(survey: Survey) -> Iterator[Task]:
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
     holders = survey.holders()
     # Only the map of swaths asks which flightline a time belongs to.
-    lines = survey.flightlines if survey.workflow.products.maps else []
+    lines = survey.flown if survey.workflow.products.maps else []
     spans_s = sorted([line.first_s, line.last_s] for line in lines)
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         if str(cell.cell) not in survey.of("ground"):

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from spl_batch.airborne.plan.flightlines import find_flightlines, is_timeless
+from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import cell_args, label_needs, named_units, tile_needs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import refusal
@@ -39,6 +39,5 @@ def _has_timeless(survey: Survey) -> bool:
 
 
 def _strips(survey: Survey) -> list[list[object]]:
-    """Flightlines with times, also of a survey that is not filtered."""
-    lines = find_flightlines(survey.of("index_file"), survey.workflow, survey.stretch_points)
-    return [[line.name, line.psid, line.first_s, line.last_s] for line in lines]
+    """Flightlines with times."""
+    return [[line.name, line.psid, line.first_s, line.last_s] for line in survey.flown]

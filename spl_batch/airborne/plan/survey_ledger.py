@@ -69,9 +69,12 @@ class Survey(Ledger[Inputs, Workflow]):
 
     @cached_property
     def flightlines(self) -> list[Flightline]:
-        """Flightlines; complete once the index stage is."""
-        if not self.filtering:
-            return []
+        """Flightlines whose shots are looked at; complete once the index stage is."""
+        return self.flown if self.filtering else []
+
+    @cached_property
+    def flown(self) -> list[Flightline]:
+        """Flightlines with times, also of a survey that is not filtered; complete likewise."""
         return find_flightlines(self.of("index_file"), self.workflow, self.stretch_points)
 
     @property

@@ -21,6 +21,7 @@ from spl_batch.airborne.accuracy.evidence import (
 )
 from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines
 from spl_batch.airborne.products.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
 from spl_batch.airborne.report.model import Requirement as RequirementReport
@@ -46,6 +47,7 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
     asked, crs = workflow.requirements, context.crs
     limits = LEVELS[asked.quality_level]
     nva, vva = _tested(done)
+    flown = find_flightlines(done.get("index_file", {}), workflow)
     datum = None if crs is None else vertical(crs)
     known = Evidence(
         level=asked.quality_level,
@@ -56,11 +58,11 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         pulses=_pulses(done, context, limits.spacing),
         water_known=workflow.water is not None,
         swaths=_swaths(strip_pairs(done)),
-        flightlines=len(done.get("fit_line", {})),
+        flightlines=len(flown),
         classes=_classes(done),
         filtered=workflow.filter.method != "none",
         vertical_datum=None if datum is None else datum.name,
-        time_standard=_time_standard(done),
+        time_standard=_time_standard(flown),
     )
     return tuple(
         RequirementReport(
@@ -161,7 +163,7 @@ def _classes(done: Receipts) -> Mapping[int, int]:
     return total
 
 
-def _time_standard(done: Receipts) -> str | None:
+def _time_standard(flown: Sequence[Flightline]) -> str | None:
     """Time standard of the flightlines; None where they have no times."""
-    spans = [receipt.facts["span_s"] for receipt in done.get("fit_line", {}).values()]
+    spans = [(line.first_s, line.last_s) for line in flown]
     return str(time_standard(np.array(spans).ravel())) if spans else None

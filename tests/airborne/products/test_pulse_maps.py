@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import pytest
 import rasterio
 from hypothesis import given, settings
@@ -100,3 +101,22 @@ def test_maps_of_a_run_do_not_depend_on_its_tiles(tmp_path: Path) -> None:
             last = source.read(1)
         assert first[first != NODATA].sum() == pytest.approx(last[last != NODATA].sum(), rel=0.01)
     assert found[0] == found[1]
+
+
+def test_flightlines_are_known_where_nothing_is_filtered(tmp_path: Path) -> None:
+    workflow = surveys.small_survey(
+        tmp_path,
+        products={"maps": True},
+        filter={"method": "none"},
+        afterpulse={"enabled": False},
+    )
+    result = surveys.run(workflow)
+    assert result.exit_status == 0, result.report.failures
+    with rasterio.open(result.output / "swaths.tif") as source:
+        assert source.read(1).max() == 2.0
+    assert {"flightlines", "files"} <= {
+        name for name, _ in pyogrio.list_layers(result.output / "index.gpkg")
+    }
+    told = {row.name: row for row in result.report.requirements}
+    assert told["GPS time"].found == "adjusted time"
+    assert "no two flightlines to be" not in told["Swath overlap difference"].why
