@@ -37,6 +37,9 @@ SURFACES: Final[Mapping[str, Surface]] = {
 COLUMNS: Final = ("id", "x", "y", "z", "surface")
 """Columns that a file has; ``accuracy_m`` and ``crs`` are optional."""
 
+PARTS: Final = "PARTS"
+"""Points in the geometry of a row; no field has this name, as those are in lower case."""
+
 SAME_PLACE_M: Final = 0.01
 """Checkpoints nearer to each other than this in every axis are one [m]."""
 
@@ -150,18 +153,26 @@ def _vector_rows(path: Path) -> list[_Row]:
                 continue
             meta, _, wkb, columns = pyogrio.raw.read(path, layer=layer)
             fields = [str(name).lower() for name in meta["fields"]]
-            points = shapely.from_wkb(wkb)
-            flat = not shapely.has_z(points).all()
+            points = _single(shapely.from_wkb(wkb))
+            there = ~(shapely.is_missing(points) | shapely.is_empty(points))
+            flat = not shapely.has_z(points[there]).all()
             _refuse_without(path, {*fields, "x", "y", *(() if flat else ("z",))})
             for k, point in enumerate(points):
                 row = {name: column[k] for name, column in zip(fields, columns, strict=True)}
                 row |= {"x": shapely.get_x(point), "y": shapely.get_y(point)}
                 row |= {} if flat else {"z": shapely.get_z(point)}
+                row[PARTS] = shapely.get_num_geometries(point)
                 rows.append({"crs": meta["crs"], **row})
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read as points: {reason}") from None
     return rows
+
+
+def _single(shapes: NDArray[Any]) -> NDArray[Any]:
+    """Shapes, where one of a single part is that part: many programs write MultiPoints alone."""
+    alone = shapely.get_num_geometries(shapes) == 1
+    return np.where(alone, shapely.get_geometry(shapes, 0), shapes)
 
 
 def _number(value: Any) -> float | None:
@@ -178,12 +189,15 @@ def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str])
     kept: list[_Row] = []
     lacking: list[str] = []
     strange: list[str] = []
+    several: list[str] = []
     for number, row in enumerate(rows, start=1):
         name = str(row.get("id") or "").strip() or f"row {number}"
         xyz = [_number(row.get(axis)) for axis in "xyz"]
         word = str(row.get("surface") or "").strip()
         surface = SURFACES.get(word.lower())
-        if None in xyz:
+        if row.get(PARTS, 1) > 1:
+            several.append(name)
+        elif None in xyz:
             lacking.append(name)
         elif surface is None:
             strange.append(f"{name} ({word!r})")
@@ -191,6 +205,8 @@ def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str])
             given = _number(row.get("accuracy_m"))
             own = given if given is not None and given > 0 else accuracy_m
             kept.append({**row, "id": name, "xyz": xyz, "surface": surface, "accuracy_m": own})
+    if several:
+        remarks.append(_left_out(several, "each is to be one point, and they are several"))
     if lacking:
         remarks.append(_left_out(lacking, "x, y or z is no finite number"))
     if strange:

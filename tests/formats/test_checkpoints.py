@@ -109,3 +109,34 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, content: bytes, fault: s
         read_checkpoints(path, UTM)
     with pytest.raises(InputError, match="no such file"):
         read_checkpoints(tmp_path / "none.csv", UTM)
+
+
+@pytest.mark.parametrize("kind", ["MultiPoint Z", "MultiPoint"])
+def test_a_row_without_a_point_or_with_several_leaves_out_itself(tmp_path: Path, kind: str) -> None:
+    deep = kind.endswith("Z")
+    places = [(1, 2, 3), (11, 12, 13), (21, 22, 23)] if deep else [(1, 2), (11, 12), (21, 22)]
+    shapes = [
+        shapely.MultiPoint(places[:1]),
+        shapely.MultiPoint(places[1:2]),
+        None,
+        shapely.MultiPoint(places[1:]),
+        shapely.MultiPoint(),
+    ]
+    fields = {"id": list("ABCDE"), "surface": ["open"] * 5, **({} if deep else {"z": [7.0] * 5})}
+    pyogrio.raw.write(
+        tmp_path / "c.gpkg",
+        shapely.to_wkb(np.array(shapes, object)),
+        [np.array(column, None if name == "z" else object) for name, column in fields.items()],
+        list(fields),
+        geometry_type=kind,
+        crs="EPSG:32615",
+    )
+    found, remarks = read_checkpoints(tmp_path / "c.gpkg", UTM, own=UTM)
+    wanted = [("A", 1.0, 2.0, 3.0), ("B", 11.0, 12.0, 13.0)]
+    assert [(one.id, one.x_m, one.y_m, one.z_m) for one in found] == [
+        (name, x, y, z if deep else 7.0) for name, x, y, z in wanted
+    ]
+    assert remarks == [
+        "1 checkpoint is left out, as each is to be one point, and they are several: D",
+        "2 checkpoints are left out, as x, y or z is no finite number: C, E",
+    ]
