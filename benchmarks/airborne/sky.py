@@ -163,11 +163,13 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(EFFECTS), default=list(EFFECTS))
     parser.add_argument("--times", nargs="+", type=float, default=[1.0])
     parser.add_argument("--without", action="store_true", help="noise.haze: false")
+    parser.add_argument("--bloom", action="store_true", help="noise.bloom: true")
     parser.add_argument("--say", action="store_true", help="print the warnings")
     given = parser.parse_args()
     folder = given.folder or Path(tempfile.mkdtemp())
     usual: set[str] = set()
     settings = ["noise.haze=false"] if given.without else []
+    settings += ["noise.bloom=true"] if given.bloom else []
     for name in given.only:
         for times in [1.0] if name == "base" else given.times:
             survey = folder / f"{name}_{times:g}".replace(" ", "_").replace(",", "")

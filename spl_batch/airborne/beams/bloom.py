@@ -6,11 +6,13 @@ them, and both are asked for in each shot:
 
 - *Nearly all channels* have a return within :data:`WINDOW_M` of range. Level ground does not: beams
   lean, and its ranges spread over the array. Single-photon surfaces seldom fill so many.
-- *Light goes on.* Many of these channels have another return close before or behind: the surface
-  that is really there. Behind a roof or the ground there are afterpulses only, which are fewer and
-  never before it.
+- *Light goes on.* Many of these channels have another return close behind: the surface that is
+  really there. Behind ground and roofs there are afterpulses only, which are fewer. What lies
+  before says nothing: leaves stand before the ground, too.
 
-No source has a rule for it.
+A surface that lets light pass and sends back enough of it for every channel, square to the beam, as
+water below the sensor may be, has both. So these returns are counted and told; they become noise
+only where the settings ask for it. No source has a rule for it.
 """
 
 from typing import Final, NamedTuple
@@ -26,17 +28,17 @@ DOMAIN: Final = "time"
 WINDOW_M: Final = 0.5
 """Ranges that are one: ten times the ranging noise of the instrument [m]."""
 
-FILLED: Final = 0.75
-"""Least part of the channels in use that have a return there."""
+FILLED: Final = 0.9
+"""Least part of the sensor's channels with a return there: 2.3 photo-electrons in each."""
 
 PASSED: Final = 0.35
-"""Least part of these with another return: more than afterpulses that a detector may have."""
+"""Least part of these with another return behind: more than a detector's afterpulses."""
 
-BESIDE_M: Final = 12.0
-"""How far before and behind another return is looked for [m]."""
+BEHIND_M: Final = 12.0
+"""How far behind another return is looked for [m]."""
 
 LEAST: Final = 20
-"""Channels in use from which an array can tell [count]."""
+"""Channels from which an array can tell [count]."""
 
 
 class Bloom(NamedTuple):
@@ -54,7 +56,9 @@ class Bloom(NamedTuple):
     shots: int
 
 
-def find_bloom(table: PointTable, beams: BeamTable, starts: NDArray[np.int64]) -> Bloom:
+def find_bloom(
+    table: PointTable, beams: BeamTable, starts: NDArray[np.int64], channels: int
+) -> Bloom:
     """Returns of light that reached the whole array.
 
     Parameters
@@ -65,13 +69,19 @@ def find_bloom(table: PointTable, beams: BeamTable, starts: NDArray[np.int64]) -
         Their beams.
     starts : (s + 1,) int64
         Where each shot begins, and the end.
+    channels : int
+        Channels of the sensor, not of these shots: a shot is judged alike in any company [count].
     """
     returns = np.zeros(len(table), np.bool_)
-    channel = table["channel"]
-    used = len(np.unique(channel))
-    if used < LEAST or not len(starts):
+    if channels < LEAST or not len(starts):
         return Bloom(returns, 0)
     shots = mark_bloom(
-        starts, channel, beams.range_m, FILLED * used, PASSED, (WINDOW_M, BESIDE_M), returns
+        starts,
+        table["channel"],
+        beams.range_m,
+        FILLED * channels,
+        PASSED,
+        (WINDOW_M, BEHIND_M),
+        returns,
     )
     return Bloom(returns, int(shots))

@@ -38,13 +38,13 @@ def _fullest(near, window):  # type: ignore[no-untyped-def]
 
 @njit()
 def _channels(near, of, low, width, seen):  # type: ignore[no-untyped-def]
-    """Channels with a return in the window, and those of them with another one beside it."""
+    """Channels with a return in the window, and those of them with another one behind it."""
     high, held, passed = low + width[0], 0, 0
     seen[:] = 0
     for k in range(len(near)):
         if low <= near[k] <= high:
             seen[of[k]] |= 1
-        elif low - width[1] <= near[k] <= high + width[1]:
+        elif high < near[k] <= high + width[1]:
             seen[of[k]] |= 2
     for c in range(len(seen)):
         held += seen[c] & 1

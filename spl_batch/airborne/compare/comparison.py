@@ -198,7 +198,9 @@ def _share(source: Store, target: Store, settings: Workflow, variant: Variant) -
     if variant.method != PUBLISHED:
         stages.add("shots")
         # The points of a tile carry the verdict of single shots, which one method alone asks for.
-        if (settings.filter.method == "dcc") == (variant.method == "dcc"):
+        # Bloom is marked for all but an unfiltered survey.
+        marked = settings.noise.bloom and "none" in (settings.filter.method, variant.method)
+        if (settings.filter.method == "dcc") == (variant.method == "dcc") and not marked:
             stages.add("shuffle")
     kinds += [name for name, kind in KINDS.items() if kind.stage in stages]
     share_finished(source, target, kinds)

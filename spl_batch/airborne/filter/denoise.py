@@ -207,7 +207,7 @@ def judge(
     p_value = np.full(len(table), np.nan, dtype=np.float32)
     wire = np.zeros(len(table), dtype=np.uint8)
     if settings.method == "none":
-        noise_class[~excluded] = NOISE_SIGNAL
+        noise_class[~table.has(_GIVEN)] = NOISE_SIGNAL
     else:
         cloud = chosen.cloud
         verdict, conductor = verdict_on(cloud, settings, exact=exact)
@@ -222,8 +222,8 @@ def judge(
             family = table.select(("gps_time", "channel", "z")).take(kin)
             noise_class[kin] = follow(family, dependent[kin], noise_class[kin])
         noise_class[table.has(UNFILTERED) & ~echo] = NOISE_NOT_ASSESSED
+        noise_class[table.has(PointFlag.BLOOM) & ~table.has(_GIVEN)] = NOISE_BACKGROUND
     noise_class[echo] = NOISE_AFTERPULSE
-    noise_class[table.has(PointFlag.BLOOM) & ~table.has(_GIVEN)] = NOISE_BACKGROUND
     outside = table.has(PointFlag.OUTSIDE_AOI)
     noise_class[outside] = NOISE_NOT_ASSESSED
     p_value[outside] = np.nan

@@ -188,7 +188,9 @@ class Noise(Part):
         "where nothing tells them apart: kept as well, and not in kept_by_chance [count].",
     )
     bloom: Count = Field(
-        0, description="Returns of bright points that lit the whole array, in background [count]."
+        0,
+        description="Returns that look as if a bright point had lit the whole array; in background "
+        "where noise.bloom is true [count].",
     )
     haze: Haze | None = Field(None, description="Haze or cloud that was found; null without.")
     dsm_support: Count | None = Field(

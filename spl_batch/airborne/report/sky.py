@@ -106,14 +106,20 @@ def bloom(done: Receipts) -> tuple[int, int]:
     return sum(shots for shots, _ in found), sum(returns for _, returns in found)
 
 
-def bloom_warning(done: Receipts) -> Iterator[str]:
+def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
     """Sentence on shots in which a bright point lit the whole array."""
     shots, returns = bloom(done)
     if shots:
+        fate = (
+            "are noise, class 18 or 7"
+            if removed
+            else "are kept, and may raise the DSM; noise.bloom: true makes them noise"
+        )
         yield (
             f"in {grouped(shots)} shots nearly all channels see one range while others of their "
-            f"returns lie before or behind it: bright points, as retro-reflectors, that light the "
-            f"whole array; the {grouped(returns)} returns at that range are noise, class 18 or 7"
+            f"returns lie behind it: bright points, as retro-reflectors, that light the whole "
+            f"array, or a surface that lets light pass; the {grouped(returns)} returns at that "
+            f"range {fate}"
         )
 
 

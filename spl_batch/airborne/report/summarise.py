@@ -81,7 +81,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *_unfiltered(counts, context),
             *facts.notes,
             *_uncovered(done),
-            *bloom_warning(done),
+            *bloom_warning(done, removed=_leaves_bloom_out(context.workflow)),
             *haze_warning(noise.haze),
             *fog_warning(done),
             *misfit_warning(done, context),
@@ -184,6 +184,10 @@ def _accuracy(found: Comparison | None) -> Accuracy | None:
         bias_m=said["vertical_bias_m"],
         bias_removed=removed,
     )
+
+
+def _leaves_bloom_out(workflow: Workflow) -> bool:
+    return workflow.noise.bloom and workflow.filter.method != "none"
 
 
 def _noise(done: Receipts, context: Context, removed: int) -> Noise:

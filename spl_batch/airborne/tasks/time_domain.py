@@ -197,12 +197,13 @@ def _assess(
     table = table.with_columns(flags=flags)
     known = rows_of(beams.known)
     subset, beams = table.take(known), beams.take(known)
-    bloom = find_bloom(subset, beams, run_starts(subset["gps_time"]))
+    bloom = find_bloom(subset, beams, run_starts(subset["gps_time"]), int(args["beamlets"]))
     if bloom.shots:
+        facts["bloom"] = [bloom.shots, int(np.count_nonzero(bloom.returns))]
+    if bloom.shots and args["bloom"]:
         known = np.arange(len(table))[known]
         flags[known[bloom.returns]] |= np.uint8(PointFlag.BLOOM)
         table = table.with_columns(flags=flags)
-        facts["bloom"] = [bloom.shots, int(np.count_nonzero(bloom.returns))]
         subset, beams = subset.take(~bloom.returns), beams.take(~bloom.returns)
         known = known[~bloom.returns]
     line = read_arrays(context.store.path("lines", f"{args['line']}.npz"))

@@ -317,6 +317,13 @@ def test_method_none_keeps_all() -> None:
     assert reach_m(FilterSettings(method="none")) == 0.0
 
 
+def test_method_none_leaves_bloom_alone() -> None:
+    flags = np.array([0, PointFlag.BLOOM, PointFlag.BLOOM | PointFlag.WITHHELD], dtype=np.uint8)
+    table = as_table(np.zeros((3, 3)), flags=flags)
+    np.testing.assert_array_equal(labels(table, 0.1, FilterSettings(method="none")), [0, 0, 255])
+    np.testing.assert_array_equal(labels(table, 0.1)[1:], [1, 255])
+
+
 @pytest.mark.parametrize(
     ("cloud", "density", "expected"),
     [

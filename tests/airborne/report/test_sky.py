@@ -88,7 +88,8 @@ def test_fog_is_told_where_most_places_are_filled_with_the_height_that_it_reache
 
 def test_bloom_is_counted_in_one_sentence():
     parts = {"a": receipt(bloom=[2, 180]), "b": receipt(), "c": receipt(bloom=[1, 95])}
-    (text,) = bloom_warning({"scatter": parts})
-    assert text.startswith("in 3 shots")
-    assert "275 returns" in text
-    assert list(bloom_warning({"scatter": {"b": receipt()}})) == []
+    for removed, fate in ((True, "are noise"), (False, "are kept")):
+        (text,) = bloom_warning({"scatter": parts}, removed=removed)
+        assert text.startswith("in 3 shots")
+        assert f"275 returns at that range {fate}" in text
+        assert list(bloom_warning({"scatter": {"b": receipt()}}, removed=removed)) == []
