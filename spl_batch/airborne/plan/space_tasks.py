@@ -121,9 +121,9 @@ def surface(survey: Survey) -> Iterator[Task]:
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
     holders = survey.holders()
-    # Only the map of swaths asks which flightline a time belongs to.
+    # Only the map of swaths asks which flightline a return belongs to.
     lines = survey.flown if survey.workflow.products.maps else []
-    spans_s = sorted([line.first_s, line.last_s] for line in lines)
+    passes = [[line.psid, line.first_s, line.last_s] for line in lines]
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         if str(cell.cell) not in survey.of("ground"):
             continue
@@ -137,7 +137,7 @@ def surface(survey: Survey) -> Iterator[Task]:
             "ground": named_units("ground", ground_of),
             "polygons": list(survey.inputs.polygons),
             "fired": parts,
-            "spans_s": spans_s,
+            "passes": passes,
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
         needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))

@@ -4,7 +4,10 @@ Domain: space. Each cell has its own value; only :mod:`~spl_batch.airborne.produ
 looks at cells around it.
 """
 
-from typing import Final
+from collections.abc import Sequence
+from itertools import groupby
+from operator import itemgetter
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,19 +94,29 @@ def _delivered(values: NDArray[np.float64], flown: NDArray[np.bool_]) -> NDArray
 
 
 def flightline_of(
-    time_s: NDArray[np.float64], spans_s: NDArray[np.float64]
-) -> NDArray[np.int64]:  # fmt: skip
-    """Flightline of each time: number of the span that holds it, -1 where none does.
+    point_source_id: NDArray[np.integer[Any]],
+    time_s: NDArray[np.float64],
+    passes: Sequence[tuple[int, float, float]],
+) -> NDArray[np.int64]:
+    """Flightline of each return: number of the pass that holds it, -1 where none does.
+
+    Two instruments, or two aircraft, fly at the same time: a time alone tells no flightline.
 
     Parameters
     ----------
+    point_source_id : (n,) integer
+        Point source ids.
     time_s : (n,) float64
         Times [s].
-    spans_s : (k, 2) float64
-        First and last time of each flightline, by the first [s].
+    passes : sequence of (int, float, float)
+        Point source id, first and last time of each flightline [s]; those of one id share no time.
     """
-    if not len(spans_s):
-        return np.full(len(time_s), -1, np.int64)
-    number = np.searchsorted(spans_s[:, 0], time_s, side="right") - 1
-    held = (number >= 0) & (time_s <= spans_s[np.maximum(number, 0), 1])
-    return np.where(held, number, -1).astype(np.int64)
+    line = np.full(len(time_s), -1, np.int64)
+    known = sorted((psid, first, last, k) for k, (psid, first, last) in enumerate(passes))
+    for psid, group in groupby(known, key=itemgetter(0)):
+        _, first_s, last_s, numbers = map(np.array, zip(*group, strict=True))
+        mine = np.flatnonzero(point_source_id == psid)
+        at = np.searchsorted(first_s, time_s[mine], side="right") - 1
+        held = (at >= 0) & (time_s[mine] <= last_s[np.maximum(at, 0)])
+        line[mine[held]] = numbers[at[held]]
+    return line

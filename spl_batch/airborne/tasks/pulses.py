@@ -31,7 +31,7 @@ LEVELS: Final = "pulse_levels"
 """Fact of a ground cell: a :class:`~spl_batch.airborne.products.pulse_coverage.Coverage` by
 spacing."""
 
-COLUMNS: Final = COLUMNS_NEEDED
+COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
 """What is looked at, and ``noise_class, flags``."""
 
 
@@ -44,11 +44,14 @@ class PulseReturns(NamedTuple):
         Where they are [quanta].
     time_s : (n,) float64
         Times of the first ones [s].
+    point_source_id : (n,) uint16
+        Theirs.
     """
 
     first: NDArray[np.int64]
     last: NDArray[np.int64]
     time_s: NDArray[np.float64]
+    point_source_id: NDArray[np.uint16]
 
 
 def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) -> PulseReturns:
@@ -72,7 +75,8 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
     signal = table.select(COLUMNS).take(usable)
     xy = np.column_stack([signal["x"], signal["y"]])
     first, last = pulse_ends(signal)
-    return PulseReturns(xy[first], xy[last], signal["gps_time"][first])
+    of_first = (signal[name][first] for name in ("gps_time", "point_source_id"))
+    return PulseReturns(xy[first], xy[last], *of_first)
 
 
 def pulse_facts(
@@ -116,7 +120,7 @@ def pulse_rasters(
     returns: PulseReturns,
     core: Bounds,
     density: NDArray[np.float32],
-    spans_s: Sequence[Sequence[float]],
+    passes: Sequence[tuple[int, float, float]],
 ) -> dict[str, NDArray[np.float32]]:
     """Maps of a ground cell.
 
@@ -128,11 +132,10 @@ def pulse_rasters(
         The cell [quanta].
     density : (rows, cols) float32
         Its raster of density, nodata where nothing was flown.
-    spans_s : sequence of (float, float)
-        First and last time of each flightline, by the first [s].
+    passes : sequence of (int, float, float)
+        Point source id, first and last time of each flightline [s].
     """
-    spans = np.array(spans_s, np.float64).reshape(-1, 2)
-    line = flightline_of(returns.time_s, spans)
+    line = flightline_of(returns.point_source_id, returns.time_s, passes)
     return pulse_maps(returns.first, returns.last, line, core, ~not_flown(density))
 
 

@@ -48,7 +48,10 @@ _GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse")
 _SURFACE_COLUMNS = (*_GROUND_COLUMNS, "input_class")
 """What the stages look at; a tile holds twice as much."""
 
-_RASTER_COLUMNS = ("gps_time", "channel", "return_number", "noise_density")
+_RASTER_COLUMNS = (
+    *("gps_time", "channel", "return_number", "point_source_id"),
+    "noise_density",
+)
 """What is needed for pulses, the reflectance and the mean noise of raster cells alone."""
 
 
@@ -166,7 +169,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     counted |= pulses.pulse_facts(returns, core, arrays["density"], context)
     del shown
     if workflow.products.maps:
-        arrays |= pulses.pulse_rasters(returns, core, arrays["density"], args["spans_s"])
+        arrays |= pulses.pulse_rasters(returns, core, arrays["density"], args["passes"])
     arrays["noise"] = noise_m3
     chunks = _write_rasters(args["cell"], core, arrays, context)
     path = context.store.labels("classes", args["cell"])

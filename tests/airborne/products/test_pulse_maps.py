@@ -44,10 +44,30 @@ def test_each_cell_counts_its_own(seed: int, n: int) -> None:
             assert found["voids"] in np.array([0, 1.4, 2.84, 5.64], np.float32)
 
 
-def test_times_belong_to_the_span_that_holds_them() -> None:
-    spans = np.array([[0.0, 10.0], [20.0, 30.0]])
+def test_returns_belong_to_the_pass_of_their_id_that_holds_their_time() -> None:
+    passes = [(7, 0.0, 10.0), (7, 20.0, 30.0), (3, 5.0, 25.0)]
     times = np.array([-1.0, 0.0, 10.0, 15.0, 25.0, 31.0, np.nan])
-    assert flightline_of(times, spans).tolist() == [-1, 0, 0, -1, 1, -1, -1]
+    for psid, wanted in (
+        (7, [-1, 0, 0, -1, 1, -1, -1]),
+        (3, [-1, -1, 2, 2, 2, -1, -1]),
+        (5, [-1] * 7),
+    ):
+        ids = np.full(7, psid, np.uint16)
+        assert flightline_of(ids, times, passes).tolist() == wanted
+    assert flightline_of(ids, times, []).tolist() == [-1] * 7
+
+
+def test_flightlines_at_the_same_time_count_each(tmp_path: Path) -> None:
+    # Two instruments over the same ground: one starts a little later and ends a little earlier.
+    for k, late_s in ((1, 0.0), (2, 0.02005)):
+        start_s = surveys.START_S + late_s
+        line = surveys.flightline(shots=120 - 40 * (k - 1), psid=k, start_s=start_s, seed=k)
+        surveys.write_cloud(tmp_path / f"lines/line_{k}.laz", line)
+    result = surveys.run(surveys.write_workflow(tmp_path, products={"maps": True}))
+    assert result.exit_status == 0, result.report.failures
+    with rasterio.open(result.output / "swaths.tif") as source:
+        swaths = source.read(1)
+    assert np.count_nonzero(swaths == 2) > 0.3 * np.count_nonzero(swaths >= 1)
 
 
 @pytest.mark.parametrize("towards_deg", [0, 45, 135, 225, 315])
