@@ -190,7 +190,7 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
     pieces = list(from_counts({CellId(3, 5): 10**6, CellId(900, 5): 10**5}, 100_000))
     track = tmp_path / "track.sbet"
     track.write_bytes(b"0" * 136 * 1000)
-    found = needs(pieces, WORKFLOW, STRETCH_POINTS, points=10**9, trajectory=[track])
+    found = needs(pieces, WORKFLOW, STRETCH_POINTS, files=[10**9], trajectory=[track])
     told = " ".join(need.task for need in found)
     for words in (
         "a tile around x 350, y 550",
@@ -207,12 +207,25 @@ def test_each_heavy_kind_of_task_is_looked_at(tmp_path: Path) -> None:
     assert tile.memory_bytes == task_bytes("build_tile", 10**6)
 
 
+def test_an_octree_needs_the_memory_of_the_largest_file() -> None:
+    files = [10**6, 10**8, 10**7]
+    outputs = WORKFLOW.outputs.model_copy(update={"copc": True})
+    both = [WORKFLOW, WORKFLOW.model_copy(update={"outputs": outputs})]
+    without, found = (
+        [n for n in needs([], one, STRETCH_POINTS, files=files) if "octree" in n.task]
+        for one in both
+    )
+    assert without == []
+    assert [n.memory_bytes for n in found] == [task_bytes("deliver_copc", 10**8)]
+    assert "outputs.copc: false" in found[0].remedy
+
+
 def track_need(folder: Path, records: int) -> int:
     """Memory that the plan expects for a trajectory of so many records."""
     track = folder / f"{records}.sbet"
     with track.open("wb") as file:
         file.truncate(136 * records)
-    found = needs([], WORKFLOW, STRETCH_POINTS, points=1, trajectory=[track])
+    found = needs([], WORKFLOW, STRETCH_POINTS, files=[1], trajectory=[track])
     return next(n.memory_bytes for n in found if "trajectory" in n.task)
 
 

@@ -167,7 +167,7 @@ def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> 
         pieces,
         survey.workflow,
         survey.stretch_points,
-        points=sum(s.facts.n_points for s in inputs.sources),
+        files=[s.facts.n_points for s in inputs.sources],
         boxes=boxes,
         trajectory=inputs.trajectory,
     )

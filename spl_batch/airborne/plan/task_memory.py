@@ -118,7 +118,7 @@ def needs(
     workflow: Workflow,
     stretch_points: int,
     *,
-    points: int,
+    files: Sequence[int],
     boxes: Sequence[Box] = (),
     trajectory: Iterable[Path] = (),
 ) -> list[Need]:
@@ -132,8 +132,8 @@ def needs(
         The settings.
     stretch_points : int
         Points that a stretch holds on average [count].
-    points : int
-        Points of the survey [count].
+    files : sequence of int
+        Points of each file of the survey [count].
     boxes : sequence of Box
         Bounding boxes of its files: ground cells at its edge own what is left over there.
     trajectory : iterable of Path
@@ -155,10 +155,15 @@ def needs(
             peak = largest([peak, cells.fullest_joined(boxes, quanta(reach))])
         found.append(Need(_place(kind, peak), task_bytes(kind, peak.points), REMEDIES[kind]))
     tile = largest(piece.peak(tile_q, 0) for piece in pieces).points
+    points = sum(files)
     stretch = min(points, UNEVEN * stretch_points)
     labels = min(points, PASS_POINTS) * BYTES_PER_LABEL
     chunk = min(points, CHUNK_POINTS)
     records = sum(_records(path) for path in trajectory)
+    if workflow.outputs.copc:
+        octree = max(files, default=0)
+        task = f"{NAMES['deliver_copc']} with {grouped(octree)} points"
+        found.append(Need(task, task_bytes("deliver_copc", octree), REMEDIES["deliver_copc"]))
     return [
         *found,
         Need("reading a file", task_bytes("index_file", chunk), ""),
