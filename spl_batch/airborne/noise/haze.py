@@ -198,8 +198,8 @@ def noise_by_layer(
 ) -> Layers:
     """Noise that is seen beside noise that is expected, where nothing else and no haze is.
 
-    Squares of an absolute grid are looked at, :data:`WINDOW` cubes wide; those that are even, as
-    far as chance lets so few pairs tell, hold noise alone.
+    Squares of an absolute grid are looked at, :data:`WINDOW` cubes wide, none of whose columns is
+    empty; those that are even, as far as chance lets so few pairs tell, hold noise alone.
 
     Parameters
     ----------
@@ -218,6 +218,8 @@ def noise_by_layer(
         middle = cube * edge + edge // 2
         inside.append((cube % WINDOW == half) & (low <= middle) & (middle < high))
     asked[np.ix_(*inside, np.ones(len(counts.layer), np.bool_))] = True
+    full = _sum_of_square(np.asarray(counts.held.any(axis=2), np.int64)) == WINDOW**2
+    asked &= full[:, :, np.newaxis]
     columns, cells = (_sum_of_square(pairs) for pairs in (counts.columns, counts.cells))
     parts = round(CUBE_M / CELL_M)
     asked &= parts * cells <= columns + CHANCE * np.sqrt(2.0 * (parts - 1) * columns)
@@ -229,7 +231,7 @@ def noise_by_layer(
     quarters(counts.held, asked, half, LEFT_OUT, lower, upper)
     asked &= upper <= SMOOTH * (lower + CHANCE * np.sqrt(lower + 1.0))
     at_middle = np.nonzero(asked)
-    # The middle cube stands for its square, which may reach beyond an edge.
+    # The middle cube stands for its square.
     model, seen = expected(_centres(counts, at_middle)) * CUBE_M**3, counts.held[at_middle]
     heard = model > 0.0
     returns, predicted = (
@@ -254,11 +256,16 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
 
 
 def _count(xyz: Axes) -> Counts:
-    """Count points, strip by strip."""
-    edge = quanta(CUBE_M)
-    west, south = (int(axis.min()) // edge for axis in xyz[:2])
+    """Count points, strip by strip.
+
+    Half a square of empty cubes lies around: so squares at an edge of the points are looked at
+    like those at a ragged edge within, however far other points reach.
+    """
+    edge, half = quanta(CUBE_M), WINDOW // 2
+    west, south = (int(axis.min()) // edge - half for axis in xyz[:2])
     nx, ny = (
-        int(axis.max()) // edge - low + 1 for axis, low in zip(xyz, (west, south), strict=False)
+        int(axis.max()) // edge - low + 1 + half
+        for axis, low in zip(xyz, (west, south), strict=False)
     )
     layer, at = np.unique(xyz[2] // edge, return_inverse=True)
     strip = xyz[0] // edge - west

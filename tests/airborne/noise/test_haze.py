@@ -149,6 +149,38 @@ def test_noise_does_not_depend_on_what_lies_beyond_its_reach():
     assert (whole > 1.0).sum() > 10_000
 
 
+def at_a_ragged_edge(rng, reach):
+    """Haze between a hillside and the edge of a swath, and a few points that lie beyond it."""
+    haze_at_edge = box(rng, 1.2, 50, 75)
+    haze_at_edge = haze_at_edge[haze_at_edge[:, 0] - CORNER[0] < 20_000]
+    hill = box(rng, 5.0, 0.0, 8.0)
+    east = hill[:, 0] - CORNER[0]
+    hill = hill[(east >= 20_000) & (east < 35_000)]
+    hill[:, 2] = CORNER[2] + 45_000 + 3 * (hill[:, 0] - CORNER[0] - 20_000)
+    xyz = np.concatenate([box(rng, 0.05, -60, 110), haze_at_edge, hill])
+    far = np.array([[-reach, 60_000, 0], [60_000, -reach, 0]]) + CORNER
+    return np.concatenate([xyz, far]), len(xyz)
+
+
+@pytest.mark.parametrize("shift", [0, 2, 3])
+def test_haze_at_the_edge_of_a_swath_does_not_depend_on_how_far_other_points_reach(shift):
+    rng = np.random.default_rng(9)
+    xyz, n = at_a_ragged_edge(rng, 150_000)
+    xyz[:, :2] += shift * 1000
+    core = (*(CORNER[:2] - 20_000), *(CORNER[:2] + 140_000))
+    noises, layers = [], []
+    for chosen in (xyz, xyz[:n]):
+        axes = tuple(np.ascontiguousarray(chosen[:, k]) for k in range(3))
+        counts = haze.count_cubes(axes, np.ones(len(chosen), np.bool_))
+        air = haze.find_air(counts, model(0.05))
+        noises.append(haze.noise_with_air(axes, np.full(len(chosen), 0.05), air)[:n])
+        seen = haze.noise_by_layer(counts, air, model(0.05), core)
+        layers.append((seen.layer.tolist(), seen.returns.tolist(), seen.expected.tolist()))
+    np.testing.assert_array_equal(noises[0], noises[1])
+    assert layers[0] == layers[1]
+    assert (noises[0] > 1.0).sum() > 10_000
+
+
 def test_layers_that_hold_noise_alone_tell_how_far_the_model_is_off():
     rng = np.random.default_rng(8)
     parts = [box(rng, 0.05, -100, -5), box(rng, 0.09, 30, 120), canopy(rng)]
