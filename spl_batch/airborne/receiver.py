@@ -1,6 +1,6 @@
 """Airborne single-photon lidar: the receiver that the project began with."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
@@ -37,7 +37,7 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store
-from spl_batch.airborne.strips.pair_sentences import offset_warnings
+from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
 from spl_batch.airborne.strips.strip_comparison import pairs_of
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.flow.executor import Work
@@ -196,8 +196,7 @@ class Imaging(Receiver[Survey, Context]):
                 raise WorkflowError(f"survey.trajectory: {failures[-1]}")
         if phase.kind == "sensor_path" and survey.of("sensor_path"):
             yield beams_without_trajectory(survey)
-        for receipt in survey.of("strip_pairs").values() if phase.kind == "strip_pairs" else ():
-            yield from offset_warnings(pairs_of(receipt.facts))
+        yield from _strip_sentences(phase, survey)
         if phase.kind == "surface" and len(mosaic_parts(survey)) > 1:
             yield (
                 "the survey lies in pieces far apart: each has rasters of its own "
@@ -335,3 +334,13 @@ def _check_cells(workflow: Workflow, path: Path) -> None:
         )
     if faults:
         raise WorkflowError(f"{path}: {'; '.join(faults)}")
+
+
+def _strip_sentences(phase: Phase, survey: Survey) -> Iterator[str]:
+    """What to tell of flightlines where they overlap, once it is known."""
+    if phase.kind == "strip_patches":
+        cells = survey.of("strip_patches").items()
+        yield from left_out_warnings({name: r.facts.get("left_out", 0) for name, r in cells})
+    if phase.kind == "strip_pairs":
+        for receipt in survey.of("strip_pairs").values():
+            yield from offset_warnings(pairs_of(receipt.facts))

@@ -170,7 +170,12 @@ def _vector_rows(path: Path) -> list[_Row]:
 
 
 def _single(shapes: NDArray[Any]) -> NDArray[Any]:
-    """Shapes, where one of a single part is that part: many programs write MultiPoints alone."""
+    """Shapes, where one of a single part is that part: many programs write MultiPoints alone.
+
+    Empty ones are none.
+    """
+    shapes = shapes.copy()
+    shapes[shapely.is_empty(shapes)] = None
     alone = shapely.get_num_geometries(shapes) == 1
     return np.where(alone, shapely.get_geometry(shapes, 0), shapes)
 

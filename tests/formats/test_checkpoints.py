@@ -94,6 +94,19 @@ def test_points_of_a_geopackage_are_the_same(tmp_path: Path) -> None:
     ]
 
 
+def test_an_empty_point_is_left_out_alone(tmp_path: Path) -> None:
+    path = tmp_path / "c.gpkg"
+    shapes = np.array([shapely.Point(1.0, 2.0, 3.0), shapely.Point()], object)
+    columns = [np.array(["A", "B"], object), np.array(["open", "open"], object)]
+    pyogrio.raw.write(
+        path, shapely.to_wkb(shapes), columns, ["id", "surface"],
+        geometry_type="Point Z", crs="EPSG:32615",
+    )  # fmt: skip
+    found, (remark,) = read_checkpoints(path, UTM)
+    assert [one.id for one in found] == ["A"]
+    assert remark.endswith(": B")
+
+
 @pytest.mark.parametrize(
     ("content", "fault"),
     [

@@ -1,11 +1,12 @@
 """What a run says of flightlines that do not fit together."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
 from spl_batch.airborne.strips.pair_table import PairDifference
+from spl_batch.airborne.strips.strip_patches import MOST_PASSES
 from spl_batch.errors import grouped
 
 TOLD: Final = 3
@@ -34,6 +35,25 @@ def offset_warnings(pairs: Sequence[PairDifference]) -> Iterator[str]:
         yield (
             f"{grouped(len(off) - TOLD)} more pairs of flightlines differ by more than their "
             "ranging noise; report.json lists all under strips"
+        )
+
+
+def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
+    """A sentence where a ground cell holds more passes than are compared.
+
+    Parameters
+    ----------
+    left_out : mapping of str to int
+        Passes that are not compared, of each ground cell [count].
+    """
+    cells = {cell: count for cell, count in left_out.items() if count}
+    if cells:
+        worst = max(sorted(cells), key=lambda cell: cells[cell])
+        yield (
+            f"in {grouped(len(cells))} ground cells more than {MOST_PASSES} passes overlap, "
+            f"{grouped(cells[worst] + MOST_PASSES)} in {worst}: those with most returns are "
+            "compared, the rest is not; survey.gap_s may be shorter than pauses within a "
+            "flightline, or gps_time jumps"
         )
 
 

@@ -57,7 +57,8 @@ def strip_patches(args: Mapping[str, Any], context: Context) -> Produced:
     found = find_patches(table, passes, core)
     path = context.store.path("strips", f"{args['cell']}.npz")
     write_arrays(path, {**found, "psid": passes.psid, "time_s": passes.time_s})
-    return Produced([path], {"patches": len(found["rise"])})
+    facts = {"patches": len(found["rise"]), "left_out": passes.left_out}
+    return Produced([path], facts)
 
 
 def strip_pairs(args: Mapping[str, Any], context: Context) -> Produced:

@@ -50,6 +50,10 @@ SPREAD: Final = 0.15
 """Standard deviation of a flightline's returns in each direction, at least [edges of the patch]:
 0.29 where they lie evenly."""
 
+MOST_PASSES: Final = 40
+"""Passes of a ground cell that are compared, those with most returns [count]: more than fly over
+one place. Memory and pairs grow with them."""
+
 MOST: Final = 256
 """Patches of a pair that a ground cell keeps [count]: more tell no more of it."""
 
@@ -67,13 +71,23 @@ class Passes:
         Point source id of each pass.
     time_s : (s,) float64
         Second in which it begins there; NaN where its points have no time.
-    of_point : (n,) int16
+    of_point : (n,) int32
         Pass of each point.
     """
 
     psid: NDArray[np.int64]
     time_s: NDArray[np.float64]
-    of_point: NDArray[np.int16]
+    of_point: NDArray[np.int32]
+
+    @property
+    def returns(self) -> NDArray[np.int64]:
+        """Points of each pass [count]."""
+        return np.bincount(self.of_point, minlength=len(self.psid))
+
+    @property
+    def left_out(self) -> int:
+        """Passes that could have patches, but are beyond :data:`MOST_PASSES` [count]."""
+        return max(int((self.returns >= FEWEST).sum()) - MOST_PASSES, 0)
 
 
 def find_passes(table: PointTable, gap_s: float) -> Passes:
@@ -88,7 +102,7 @@ def find_passes(table: PointTable, gap_s: float) -> Passes:
     """
     psid, time = table["point_source_id"], table["gps_time"]
     timed = np.isfinite(time)
-    of_point = np.empty(len(table), np.int16)
+    of_point = np.empty(len(table), np.int32)
     ids: list[int] = []
     starts: list[float] = []
     for one in np.flatnonzero(np.bincount(psid)).tolist():
@@ -131,26 +145,40 @@ def find_patches(table: PointTable, passes: Passes, core: Bounds) -> Patches:
     whole = region(core)
     edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
     columns, rows = (whole.xmax - whole.xmin) // edge, (whole.ymax - whole.ymin) // edge
-    strips = len(passes.psid)
+    chosen = _compared(passes)
+    strips = len(chosen)
     found: list[Patches] = []
-    if strips < 2 or not len(table) or not rows or not columns:
+    if strips < 2 or not rows or not columns:
         return _joined(found)
-    x, y, z = (np.ascontiguousarray(table[axis], np.int64) for axis in "xyz")
+    number = np.full(len(passes.psid), -1, np.int16)
+    number[chosen] = np.arange(strips)
+    strip = number[passes.of_point]
+    mine = strip >= 0
+    x, y, z = (np.ascontiguousarray(table[axis][mine], np.int64) for axis in "xyz")
     corner = np.array([whole.xmin, whole.ymin, z.min()], np.int64)
     moments = np.zeros((strips, rows, columns, 10), np.int64)
-    add_moments(x, y, z, passes.of_point, corner, edge, joined, moments)
-    order = sorted(range(strips), key=lambda k: (passes.psid[k], passes.time_s[k]))
+    add_moments(x, y, z, strip[mine], corner, edge, joined, moments)
+    order = sorted(range(strips), key=lambda k: (passes.psid[chosen[k]], passes.time_s[chosen[k]]))
     free = {pair: np.ones((rows, columns), np.bool_) for pair in combinations(order, 2)}
     for level in range(LEVELS):
         size = EDGE_M * 2**level
         for pair, room in free.items():
             planar, fitted = _fitted(moments[pair[0]], moments[pair[1]], size)
-            found.append(_rows(fitted, planar & room, pair, whole, size))
+            named = (chosen[pair[0]], chosen[pair[1]])
+            found.append(_rows(fitted, planar & room, named, whole, size))
             free[pair] = room & ~planar
         if level + 1 < LEVELS:
             moments = doubled(moments)
             free = {pair: _all_four(room) for pair, room in free.items()}
     return _thinned(_joined(found))
+
+
+def _compared(passes: Passes) -> list[int]:
+    """Passes that can have patches, those with most returns where there are many."""
+    returns = passes.returns
+    able = np.flatnonzero(returns >= FEWEST)
+    most = able[np.argsort(-returns[able], kind="stable")[:MOST_PASSES]]
+    return sorted(most.tolist())
 
 
 def region(core: Bounds) -> Bounds:
@@ -235,8 +263,8 @@ def _rows(
     values = {name: one[row, column] for name, one in fitted.items()}
     values["thickness"] = np.sqrt(values.pop("square"))
     return {
-        "first": np.full(count, pair[0], np.int16),
-        "second": np.full(count, pair[1], np.int16),
+        "first": np.full(count, pair[0], np.int32),
+        "second": np.full(count, pair[1], np.int32),
         "x": whole.xmin / QUANTA_PER_M + (column + 0.5) * edge_m,
         "y": whole.ymin / QUANTA_PER_M + (row + 0.5) * edge_m,
         "edge_m": np.full(count, edge_m),
@@ -248,13 +276,13 @@ def _joined(found: list[Patches]) -> Patches:
     if not found:
         names = ("x", "y", "edge_m", "rise", "variance", "east", "north", "ee", "en", "nn")
         empty = {name: np.empty(0) for name in (*names, "returns", "thickness")}
-        return {"first": np.empty(0, np.int16), "second": np.empty(0, np.int16), **empty}
+        return {"first": np.empty(0, np.int32), "second": np.empty(0, np.int32), **empty}
     return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
 
 def _thinned(patches: Patches) -> Patches:
     """No more than :data:`MOST` patches of each pair, of all slopes."""
-    pair = patches["first"].astype(np.int64) * 2**16 + patches["second"]
+    pair = patches["first"].astype(np.int64) * 2**32 + patches["second"]
     keep = []
     for one in np.unique(pair):
         mine = np.flatnonzero(pair == one)

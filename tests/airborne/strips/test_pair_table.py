@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from spl_batch.airborne.strips.pair_sentences import offset_warnings
+from spl_batch.airborne.strips.pair_sentences import left_out_warnings, offset_warnings
 from spl_batch.airborne.strips.pair_table import (
     DETERMINED_M,
     FEWEST,
@@ -137,6 +137,12 @@ def test_what_is_off_is_told_with_number_place_and_consequence() -> None:
     assert len(told) == 4
     assert told[-1].startswith("3 more pairs")
     assert "east" not in told[0]
+
+
+def test_passes_that_are_not_compared_are_told() -> None:
+    assert list(left_out_warnings({"a": 0})) == []
+    (said,) = left_out_warnings({"a": 0, "b": 2, "c": 7})
+    assert said.startswith("in 2 ground cells more than 40 passes overlap, 47 in c: ")
 
 
 def test_less_than_the_ranging_noise_is_not_told() -> None:

@@ -14,6 +14,7 @@ from spl_batch.airborne.strips.patch_moments import add_moments, doubled
 from spl_batch.airborne.strips.strip_patches import (
     FEWEST,
     MOST,
+    MOST_PASSES,
     THICKEST_M,
     find_passes,
     find_patches,
@@ -118,6 +119,40 @@ def test_passes_are_parted_by_id_and_by_pauses() -> None:
     assert passes.psid.tolist() == [1, 1, 1, 2, 2]
     assert passes.time_s[1:].tolist() == [5.0, 300.0, 5.0, 1e9]
     assert np.isnan(passes.time_s[0])
+
+
+def test_crumbs_of_passes_cost_nothing_and_change_nothing() -> None:
+    lines = two_strips(Shift(0.1, 0.1, 0.1), per_m2=0.8)
+    wanted = find_patches(*_passed(lines), CORE)
+    # 70 000 passes of one return each, a minute apart, as clocks that jump make them.
+    n = 70_000
+    rng = np.random.default_rng(4)
+    x, y = rng.integers(0, 80_000, (2, n))
+    crumbs = {
+        "x": x + CORE.xmin, "y": y + CORE.ymin, "z": np.zeros(n, np.int32),
+        "gps_time": 1e6 + 100.0 * np.arange(n), "point_source_id": np.full(n, 3, np.uint16),
+    }  # fmt: skip
+    names = list(crumbs)
+    points = PointTable(
+        {k: np.concatenate([lines[k], crumbs[k]]).astype(lines[k].dtype) for k in names}
+    )
+    passes = find_passes(points, 60.0)
+    assert len(passes.psid) == n + 2
+    assert passes.of_point.max() == n + 1
+    assert passes.left_out == 0
+    assert _same(find_patches(points, passes, CORE), wanted)
+
+
+def test_of_many_passes_those_with_most_returns_are_compared() -> None:
+    sizes = [2.0, 2.0, *[0.5] * MOST_PASSES]
+    many = table([ground(k + 1, Shift(), per_m2=d, edge_m=20) for k, d in enumerate(sizes)])
+    passes = find_passes(many, 60.0)
+    assert passes.left_out == 2
+    patches = find_patches(many, passes, CORE)
+    used = {*patches["first"].tolist(), *patches["second"].tolist()}
+    returns = passes.returns
+    assert used <= set(np.argsort(-returns, kind="stable")[:MOST_PASSES].tolist())
+    assert {0, 1} <= used
 
 
 @settings(max_examples=15)
