@@ -15,7 +15,7 @@ follower before a bin of width w, n have one in it, and background b A w of them
 The sensor's own law, an exponential from the dead time to its longest lag, counts as
 :data:`PRIOR` afterpulses that were seen, so a flightline without hard surfaces has that of its
 sensor. Beyond the sensor's longest lag the table goes on to where more follow than chance and the
-background explain.
+background explain, if more than the background do right behind that lag, and enough in all.
 
 The same planes tell the ranging spread
 (:mod:`~spl_batch.airborne.afterpulse.ranging_spread`).
@@ -32,12 +32,14 @@ from spl_batch.airborne.afterpulse.hard_surfaces import SHARP, Rules
 from spl_batch.airborne.afterpulse.lag_counts import (
     LAG_EDGES_M,
     SPREAD_STEP_M,
+    SPREADS,
     STEP_M,
     Counts,
     no_counts,
     observe_lags,
     rate_behind,
 )
+from spl_batch.airborne.afterpulse.law_bins import coarse_bins, stated_edge
 from spl_batch.airborne.afterpulse.ranging_spread import ranging_spread
 from spl_batch.airborne.beams.shot_runs import lag_behind, offsets, run_starts
 from spl_batch.airborne.sensors.sensor import Sensor
@@ -55,14 +57,22 @@ PRIOR: Final = 100.0
 SCALE_M: Final = (0.05, 5.0)
 """Shortest and longest scale that is believed [m]."""
 
-COARSE: Final = (0.1, 0.15)
-"""Width of the bins of a law: at least so much [m], and so much of the lag behind the dead time."""
-
 SURE: Final = 4.0
 """Standard deviations by which followers exceed background where a tail shows itself."""
 
 ABOVE: Final = 0.25
 """And by how much of the background: fewer are as little seen as that is known."""
+
+STARTS: Final = 1.0
+"""A tail goes on from the sensor's longest lag: in the three bins behind it more follow than
+background, by this share of it. Where noise falls along the gate, more follow near than deep."""
+
+TAIL_LEAST: Final = 0.01
+"""Followers of a tail beyond background, per return: fewer are seen where a bright point lights
+whole shots, whose few other returns are the ground behind it."""
+
+PLANES_LEAST: Final = 30
+"""Hard planes that can tell a tail [count]: a few show what lies behind them."""
 
 DEEP_M: Final = 40.0
 """From this lag on what follows is background, where it is as much as the noise model says [m]."""
@@ -213,14 +223,16 @@ def fit(
     sigma_m = ranging_spread(counts.planes, sensor)
     entries, followers, left = of_hard_planes(counts, sigma_m)
     prior = sensor_law(sensor)
-    edges, bins = _coarse(prior.dead_m, prior.longest_m)
+    edges, bins = coarse_bins(prior.dead_m, prior.longest_m)
     width = np.diff(edges)
     n = np.add.reduceat(followers[bins[0] : bins[-1]], bins[:-1] - bins[0]).astype(np.float64)
     fine = np.diff(np.maximum(LAG_EDGES_M[bins[0] : bins[-1] + 1], prior.dead_m))
     looked = np.add.reduceat(left[bins[0] : bins[-1]] * fine, bins[:-1] - bins[0])
     background = looked * _background(n, looked, edges, noise_per_m)
-    stated_end = float(LAG_EDGES_M[_stated_edge(prior.dead_m, prior.longest_m)])
-    reach = _reach(n, background, edges, stated_end)
+    stated_end = float(LAG_EDGES_M[stated_edge(prior.dead_m, prior.longest_m)])
+    planes = int(counts.planes[spread_as_hard(sigma_m)].sum())
+    least = TAIL_LEAST * float(entries.sum()) if planes >= PLANES_LEAST else math.inf
+    reach = _reach(n, background, edges, stated_end, least)
     longest = reach if reach > stated_end else prior.longest_m
     within = edges[1:] <= reach
     excess = np.where(within, np.maximum(n - background, 0.0), 0.0)
@@ -249,37 +261,15 @@ def of_hard_planes(
     counts: Counts, sigma_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Entries, followers and returns that have none so far of planes that spread as hard ones."""
-    hard = np.arange(len(counts.planes)) * SPREAD_STEP_M < SHARP * sigma_m
+    hard = spread_as_hard(sigma_m)
     entries, followers = counts.entries[hard].sum(axis=0), counts.followers[hard].sum(axis=0)
     return entries, followers, np.cumsum(entries) - np.cumsum(followers) + 0.5 * followers
 
 
-def _coarse(
-    dead_m: float, stated_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:  # fmt: skip
-    """Edges of the bins of a law [m], the first at the dead time; where they are among the fine.
-
-    One is the stated longest lag, or the next of the fine ones behind it.
-    """
-    stated = _stated_edge(dead_m, stated_m)
-    at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right")) - 1
-    chosen, last = [at], len(LAG_EDGES_M) - 1
-    while at < last:
-        low = max(float(LAG_EDGES_M[at]), dead_m)
-        wide = low + max(COARSE[0], COARSE[1] * (low - dead_m)) - 1e-9
-        end = stated if at < stated else last
-        at = min(int(np.searchsorted(LAG_EDGES_M, wide)), end)
-        chosen.append(at)
-    edges = LAG_EDGES_M[chosen].copy()
-    edges[0] = dead_m
-    return edges, np.array(chosen, dtype=np.int64)
-
-
-def _stated_edge(dead_m: float, stated_m: float) -> int:
-    """The fine edge at the stated longest lag or next behind it; a bin lies before it at least."""
-    at = int(np.searchsorted(LAG_EDGES_M, dead_m, side="right"))
-    last = len(LAG_EDGES_M) - 1
-    return min(max(int(np.searchsorted(LAG_EDGES_M, stated_m - 1e-9)), at), last)
+def spread_as_hard(sigma_m: float) -> NDArray[np.bool_]:
+    """Which steps of spread are those of hard planes."""
+    hard: NDArray[np.bool_] = np.arange(SPREADS) * SPREAD_STEP_M < SHARP * sigma_m
+    return hard
 
 
 def _background(
@@ -297,18 +287,26 @@ def _background(
 
 def _reach(
     n: NDArray[np.float64], background: NDArray[np.float64], edges: NDArray[np.float64],
-    stated_m: float,
+    stated_m: float, least: float,
 ) -> float:  # fmt: skip
-    """Longest lag at which more follow than background and chance explain, or the stated [m]."""
+    """Longest lag at which more follow than background and chance explain, or the stated [m].
+
+    So does a tail that goes on from the stated lag and has more followers than ``least``.
+    """
     beyond = edges[:-1] >= stated_m
     more = np.where(beyond, n - background, 0.0)
     due = np.where(beyond, background, 0.0)
+    first = np.flatnonzero(beyond)[:3]
+    if more[first].sum() <= STARTS * due[first].sum():
+        return stated_m
     # Three bins together, as each holds few far behind.
     three, due_three = (np.convolve(values, np.ones(3), "same") for values in (more, due))
     shows = three > np.maximum(SURE * np.sqrt(due_three + 1.0), ABOVE * due_three)
     own = more > np.maximum(0.5 * SURE * np.sqrt(due + 1.0), ABOVE * due)
     last = np.flatnonzero(own & np.convolve(shows, np.ones(3), "same").astype(np.bool_))
-    return max(stated_m, float(edges[last[-1] + 1])) if len(last) else stated_m
+    if not len(last) or more[: last[-1] + 1].sum() <= least:
+        return stated_m
+    return max(stated_m, float(edges[last[-1] + 1]))
 
 
 def _share_before(edges: NDArray[np.float64], law: AfterpulseLaw) -> NDArray[np.float64]:

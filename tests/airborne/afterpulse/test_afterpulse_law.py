@@ -154,6 +154,38 @@ def test_a_noise_model_that_falls_short_makes_no_tail() -> None:
         assert law.probability < 0.003
 
 
+@pytest.mark.parametrize("parents", [10_000, 60_000, 300_000])
+@pytest.mark.parametrize("more", [0.3, 0.6, 1.0])
+def test_noise_that_falls_along_the_gate_makes_no_tail(parents: int, more: float) -> None:
+    rng = np.random.default_rng(1)
+    depth = np.arange(0.0, 80.0, 0.02)
+    hazard = 1.2e-3 * (1.0 + more * np.maximum(1.0 - depth / 60.0, 0.0))
+    behind = np.interp(rng.exponential(1, parents), 0.02 * np.cumsum(hazard), depth, right=99.0)
+    lags = SENSOR.dead_m + rng.exponential(0.5, parents // 7)
+    lags = lags[lags < 3.0]
+    for model in (1.2e-3, 1.6e-3):
+        part = counted(lags, parents, noise=behind[len(lags) :])
+        law = afterpulse_law.fit([part], model, SENSOR)
+        assert disagreements(law, SENSOR) == ()
+
+
+def test_few_planes_and_the_ground_behind_bright_points_make_no_tail() -> None:
+    rng = np.random.default_rng(2)
+
+    def law(parents: int, share: float) -> afterpulse_law.AfterpulseLaw:
+        near = SENSOR.dead_m + rng.uniform(0, 2.7, parents // 8)
+        late = rng.uniform(3.0, 7.0, round(share * parents))
+        rest = rng.exponential(1 / 1.6e-3, parents - len(near) - len(late))
+        return afterpulse_law.fit([counted(np.concatenate([near, late]), parents, noise=rest)],
+                                  1.6e-3, SENSOR)  # fmt: skip
+
+    for parents in (2_000, 14_000, 140_000):
+        assert disagreements(law(parents, 0.0075), SENSOR) == ()
+    assert disagreements(law(600, 0.1), SENSOR) == ()
+    (said,) = disagreements(law(14_000, 0.03), SENSOR)
+    assert "up to 7 m" in said.text
+
+
 @pytest.mark.parametrize(("spread", "found"), [(0.03, 0.05), (0.055, 0.05), (0.155, 0.16)])
 def test_the_ranging_spread_is_what_planes_show(spread: float, found: float) -> None:
     rng = np.random.default_rng(1)
