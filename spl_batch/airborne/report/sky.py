@@ -14,7 +14,7 @@ from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
 from spl_batch.errors import grouped
-from spl_batch.formats.rasters.parts import read_part
+from spl_batch.formats.rasters.parts import overview_frame, read_overview
 
 BAND: Final = 4
 """Layers of cubes that are told together: 20 m."""
@@ -74,10 +74,14 @@ def haze(done: Receipts, context: Context) -> Haze | None:
 
 
 def _ground(context: Context, bounds_m: tuple[float, float, float, float]) -> float | None:
-    """Median height of the terrain below a place [m]."""
-    path = context.output / "dtm.tif"
-    part = read_part(path, bounds_m) if path.exists() else None
-    known = np.empty(0) if part is None else part.values[part.values > NODATA]
+    """Median height of the terrain below a place, of all pieces, in coarse cells if large [m]."""
+    west, south, east, north = bounds_m
+    known = np.empty(0, np.float32)
+    for path in sorted(context.output.glob("dtm*.tif")):
+        rows, cols, left, top, cell = overview_frame(path)
+        if left < east and west < left + cols * cell and top - rows * cell < north and south < top:
+            values = read_overview(path, bounds_m=bounds_m).values
+            known = np.append(known, values[values > NODATA])
     return float(np.median(known)) if len(known) else None
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from spl_batch.airborne.settings import AfterpulseSettings
+from spl_batch.airborne.settings import AfterpulseSettings, NoiseSettings
 from spl_batch.engine.tasks.runner import Kind
 
 STAGES: Final = (
@@ -27,11 +27,15 @@ STAGES: Final = (
 _INDEXED: Final = ("survey.channel_dimension", "survey.gap_s")
 
 
-_OBSERVED: Final = ("noise", "acquisition", "survey.sensor")
+_OBSERVED: Final = (
+    *(f"noise.{key}" for key in NoiseSettings.model_fields if key not in ("haze", "bloom")),
+    *("acquisition", "survey.sensor"),
+)
+"""Haze is looked for in the space domain; bloom is an argument of the one kind that marks it."""
 
 
 _TIME: Final = (
-    *("noise", "acquisition", "survey.sensor"),
+    *_OBSERVED,
     *(f"afterpulse.{key}" for key in AfterpulseSettings.model_fields if key != "vegetation_loss"),
 )
 """How many returns may go with the afterpulses is decided later, in the space domain."""

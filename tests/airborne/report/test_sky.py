@@ -2,8 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 
+from spl_batch.airborne.report import sky
 from spl_batch.airborne.report.sky import (
     bloom_warning,
     fog_warning,
@@ -11,6 +15,7 @@ from spl_batch.airborne.report.sky import (
     haze_warning,
     misfit_warning,
 )
+from spl_batch.formats.rasters.parts import read_overview
 
 
 def receipt(**facts):
@@ -48,6 +53,30 @@ def test_haze_of_all_blocks_is_one_sentence_with_height_area_and_factor(context)
     assert "18.0 times" in text
     assert "0.010 km2" in text
     assert "class 18" in text
+
+
+def write_dtm(path, west, height, cells=(100, 100)):
+    profile = {"driver": "GTiff", "height": cells[0], "width": cells[1], "count": 1,
+               "dtype": "float32", "nodata": -9999.0,
+               "transform": Affine(1.0, 0.0, west, 0.0, -1.0, 100.0)}  # fmt: skip
+    with rasterio.open(path, "w", **profile) as target:
+        target.write(np.full(cells, height, np.float32), 1)
+
+
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
+def test_the_ground_below_haze_is_that_of_the_piece_below_it_in_coarse_cells(context, monkeypatch):
+    write_dtm(context.output / "dtm.tif", 5000.0, 500.0)
+    write_dtm(context.output / "dtm_2.tif", 0.0, 20.0, (99, 3000))
+    seen = []
+
+    def reading(path, **given):
+        seen.append(read_overview(path, **given))
+        return seen[-1]
+
+    monkeypatch.setattr(sky, "read_overview", reading)
+    wide = {**block(100, 60, 90), "box": [0, 0, 3_000_000, 100_000]}
+    assert haze(done([wide, wide]), context).above_ground_m == pytest.approx(40.0)
+    assert [max(part.values.shape) for part in seen] == [1000]
 
 
 def test_a_few_squares_of_haze_are_not_told(context):
