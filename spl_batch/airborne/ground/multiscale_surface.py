@@ -21,6 +21,7 @@ Deviations from the sources:
   nodes scatter *below* the surface (:func:`scatter_below`): vegetation scatters them upwards only.
 """
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -29,13 +30,14 @@ from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
-from spl_batch.airborne.ground.smrf import fill_gaps, object_cells
+from spl_batch.airborne.ground.smrf import object_cells
+from spl_batch.numerics.compiled import njit
 
 CELL_M: Final = 1.0
 """Edge of the cells that the opening runs on [m]."""
 
-LEVELS_M: Final = (2.0, 4.0, 8.0)
-"""Coarser cells that nodes may be the lowest of [m]."""
+LEVELS: Final = 3
+"""So often the cell that nodes are the lowest of may double."""
 
 BLOCK_M: Final = 16.0
 """Edge of the blocks that choose their cell [m]."""
@@ -60,6 +62,9 @@ STEP_M: Final = 2.0
 
 WINDOW_M: Final = 40.0
 """Radius of the largest window [m]."""
+
+GROWTH: Final = 10
+"""A window is larger than the last by this part of it, one in ten, and by one cell at least."""
 
 PIT_CELL_M: Final = 4.0
 _PIT_SLOPE = 1.5
@@ -95,14 +100,34 @@ def lowest_nodes(xyz: Float, chosen: Mask, cell_m: float) -> Index:
     (rows, columns) int64
         Node of each cell of the box around *all* nodes; -1 where there is none.
     """
-    column, row, shape = _places(xyz, cell_m)
-    places = np.flatnonzero(chosen)
-    key = row[places] * shape[1] + column[places]
-    order = np.lexsort([xyz[places, 2], key])
-    found = np.full(shape[0] * shape[1], -1, dtype=np.int64)
-    # The first of each cell is written last.
-    found[key[order[::-1]]] = places[order[::-1]]
-    return found.reshape(shape)
+    frame = _frame(xyz, cell_m)
+    found = np.full(frame[2:], -1, dtype=np.int64)
+    _lowest(xyz, chosen, cell_m, frame[0], frame[1], found)
+    return found
+
+
+@njit()
+def _lowest(
+    xyz: Float, chosen: Mask, cell_m: float, left: int, bottom: int, out: Index
+) -> None:  # fmt: skip
+    """Lowest chosen node of each cell; of equal ones the first."""
+    for i in range(len(chosen)):
+        if chosen[i]:
+            column = int(np.floor(xyz[i, 0] / cell_m)) - left
+            row = int(np.floor(xyz[i, 1] / cell_m)) - bottom
+            there = out[row, column]
+            if there < 0 or xyz[i, 2] < xyz[there, 2]:
+                out[row, column] = i
+
+
+def _frame(xyz: Float, cell_m: float) -> tuple[int, int, int, int]:
+    """First column and row of the grid around all nodes, and its rows and columns."""
+    left, right, bottom, top = (
+        int(np.floor(end / cell_m))
+        for values in (xyz[:, 0], xyz[:, 1])
+        for end in (values.min(), values.max())
+    )
+    return left, bottom, top - bottom + 1, right - left + 1
 
 
 def _places(xyz: Float, cell_m: float) -> tuple[Index, Index, tuple[int, int]]:
@@ -147,7 +172,7 @@ def _neighbours(grid: Float) -> Float:
     return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
 
 
-def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
+def agreeing_nodes(xyz: Float, usable: Mask, cell_m: float = CELL_M) -> Mask:
     """Nodes of the scale that the data have, block by block.
 
     Starting with all nodes, a block goes on to the lowest nodes of cells twice as large while
@@ -156,9 +181,11 @@ def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
     Parameters
     ----------
     xyz : (n, 3) float64
-        Nodes [m], at most a few in a cell of :data:`CELL_M`.
+        Nodes [m], at most a few in a cell.
     usable : (n,) bool
         Nodes that may be chosen.
+    cell_m : float
+        Edge of the smallest cells [m].
 
     Returns
     -------
@@ -166,14 +193,15 @@ def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
     """
     column, row, shape = _places(xyz, BLOCK_M)
     going = np.ones(shape, dtype=np.bool_)
-    first = lowest_nodes(xyz, usable, CELL_M)
+    first = lowest_nodes(xyz, usable, cell_m)
     current = np.sort(first[first >= 0])
     chosen = np.zeros(len(xyz), dtype=np.bool_)
-    for cell_m in LEVELS_M:
+    for _ in range(LEVELS):
+        cell_m *= 2.0
         grid = lowest_nodes(xyz, usable, cell_m)
         coarse = np.sort(grid[grid >= 0])
         limit = np.clip(_AGREE_SIGMA * scatter_below(xyz, coarse, grid, cell_m), *_AGREE_M)
-        above = xyz[current, 2] - plane_heights(xyz, grid, cell_m)[current]
+        above = xyz[current, 2] - plane_heights(xyz, current, grid, cell_m)
         at = row[current], column[current]
         key = at[0] * shape[1] + at[1]
         high, count = (
@@ -195,13 +223,17 @@ def _around(grid: NDArray[Any]) -> Float:
     return summed
 
 
-def plane_heights(xyz: Float, grid: Index, cell_m: float, *, own: bool = True) -> Float:
-    """Height at each node of the plane through the grid's nodes in nine cells.
+def plane_heights(
+    xyz: Float, asked: Index, grid: Index, cell_m: float, *, own: bool = True
+) -> Float:
+    """Height at some nodes of the plane through the grid's nodes in the nine cells around.
 
     Parameters
     ----------
     xyz : (n, 3) float64
         Nodes [m].
+    asked : (m,) int64
+        Nodes to be told.
     grid : (rows, columns) int64
         A node for each cell, or -1, as :func:`lowest_nodes` finds them.
     cell_m : float
@@ -211,33 +243,51 @@ def plane_heights(xyz: Float, grid: Index, cell_m: float, *, own: bool = True) -
 
     Returns
     -------
-    (n,) float64
+    (m,) float64
         Height [m]; NaN where none of the cells has a node.
     """
+    left, bottom, _, _ = _frame(xyz, cell_m)
+    out = np.empty(len(asked))
+    _plane_heights(xyz, asked, grid, cell_m, left, bottom, own, out)
+    return out
+
+
+@njit()
+def _plane_heights(
+    xyz: Float,
+    asked: Index,
+    grid: Index,
+    cell_m: float,
+    left: int,
+    bottom: int,
+    own: bool,  # noqa: FBT001 - a kernel takes no keywords
+    out: Float,
+) -> None:
     rows, columns = grid.shape
-    wide = np.pad(grid, 1, constant_values=-1)
-    corner = np.floor(xyz[:, :2].min(axis=0) / cell_m)
-    middle = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + corner + 0.5
-    base = float(xyz[:, 2].min())
-    sums = np.zeros((9, rows, columns))
-    for i, j in ((i, j) for i in range(3) for j in range(3) if own or (i, j) != (1, 1)):
-        node = wide[i : i + rows, j : j + columns]
-        x, y = np.moveaxis(xyz[node, :2] - middle * cell_m, 2, 0)
-        z = xyz[node, 2] - base
-        sums += np.where(
-            node >= 0, [np.ones_like(z), x, y, z, x * x, x * y, y * y, x * z, y * z], 0
-        )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x, y, z, xx, xy, yy, xz, yz = sums[1:] / sums[0]
-    xx, yy, xy = xx - x * x + _DAMPING_M2, yy - y * y + _DAMPING_M2, xy - x * y
-    xz, yz = xz - x * z, yz - y * z
-    scale = xx * yy - xy * xy
-    east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-    column, row, _ = _places(xyz, cell_m)
-    dx, dy = (xyz[:, :2] - middle[row, column] * cell_m).T
-    at = row, column
-    found: Float = base + z[at] + east[at] * (dx - x[at]) + north[at] * (dy - y[at])
-    return found
+    for k in range(len(asked)):
+        i = asked[k]
+        column = int(np.floor(xyz[i, 0] / cell_m)) - left
+        row = int(np.floor(xyz[i, 1] / cell_m)) - bottom
+        n, x, y, z = 0.0, 0.0, 0.0, 0.0
+        xx, xy, yy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            for c in range(max(column - 1, 0), min(column + 2, columns)):
+                j = grid[r, c]
+                if j < 0 or (not own and r == row and c == column):
+                    continue
+                dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
+                n, x, y, z = n + 1.0, x + dx, y + dy, z + dz
+                xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+                xz, yz = xz + dx * dz, yz + dy * dz
+        if n == 0.0:
+            out[k] = np.nan
+            continue
+        x, y, z = x / n, y / n, z / n
+        xx, yy, xy = xx / n - x * x + _DAMPING_M2, yy / n - y * y + _DAMPING_M2, xy / n - x * y
+        xz, yz = xz / n - x * z, yz / n - y * z
+        scale = xx * yy - xy * xy
+        east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+        out[k] = xyz[i, 2] + z - east * x - north * y
 
 
 def spread_below(off: Float, x: Float, y: Float, most_m: float) -> Float:
@@ -292,7 +342,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
         Standard deviation in each block of :data:`BLOCK_M`, of it and those around [m].
     """
     off = np.zeros(len(xyz))
-    off[nodes] = xyz[nodes, 2] - plane_heights(xyz, grid, cell_m, own=False)[nodes]
+    off[nodes] = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
     return spread_below(off, xyz[:, 0], xyz[:, 1], np.inf)
 
 
@@ -308,28 +358,38 @@ def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
     cell_m : float
         Edge of the cells that the opening runs on [m].
     """
-    raised = _raised(xyz, xyz[:, 2], chosen, cell_m)
-    level = chosen & ~raised
-    if not level.any():
+    grid = lowest_nodes(xyz, chosen, cell_m)
+    nearest = _nearest_node(grid)
+    raised = _raised(nearest, xyz[:, 2], cell_m)
+    level = grid[(grid >= 0) & ~raised]
+    if not len(level):
         return chosen
-    x, y = xyz[:, 0], xyz[:, 1]
-    trend = fit_trend(xyz[level], x, y)
-    above = xyz[:, 2] - trend_at(trend, x, y)
-    raised &= _raised(xyz, above, chosen, cell_m) | ~_steep(trend, x, y)
-    grid = lowest_nodes(xyz, chosen & ~raised, cell_m)
+    trend = fit_trend(xyz[level], xyz[:, 0], xyz[:, 1])
+    used = grid[grid >= 0]
+    steep = _steep(trend, *xyz[used, :2].T)
+    if steep.any():
+        above = np.zeros(len(xyz))
+        above[used] = xyz[used, 2] - trend_at(trend, *xyz[used, :2].T)
+        twice = _raised(nearest, above, cell_m)
+        raised[grid >= 0] &= twice[grid >= 0] | ~steep
     ground = np.zeros(len(xyz), dtype=np.bool_)
-    ground[grid[grid >= 0]] = True
+    ground[grid[(grid >= 0) & ~raised]] = True
     return ground
 
 
-def _raised(xyz: Float, height: Float, chosen: Mask, cell_m: float) -> Mask:
-    """Nodes in cells that the opening of some heights cuts off."""
-    grid = lowest_nodes(xyz, chosen, cell_m)
-    surface = nearest_filled(_heights(grid, height))
-    objects = object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M)
-    column, row, _ = _places(xyz, cell_m)
-    raised: Mask = objects[row, column]
-    return raised
+def _raised(nearest: Index, height: Float, cell_m: float) -> Mask:
+    """Cells that the opening of some nodes' heights cuts off."""
+    return object_cells(
+        height[nearest], cell_m, _SLOPE, WINDOW_M, step_m=STEP_M, radii=_radii(cell_m)
+    )
+
+
+def _radii(cell_m: float) -> tuple[int, ...]:
+    """Radii of the windows [cells]: each next one larger by a tenth, and by one at least."""
+    found, largest = [1], math.ceil(WINDOW_M / cell_m)
+    while found[-1] < largest:
+        found.append(min(found[-1] + max(1, found[-1] // GROWTH), largest))
+    return tuple(found)
 
 
 def _steep(trend: Trend, x: Float, y: Float) -> Mask:
@@ -340,31 +400,8 @@ def _steep(trend: Trend, x: Float, y: Float) -> Mask:
     return steep
 
 
-def nearest_filled(surface: Float) -> Float:
-    """Surface whose gaps take the height of the nearest cell: walls stay steep.
-
-    Parameters
-    ----------
-    surface : (rows, columns) float64
-        Heights [m]; NaN in gaps, not everywhere.
-    """
-    nearest = ndimage.distance_transform_edt(
-        np.isnan(surface), return_distances=False, return_indices=True
-    )
-    filled: Float = surface[tuple(nearest)]
-    return filled
-
-
-def terrain(xyz: Float, ground: Mask, cell_m: float = CELL_M) -> Float:
-    """Heights of a grid around all nodes through the ground nodes: (rows, columns) [m].
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    ground : (n,) bool
-        Those of the ground; at least one.
-    cell_m : float
-        Edge of a cell [m].
-    """
-    return fill_gaps(_heights(lowest_nodes(xyz, ground, cell_m), xyz[:, 2]))
+def _nearest_node(grid: Index) -> Index:
+    """A grid of nodes whose gaps have that of the nearest cell: walls stay steep."""
+    nearest = ndimage.distance_transform_edt(grid < 0, return_distances=False, return_indices=True)
+    found: Index = grid[tuple(nearest)]
+    return found
