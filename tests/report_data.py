@@ -82,6 +82,7 @@ def make_inputs() -> PictureInputs:
         dtm=Raster(dtm.astype(np.float32), EXTENT),
         dsm=Raster(np.where(void, np.nan, dsm), EXTENT),
         chm=Raster(np.where(void, -9999.0, dsm - ground), EXTENT),
+        dtm_quality=Raster(np.where(void, -9999.0, 0.03 + 0.001 * density), EXTENT),
         density=Raster(np.where(void, -9999.0, density), EXTENT),
         difference=Raster(np.where(void, -9999.0, difference), EXTENT),
         noise_density=Raster(noise, EXTENT),
@@ -196,6 +197,7 @@ def make_report(**changes: Any) -> Report:
             p05_per_m2=21.0,
             ground_per_m2=24.8,
             void_share=0.004,
+            unsure_share=0.01,
         ),
         "noise": Noise(
             method="vsaes",

@@ -26,7 +26,7 @@ GATE_M = 60.0
 HEIGHT_M = 600.0
 SPEED_M_S = 60.0
 ORIGIN_M = (272_000.0, 3_290_000.0)
-PRODUCTS = ("dtm", "dsm", "chm", "density", "intensity")
+PRODUCTS = ("dtm", "dtm_quality", "dsm", "chm", "density", "intensity")
 
 
 def flightline(

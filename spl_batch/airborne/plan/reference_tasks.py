@@ -55,7 +55,10 @@ def accuracy(survey: Survey) -> Iterator[Task]:
             points[square] = points.get(square, 0) + count
     made = survey.of("mosaic")
     rasters = [
-        name for product in COMPARED for name in sorted(made) if name.partition("_")[0] == product
+        name
+        for product in COMPARED
+        for name in sorted(made)
+        if name.rstrip("_0123456789") == product
     ]
     edge, _ = _lattice(survey)
     for square in sorted(files):

@@ -29,6 +29,7 @@ class Product(NamedTuple):
 
 PRODUCTS: Final = (
     Product("dtm", "height of the terrain", "m"),
+    Product("dtm_quality", "standard deviation of the height of the terrain", "m"),
     Product("dsm", "height of the surface", "m"),
     Product("chm", "height of the surface above the terrain", "m"),
     Product("density", "signal returns per m2", "1/m2"),

@@ -22,6 +22,8 @@ DSM    Highest return of the cell that is ground or that its peers confirm: more
        A cell without such a return takes the nearest value within
        ``dsm_void_max_m``, of several the lowest.
 CHM    DSM - DTM, hence >= 0; nodata where either is.
+sigma  Standard deviation of the DTM, by how far the nearest ground is and what that distance
+       costs around (:mod:`~spl_batch.airborne.products.terrain_quality`).
 ====== ========================================================================
 
 Returns that the filter has not assessed (no beam; or no filter at all) take part in a
@@ -46,6 +48,7 @@ from spl_batch.airborne.products.cell_values import (
 from spl_batch.airborne.products.confirmed_tops import Support, confirmed_tops, lift_pits
 from spl_batch.airborne.products.flown_cells import flown
 from spl_batch.airborne.products.noise_aloft import noise_by_cell
+from spl_batch.airborne.products.terrain_quality import terrain_sigma
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
@@ -104,21 +107,23 @@ def surfaces(
     Returns
     -------
     dict of str to (rows, cols) float32
-        ``dtm, dsm, chm`` [m], ``intensity`` (mean of first returns, as delivered; where the
-        points have it), ``density`` (signal returns per m2; 0 where there are none, nodata
-        where nothing was flown); row 0 is the northernmost; nodata
+        ``dtm, dsm, chm`` [m], ``dtm_quality`` (standard deviation of ``dtm`` [m]), ``intensity``
+        (mean of first returns, as delivered; where the points have it), ``density`` (signal
+        returns per m2; 0 where there are none, nodata where nothing was flown); row 0 is the
+        northernmost; nodata
         :data:`~spl_batch.constants.NODATA`.
     """
     size = quanta(settings.cell_m)
     if any(edge % size for edge in cell):
         raise ValueError(f"ground cell {cell} is not aligned to raster cells of {size} quanta")
-    dtm = _terrain(table, cell, settings)
+    dtm, sigma = _terrain(table, cell, settings)
     signal, level = _signal(table, cell, settings)
     wide, near = (grow(cell, n * size) for n in (margin_cells(settings), _top_margin(settings)))
     support = _support(noise_by_cell(table, wide, near, size), settings)
     dsm = _top_surface(signal, level, support, cell, settings)
     dsm = np.where(dsm < dtm, dtm, dsm)
     rasters = {"dtm": dtm * QUANTUM_M, "dsm": dsm * QUANTUM_M, "chm": (dsm - dtm) * QUANTUM_M}
+    rasters["dtm_quality"] = np.where(np.isnan(dtm), np.nan, sigma)
     rasters |= _counts(signal, cell, size)
     over = flown(table, cell, settings, margin_cells(settings)) | (rasters["density"] > 0)
     rasters["density"] = np.where(over, rasters["density"], np.nan)
@@ -154,8 +159,10 @@ def _local(
     )
 
 
-def _terrain(table: PointTable, cell: Bounds, settings: ProductSettings) -> NDArray[np.float64]:
-    """DTM from the south [quanta]; NaN in voids."""
+def _terrain(
+    table: PointTable, cell: Bounds, settings: ProductSettings
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """DTM [quanta] and its standard deviation [m] from the south; NaN in voids."""
     size = quanta(settings.cell_m)
     wide = grow(cell, margin_cells(settings) * size)
     found = (table["ground"] == 1) & inside(table["x"], table["y"], wide)
@@ -164,10 +171,13 @@ def _terrain(table: PointTable, cell: Bounds, settings: ProductSettings) -> NDAr
     order, start = sort_into_cells(cell_number(ground, wide, size), ground["z"], rows * cols)
     means = np.empty((rows * cols, 3))
     robust_cell_means(_local(ground, order, wide), start, GROUND_FLOOR_M / QUANTUM_M, means)
+    margin = margin_cells(settings)
+    sigma = terrain_sigma(means.reshape(rows, cols, 3) * QUANTUM_M, settings.cell_m)
     vertices = means[~np.isnan(means[:, 2])]
     vertices = np.concatenate([vertices, _covered_corners(table, wide, vertices, size)])
     vertices[:, :2] -= wide.xmax - cell.xmax
-    return tin_raster(vertices, size, _shape(cell, size), quanta(settings.void_max_m))
+    dtm = tin_raster(vertices, size, _shape(cell, size), quanta(settings.void_max_m))
+    return dtm, sigma[margin:-margin, margin:-margin]
 
 
 def _covered_corners(

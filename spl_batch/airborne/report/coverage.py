@@ -2,15 +2,18 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.footprint import SQUARE_M2
 from spl_batch.airborne.report.model import Density
-from spl_batch.airborne.tasks.coverage import _CELLS, _SQUARES, _VOIDS
+from spl_batch.airborne.tasks.coverage import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS, UNSURE_M
 from spl_batch.engine.report.run_record import Receipts
+
+UNSURE_SHARE: Final = 0.02
+"""A larger share of the terrain that is not known well is told."""
 
 
 def area_km2(done: Receipts) -> float | None:
@@ -54,7 +57,36 @@ def density(done: Receipts, context: Context, ground: int) -> Density:
         # Without signal no ground was looked for.
         ground_per_m2=ground / area_m2 if returns else None,
         void_share=sum(f[_VOIDS] for f in facts) / cells.total(),
+        unsure_share=_unsure_share(done),
     )
+
+
+def unsure_terrain(done: Receipts) -> tuple[str, ...]:
+    """A warning where much of the terrain is not known well.
+
+    Parameters
+    ----------
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    """
+    share = _unsure_share(done)
+    if share is None or share <= UNSURE_SHARE:
+        return ()
+    text = (
+        f"{share:.1%} of the terrain model lies so far from ground returns, for ground as rough as "
+        f"it is there, that its standard deviation is more than {UNSURE_M:g} m: dtm_quality.tif "
+        "says where; do not measure heights or volumes there"
+    )
+    return (text,)
+
+
+def _unsure_share(done: Receipts) -> float | None:
+    """Share of the terrain's cells that are not known well; None where nobody counted."""
+    found = [receipt.facts for receipt in done.get("surface", {}).values()]
+    if not all(_UNSURE in facts for facts in found):
+        return None
+    heights = sum(facts[_HEIGHTS] for facts in found)
+    return sum(facts[_UNSURE] for facts in found) / heights if heights else None
 
 
 def _facts(done: Receipts) -> list[Mapping[str, Any]] | None:

@@ -147,6 +147,11 @@ class Density(Part):
     void_share: Number = Field(
         None, description="Share of the DTM cells that were flown that have no height, 0..1."
     )
+    unsure_share: Number = Field(
+        None,
+        description="Share of the DTM cells with a height whose standard deviation, as "
+        "dtm_quality.tif has it, is more than 0.5 m, 0..1.",
+    )
 
 
 class Haze(Part):

@@ -36,6 +36,8 @@ class PictureInputs:
     ----------
     dtm, dsm, chm : Raster, optional
         Heights of terrain and surface, and canopy height [m].
+    dtm_quality : Raster, optional
+        Standard deviation of the terrain [m].
     density : Raster, optional
         Signal returns [1/m2].
     difference : Raster, optional
@@ -55,6 +57,7 @@ class PictureInputs:
     dtm: Raster | None = None
     dsm: Raster | None = None
     chm: Raster | None = None
+    dtm_quality: Raster | None = None
     density: Raster | None = None
     difference: Raster | None = None
     noise_density: Raster | None = None
@@ -82,7 +85,7 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
     -------
     dict of str to Picture
         Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density,
-        density, strips``, in the order in which a reader wants them; of a survey in pieces
+        dtm_quality, density, strips``, in the order in which a reader wants them; of a survey in pieces
         ``locator`` as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
     """
     inputs, photons = _with_line(inputs), photon_counting(report)
@@ -98,6 +101,7 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
         "histogram": _histogram(inputs.differences_m, overall),
         "profile": _profile(inputs.profile, photons=photons),
         "noise_density": _noise(inputs.noise_density),
+        "dtm_quality": _quality(inputs.dtm_quality),
         "density": _density(inputs.density, photons=photons),
         "strips": _strips(inputs.strips),
     }
@@ -276,6 +280,24 @@ def _noise(raster: Raster | None) -> Picture:
         )
 
     return _or_missing(raster, title, "No noise model was made for this run.", draw)
+
+
+def _quality(raster: Raster | None) -> Picture:
+    title = "How well the terrain is known"
+
+    def draw(given: Raster) -> Picture:
+        top = spread(reduce_raster(given).values, 1, 98)[1]
+        drawn = draw_ramp(
+            given, title, "standard deviation of the terrain [m]", ramp=style.SKY, limits=(0.0, top)
+        )
+        return _finished(
+            drawn,
+            title,
+            "By how far the nearest ground is, and by how much heights differ here over such a "
+            "distance. What was wrongly taken for ground does not show.",
+        )
+
+    return _or_missing(raster, title, "This raster was not made.", draw)
 
 
 def _density(raster: Raster | None, *, photons: bool) -> Picture:

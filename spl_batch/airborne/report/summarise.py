@@ -8,7 +8,7 @@ import numpy as np
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
-from spl_batch.airborne.report.coverage import area_km2, density
+from spl_batch.airborne.report.coverage import area_km2, density, unsure_terrain
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged
 from spl_batch.airborne.report.model import (
     Accuracy,
@@ -85,6 +85,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *haze_warning(noise.haze),
             *fog_warning(done),
             *misfit_warning(done, context),
+            *unsure_terrain(done),
             *not_compared(done, context, facts),
         ),
         provenance=_provenance(done, context, facts.reference),
@@ -302,7 +303,10 @@ def _pictures(done: Receipts, context: Context, found: Comparison | None) -> Pic
     pieces = find_pieces(done, context)
     bounds = pieces[0].bounds_m if len(pieces) > 1 else None
     folder = context.output
-    parts = {n: _overview(folder / f"{n}.tif", bounds) for n in ("dtm", "dsm", "chm", "density")}
+    parts = {
+        n: _overview(folder / f"{n}.tif", bounds)
+        for n in ("dtm", "dsm", "chm", "dtm_quality", "density")
+    }
     rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
     noise = _overview(context.store.local / "noise.tif", bounds)
     difference = None

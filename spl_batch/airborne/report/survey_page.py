@@ -222,4 +222,4 @@ def _kept_noise_share(report: Report) -> float | None:
 
 def _shown_pieces(pictures: Mapping[str, Picture]) -> list[int]:
     """Numbers of the pieces beside the first that there are pictures of."""
-    return sorted(int(key.removeprefix("dtm_")) for key in pictures if key.startswith("dtm_"))
+    return sorted(int(key.removeprefix("dsm_")) for key in pictures if key.startswith("dsm_"))

@@ -24,7 +24,7 @@ FULL_SHARE: Final = 0.2
 PICTURED: Final = 5
 """Pieces that the report has pictures of, the largest first [count]."""
 
-PRODUCTS: Final = ("dtm", "dsm", "chm", "intensity", "density")
+PRODUCTS: Final = ("dtm", "dtm_quality", "dsm", "chm", "intensity", "density")
 
 
 @dataclass(frozen=True, slots=True)

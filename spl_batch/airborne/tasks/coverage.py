@@ -23,6 +23,16 @@ _VOIDS: Final = "voids"
 """Fact of a ground cell: raster cells that were flown and have no terrain height [count]."""
 
 
+_HEIGHTS: Final = "heights"
+"""Fact of a ground cell: raster cells with a terrain height [count]."""
+
+_UNSURE: Final = "unsure"
+"""Fact of a ground cell: those whose standard deviation is more than :data:`UNSURE_M` [count]."""
+
+UNSURE_M: Final = 0.5
+"""Terrain that may be off by more than this is not known well [m]."""
+
+
 def covered(
     table: PointTable, core: Bounds, arrays: Mapping[str, NDArray[np.float32]], context: Context
 ) -> dict[str, Any]:
@@ -35,7 +45,7 @@ def covered(
     core : Bounds
         The cell [quanta].
     arrays : mapping of str to (rows, cols) float32
-        Its rasters; ``dtm`` and ``density`` are looked at.
+        Its rasters; ``dtm``, ``dtm_quality`` and ``density`` are looked at.
     context : Context
         The run.
     """
@@ -54,4 +64,6 @@ def covered(
         _SQUARES: footprint(table, core, products, within),
         _CELLS: dict(zip(map(str, values.tolist()), counts.tolist(), strict=True)),
         _VOIDS: int(np.count_nonzero(arrays["dtm"][flown] == NODATA)),
+        _HEIGHTS: int(np.count_nonzero(arrays["dtm"] != NODATA)),
+        _UNSURE: int(np.count_nonzero(arrays["dtm_quality"] > UNSURE_M)),
     }

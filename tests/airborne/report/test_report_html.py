@@ -31,6 +31,7 @@ KEYS = (
     "histogram",
     "profile",
     "noise_density",
+    "dtm_quality",
     "density",
     "strips",
 )
@@ -112,7 +113,7 @@ class TestPage:
     def test_it_stays_small_with_pictures_that_do_not_compress(self) -> None:
         rng = np.random.default_rng(3)
         noisy = Raster(rng.normal(50, 20, (900, 900)), (0.0, 900.0, 0.0, 900.0))
-        inputs = PictureInputs(noisy, noisy, noisy, noisy, noisy, noisy, None, make_profile(rng))
+        inputs = PictureInputs(*[noisy] * 7, None, make_profile(rng))
         made = make_pictures(inputs, make_report())
         assert len(render(make_report(), made).encode()) < 5_000_000
 

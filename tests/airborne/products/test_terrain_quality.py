@@ -1,0 +1,121 @@
+"""The terrain's standard deviation against what withheld heights are off."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from spl_batch.airborne.products.terrain_quality import (
+    REACH,
+    RINGS,
+    _box,
+    _moments,
+    _off_ring,
+    terrain_sigma,
+)
+from spl_batch.numerics.triangulation.tin_raster import tin_raster
+
+Float = NDArray[np.float64]
+
+
+def cell_means(height: Float, held: NDArray[np.bool_], cell_m: float = 1.0) -> Float:
+    """Ground in the middle of the cells that are held."""
+    y, x = (np.indices(height.shape) + 0.5) * cell_m
+    means = np.stack([x, y, height], axis=-1)
+    means[~held] = np.nan
+    return means
+
+
+def rough(rng: np.random.Generator, edge: int, sigma: float, scale_m: float) -> Float:
+    smooth: Float = ndimage.gaussian_filter(rng.standard_normal((edge, edge)), scale_m, mode="wrap")
+    return sigma * smooth / smooth.std()
+
+
+@pytest.mark.parametrize("relief", [0.02, 0.2])
+@pytest.mark.parametrize("share", [0.02, 0.3])
+def test_withheld_heights_lie_within_it_as_often_as_they_should(
+    relief: float, share: float
+) -> None:
+    """Relief of all sizes, each as high as it is wide: terrain is no smooth hill."""
+    rng = np.random.default_rng(5)
+    scales = (1.0, 2.0, 4.0, 8.0, 16.0)
+    truth = sum((rough(rng, 200, relief * s, s) for s in scales), 0.3 * np.arange(200))
+    measured = truth + rng.normal(0, 0.03, truth.shape)
+    held = rng.random(truth.shape) < share
+    held[60:75, 90:102] = False
+    means = cell_means(measured, held)
+    dtm = tin_raster(means[held], 1.0, truth.shape, 20.0)
+    off = np.abs(dtm - truth) / terrain_sigma(means, 1.0)
+    inner = off[15:-15, 15:-15][~held[15:-15, 15:-15]]
+    assert 0.68 < np.nanmean(inner < 1) < 0.95
+    assert np.nanmean(inner < 1.96) > 0.95
+
+
+def test_it_grows_away_from_ground_and_with_roughness() -> None:
+    rng = np.random.default_rng(6)
+    held = np.ones((120, 120), np.bool_)
+    held[50:70, 50:70] = False
+    found = {}
+    for relief in (0.5, 2.0):
+        height = rough(rng, 120, relief, 6.0) + rng.normal(0, 0.02, held.shape)
+        found[relief] = terrain_sigma(cell_means(height, held), 1.0)
+        across = found[relief][60, 49:61]
+        assert (np.diff(across[:8]) > 0).all()
+        assert across[-1] > 5 * across[0]
+    assert np.median(found[2.0] / found[0.5]) > 2
+
+
+def test_a_tilt_costs_nothing_and_places_in_cells_are_their_own() -> None:
+    rng = np.random.default_rng(7)
+    means = cell_means(np.zeros((60, 60)), np.ones((60, 60), np.bool_), 0.5)
+    means[:, :, :2] += rng.uniform(-0.25, 0.25, (60, 60, 2))
+    means[:, :, 2] = 1.5 * means[:, :, 0] - means[:, :, 1]
+    sigma = terrain_sigma(means, 0.5)
+    # Slopes are damped by a quarter of a cell squared, which the smallest rings feel most.
+    assert sigma[REACH:-REACH, REACH:-REACH].max(initial=0) < 0.2
+
+
+def test_rings_are_those_of_least_squares() -> None:
+    rng = np.random.default_rng(8)
+    held = rng.random((24, 24)) < 0.4
+    means = cell_means(rng.normal(0, 1, (24, 24)), held)
+    places = _moments(means, held, 1.0)
+    row, column = np.indices(held.shape)
+    for ring in RINGS[:3]:
+        off, known = _off_ring(held, places, ring)
+        for r, c in np.argwhere(held)[::9]:
+            away = np.maximum(abs(row - r), abs(column - c))
+            near = means[held & (away >= ring) & (away <= 2 * ring)]
+            assert known[r, c] == (len(near) >= 6)
+            if len(near) >= 6:
+                d = near - near.mean(axis=0)
+                normal = d[:, :2].T @ d[:, :2] / len(near) + 0.25 * np.eye(2)
+                slope = np.linalg.solve(normal, d[:, :2].T @ d[:, 2] / len(near))
+                own = means[r, c] - near.mean(axis=0)
+                assert off[r, c] == pytest.approx(own[2] - slope @ own[:2], abs=1e-9)
+
+
+def test_boxes_hold_what_lies_in_them() -> None:
+    values = np.random.default_rng(9).random((9, 13))
+    for reach in (0, 1, 4):
+        expected = ndimage.correlate(
+            values, np.ones((2 * reach + 1, 2 * reach + 1)), mode="constant"
+        )
+        assert np.allclose(_box(values, reach), expected)
+
+
+def test_nothing_is_said_without_ground() -> None:
+    held = np.zeros((40, 40), np.bool_)
+    assert np.isnan(terrain_sigma(cell_means(np.zeros((40, 40)), held), 1.0)).all()
+    held[3, 4:8] = True
+    assert np.isnan(terrain_sigma(cell_means(np.zeros((40, 40)), held), 1.0)).all()
+
+
+def test_a_cell_is_told_by_what_lies_within_reach() -> None:
+    """Two windows agree where both hold all that decides: ground cells join."""
+    rng = np.random.default_rng(10)
+    held = rng.random((90, 140)) < 0.3
+    means = cell_means(rng.normal(0, 1, held.shape), held)
+    left, right = terrain_sigma(means[:, :100], 1.0), terrain_sigma(means[:, 40:], 1.0)
+    common = slice(REACH, -REACH)
+    assert np.allclose(left[common, 40 + REACH : 100 - REACH], right[common, REACH : 60 - REACH])
