@@ -24,8 +24,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
 )
 from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
-from spl_batch.numerics.compiled import njit
-from spl_batch.numerics.triangulation.tin import Tin, locate_one, triangulate
+from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate
 
 _LAYER_M = 0.15
 """Thickness of the layer whose mean is a node: three standard deviations of a range [m]."""
@@ -116,35 +115,12 @@ def _surface_at(tin: Tin | None, ground: Float, places: Place) -> tuple[Float, F
     height, slope = np.full(len(x), np.nan), np.zeros(len(x))
     if tin is not None:
         order = group_by_cell(x, y, CELL_M).order
-        _at_facets(tin.xyz, tin.facets, tin.neighbours, tin.planes, order, x, y, height, slope)
+        heights_and_slopes(tin, order, x, y, height, slope)
     beyond = np.isnan(height)
     if beyond.any():
         at = np.column_stack([x[beyond], y[beyond]])
         height[beyond] = ground[cKDTree(ground[:, :2]).query(at)[1], 2]
     return height, slope
-
-
-@njit()
-def _at_facets(
-    xyz: Float,
-    facets: NDArray[np.int32],
-    neighbours: NDArray[np.int32],
-    planes: Float,
-    order: NDArray[np.int64],
-    x: Float,
-    y: Float,
-    height: Float,
-    slope: Float,
-) -> None:
-    """Height and slope of the triangle that holds each place; left as they are outside."""
-    last = 0
-    for i in order:
-        t, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
-        if t >= 0:
-            first = facets[t, 0]
-            a, b = planes[t, 0], planes[t, 1]
-            height[i] = planes[t, 2] + a * (x[i] - xyz[first, 0]) + b * (y[i] - xyz[first, 1])
-            slope[i] = np.sqrt(a * a + b * b)
 
 
 def _of_block(spread: Float, own: Place, places: Place) -> Float:

@@ -218,3 +218,49 @@ def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
     height: NDArray[np.float64] = c + a * (x - x0) + b * (y - y0)
     height[facet < 0] = np.nan
     return height
+
+
+def heights_and_slopes(
+    tin: Tin,
+    order: NDArray[np.int64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    height: NDArray[np.float64],
+    slope: NDArray[np.float64],
+) -> None:
+    """Height and steepness of a surface; places outside of it keep what they hold.
+
+    Parameters
+    ----------
+    tin : Tin
+        Surface.
+    order : (n,) int64
+        The places, near ones following each other.
+    x, y : (n,) float64
+        Places [m].
+    height, slope : (n,) float64, written
+        Height [m], and slope of the triangle there [rise/run].
+    """
+    _heights_and_slopes(tin.xyz, tin.facets, tin.neighbours, tin.planes, order, x, y, height, slope)
+
+
+@njit()
+def _heights_and_slopes(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    planes: NDArray[np.float64],
+    order: NDArray[np.int64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    height: NDArray[np.float64],
+    slope: NDArray[np.float64],
+) -> None:
+    last = 0
+    for i in order:
+        t, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
+        if t >= 0:
+            first = facets[t, 0]
+            a, b = planes[t, 0], planes[t, 1]
+            height[i] = planes[t, 2] + a * (x[i] - xyz[first, 0]) + b * (y[i] - xyz[first, 1])
+            slope[i] = np.sqrt(a * a + b * b)

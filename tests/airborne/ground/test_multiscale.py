@@ -10,10 +10,9 @@ from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     low_outliers,
-    lowest_nodes,
-    plane_heights,
     spread_below,
 )
+from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 

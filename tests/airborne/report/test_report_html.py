@@ -249,7 +249,7 @@ class TestPictures:
 
     def test_rasters_without_a_value_are_missing(self) -> None:
         nothing = Raster(np.full((5, 5), -9999.0, dtype=np.float32), EXTENT)
-        inputs = PictureInputs(*[nothing] * 6, np.full(3, np.nan), None)
+        inputs = PictureInputs(*[nothing] * 7, np.full(3, np.nan), None)
         made = make_pictures(inputs, make_report(accuracy=None))
         assert all(picture.png == b"" for picture in made.values())
 
