@@ -8,6 +8,7 @@ import numpy as np
 
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import UNEVEN, points_within, refusal
+from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.engine.plan.input_files import source_key
 from spl_batch.engine.tasks.input_changes import stamp_if_there
 from spl_batch.engine.tasks.task import Task
@@ -54,12 +55,7 @@ def accuracy(survey: Survey) -> Iterator[Task]:
             files.setdefault(square, []).append(name)
             points[square] = points.get(square, 0) + count
     made = survey.of("mosaic")
-    rasters = [
-        name
-        for product in COMPARED
-        for name in sorted(made)
-        if name.rstrip("_0123456789") == product
-    ]
+    rasters = [name for product in COMPARED for name in sorted(made) if is_piece(name, product)]
     edge, _ = _lattice(survey)
     for square in sorted(files):
         args = {"square": square, "edge": edge, "files": files[square], "rasters": rasters}
@@ -72,7 +68,7 @@ def accuracy(survey: Survey) -> Iterator[Task]:
 def checkpoints(survey: Survey) -> Iterator[Task]:
     """The file of checkpoints, to be compared with the terrain of each piece of the survey."""
     found = survey.inputs.checkpoints
-    rasters = [name for name in sorted(survey.of("mosaic")) if name.partition("_")[0] == "dtm"]
+    rasters = [name for name in sorted(survey.of("mosaic")) if is_piece(name, "dtm")]
     if found is None or not rasters:
         return
     args = {

@@ -13,7 +13,7 @@ from spl_batch.airborne.plan.inputs.survey_inputs import source_args
 from spl_batch.airborne.plan.space_units import Unit, fired_index, voxel_index
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import refusal
-from spl_batch.airborne.products.product_table import HILLSHADE, products
+from spl_batch.airborne.products.product_table import HILLSHADE, is_piece, products
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
 
@@ -212,7 +212,7 @@ def hillshade(survey: Survey) -> Iterator[Task]:
     if not survey.workflow.products.maps:
         return
     for name in sorted(survey.of("mosaic")):
-        if name.partition("_")[0] == "dtm":
+        if is_piece(name, "dtm"):
             made = name.replace("dtm", HILLSHADE.name)
             args = {"source": f"{name}.tif", "target": f"{made}.tif"}
             yield Task("deliver_hillshade", made, args, (("mosaic", name),))

@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.products.terrain_quality import (
     REACH,
     RINGS,
@@ -119,3 +120,11 @@ def test_a_cell_is_told_by_what_lies_within_reach() -> None:
     left, right = terrain_sigma(means[:, :100], 1.0), terrain_sigma(means[:, 40:], 1.0)
     common = slice(REACH, -REACH)
     assert np.allclose(left[common, 40 + REACH : 100 - REACH], right[common, REACH : 60 - REACH])
+
+
+def test_a_raster_of_quality_is_no_further_piece_of_the_terrain() -> None:
+    assert is_piece("dtm", "dtm")
+    assert is_piece("dtm_12", "dtm")
+    assert not is_piece("dtm_quality", "dtm")
+    assert is_piece("dtm_quality_2", "dtm_quality")
+    assert not is_piece("dtmx_2", "dtm")
