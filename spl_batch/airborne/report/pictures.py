@@ -85,8 +85,8 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
     -------
     dict of str to Picture
         Always the keys ``dtm, dsm, chm, difference, histogram, profile, noise_density,
-        dtm_quality, density, strips``, in the order in which a reader wants them; of a survey in pieces
-        ``locator`` as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
+        dtm_quality, density, strips``, in the order in which a reader wants them; of a survey in
+        pieces ``locator`` as well, and ``dtm_2, dsm_2`` and so on for those that are shown.
     """
     inputs, photons = _with_line(inputs), photon_counting(report)
     terrain = terrain_statistics(report)
