@@ -107,7 +107,7 @@ def kind(name: str) -> Kind:
         return Kind(Seed(files[first], ".h5"), files, first, ())
 
 
-KINDS: Final = ("flightlines", "old flightlines", "trajectory", "polygons", "granules", "frames")
+KINDS: Final = ("flightlines", "old flightlines", "trajectory", "polygons", "granules", "tank")
 """Kinds of whole runs."""
 
 
