@@ -37,7 +37,8 @@ def run(workflow: Path, *options: str) -> Ended:
 def refused(ended: Ended, *words: str) -> None:
     """Nothing was started, and one line on standard error says why."""
     assert ended.status == 2, ended.text
-    lines = [x for x in ended.err.splitlines() if x.startswith("spl-batch: ")]
+    whole = ended.err.replace("\n  ", " ")  # what is too long for the screen goes on below
+    lines = [x for x in whole.splitlines() if x.startswith("spl-batch: ")]
     assert len(lines) == 1, ended.err
     for word in words:
         assert word in lines[0], lines[0]

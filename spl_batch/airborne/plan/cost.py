@@ -14,7 +14,7 @@ from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import Need, needs
-from spl_batch.airborne.products.product_table import PRODUCTS
+from spl_batch.airborne.products.product_table import products
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
 from spl_batch.engine.plan.budget import Cost, measured_rates
@@ -114,7 +114,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     # gathered and scattered; without a trajectory flightlines have a heading and a path, and
     # stretches are observed after that
     tasks = 2 * (len(sources) + stretches + cells) + tiles + blocks.blocks + delivered
-    tasks += len(PRODUCTS)
+    tasks += _rasters_and_comparisons(survey, cells)
     tasks += sum(parts_of(source.facts.n_points) for source in sources)
     tasks += len(survey.inputs.reference) + reference_tasks.squares(survey)
     if survey.filtering:
@@ -152,6 +152,18 @@ def _roomier(survey: Survey, pieces: Sequence[Piece]) -> tuple[int, float] | Non
         if read <= MUCH_READ:
             return memory_bytes, read
     return None
+
+
+def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
+    """Mosaics, comparisons of flightlines, checkpoints, twins and catalogue [count]."""
+    workflow, sources = survey.workflow, survey.inputs.sources
+    maps, outputs = workflow.products.maps, workflow.outputs
+    rasters = len(products(reflectance=False, maps=maps)) + maps
+    # flightlines are told by the index; until it is there, each file counts as one
+    lines = len(survey.flightlines) or len(sources)
+    strips = cells + len(survey.of("strip_pairs")) if lines > 1 else 0
+    checked = survey.inputs.checkpoints is not None
+    return rasters + strips + checked + outputs.catalogue + outputs.copc * len(sources)
 
 
 def _ground_cells(boxes: Sequence[Box], workflow: Workflow) -> int:

@@ -113,7 +113,7 @@ def test_what_methods_share_is_done_once(compared: Path) -> None:
     assert again.exit_status == 0
     # Nothing but the new method's own tasks, from the denoising on.
     kinds = {event.kind for event in seen if isinstance(event, TaskEnded)}
-    own_tasks = {"denoise", "ground", "surface", "deliver_file", "mosaic"}
+    own_tasks = {"denoise", "ground", "surface", "strip_patches", "deliver_file", "mosaic"}
     assert kinds == {*own_tasks, "reference", "accuracy", "checkpoints", "deliver_catalogue"}
     none = again.report.methods[-1]
     assert none.background == 0

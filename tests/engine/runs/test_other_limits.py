@@ -194,7 +194,7 @@ def test_blocks_of_less_memory_are_kept_once_they_are_done(passes: Path) -> None
 def test_blocks_of_less_memory_that_all_fail_are_not_kept(
     passes: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    smaller = "1400MiB"
+    smaller = "1536MiB"
     x, y = surveys.ORIGIN_M
     away = surveys.flightline(shots=20, psid=9, seed=9, origin_m=(x + 5000, y))
     surveys.write_cloud(passes.parent / "lines/away.laz", away)
