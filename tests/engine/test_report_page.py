@@ -215,7 +215,7 @@ class TestStructure:
 
     def test_each_picture_is_told_in_words(self, pages: dict[str, str]) -> None:
         images = Outline(pages["airborne"]).images
-        assert len(images) == 9
+        assert len(images) == 10
         assert all(len(image["alt"] or "") > 20 for image in images)
 
     @pytest.mark.parametrize("kind", KINDS)
@@ -309,7 +309,7 @@ class TestLinear:
         pictures = make_pictures(inputs, report)
         shown = render(report, pictures)
         page = Outline(shown)
-        assert len(page.images) == 6
+        assert len(page.images) == 7
         told = page.text + " ".join(image["alt"] or "" for image in page.images)
         words = r"single.photon|SPL100|spl100|afterpulse|beamlet|circular|noise filter|Wang"
         assert not re.findall(words, told, re.IGNORECASE)

@@ -160,7 +160,8 @@ def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
     maps, outputs = workflow.products.maps, workflow.outputs
     rasters = len(products(reflectance=False, maps=maps)) + maps
     # flightlines are told by the index; until it is there, each file counts as one
-    lines = len(survey.flightlines) or len(sources)
+    spans = [receipt.facts["spans"] for receipt in survey.of("index_file").values()]
+    lines = len({psid for span in spans for psid in span}) or len(sources)
     strips = cells + len(survey.of("strip_pairs")) if lines > 1 else 0
     checked = survey.inputs.checkpoints is not None
     return rasters + strips + checked + outputs.catalogue + outputs.copc * len(sources)
