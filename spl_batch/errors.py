@@ -10,7 +10,8 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Final, NamedTuple
+from importlib import import_module
+from typing import Any, Final, NamedTuple
 
 
 def named(names: Sequence[object], most: int = 5) -> str:
@@ -202,6 +203,39 @@ def as_input_fault(path: object) -> Iterator[None]:
 def told_together(errors: Iterable[InputError]) -> Iterator[str]:
     """What is wrong with files, once for those that share it."""
     return shared((Said(error.path, "; ".join(error.faults)) for error in errors), "files")
+
+
+class MissingPackageError(SplBatchError, ImportError):
+    """A package that only some of the work needs is not installed."""
+
+
+def needed(module: str, what: str, extra: str) -> Any:
+    """Import a package that only some of the work needs.
+
+    Parameters
+    ----------
+    module : str
+        Dotted name of the module.
+    what : str
+        What needs it, in the plural.
+    extra : str
+        Extra of this project that installs it.
+
+    Raises
+    ------
+    MissingPackageError
+        If it is not installed: one line with the command that installs it.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as missing:
+        if missing.name is None or missing.name.split(".")[0] != module.split(".", maxsplit=1)[0]:
+            raise  # it is there, but something that it needs is not
+        package = module.split(".", maxsplit=1)[0]
+        raise MissingPackageError(
+            f"{what} need the package {package}, which is not installed; "
+            f"pip install 'spl-batch[{extra}]'"
+        ) from missing
 
 
 class PlanError(SplBatchError):

@@ -35,7 +35,7 @@ FLOW: Mapping[str, tuple[str, ...]] = {
     "airborne": (
         *("sensors", "settings", "context", "store", "beams", "noise", "afterpulse", "filter"),
         *("ground", "strips", "products", "accuracy", "catalogue", "simulate", "tasks", "plan"),
-        *("report", "precompile", "receiver", "compare", "quickstart"),
+        *("arrays", "report", "precompile", "receiver", "compare", "quickstart"),
     ),
     "altimetry": (
         *("settings", "photon_table", "formats", "simulate", "water", "noise", "filter", "ground"),

@@ -10,6 +10,13 @@ from spl_batch.engine.watch.log_follower import Follower, status
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 
 if TYPE_CHECKING:
+    from spl_batch.airborne.arrays.filtering import (
+        ExpectedNoise,
+        Labels,
+        expected_noise,
+        filter_points,
+    )
+    from spl_batch.airborne.arrays.surfaces import Rasters, ground_points, rasterize
     from spl_batch.airborne.quickstart import quickstart
     from spl_batch.engine.verbs.alone import AloneResult, run_alone
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
@@ -22,15 +29,22 @@ if TYPE_CHECKING:
 __all__ = [
     "AloneResult",
     "ComparisonResult",
+    "ExpectedNoise",
     "Follower",
+    "Labels",
     "Left",
     "PlanSummary",
+    "Rasters",
     "RunResult",
     "RunStatus",
     "StageStatus",
     "compare",
+    "expected_noise",
+    "filter_points",
+    "ground_points",
     "plan",
     "quickstart",
+    "rasterize",
     "report",
     "run",
     "run_alone",
@@ -39,6 +53,13 @@ __all__ = [
 ]
 
 _HOMES = {
+    "ExpectedNoise": "spl_batch.airborne.arrays.filtering",
+    "Labels": "spl_batch.airborne.arrays.filtering",
+    "expected_noise": "spl_batch.airborne.arrays.filtering",
+    "filter_points": "spl_batch.airborne.arrays.filtering",
+    "Rasters": "spl_batch.airborne.arrays.surfaces",
+    "ground_points": "spl_batch.airborne.arrays.surfaces",
+    "rasterize": "spl_batch.airborne.arrays.surfaces",
     "AloneResult": "spl_batch.engine.verbs.alone",
     "run_alone": "spl_batch.engine.verbs.alone",
     "ComparisonResult": "spl_batch.engine.verbs.comparing",

@@ -1,6 +1,7 @@
 """Noise expected at points: the sum of all stretches' shares of the voxels around them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,10 +13,15 @@ from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS, Listened, around
 from spl_batch.airborne.settings import NoiseSettings
 from spl_batch.airborne.store.voxel_parts import add_voxels
 from spl_batch.engine.store.working_store import Store
-from spl_batch.lattice.tiles import cell_index, quanta
+from spl_batch.lattice.tables import VoxelPart
+from spl_batch.lattice.tiles import cell_index, quanta, shared_box
 
 AT_ONCE: Final = 1 << 18
 """Points whose voxels are looked up at once [count]."""
+
+
+Adder = Callable[[tuple[int, int, int], Mapping[str, NDArray[Any]]], None]
+"""Adds a stretch's share to a box of voxels, in place: first voxel, and the box's sums by name."""
 
 
 class Expected(NamedTuple):
@@ -122,19 +128,41 @@ def noise_model(
     xyz, parts, beamlets, store, settings
         As for :func:`expected_noise`.
     """
-    if not len(xyz[0]) or not parts:
+    lines = [
+        [partial(add_voxels, store.path("voxels", f"{part}.zarr")) for part in line]
+        for line in _by_line(parts)
+    ]
+    return model_of_lines(xyz, lines, beamlets, settings)
+
+
+def model_of_lines(
+    xyz: Sequence[NDArray[np.integer[Any]]],
+    lines: Sequence[Sequence[Adder]],
+    beamlets: int,
+    settings: NoiseSettings,
+) -> NoiseModel | None:
+    """The same of parts that lie anywhere.
+
+    Parameters
+    ----------
+    xyz, beamlets, settings
+        As for :func:`expected_noise`.
+    lines : sequence of sequences of Adder
+        Of each flightline, what adds the shares of its stretches; see :func:`adding`.
+    """
+    if not len(xyz[0]) or not lines:
         return None
     box = _box(xyz, quanta(settings.voxel_m))
     published = settings.correction == "published"
     names = ("amount", "shots", "beamlets") if published else ("amount",)
     totals = {name: np.zeros(box.shape, dtype=np.int64) for name in names}
     heard: list[Listened] = []
-    for line in _by_line(parts):
+    for line in lines:
         sums: dict[str, NDArray[Any]] = {k: np.zeros(box.shape, dtype=np.int64) for k in names}
         if not published:
             sums["squares"] = np.zeros((*box.shape, SQUARES**2), dtype=np.uint32)
-        for part in line:
-            add_voxels(store.path("voxels", f"{part}.zarr"), box.corner, sums)
+        for add in line:
+            add(box.corner, sums)
         for name in names:
             totals[name] += sums[name]
         if not published:
@@ -199,3 +227,15 @@ def _by_line(parts: Sequence[str]) -> list[list[str]]:
     for part in sorted(parts):
         lines.setdefault(part.rpartition("/")[0], []).append(part)
     return list(lines.values())
+
+
+def adding(part: VoxelPart) -> Adder:
+    """What adds a part that is held in memory."""
+
+    def add(corner: tuple[int, int, int], totals: Mapping[str, NDArray[Any]]) -> None:
+        for name, total in totals.items():
+            values = getattr(part, name)
+            of_part, of_box = shared_box(part.corner, values.shape, corner, total.shape)
+            total[of_box] += values[of_part].astype(total.dtype, copy=False)
+
+    return add

@@ -13,10 +13,8 @@ from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.air import facts_of, look_at_air, noise_in_air
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.kept_noise import within_signal
-from spl_batch.airborne.filter.stray_returns import stray
 from spl_batch.airborne.ground import ground_methods as grounding
-from spl_batch.airborne.ground.water_level import off_surface
-from spl_batch.airborne.products import near_ground, point_classes
+from spl_batch.airborne.products import near_ground, point_classes, surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.reflectance import reflectance
@@ -25,12 +23,12 @@ from spl_batch.airborne.store.label_tables import read_region, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import pulses
 from spl_batch.airborne.tasks.coverage import covered
-from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.constants import NODATA
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
-from spl_batch.lattice.tables import PointFlag, PointTable
+from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
@@ -119,7 +117,7 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         ordered=False,
     )
     owned = inside(table["x"], table["y"], core)
-    mask = grounding.ground_mask(table, _usable(table), settings, owned)
+    mask = grounding.ground_mask(table, surface_points.holds_ground(table), settings, owned)
     path = context.store.labels("ground", args["cell"])
     write_labels(path, *origin.of(owned), {"ground": mask[owned]})
     facts = {"ground": int(np.count_nonzero(mask & owned))}
@@ -157,7 +155,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     classified = (*point_classes.COLUMNS_NEEDED, *(("wire",) if "wire" in table else ()))
     mine, place = table.select(classified).take(owned), origin.of(owned)
     del origin, owned
-    shown = _makes_surfaces(table)
+    shown = surface_points.makes_surfaces(table)
     table = table.select(near_ground.COLUMNS_NEEDED)
     arrays = surfacing.surfaces(shown, core, workflow.products)
     arrays |= reflected
@@ -189,20 +187,6 @@ def _fog_facts(
         return {}
     noise = float(np.median(known))
     return {"filled": near_ground.filled_places(table, core, dtm, noise)}
-
-
-def _makes_surfaces(table: PointTable) -> PointTable:
-    """Points that a surface may rest on, or that say how much noise there is.
-
-    A point that no unit has labelled, or that lies outside the area, is none.
-    """
-    known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
-    stands = ~stray(table, spare_above=True)
-    optional = (*surfacing.COLUMNS_OF_INTENSITY, "afterpulse")
-    also = [name for name in optional if name in table]
-    return table.select((*surfacing.COLUMNS_NEEDED, *also)).take(
-        known & ~table.has(PointFlag.OUTSIDE_AOI) & stands
-    )
 
 
 def _mean_noise(table: PointTable, core: Bounds, cell: int) -> NDArray[np.float32]:
@@ -242,13 +226,6 @@ def _mask_outside(arrays: dict[str, NDArray[np.float32]], core: Bounds, context:
     outside = ~contains(polygons, east, north).reshape(len(y), len(x))
     for name, values in arrays.items():
         arrays[name] = np.where(outside, np.float32(NODATA), values)
-
-
-def _usable(table: PointTable) -> NDArray[np.bool_]:
-    """Signal that a surface may rest on."""
-    usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
-    usable = usable & ~table.has(PointFlag.OUTSIDE_AOI) & ~stray(table)
-    return usable & ~off_surface(table, usable)
 
 
 def _cells(names: Sequence[str]) -> list[CellId]:

@@ -1,0 +1,1 @@
+"""Numpy arrays in metres in, labels and rasters out: the survey's steps without files."""

@@ -1,0 +1,138 @@
+"""What a caller's arrays must be, and the table that the survey's steps take.
+
+Metres become whole numbers on the lattice of :data:`~spl_batch.constants.QUANTUM_M`, as the points
+of a file do. Faults are told all at once: which array, which value, what helps.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
+from spl_batch.constants import QUANTA_PER_M
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.lattice.tables import PointFlag, PointTable
+
+HIGHEST_M: Final = 1e6
+"""Heights are metres above some ground: a larger number is another unit, or another axis [m]."""
+
+FARTHEST_M: Final = 1e9
+"""The same of eastings and northings [m]."""
+
+Numbers = NDArray[Any]
+
+
+def settings_of(sections: Mapping[str, Any] | None, sensor: Any = "spl100") -> Workflow:
+    """Settings by the sections of a workflow file that arrays have a use for.
+
+    Parameters
+    ----------
+    sections : mapping or None
+        ``filter``, ``noise``, ``afterpulse``, ``acquisition``, ``ground``, ``products``, with the
+        keys of a workflow file.
+    sensor : str, mapping or Sensor
+        The instrument: a preset's name or its facts.
+
+    Raises
+    ------
+    WorkflowError
+        If a section or key is unknown, or a value is wrong.
+    """
+    given = dict(sections or {})
+    known = {"filter", "noise", "afterpulse", "acquisition", "ground", "products"}
+    if unknown := sorted(set(given) - known):
+        raise WorkflowError(
+            f"settings: {', '.join(unknown)}: arrays take the sections {', '.join(sorted(known))}"
+        )
+    if not isinstance(sensor, (str, Mapping)):
+        sensor = sensor.model_dump(exclude_none=True)
+    survey = {"flightlines": "arrays", "sensor": sensor}
+    return parse_workflow({"survey": survey, "output": "none", **given}, "settings")
+
+
+def points_of(
+    xyz: ArrayLike, *, water: ArrayLike | None = None, **columns: ArrayLike | None
+) -> PointTable:
+    """Points as a table in the caller's order.
+
+    Parameters
+    ----------
+    xyz : (n, 3) array_like
+        Easting, northing, height [m].
+    water : (n,) array_like of bool, optional
+        Points over water.
+    **columns : array_like or None
+        Further columns by name, as (n,) or one value for all; None leaves a column out.
+
+    Raises
+    ------
+    InputError
+        If a shape is wrong, or a coordinate is no place.
+    """
+    place = np.asarray(xyz)
+    if place.ndim != 2 or place.shape[1] != 3 or place.dtype.kind not in "fiu":
+        raise InputError(
+            "xyz",
+            f"an array of shape {place.shape}, {place.dtype}; give (n, 3) numbers: easting, "
+            "northing, height in metres",
+        )
+    faults = list(_misplaced(place))
+    held: dict[str, Numbers] = {}
+    for name, values in {"water": water, **columns}.items():
+        if values is not None:
+            found = np.asarray(values)
+            if found.shape not in {(), (len(place),)}:
+                faults.append(f"{name} has shape {found.shape}; give one value for each point")
+                continue
+            held[name] = np.ascontiguousarray(np.broadcast_to(found, (len(place),)))
+    if faults:
+        raise InputError("xyz", faults)
+    whole = np.rint(place.astype(np.float64, copy=False) * QUANTA_PER_M).astype(np.int64)
+    base = dict(zip("xyz", whole.T, strict=True))
+    wet = held.pop("water", np.zeros(len(place), np.bool_))
+    flags = wet.astype(np.bool_) * np.uint8(PointFlag.WATER)
+    return PointTable({}).with_columns(**base, flags=flags, **held)
+
+
+def _misplaced(place: Numbers) -> list[str]:
+    """What is wrong with coordinates."""
+    faults = []
+    bad = np.flatnonzero(~np.isfinite(place).all(axis=1))
+    if len(bad):
+        faults.append(
+            f"{len(bad)} points are not finite, the first is number {bad[0]}; leave them out"
+        )
+    limits = np.array([FARTHEST_M, FARTHEST_M, HIGHEST_M])
+    far = np.flatnonzero(
+        (np.abs(np.nan_to_num(place, posinf=0.0, neginf=0.0)) > limits).any(axis=1)
+    )
+    if len(far):
+        value = ", ".join(f"{v:g}" for v in place[far[0]])
+        faults.append(f"point number {far[0]} lies at {value}; give metres in a projected CRS")
+    return faults
+
+
+def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Noise densities of a caller as (n,) float64 [1/m3].
+
+    Raises
+    ------
+    InputError
+        If one is negative or not finite, or they are not one for each point.
+    """
+    density = np.asarray(given, dtype=np.float64)
+    if density.shape not in {(), (count,)}:
+        raise InputError(
+            "noise_density",
+            f"an array of shape {density.shape}; give a number, or one for each of {count} points",
+        )
+    bad = np.flatnonzero(~(np.isfinite(density) & (density >= 0)).reshape(-1))
+    if len(bad):
+        value = density.reshape(-1)[bad[0]]
+        raise InputError(
+            "noise_density",
+            f"{value:g} (number {bad[0]}); give returns per cubic metre, 0 or more",
+        )
+    return np.ascontiguousarray(np.broadcast_to(density, (count,)))

@@ -1,0 +1,391 @@
+"""Which points of an array are noise, and how much noise is expected where.
+
+The filter asks for one thing that coordinates do not hold: the noise density around each point.
+It is given, or follows from the beams as in a run, or is measured in the cloud's own empty space
+(:mod:`~spl_batch.airborne.noise.empty_space`); ``basis`` of the result says which.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spl_batch.airborne.arrays.checked import densities, points_of, settings_of
+from spl_batch.airborne.arrays.time_domain import Assessed, assess
+from spl_batch.airborne.filter import denoise
+from spl_batch.airborne.filter.air import look_at_air, noise_in_air
+from spl_batch.airborne.filter.expected_noise import Expected
+from spl_batch.airborne.noise.empty_space import EmptySpace, empty_space
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_SIGNAL
+from spl_batch.errors import InputError, grouped
+from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
+from spl_batch.lattice.tiles import Bounds
+
+Basis = Literal["given", "beams", "intersection", "vertical", "cloud"]
+
+CONTRADICTED: Final = 1.4
+"""Times the expected noise that empty space may hold: afterpulses of noise make it 1.15."""
+
+FEW: Final = 0.5
+"""Share of the points around which the density is measured below which a user is told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labels:
+    """What the filter says of n points, in the caller's order.
+
+    Parameters
+    ----------
+    noise_class : (n,) uint8
+        0 signal, 1 background noise, 2 afterpulse, 255 not assessed: its beam is not known.
+    p_value : (n,) float32
+        Share of pure noise with as much evidence of being a surface; NaN where there is none.
+    noise_density : (n,) float32
+        Expected background noise [1/m3].
+    wire : (n,) bool
+        What is surely a conductor.
+    afterpulse : (n,) float32
+        Probability of being an afterpulse by its own shot [0..1]; 0 where beams are not known.
+    basis : str
+        Where the expected noise is from: ``given`` by the caller; ``beams`` by the sensor's
+        positions; ``intersection`` where lines of sight meet; ``vertical`` beams; ``cloud``, the
+        empty space of the cloud itself, without any beams.
+    warnings : tuple of str
+        What the caller should know: what it is about, its place and what follows.
+    """
+
+    noise_class: NDArray[np.uint8]
+    p_value: NDArray[np.float32]
+    noise_density: NDArray[np.float32]
+    wire: NDArray[np.bool_]
+    afterpulse: NDArray[np.float32]
+    basis: Basis
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def signal(self) -> NDArray[np.bool_]:
+        """Which points are signal: (n,) bool, as a mask for the caller's arrays."""
+        found: NDArray[np.bool_] = self.noise_class == NOISE_SIGNAL
+        return found
+
+    def __len__(self) -> int:
+        return len(self.noise_class)
+
+    def __repr__(self) -> str:
+        kinds = {"signal": NOISE_SIGNAL, "background": NOISE_BACKGROUND}
+        kinds["afterpulse"] = NOISE_AFTERPULSE
+        counts = [int(np.count_nonzero(self.noise_class == value)) for value in kinds.values()]
+        said = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
+        said += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
+        said += [f"noise density {self.basis}", *self.warnings]
+        return f"Labels({grouped(len(self))} points: {', '.join(said)})"
+
+
+class ExpectedNoise(NamedTuple):
+    """Noise that is expected at places.
+
+    Parameters
+    ----------
+    density : (m,) float64
+        Of the part of a voxel that is listened to: what a filter should test a point with [1/m3].
+    mean : (m,) float64
+        Of the whole voxel around the place, silence beyond the gate included [1/m3].
+    basis : str
+        As in :class:`Labels`.
+    warnings : tuple of str
+        As in :class:`Labels`.
+    """
+
+    density: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    basis: Basis
+    warnings: tuple[str, ...]
+
+
+def filter_points(
+    xyz: ArrayLike,
+    noise_density: ArrayLike | None = None,
+    *,
+    gps_time: ArrayLike | None = None,
+    channel: ArrayLike | None = None,
+    beam_origin: ArrayLike | None = None,
+    flightline: ArrayLike | None = None,
+    return_number: ArrayLike | None = None,
+    water: ArrayLike | None = None,
+    sensor: str | Mapping[str, Any] | Sensor = "spl100",
+    alpha: float | None = None,
+    method: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Labels:
+    """Tell signal from background noise and afterpulses.
+
+    With ``gps_time``, ``channel`` and ``beam_origin`` the labels are those of ``spl-batch run`` on
+    the same points. With coordinates alone there are no shots, so no afterpulses are found, and the
+    density of the noise is measured where the cloud is empty.
+
+    Parameters
+    ----------
+    xyz : (n, 3) array_like
+        Easting, northing, height in a projected CRS [m]. They are rounded to 1 mm.
+    noise_density : float or (n,) array_like, optional
+        Background noise around each point, where it is known [1/m3].
+    gps_time : (n,) array_like, optional
+        Times; equal ones are of one shot [s].
+    channel : (n,) array_like, optional
+        Beamlet number of each point, 0..255. Without it a shot is one beamlet.
+    beam_origin : (n, 3) or (3,) array_like, optional
+        Where the sensor was at each point's shot [m]; NaN leaves a point unassessed. Without it
+        beams are found where lines of sight meet, or taken as vertical.
+    flightline : (n,) array_like, optional
+        Number of each point's flightline, 0..65535; one for all by default. A pause of a minute
+        starts another.
+    return_number : (n,) array_like, optional
+        LAS return number; it orders equal points only.
+    water : (n,) array_like of bool, optional
+        Points over water, where a return below another one may be the bottom.
+    sensor : str, mapping or Sensor
+        The instrument: a preset's name, as ``spl100`` or ``hrqls``, or its facts.
+    alpha : float, optional
+        Share of pure noise that is kept; ``filter.alpha`` of a workflow, 0.001 by default.
+    method : str, optional
+        ``filter.method`` of a workflow; ``vsaes`` by default.
+    settings : mapping, optional
+        Sections of a workflow file: ``filter``, ``noise``, ``afterpulse``, ``acquisition``.
+
+    Returns
+    -------
+    Labels
+
+    Raises
+    ------
+    InputError
+        If an array has a wrong shape, or holds no places, times or densities.
+    WorkflowError
+        If a setting is unknown or wrong.
+
+    Notes
+    -----
+    The points are held in memory, about 400 bytes for each. For files, and for more than some ten
+    million points, use ``spl-batch denoise`` or a workflow.
+
+    Examples
+    --------
+    >>> import numpy as np, spl_batch
+    >>> rng = np.random.default_rng(1)
+    >>> ground = np.c_[rng.uniform(0, 50, (20_000, 2)), rng.normal(0, 0.03, 20_000)]
+    >>> noise = rng.uniform([0, 0, -60], [50, 50, 60], (3_000, 3))
+    >>> labels = spl_batch.filter_points(np.vstack([ground, noise]))
+    >>> labels.basis
+    'cloud'
+    >>> bool(labels.signal[:20_000].mean() > 0.99 and labels.signal[20_000:].mean() < 0.03)
+    True
+    """
+    chosen = _settings(settings, sensor, alpha, method)
+    table = _table(xyz, gps_time, channel, flightline, return_number, water)
+    origin = _origins(beam_origin, table, timed=gps_time is not None)
+    given = None if noise_density is None else densities(noise_density, len(table))
+    known = assess(table, origin, chosen) if gps_time is not None and len(table) else None
+    return _filtered(table if known is None else known.table, given, known, chosen)
+
+
+def expected_noise(
+    xyz: ArrayLike,
+    *,
+    gps_time: ArrayLike | None = None,
+    channel: ArrayLike | None = None,
+    beam_origin: ArrayLike | None = None,
+    flightline: ArrayLike | None = None,
+    at: ArrayLike | None = None,
+    sensor: str | Mapping[str, Any] | Sensor = "spl100",
+    settings: Mapping[str, Any] | None = None,
+) -> ExpectedNoise:
+    """Noise density that a cloud's beams, or its empty space, let expect.
+
+    Parameters
+    ----------
+    xyz, gps_time, channel, beam_origin, flightline, sensor, settings
+        As for :func:`filter_points`.
+    at : (m, 3) array_like, optional
+        Places that are asked for [m]; the points themselves by default. They need beams.
+
+    Returns
+    -------
+    ExpectedNoise
+
+    Raises
+    ------
+    InputError
+        As for :func:`filter_points`, and where ``at`` is given without times.
+    """
+    chosen = _settings(settings, sensor, None, None)
+    table = _table(xyz, gps_time, channel, flightline)
+    origin = _origins(beam_origin, table, timed=gps_time is not None)
+    if gps_time is None or not len(table):
+        if at is not None:
+            raise InputError(
+                "at", "noise elsewhere needs beams; give gps_time, channel and beam_origin"
+            )
+        found = empty_space(*(table[axis] for axis in "xyz"))
+        return ExpectedNoise(found.density, found.density, "cloud", _doubts(found, len(table)))
+    known = assess(table, origin, chosen)
+    places = known.table if at is None else points_of(at)
+    noise = _expected(places, known, chosen)
+    return ExpectedNoise(noise.local, noise.mean, _basis(known), known.warnings)
+
+
+def _settings(
+    sections: Mapping[str, Any] | None, sensor: Any, alpha: float | None, method: str | None
+) -> Workflow:
+    """Settings with the two that have arguments of their own."""
+    given = {key: value for key, value in (("alpha", alpha), ("method", method)) if value}
+    merged = dict(sections or {})
+    if given:
+        merged["filter"] = {**merged.get("filter", {}), **given}
+    return settings_of(merged, sensor)
+
+
+def _table(
+    xyz: ArrayLike,
+    gps_time: ArrayLike | None,
+    channel: ArrayLike | None,
+    flightline: ArrayLike | None,
+    return_number: ArrayLike | None = None,
+    water: ArrayLike | None = None,
+) -> PointTable:
+    """Points in the caller's order with all that shots and a canonical order need."""
+    if gps_time is None:
+        for name, values in (("channel", channel), ("flightline", flightline)):
+            if values is not None:
+                raise InputError(name, "it tells shots apart with gps_time alone; give both")
+    return points_of(
+        xyz,
+        water=water,
+        gps_time=np.float64(0.0) if gps_time is None else np.asarray(gps_time, np.float64),
+        channel=_whole("channel", channel, 255, np.uint8),
+        return_number=_whole("return_number", return_number, 255, np.uint8),
+        point_source_id=_whole("flightline", flightline, 65_535, np.uint16),
+        source=np.uint64(0),
+        index=np.arange(len(np.atleast_1d(np.asarray(xyz))), dtype=np.uint32),
+    )
+
+
+def _whole(name: str, values: ArrayLike | None, most: int, dtype: Any) -> NDArray[Any]:
+    """Numbers of a column; 0 where there are none."""
+    found = np.asarray(0 if values is None else values)
+    if found.size and not (
+        np.all(found == np.rint(found)) and found.min() >= 0 and found.max() <= most
+    ):
+        raise InputError(
+            name, f"values from {found.min():g} to {found.max():g}; whole numbers from 0 to {most}"
+        )
+    return found.astype(dtype)
+
+
+def _origins(
+    given: ArrayLike | None, table: PointTable, *, timed: bool
+) -> NDArray[np.float64] | None:
+    """Positions of the sensor as (n, 3), None where the caller knows none."""
+    if given is None:
+        return None
+    if not timed:
+        raise InputError("beam_origin", "beams belong to shots; give gps_time as well")
+    origin = np.asarray(given, np.float64)
+    if origin.shape not in {(3,), (len(table), 3)}:
+        raise InputError(
+            "beam_origin",
+            f"an array of shape {origin.shape}; give (3,), or ({len(table)}, 3): the sensor's "
+            "position at the shot of each point [m]",
+        )
+    return np.ascontiguousarray(np.broadcast_to(origin, (len(table), 3)))
+
+
+def _filtered(
+    table: PointTable,
+    given: NDArray[np.float64] | None,
+    known: Assessed | None,
+    settings: Workflow,
+) -> Labels:
+    """Labels of points in the caller's order."""
+    n = len(table)
+    order, everything = canonical_order(table), np.ones(n, np.bool_)
+    back = np.empty_like(order)
+    back[order] = np.arange(n)
+    ordered = table.take(order)
+    basis: Basis = "given"
+    warnings = () if known is None else known.warnings
+    if given is not None:
+        tested = told = mean = given[order]
+    elif known is not None:
+        noise = _expected(ordered, known, settings, air=True)
+        by_voxel = denoise.asks_for_means(settings.filter)
+        told, mean, basis = noise.local, noise.mean, _basis(known)
+        tested = mean if by_voxel else told
+        space = empty_space(*(ordered[axis] for axis in "xyz"))
+        warnings += _contradiction(space, told)
+    else:
+        found = empty_space(*(ordered[axis] for axis in "xyz"))
+        tested = told = mean = found.density
+        basis, warnings = "cloud", _doubts(found, n)
+    echoes = denoise.resolve(ordered, told, settings.filter, settings.afterpulse)
+    chosen = denoise.independent(ordered, tested, everything, echoes, settings.filter)
+    columns = denoise.judge(ordered, chosen, everything, echoes, settings.filter)
+    no_beam = int(np.count_nonzero(table.has(PointFlag.NO_BEAM)))
+    if no_beam:
+        text = f"{grouped(no_beam)} of {grouped(n)} points have no usable time or no beam_origin"
+        warnings = (*warnings, f"{text}, and are not assessed")
+    afterpulse = table["afterpulse"] if known is not None else np.zeros(n, np.float32)
+    return Labels(
+        columns["noise_class"][back], columns["p_value"][back], mean[back].astype(np.float32),
+        columns["wire"][back] == 1, afterpulse, basis, warnings,
+    )  # fmt: skip
+
+
+def _expected(
+    places: PointTable, known: Assessed, settings: Workflow, *, air: bool = False
+) -> Expected:
+    """Noise expected at places by beams; with the air's that holds more, where they are points."""
+    xyz = [places[axis] for axis in "xyz"]
+    model = known.model(xyz, settings)
+    everywhere = np.ones(len(places), np.bool_)
+    if model is None:
+        return Expected(np.zeros(len(places)), np.zeros(len(places)))
+    if not air:
+        return Expected(model.mean(xyz, everywhere), model.local(xyz))
+    ends = [int(end) for k in (0, 1) for end in (xyz[k].min(), xyz[k].max() + 1)]
+    look = look_at_air(places, model, settings, Bounds(ends[0], ends[2], ends[1], ends[3]))
+    return noise_in_air(places, everywhere, model, look.air)
+
+
+def _basis(known: Assessed) -> Basis:
+    names: dict[str, Basis] = {"intersection": "intersection", "vertical": "vertical"}
+    return names.get(known.basis, "beams")
+
+
+def _contradiction(found: EmptySpace, expected: NDArray[np.float64]) -> tuple[str, ...]:
+    """What a caller should know where the cloud holds more noise than its beams let expect."""
+    told = found.density > 0
+    if not found.volume_m3 or found.share < FEW or not told.any():
+        return ()
+    times = float(np.median(found.density[told] / np.maximum(expected[told], 1e-12)))
+    if times < CONTRADICTED:
+        return ()
+    text = f"the cloud's empty space holds {min(times, 99.9):.1f} times the noise that beams let"
+    text += " expect, as in a clip of a survey, whose shots seem silent beyond it"
+    return (f"{text}; more noise stays; filter whole flightlines, or leave out gps_time",)
+
+
+def _doubts(found: EmptySpace, count: int) -> tuple[str, ...]:
+    """What a caller should know of a density that the cloud itself told."""
+    if not count:
+        return ()
+    if not found.volume_m3:
+        text = "the cloud holds no empty space in which noise can be counted, so none is expected"
+        return (f"{text}; give noise_density, or gps_time and beam_origin",)
+    if found.share < FEW:
+        text = f"only {100 * found.share:.0f} % of the points lie where the cloud has empty space"
+        return (f"{text} in which noise can be counted; the others take the nearest density",)
+    return ()

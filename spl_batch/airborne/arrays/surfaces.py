@@ -1,0 +1,271 @@
+"""Ground points and rasters of an array, by the ground cells of a run."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spl_batch.airborne.arrays.checked import points_of, settings_of
+from spl_batch.airborne.arrays.filtering import Labels
+from spl_batch.airborne.ground.ground_methods import ground_mask
+from spl_batch.airborne.plan.ground_cells import GroundCells
+from spl_batch.airborne.products import surface_points, surface_rasters
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL, QUANTUM_M
+from spl_batch.errors import InputError, needed
+from spl_batch.lattice.tables import PointFlag, PointTable
+from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, inside, quanta
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rasters:
+    """Rasters on one grid, north up; NaN where there is no value.
+
+    Parameters
+    ----------
+    dtm, dsm, chm : (rows, cols) float32
+        Height of the terrain, of the surface, and of the surface above the terrain [m].
+    density : (rows, cols) float32
+        Signal returns [1/m2].
+    west_m, north_m : float
+        Western and northern edge of the first cell [m].
+    cell_m : float
+        Edge of a cell [m].
+    """
+
+    dtm: NDArray[np.float32]
+    dsm: NDArray[np.float32]
+    chm: NDArray[np.float32]
+    density: NDArray[np.float32]
+    west_m: float
+    north_m: float
+    cell_m: float
+
+    @property
+    def transform(self) -> tuple[float, float, float, float, float, float]:
+        """The six numbers of ``rasterio.Affine(*transform)``."""
+        return (self.cell_m, 0.0, self.west_m, 0.0, -self.cell_m, self.north_m)
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """Eastings of the cells' centres: (cols,) [m]."""
+        centres: NDArray[np.float64] = np.arange(self.dtm.shape[1], dtype=np.float64) + 0.5
+        return self.west_m + self.cell_m * centres
+
+    @property
+    def y(self) -> NDArray[np.float64]:
+        """Northings of the cells' centres, from north to south: (rows,) [m]."""
+        centres: NDArray[np.float64] = np.arange(self.dtm.shape[0], dtype=np.float64) + 0.5
+        return self.north_m - self.cell_m * centres
+
+    def to_xarray(self) -> Any:
+        """The rasters as an ``xarray.Dataset`` with coordinates ``y`` and ``x``.
+
+        Raises
+        ------
+        MissingPackageError
+            If xarray is not installed.
+        """
+        xarray = needed("xarray", "rasters as an xarray.Dataset", "xarray")
+        units = {"dtm": "m", "dsm": "m", "chm": "m", "density": "m-2"}
+        return xarray.Dataset(
+            {k: (("y", "x"), getattr(self, k), {"units": unit}) for k, unit in units.items()},
+            coords={"y": self.y, "x": self.x},
+        )
+
+
+def ground_points(
+    xyz: ArrayLike,
+    labels: Labels | ArrayLike | None = None,
+    *,
+    water: ArrayLike | None = None,
+    method: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> NDArray[np.bool_]:
+    """Which points are ground.
+
+    Parameters
+    ----------
+    xyz : (n, 3) array_like
+        Easting, northing, height in a projected CRS [m].
+    labels : Labels or (n,) array_like, optional
+        What :func:`filter_points` says of them, or their noise class (0 signal), or a mask of the
+        signal. Without it every point is signal, as in clouds that were filtered before.
+    water : (n,) array_like of bool, optional
+        Points over water, whose surface is level.
+    method : str, optional
+        ``ground.method`` of a workflow: ``multiscale``, ``ptd`` or ``smrf``.
+    settings : mapping, optional
+        Sections of a workflow file: ``ground``.
+
+    Returns
+    -------
+    (n,) bool
+
+    Raises
+    ------
+    InputError
+        If an array has a wrong shape, or holds no places.
+    WorkflowError
+        If a setting is unknown or wrong.
+    """
+    merged = dict(settings or {})
+    if method:
+        merged["ground"] = {**merged.get("ground", {}), "method": method}
+    workflow = settings_of(merged)
+    table = _labelled(xyz, labels, water)
+    found = np.zeros(len(table), np.bool_)
+    for core, rows in _cells(table, workflow, quanta(workflow.ground.buffer_m)):
+        near = table.take(rows)
+        owned = inside(near["x"], near["y"], core)
+        mask = ground_mask(near, surface_points.holds_ground(near), workflow.ground, owned)
+        found[rows[owned]] = mask[owned]
+    return found
+
+
+def rasterize(
+    xyz: ArrayLike,
+    labels: Labels | ArrayLike | None = None,
+    ground: ArrayLike | None = None,
+    *,
+    water: ArrayLike | None = None,
+    cell_m: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Rasters:
+    """Terrain, surface, height and density of a cloud.
+
+    Parameters
+    ----------
+    xyz, labels
+        As for :func:`ground_points`.
+    ground : (n,) array_like of bool, optional
+        Which points are ground; :func:`ground_points` finds them by default.
+    water : (n,) array_like of bool, optional
+        Points over water, whose surface is level.
+    cell_m : float, optional
+        ``products.cell_m`` of a workflow, 1 m by default [m].
+    settings : mapping, optional
+        Sections of a workflow file: ``ground``, ``products``.
+
+    Returns
+    -------
+    Rasters
+        Of whole cells around all points; its grid is aligned to whole multiples of the cell.
+
+    Raises
+    ------
+    InputError
+        If an array has a wrong shape, or there is no point.
+    WorkflowError
+        If a setting is unknown or wrong.
+    """
+    merged = dict(settings or {})
+    if cell_m:
+        merged["products"] = {**merged.get("products", {}), "cell_m": cell_m}
+    workflow = settings_of(merged)
+    table = _labelled(xyz, labels, water)
+    if not len(table):
+        raise InputError("xyz", "no point, so there is nothing to make rasters of")
+    if ground is None:
+        ground = ground_points(xyz, labels, water=water, settings=settings)
+    is_ground = np.asarray(ground)
+    if is_ground.shape != (len(table),):
+        raise InputError("ground", f"shape {is_ground.shape}; give one value for each point")
+    table = table.with_columns(ground=is_ground.astype(np.uint8))
+    size = quanta(workflow.products.cell_m)
+    edge = quanta(workflow.ground.cell_m)
+    if edge % size:
+        raise InputError(
+            "cell_m",
+            f"{size * QUANTUM_M:g} m; {edge * QUANTUM_M:g} m, the edge of ground.cell_m, is to be "
+            "a whole multiple of it",
+        )
+    whole = _aligned(table, size)
+    rows, cols = (whole.ymax - whole.ymin) // size, (whole.xmax - whole.xmin) // size
+    layers = {
+        name: np.full((rows, cols), np.nan, np.float32) for name in ("dtm", "dsm", "chm", "density")
+    }
+    reach = quanta(surface_rasters.reach_m(workflow.products))
+    for core, near in _cells(table, workflow, reach):
+        shown = surface_points.makes_surfaces(table.take(near))
+        made = surface_rasters.surfaces(shown, core, workflow.products)
+        for name, layer in layers.items():
+            _paste(layer, whole, made[name], core, size)
+    return Rasters(
+        **layers,
+        west_m=whole.xmin * QUANTUM_M,
+        north_m=whole.ymax * QUANTUM_M,
+        cell_m=size * QUANTUM_M,
+    )
+
+
+def _labelled(
+    xyz: ArrayLike, labels: Labels | ArrayLike | None, water: ArrayLike | None
+) -> PointTable:
+    """Points with what is known of their noise."""
+    table = points_of(xyz, water=water)
+    if isinstance(labels, Labels):
+        noise_class, chance = labels.noise_class, labels.afterpulse
+    else:
+        noise_class, chance = np.asarray(NOISE_SIGNAL if labels is None else labels), None
+        if noise_class.dtype == np.bool_:
+            noise_class = np.where(noise_class, NOISE_SIGNAL, 1)
+    if noise_class.shape not in {(), (len(table),)}:
+        raise InputError("labels", f"shape {noise_class.shape}; give one for each point of xyz")
+    noise_class = np.broadcast_to(noise_class, (len(table),))
+    unseen = (noise_class == NOISE_NOT_ASSESSED) * np.uint8(PointFlag.NO_BEAM)
+    columns = {"noise_class": noise_class, "flags": table["flags"] | unseen}
+    return table.with_columns(**columns, **({} if chance is None else {"afterpulse": chance}))
+
+
+def _cells(
+    table: PointTable, workflow: Workflow, reach: int
+) -> Iterator[tuple[Bounds, NDArray[np.intp]]]:
+    """Ground cells with points, and the rows of all points within ``reach`` of each."""
+    if not len(table):
+        return
+    x, y = table["x"], table["y"]
+    box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
+    cells = GroundCells.of_workflow([box], workflow)
+    order = np.argsort(x, kind="stable")
+    ascending = x[order]
+    seen = set()
+    for square in cells_touching(Bounds(*box), cells.edge):
+        cell = cells.keeper(square)
+        if cell in seen:
+            continue
+        seen.add(CellId(*cell))
+        core = cells.core(cell)
+        wide = grow(core, reach)
+        span = np.searchsorted(ascending, (wide.xmin, wide.xmax))
+        rows = np.sort(order[slice(*span.tolist())])
+        rows = rows[inside(x[rows], y[rows], wide)]
+        if len(rows) and inside(x[rows], y[rows], core).any():
+            yield core, rows
+
+
+def _aligned(table: PointTable, size: int) -> Bounds:
+    """Whole raster cells around all points."""
+    ends = [(int(table[a].min()) // size, int(table[a].max()) // size + 1) for a in "xy"]
+    (west, east), (south, north) = ends
+    return Bounds(west * size, south * size, east * size, north * size)
+
+
+def _paste(
+    layer: NDArray[np.float32], whole: Bounds, part: NDArray[np.float32], core: Bounds, size: int
+) -> None:
+    """Put the raster of a cell into the whole one, north up, NaN for nodata."""
+    west, east = max(core.xmin, whole.xmin), min(core.xmax, whole.xmax)
+    south, north = max(core.ymin, whole.ymin), min(core.ymax, whole.ymax)
+    if west >= east or south >= north:
+        return
+    cut = part[
+        (core.ymax - north) // size : (core.ymax - south) // size,
+        (west - core.xmin) // size : (east - core.xmin) // size,
+    ]
+    layer[
+        (whole.ymax - north) // size : (whole.ymax - south) // size,
+        (west - whole.xmin) // size : (east - whole.xmin) // size,
+    ] = np.where(cut == np.float32(NODATA), np.float32(np.nan), cut)

@@ -1,0 +1,153 @@
+"""What the functions on arrays take, refuse, and say."""
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import spl_batch
+from spl_batch.errors import InputError, MissingPackageError, WorkflowError, needed
+
+RNG = np.random.default_rng(3)
+GROUND = np.c_[RNG.uniform(0, 40, (8_000, 2)), RNG.normal(20, 0.03, 8_000)]
+NOISE = RNG.uniform([0, 0, -40], [40, 40, 80], (3_000, 3))
+CLOUD = np.vstack([GROUND, NOISE])
+
+
+def test_a_cloud_alone_is_filtered_and_says_what_its_noise_is_from() -> None:
+    labels = spl_batch.filter_points(CLOUD)
+    assert labels.basis == "cloud"
+    assert labels.warnings == ()
+    assert labels.signal[: len(GROUND)].mean() > 0.995
+    # 1 % of this noise lies within half a metre of the ground.
+    assert labels.signal[len(GROUND) :].mean() < 0.02
+    assert np.median(labels.noise_density) == pytest.approx(len(NOISE) / (40 * 40 * 120), rel=0.05)
+    assert len(labels) == len(CLOUD)
+    assert repr(labels).startswith("Labels(11 000 points: ")
+    assert "afterpulse" in repr(labels)
+
+
+def test_a_given_density_decides() -> None:
+    given = 0.0156
+    labels = spl_batch.filter_points(CLOUD, given)
+    assert labels.basis == "given"
+    assert (labels.noise_density == np.float32(given)).all()
+    one_each = spl_batch.filter_points(CLOUD, np.full(len(CLOUD), given))
+    np.testing.assert_array_equal(labels.noise_class, one_each.noise_class)
+    strict = spl_batch.filter_points(CLOUD, given, alpha=1e-4)
+    assert np.count_nonzero(labels.signal & ~strict.signal) > 0
+
+
+def test_other_methods_are_a_word_away() -> None:
+    labels = spl_batch.filter_points(CLOUD, method="voxel")
+    assert np.isnan(labels.p_value).all()
+    assert set(labels.noise_class.tolist()) == {0, 1}
+    kept = spl_batch.filter_points(CLOUD, method="none")
+    assert kept.signal.all()
+
+
+def test_terrain_of_a_cloud_that_nobody_filtered() -> None:
+    ground = spl_batch.ground_points(GROUND)
+    assert ground.mean() > 0.95
+    made = spl_batch.rasterize(GROUND, cell_m=2.0)
+    assert made.dtm.shape == (20, 20)
+    assert np.nanmax(np.abs(made.dtm - 20.0)) < 0.1
+    assert (made.x[0], made.y[0], made.cell_m) == (1.0, 39.0, 2.0)
+    assert made.transform == (2.0, 0.0, 0.0, 0.0, -2.0, 40.0)
+    assert np.nanmean(made.density) == pytest.approx(5.0, rel=0.01)
+
+
+def test_a_mask_a_class_and_labels_mean_the_same() -> None:
+    labels = spl_batch.filter_points(CLOUD)
+    found = [spl_batch.ground_points(CLOUD, x) for x in (labels, labels.noise_class, labels.signal)]
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+
+
+def test_nothing_gives_nothing() -> None:
+    none = np.empty((0, 3))
+    assert len(spl_batch.filter_points(none)) == 0
+    assert len(spl_batch.filter_points(none, gps_time=[], channel=[])) == 0
+    assert len(spl_batch.ground_points(none)) == 0
+    with pytest.raises(InputError, match="no point"):
+        spl_batch.rasterize(none)
+
+
+def test_points_without_a_time_or_an_origin_are_not_assessed() -> None:
+    time = np.repeat(np.arange(2_750) * 1e-4, 4)
+    channel = np.tile(np.arange(4), 2_750)
+    time[7] = np.nan
+    origin = np.tile([20.0, 20.0, 2_000.0], (len(CLOUD), 1))
+    origin[400:404] = np.nan
+    shuffled = RNG.permutation(CLOUD)
+    labels = spl_batch.filter_points(shuffled, gps_time=time, channel=channel, beam_origin=origin)
+    assert np.flatnonzero(labels.noise_class == 255).tolist() == [7, 400, 401, 402, 403]
+    assert any("5 of 11 000 points" in text for text in labels.warnings)
+
+
+def test_expected_noise_elsewhere_needs_beams() -> None:
+    found = spl_batch.expected_noise(CLOUD)
+    assert found.basis == "cloud"
+    with pytest.raises(InputError, match="needs beams"):
+        spl_batch.expected_noise(CLOUD, at=[[0.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"xyz": np.zeros((5, 2))}, r"shape \(5, 2\)"),
+        ({"xyz": [["a", "b", "c"]]}, "give \\(n, 3\\) numbers"),
+        ({"xyz": [[0.0, np.nan, 0.0]]}, "1 points are not finite, the first is number 0"),
+        ({"xyz": [[0.0, 0.0, 2e7]]}, "point number 0 lies at 0, 0, 2e\\+07"),
+        ({"noise_density": -1.0}, "-1 .* 0 or more"),
+        ({"noise_density": [0.1, 0.2]}, r"shape \(2,\)"),
+        ({"gps_time": [0.0, 1.0]}, "gps_time has shape"),
+        ({"channel": np.zeros(len(CLOUD))}, "give both"),
+        ({"gps_time": 0.0, "channel": np.full(len(CLOUD), 300)}, "from 300 to 300"),
+        ({"beam_origin": [0.0, 0.0, 1e3]}, "give gps_time"),
+        ({"gps_time": np.arange(len(CLOUD)), "beam_origin": [0.0]}, r"shape \(1,\)"),
+    ],
+)
+def test_each_fault_names_the_array_and_the_remedy(arguments: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        spl_batch.filter_points(**{"xyz": CLOUD, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"settings": {"tiling": {}}}, "settings: tiling"),
+        ({"settings": {"filter": {"alhpa": 1}}}, "alpha"),
+        ({"alpha": 2.0}, "alpha"),
+        ({"method": "best"}, "method"),
+        ({"sensor": "spl1"}, "spl100"),
+    ],
+)
+def test_each_wrong_setting_is_named(arguments: dict[str, Any], said: str) -> None:
+    with pytest.raises(WorkflowError, match=said):
+        spl_batch.filter_points(CLOUD, **arguments)
+
+
+def test_a_missing_package_is_named_with_its_extra() -> None:
+    with pytest.raises(MissingPackageError, match=r"pip install 'spl-batch\[xarray\]'"):
+        needed("no_such_package_here", "rasters", "xarray")
+
+
+def test_rasters_as_xarray() -> None:
+    pytest.importorskip("xarray", reason="xarray is not installed")
+    made = spl_batch.rasterize(GROUND).to_xarray()
+    assert made.dtm.dims == ("y", "x")
+    assert float(made.dtm.sel(x=20.5, y=20.5)) == pytest.approx(20.0, abs=0.1)
+
+
+def test_the_package_itself_loads_nothing() -> None:
+    code = (
+        "import sys, spl_batch; heavy = {'numpy', 'numba', 'zarr', 'dask', 'rasterio'};"
+        "print(sorted(heavy & set(sys.modules)), 'filter_points' in dir(spl_batch))"
+    )
+    said = subprocess.run(  # noqa: S603 - what stands here
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert said.stdout.split() == ["[]", "True"]
