@@ -2,7 +2,7 @@
 
 The filter asks for one thing that coordinates do not hold: the noise density around each point.
 It is given, or follows from the beams as in a run, or is measured in the cloud's own empty space
-(:mod:`~spl_batch.airborne.noise.empty_space`); ``basis`` of the result says which.
+(:mod:`~spl_batch.airborne.arrays.empty_space`); ``basis`` of the result says which.
 """
 
 from collections.abc import Mapping
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.arrays.checked import densities, points_of, settings_of
+from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
 from spl_batch.airborne.filter import denoise
 from spl_batch.airborne.filter.air import look_at_air, noise_in_air
 from spl_batch.airborne.filter.expected_noise import Expected
-from spl_batch.airborne.noise.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_SIGNAL

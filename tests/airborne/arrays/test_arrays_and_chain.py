@@ -12,8 +12,8 @@ import shapely
 from numpy.typing import NDArray
 
 import spl_batch
+from spl_batch.airborne.arrays.empty_space import EmptySpace
 from spl_batch.airborne.arrays.filtering import _contradiction
-from spl_batch.airborne.noise.empty_space import EmptySpace
 from spl_batch.formats.trajectory.positions import read_slice
 from spl_batch.lattice.tables import Trajectory
 from tests import surveys

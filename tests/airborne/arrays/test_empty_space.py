@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spl_batch.airborne.noise.empty_space import empty_space
+from spl_batch.airborne.arrays.empty_space import empty_space
 
 EDGE_M = 90.0
 GATE_M = (-60.0, 140.0)
