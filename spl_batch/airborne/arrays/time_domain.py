@@ -4,15 +4,17 @@ The same functions as in a run, flightline by flightline; a flightline is one st
 """
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.beams import geometry, sensor_path
+from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.rays import look
 from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.filter.expected_noise import NoiseModel, adding, model_of_lines
 from spl_batch.airborne.noise import line_noise, voxel_noise
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
@@ -24,7 +26,9 @@ from spl_batch.formats.gps_clock import usable_times
 from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import BeamTable, PointFlag, PointTable, ShotClock, VoxelPart
 
-_ADDED: Final = ("line_density", "afterpulse", "afterpulse_rate", "afterpulse_share")
+_ADDED: Final = (
+    "line_density", "afterpulse", "afterpulse_rate", "afterpulse_share", "range_sigma",
+)  # fmt: skip
 """Columns that the time domain adds."""
 
 
@@ -78,6 +82,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
     if not apart:
         sensor = sensor.model_copy(update={"beamlets": 1})
     added = {name: np.zeros(len(table), np.float32) for name in _ADDED}
+    added["channel"] = channels.copy()
     flags = np.where(known, table["flags"], table["flags"] | PointFlag.NO_BEAM)
     lines, bases, said = [], set(), []
     for name, rows in _flightlines(table, np.flatnonzero(known), settings.survey.gap_s):
@@ -93,6 +98,7 @@ def assess(table: PointTable, origin_m: NDArray[np.float64] | None, settings: Wo
         for key, values in columns.items():
             added[key][rows] = values
         flags[rows] |= ~one.beams.known * np.uint8(PointFlag.NO_BEAM)
+        flags[rows] |= one.bloom * np.uint8(PointFlag.BLOOM)
         lines.append(parts)
     basis = "vertical" if "vertical" in bases else next(iter(bases), "beams")
     warnings = tuple(shared(said, "flightlines", "flightline"))
@@ -132,10 +138,19 @@ class _Line:
         self.table = table.with_columns(shot=clock.shot(time))
         self.settings, self.sensor = settings, sensor
         self.basis, self.beams = self._beams(origin_m)
+        self.bloom = np.zeros(len(table), np.bool_)
+        # Beams may tell beamlets apart that nobody has numbered.
+        stated = settings.sensor
+        self.unnumbered = sensor.beamlets < stated.beamlets and self.basis != "vertical"
         observed = line_noise.observe(self.table, self.beams, settings.noise)
-        observed |= candidates.observe(self.table, self.beams, sensor)
+        seen, beams = self.table, self.beams
+        if self.unnumbered:
+            seen, order = told_apart(seen, beams, stated)
+            beams = beams.take(order)
+        observed |= candidates.observe(seen, beams, stated)
         self.model = line_noise.fit(line_noise.merge([observed]), settings.noise, sensor)
-        self.law = afterpulse_law.fit([observed], self.model.mean_rate, sensor)
+        beamlets = stated.beamlets if self.unnumbered else 1
+        self.law = afterpulse_law.fit([observed], self.model.mean_rate / beamlets, sensor)
 
     def _beams(self, origin_m: NDArray[np.float64] | None) -> tuple[str, BeamTable]:
         table = self.table
@@ -147,20 +162,46 @@ class _Line:
         path = sensor_path.find_path(sensor_path.merge([sights]), span).trajectory
         return "vertical" if path is None else "intersection", geometry.beams(table, path)
 
-    def assess(self) -> tuple[dict[str, NDArray[np.float32]], list[VoxelPart]]:
+    def assess(self) -> tuple[dict[str, NDArray[Any]], list[VoxelPart]]:
         """Columns that the time domain adds, and the shares of the expected noise."""
         rows = np.flatnonzero(self.beams.known)
         table, beams, model = self.table.take(rows), self.beams.take(rows), self.model
-        added = {name: np.zeros(len(self.table), np.float32) for name in _ADDED}
+        added: dict[str, NDArray[Any]] = {
+            name: np.zeros(len(self.table), np.float32) for name in _ADDED
+        }
         added["line_density"][rows] = line_noise.line_density(table, model)
+        found = find_bloom(table, beams, run_starts(table["gps_time"]))
+        if found.shots:
+            self.bloom[rows[found.returns]] = True
+            rows = rows[~found.returns]
+            table, beams = table.take(~found.returns), beams.take(~found.returns)
+        added["channel"] = self.table["channel"].copy()
         if self.settings.afterpulse.enabled:
-            added["afterpulse"][rows] = candidates.probability(
-                table, beams, self.settings.afterpulse, self.sensor,
-                gate_m=model.gate_m, law=self.law,
-            )  # fmt: skip
-            added["afterpulse_rate"][rows] = afterpulse_law.rate(table, beams, self.law)
-            added["afterpulse_share"][rows] = self.law.probability
+            self._add_afterpulses(added, table, beams, rows)
         return added, voxel_noise.deposit_apart(table, beams, model, self.settings.noise)
+
+    def _add_afterpulses(
+        self,
+        added: dict[str, NDArray[Any]],
+        table: PointTable,
+        beams: BeamTable,
+        rows: NDArray[np.intp],
+    ) -> None:
+        """What shots say of afterpulses, for rows whose beams are known."""
+        sensor, of_shot = self.sensor, 1.0
+        if self.unnumbered:
+            sensor = self.settings.sensor
+            of_shot = float(sensor.beamlets)
+            table, order = told_apart(table, beams, sensor)
+            beams, rows = beams.take(order), rows[order]
+            added["channel"][rows] = table["channel"]
+        added["afterpulse"][rows] = candidates.probability(
+            table, beams, self.settings.afterpulse, sensor, gate_m=self.model.gate_m, law=self.law
+        )
+        rate = afterpulse_law.rate(table, beams, self.law)
+        added["afterpulse_rate"][rows] = rate * np.float32(of_shot)
+        added["afterpulse_share"][rows] = self.law.probability
+        added["range_sigma"][rows] = self.law.sigma_m
 
 
 def _from_origins(table: PointTable, origin_m: NDArray[np.float64]) -> BeamTable:
