@@ -170,8 +170,8 @@ class _Line:
             name: np.zeros(len(self.table), np.float32) for name in _ADDED
         }
         added["line_density"][rows] = line_noise.line_density(table, model)
-        found = find_bloom(table, beams, run_starts(table["gps_time"]))
-        if found.shots:
+        found = find_bloom(table, beams, run_starts(table["gps_time"]), self.sensor.beamlets)
+        if found.shots and self.settings.noise.bloom:
             self.bloom[rows[found.returns]] = True
             rows = rows[~found.returns]
             table, beams = table.take(~found.returns), beams.take(~found.returns)

@@ -55,7 +55,7 @@ def stretches(points: int) -> Way:
 def blocks_cut(workflow: Path, request: pytest.FixtureRequest) -> None:
     """Run with blocks of several sizes, as where memory is short in places."""
     patch: pytest.MonkeyPatch = request.getfixturevalue("monkeypatch")
-    patch.setattr(block_size, "block_points", lambda _: 115_000)
+    patch.setattr(block_size, "block_points", lambda _: 85_000)
     here("tiling.tile_m=30")(workflow, request)
     done = (workflow.parent / "out/store/receipts/denoise").iterdir()
     assert len({tuple(path.stem.split("_")[2:]) for path in done}) > 1
