@@ -30,16 +30,17 @@ PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
 LOOPBACK = {"127.0.0.1", "::1"}
 
 
-def listening(process: psutil.Process) -> set[str]:
-    """Addresses on which a process and its children listen."""
-    found = (p.net_connections("inet") for p in (process, *process.children(recursive=True)))
-    listed = (c for connections in found for c in connections)
-    return {c.laddr.ip for c in listed if c.status == psutil.CONN_LISTEN}
+def listening(process: psutil.Process) -> set[tuple[int, str, int]]:
+    """Process, address and port where a process and its children listen."""
+    found = ((p.pid, p.net_connections("inet")) for p in (process, *process.children(True)))  # noqa: FBT003
+    listed = ((pid, c) for pid, connections in found for c in connections)
+    return {(pid, *c.laddr) for pid, c in listed if c.status == psutil.CONN_LISTEN}
 
 
 def test_local_workers_listen_on_loopback_alone() -> None:
+    before = listening(psutil.Process())  # servers of other tests
     with local_cluster(1, 1 << 30):
-        addresses = listening(psutil.Process())
+        addresses = {ip for _, ip, _ in listening(psutil.Process()) - before}
     assert addresses
     assert addresses <= LOOPBACK
 

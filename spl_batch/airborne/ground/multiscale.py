@@ -6,11 +6,11 @@ tolerance around the surface and its growth on slopes follow from the spacing of
 from how much the ground scatters.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
@@ -21,10 +21,11 @@ from spl_batch.airborne.ground.multiscale_surface import (
     ground_nodes,
     low_outliers,
     spread_below,
+    terrain,
 )
 from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
-from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate
+from spl_batch.numerics.triangulation.tin import Tin, interpolate, triangulate
 
 _LAYER_M = 0.15
 """Thickness of the layer whose mean is a node: three standard deviations of a range [m]."""
@@ -75,6 +76,15 @@ def _joined(xyz: Float, hard: NDArray[np.bool_], ground: NDArray[np.bool_]) -> N
     return joined
 
 
+class Surface(NamedTuple):
+    """Ground: a TIN through its nodes, and where that does not reach a grid with its slope."""
+
+    tin: Tin | None
+    grid: Float
+    steepness: Float
+    corner: Float
+
+
 def multiscale_mask(own: Place, asked: Place, spacing_m: Float) -> NDArray[np.bool_]:
     """Ground points by a surface whose scale follows the data.
 
@@ -95,31 +105,30 @@ def multiscale_mask(own: Place, asked: Place, spacing_m: Float) -> NDArray[np.bo
     xyz, hard = _nodes(*own)
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
     ground = _joined(xyz, chosen & hard, ground_nodes(xyz, chosen))
-    surface = triangulate(xyz[ground])
-    height, slope = _surface_at(surface, xyz[ground], own)
+    grid = terrain(xyz, ground)
+    corner = np.floor(xyz[:, :2].min(axis=0) / CELL_M)
+    surface = Surface(triangulate(xyz[ground]), grid, _steepness(grid), corner)
+    height, slope = _surface_at(surface, own)
     spread = spread_below(own[2] - height, own[0], own[1], _BAND_M[1])
     if asked[0] is not own[0]:
-        height, slope = _surface_at(surface, xyz[ground], asked)
+        height, slope = _surface_at(surface, asked)
     level = np.maximum(_BAND_SIGMA * _of_block(spread, own, asked), _BAND_SPACINGS * spacing_m)
     band = np.clip(level, *_BAND_M) + np.minimum(spacing_m, _SLOPE_M) * slope
     found: NDArray[np.bool_] = np.abs(asked[2] - height) <= band
     return found
 
 
-def _surface_at(tin: Tin | None, ground: Float, places: Place) -> tuple[Float, Float]:
-    """Height of the surface at places [m], and its slope there [rise/run].
-
-    Beyond the triangles the nearest node counts, and the ground is level.
-    """
+def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
+    """Height of the surface at places [m], and its slope there [rise/run]."""
     x, y, _ = places
-    height, slope = np.full(len(x), np.nan), np.zeros(len(x))
-    if tin is not None:
+    at = [y / CELL_M - surface.corner[1] - 0.5, x / CELL_M - surface.corner[0] - 0.5]
+    height: Float = ndimage.map_coordinates(surface.grid, at, order=1, mode="nearest")
+    slope: Float = ndimage.map_coordinates(surface.steepness, at, order=1, mode="nearest")
+    if surface.tin is not None:
         order = group_by_cell(x, y, CELL_M).order
-        heights_and_slopes(tin, order, x, y, height, slope)
-    beyond = np.isnan(height)
-    if beyond.any():
-        at = np.column_stack([x[beyond], y[beyond]])
-        height[beyond] = ground[cKDTree(ground[:, :2]).query(at)[1], 2]
+        exact = np.empty_like(height)
+        exact[order] = interpolate(surface.tin, x[order], y[order])
+        height = np.where(np.isnan(exact), height, exact)
     return height, slope
 
 
@@ -139,8 +148,7 @@ def _nodes(x: Float, y: Float, z: Float) -> tuple[Float, NDArray[np.bool_]]:
     nodes = lowest_layers(x, y, z, cells, _LAYER_M)
     above = ~sunk(nodes, cells, CELL_M)
     # A single return below many others is ground where its neighbours continue it, else noise.
-    if nodes.doubtful.any():
-        above &= ~nodes.doubtful | supported(nodes, cells, CELL_M)
+    above &= ~nodes.doubtful | supported(nodes, cells, CELL_M)
     if not above.any():
         above[:] = True
     return nodes.xyz[above], _hard(x, y, z, cells)[nodes.cell[above]]
@@ -169,3 +177,12 @@ def _hard(x: Float, y: Float, z: Float, cells: Cells) -> NDArray[np.bool_]:
     rest = uu - (nn * eu * eu - 2.0 * en * eu * nu + ee * nu * nu) / scale
     hard[count > 0] = (each >= _HARD_POINTS) & (rest <= _HARD_M**2)
     return hard
+
+
+def _steepness(surface: Float) -> Float:
+    """Steepest rise of a grid [rise/run]; zero along an axis of one cell."""
+    squared = np.zeros_like(surface)
+    for axis in (0, 1):
+        if surface.shape[axis] > 1:
+            squared += np.gradient(surface, CELL_M, axis=axis) ** 2
+    return np.sqrt(squared)

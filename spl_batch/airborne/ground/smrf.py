@@ -13,8 +13,6 @@ differential equation, which differs only inside the gap; an octagon costs what 
 radius is, not its area.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -28,20 +26,11 @@ _LOW_SLOPE = 5.0
 _JITTER_CELLS = 1e-5
 """Twice the largest step aside of a grid node in a triangulation [cells]."""
 
-_SKIPPED = 0.2
-"""What a hill falls by from one window to the next [rise/run], where windows are left out."""
-
 Grid = NDArray[np.float64]
 
 
 def object_cells(
-    surface: Grid,
-    cell_m: float,
-    slope: float,
-    window_m: float,
-    *,
-    step_m: float = np.inf,
-    radii: Sequence[int] = (),
+    surface: Grid, cell_m: float, slope: float, window_m: float, *, step_m: float = np.inf
 ) -> NDArray[np.bool_]:
     """Cells that stand above the progressively opened surface.
 
@@ -58,21 +47,17 @@ def object_cells(
     step_m : float
         A larger fall from one window to the next is an object's at any radius [m]; the
         source has no such limit, and keeps halls that are low for their width.
-    radii : sequence of int
-        Radii of the windows, increasing [cells]; every one up to the largest by default. What
-        they leave out adds to the fall that is tolerated: over more of them a hill falls farther.
 
     Returns
     -------
     (rows, columns) bool
     """
     objects = np.zeros(surface.shape, dtype=np.bool_)
-    last, before = surface, 0
-    for radius in radii or range(1, int(np.ceil(window_m / cell_m)) + 1):
+    last = surface
+    for radius in range(1, int(np.ceil(window_m / cell_m)) + 1):
         opened = opening(last, radius)
-        skipped = _SKIPPED * cell_m * (radius - before - 1)
-        objects |= last - opened > min(slope * radius * cell_m, step_m) + skipped
-        last, before = opened, radius
+        objects |= last - opened > min(slope * radius * cell_m, step_m)
+        last = opened
     return objects
 
 

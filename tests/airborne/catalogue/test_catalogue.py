@@ -116,7 +116,7 @@ def read(path: Path) -> Any:
 
 def test_stac_keeps_to_its_schemas(output: Path) -> None:
     items = read(output / "stac" / "items.json")["features"]
-    assert len(items) == 10 + len([*(output / "laz").rglob("*.laz")])
+    assert len(items) == 11 + len([*(output / "laz").rglob("*.laz")])
     assert faults(read(output / "stac" / "collection.json")) == []
     assert [fault for item in items for fault in faults(item)] == []
     broken = {**items[0], "properties": {**items[0]["properties"], "pc:count": -1}}
