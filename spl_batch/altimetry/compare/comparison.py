@@ -72,7 +72,7 @@ def compare(
         for count, method in enumerate(chosen, start=1):
             listener(Note("info", f"{method}, {count} of {len(chosen)}"))
             folder = output / FOLDER / method
-            _share(output, folder, settings, method)
+            _share(output, folder, settings)
             result = process(overrides=[*overrides, *_overrides(folder, settings, method)])
             status = max(status, result.exit_status)
             if result.report is not None:
@@ -117,9 +117,8 @@ def _overrides(folder: Path, settings: TrackWorkflow, method: str) -> list[str]:
     return keys
 
 
-def _share(output: Path, folder: Path, settings: TrackWorkflow, method: str) -> None:
+def _share(output: Path, folder: Path, settings: TrackWorkflow) -> None:
     """Link the beams that are read."""
-    del method
     url = settings.outputs.store
     kinds = [name for name, kind in KINDS.items() if kind.stage == "index"]
     share_finished(Store(output, url), _store(output, folder, url), kinds)
