@@ -6,6 +6,8 @@ be before anything is read by it.
 """
 
 import operator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,6 +60,15 @@ def bounded(
         shown = whole if abs(whole) < 10**20 else f"{whole:.6g}"
         raise InputError(str(path), f"{what} is {shown}; {allowed}: {remedy}")
     return whole
+
+
+@contextmanager
+def gathered(faults: list[str]) -> Iterator[None]:
+    """Keep what is wrong with a file, so that all its faults are told at once."""
+    try:
+        yield
+    except InputError as error:
+        faults += error.faults
 
 
 def refuse_bomb(path: Path | str, what: str, declared_bytes: int, stored_bytes: int) -> None:

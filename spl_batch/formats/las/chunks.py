@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError, is_fault
-from spl_batch.formats.declared import refuse_bomb
+from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.las.header import LasHeader, open_input
 from spl_batch.formats.las.records import RecordLayout, record_layout
 
@@ -31,7 +31,7 @@ CHUNK_SIZE_AT: Final = 12
 """Where a LASzip record has the points of a chunk."""
 
 _ITEM: Final = struct.Struct("<HHH")
-_CHUNKED: Final = (2, 3)
+_LONG: Final = 2**16 - 1
 _VARIABLE: Final = 2**32 - 1
 CHUNK_POINTS_MAX: Final = 5_000_000
 """Points of a chunk that can be decoded in bounded memory [count]."""
@@ -83,52 +83,46 @@ def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
     start_byte = header.points_start + 8
     size = header.n_points * header.record_size
     refuse_bomb(path, f"{header.n_points} points", size, header.size_bytes - start_byte)
-    table_byte, count = _table_place(header, file, start_byte)
-    fits = count <= table_byte - start_byte and (
-        count <= header.n_points
-        if chunk_points == _VARIABLE
-        else count == -(-header.n_points // chunk_points)
+    table_byte = _table_place(header, file, start_byte)
+    variable = chunk_points == _VARIABLE
+    exact = -(-header.n_points // chunk_points)
+    count = bounded(
+        path,
+        "number of chunks in the LAZ chunk table",
+        struct.unpack("<II", file.read(8))[1],
+        least=1 if variable else exact,
+        most=min(header.n_points if variable else exact, table_byte - start_byte),
     )
-    if not fits:
-        raise InputError(
-            path,
-            f"the LAZ chunk table counts {count} chunks for {header.n_points} points:"
-            " the file is damaged, copy it again",
-        )
     file.seek(header.points_start)
     entries = _guarded(
         path,
         "its LAZ chunk table cannot be decoded",
         lambda: lazrs.read_chunk_table(file, lazrs.LazVlr(laszip)),
     )
-    _check_sums(header, entries, table_byte - start_byte, variable=chunk_points == _VARIABLE)
+    _check_entries(header, entries, table_byte - start_byte, variable=variable)
     table = np.asarray(entries, dtype=np.int64).reshape(-1, 2)
     points = np.concatenate([[0], np.cumsum(table[:, 0])])
-    if chunk_points != _VARIABLE:
+    if not variable:
         points = np.minimum(np.arange(count + 1) * chunk_points, header.n_points)
     places = np.concatenate([[start_byte], start_byte + np.cumsum(table[:, 1])])
-    if np.max(np.diff(points)) > CHUNK_POINTS_MAX:
-        raise InputError(
-            path,
-            f"a LAZ chunk holds {np.max(np.diff(points))} points; at most"
-            f" {CHUNK_POINTS_MAX} can be decoded in bounded memory: {_REMEDY}",
-        )
+    largest = np.diff(points).max()
+    bounded(path, "points of a LAZ chunk", largest, most=CHUNK_POINTS_MAX, remedy=_REMEDY)
     return ChunkTable(points.astype(np.int64), places.astype(np.int64))
 
 
-def _check_sums(
+def _check_entries(
     header: LasHeader, entries: Sequence[tuple[int, int]], there: int, *, variable: bool
 ) -> None:
     """Compare the chunk table with the file, in Python's integers: damaged ones exceed 64 bits."""
-    covered = sum(points for points, _ in entries) if variable else header.n_points
-    length = sum(size for _, size in entries)
-    sound = all(size > 0 and (points >= 0 or not variable) for points, size in entries)
-    if covered != header.n_points or length > there or not sound:
-        raise InputError(
-            str(header.path),
-            f"the LAZ chunk table covers {covered:.6g} of {header.n_points} points in"
-            f" {length:.6g} of {there} bytes: the file is damaged, copy it again",
-        )
+    path, n_points = header.path, header.n_points
+    bounded(
+        path, "bytes of the smallest LAZ chunk", min(s for _, s in entries), least=1, most=there
+    )
+    bounded(path, "bytes of all LAZ chunks", sum(s for _, s in entries), most=there)
+    if variable:
+        bounded(path, "points of the smallest LAZ chunk", min(n for n, _ in entries), most=n_points)
+        total = sum(n for n, _ in entries)
+        bounded(path, "points of all LAZ chunks", total, least=n_points, most=n_points)
 
 
 def _laszip_data(header: LasHeader) -> bytes:
@@ -136,22 +130,16 @@ def _laszip_data(header: LasHeader) -> bytes:
     vlr = header.vlr(*LASZIP_KEY)
     if vlr is None:
         raise InputError(path, "is compressed but has no LASzip record: the file is damaged")
-    if len(vlr.data) < _LASZIP.size:
-        raise InputError(path, f"its LASzip record has {len(vlr.data)} bytes: it is damaged")
+    length = bounded(
+        path, "bytes of its LASzip record", len(vlr.data), least=_LASZIP.size, most=_LONG
+    )
     compressor, coder, *_, chunk_points, _, _, n_items = _LASZIP.unpack_from(vlr.data)
-    if compressor not in _CHUNKED or coder != 0:
-        raise InputError(
-            path, f"LASzip compressor {compressor}, coder {coder}; 2 or 3 and 0 are read: {_REMEDY}"
-        )
-    if len(vlr.data) < _LASZIP.size + n_items * _ITEM.size or chunk_points == 0:
-        raise InputError(path, "its LASzip record is damaged, copy the file again")
-    items = laszip_items(vlr.data)
-    if sum(size for _, size, _ in items) != header.record_size:
-        raise InputError(
-            path,
-            f"LASzip items add up to {sum(size for _, size, _ in items)} bytes, point records"
-            f" have {header.record_size}: the header is damaged",
-        )
+    bounded(path, "LASzip compressor", compressor, least=2, most=3, remedy=_REMEDY)
+    bounded(path, "LASzip coder", coder, most=0, remedy=_REMEDY)
+    bounded(path, "items of its LASzip record", n_items, most=(length - _LASZIP.size) // _ITEM.size)
+    bounded(path, "points of a LAZ chunk", chunk_points, least=1, most=_VARIABLE)
+    size, held = header.record_size, sum(size for _, size, _ in laszip_items(vlr.data))
+    bounded(path, "bytes of all LASzip items", held, least=size, most=size)
     return vlr.data
 
 
@@ -177,24 +165,19 @@ def chunk_layers(packed: bytes, record_size: int, n_layers: int) -> list[bytes]:
     return [packed[a:b] for a, b in pairwise(ends)]
 
 
-def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> tuple[int, int]:
-    """Byte of the chunk table and its number of chunks."""
-    cut_off = f"the file has {header.size_bytes} bytes: it is cut off, copy it again"
+def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> int:
+    """Byte of the chunk table; the file is left there."""
+    size = header.size_bytes
+    bounded(header.path, "byte at which its points start", header.points_start, most=size - 8)
     file.seek(header.points_start)
-    raw = file.read(8)
-    if len(raw) < 8:
-        raise InputError(str(header.path), f"its points start at {header.points_start}, {cut_off}")
-    place = int.from_bytes(raw, "little", signed=True)
+    place = int.from_bytes(file.read(8), "little", signed=True)
     if place == -1:
         # Written as a stream: the place of the table is the file's last 8 bytes.
-        file.seek(header.size_bytes - 8)
+        file.seek(size - 8)
         place = int.from_bytes(file.read(8), "little", signed=True)
-    if not start_byte <= place <= header.size_bytes - 8:
-        raise InputError(
-            str(header.path), f"its LAZ chunk table should be at byte {place}, {cut_off}"
-        )
+    bounded(header.path, "byte of its LAZ chunk table", place, least=start_byte, most=size - 8)
     file.seek(place)
-    return place, struct.unpack("<II", file.read(8))[1]
+    return place
 
 
 def _guarded(path: str, fault: str, call: Any) -> Any:

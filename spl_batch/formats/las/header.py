@@ -19,6 +19,7 @@ import laspy
 
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.errors import InputError
+from spl_batch.formats.declared import bounded, gathered
 
 HEADER_SIZES: Final = {1: 227, 2: 227, 3: 235, 4: 375}
 """Bytes of the header by minor version."""
@@ -33,8 +34,10 @@ _COMPRESSED_BIT: Final = 0x80
 _FAR_M: Final = 1e9
 _SCALE_MAX_M: Final = 1000.0
 _HIGH_M: Final = (2**31 - 1) / QUANTA_PER_M
-_MAX_POINTS: Final = 2**32
+_MAX_POINTS: Final = 2**32 - 1
+_MAX_LENGTH: Final = 2**16 - 1
 _MAX_RECORDS: Final = 4096
+_REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,21 +181,32 @@ def read_header(path: Path) -> LasHeader:
         compressed = bool(pf & _COMPRESSED_BIT)
         version = (raw[24], raw[25])
         n_points = _count_points(raw, version[1], legacy)
-        faults = [
-            *_layout_faults(size, version[1], header_size, points_start, n_vlrs),
-            *_record_faults(pf & 0x3F, record_size),
-            *_coordinate_faults(floats, n_points),
-        ]
-        if not compressed:
-            faults += _size_faults(size, points_start, n_points, record_size)
-        if n_points >= _MAX_POINTS:
-            faults.append(f"{n_points} points; at most {_MAX_POINTS - 1} in a file: split it")
+        faults = _coordinate_faults(floats, n_points)
+        with gathered(faults):
+            bounded(path, "point format", pf & 0x3F, most=_POINT_FORMATS - 1, remedy="convert it")
+            least = laspy.PointFormat(pf & 0x3F).dtype().itemsize
+            bounded(path, "point record length", record_size, least=least, most=_MAX_LENGTH)
+        with gathered(faults):
+            least = HEADER_SIZES[version[1]]
+            bounded(path, "header size", header_size, least=least, most=_MAX_LENGTH)
+        with gathered(faults):
+            bounded(path, "offset to point data", points_start, least=header_size, most=size)
+        with gathered(faults):
+            room = min(max(points_start - header_size, 0) // VLR_HEAD.size, _MAX_RECORDS)
+            bounded(path, "number of VLRs", n_vlrs, most=room, remedy=_REWRITE)
+        with gathered(faults):
+            there = max(size - points_start, 0) // max(record_size, 1)
+            remedy = "it is cut off or its header is damaged, copy it again"
+            if compressed or there > _MAX_POINTS:
+                there, remedy = _MAX_POINTS, "split it"
+            bounded(path, "number of points", n_points, most=there, remedy=remedy)
         vlrs: tuple[Vlr, ...] = ()
         evlrs: tuple[Evlr, ...] = ()
         if not faults:
-            vlrs, vlr_faults = _read_vlrs(file, header_size, points_start, n_vlrs)
-            evlrs, evlr_faults = _read_evlrs(file, raw, version[1], size)
-            faults += vlr_faults + evlr_faults
+            with gathered(faults):
+                vlrs = tuple(_read_vlrs(path, file, header_size, points_start, n_vlrs))
+            with gathered(faults):
+                evlrs = tuple(_read_evlrs(path, file, raw, size))
     if faults:
         raise InputError(str(path), faults)
     return LasHeader(
@@ -246,43 +260,6 @@ def _count_points(raw: bytes, minor: int, legacy: int) -> int:
     return int.from_bytes(raw[247:255], "little") or legacy
 
 
-def _layout_faults(
-    size: int, minor: int, header_size: int, points_start: int, n_vlrs: int
-) -> list[str]:
-    faults = []
-    if header_size < HEADER_SIZES[minor]:
-        faults.append(
-            f"header size {header_size}; version 1.{minor} needs at least {HEADER_SIZES[minor]}:"
-            " the header is damaged"
-        )
-    if not header_size <= points_start <= size:
-        faults.append(
-            f"offset to point data {points_start}; allowed {header_size} to the file's"
-            f" {size} bytes: the file is damaged or cut off, copy it again"
-        )
-    room = min(max(points_start - header_size, 0) // VLR_HEAD.size, _MAX_RECORDS)
-    if n_vlrs > room:
-        faults.append(
-            f"number of VLRs {n_vlrs}; at most {room} fit before the points:"
-            " the header is damaged, rewrite the file with the software that made it"
-        )
-    return faults
-
-
-def _record_faults(point_format: int, record_size: int) -> list[str]:
-    if point_format >= _POINT_FORMATS:
-        return [f"point format {point_format}; 0 to 10 can be read: convert the file"]
-    least = laspy.PointFormat(point_format).dtype().itemsize
-    if record_size < least:
-        return [
-            (
-                f"point record length {record_size}; point format {point_format} needs {least}:"
-                " the header is damaged"
-            )
-        ]
-    return []
-
-
 def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
     faults = []
     for axis in range(3):
@@ -315,82 +292,39 @@ def _coordinate_faults(floats: tuple[float, ...], n_points: int) -> list[str]:
     return faults
 
 
-def _size_faults(size: int, points_start: int, n_points: int, record_size: int) -> list[str]:
-    needed = points_start + n_points * record_size
-    if needed <= size:
-        return []
-    there = max(size - points_start, 0) // max(record_size, 1)
-    return [
-        (
-            f"{n_points} points need {needed} bytes, the file has {size}"
-            f" ({there} points): it is cut off or its header is damaged, copy it again"
-        )
-    ]
-
-
-def _read_vlrs(
-    file: BinaryIO, start: int, stop: int, count: int
-) -> tuple[tuple[Vlr, ...], list[str]]:
+def _read_vlrs(path: Path, file: BinaryIO, start: int, stop: int, count: int) -> Iterator[Vlr]:
     file.seek(start)
-    vlrs: list[Vlr] = []
     for number in range(1, count + 1):
-        if stop - file.tell() < VLR_HEAD.size:
-            return tuple(vlrs), [
-                (
-                    f"number of VLRs {count}; only {len(vlrs)} fit before the points:"
-                    " the header is damaged, rewrite the file with the software that made it"
-                )
-            ]
+        name = f"VLR {number} of {count}"
+        start = bounded(
+            path, f"end of the head of {name}", start + VLR_HEAD.size, most=stop, remedy=_REWRITE
+        )
         _, user_id, record_id, length, description = VLR_HEAD.unpack(file.read(VLR_HEAD.size))
-        room = stop - file.tell()
-        if length > room:
-            return tuple(vlrs), [
-                (
-                    f"VLR {number} of {count} claims {length} bytes, {room} are left before the"
-                    " points: the header is damaged, rewrite the file with its own software"
-                )
-            ]
-        vlrs.append(Vlr(user_id, record_id, description, file.read(length)))
-    return tuple(vlrs), []
+        start += bounded(path, f"length of {name}", length, most=stop - start, remedy=_REWRITE)
+        yield Vlr(user_id, record_id, description, file.read(length))
 
 
-def _read_evlrs(
-    file: BinaryIO, raw: bytes, minor: int, size: int
-) -> tuple[tuple[Evlr, ...], list[str]]:
+def _read_evlrs(path: Path, file: BinaryIO, raw: bytes, size: int) -> Iterator[Evlr]:
+    minor = raw[25]
     if minor < 3:
-        return (), []
+        return
     if minor == 3:
         # 1.3 knows one extended record, the waveforms, and gives its place only.
         start, count = int.from_bytes(raw[227:235], "little"), 1
         if start == 0 or not raw[6] & 2:
-            return (), []
+            return
     else:
         start, count = struct.unpack_from("<QI", raw, 235)
-    if count > _MAX_RECORDS:
-        fault = f"number of extended VLRs {count}; at most {_MAX_RECORDS} are read"
-        return (), [f"{fault}: the header is damaged, rewrite the file with its own software"]
-    evlrs: list[Evlr] = []
+    bounded(path, "number of extended VLRs", count, most=_MAX_RECORDS, remedy=_REWRITE)
     for number in range(1, count + 1):
-        if start + EVLR_HEAD.size > size:
-            return (), [
-                (
-                    f"extended VLR {number} of {count} at byte {start}, the file has {size} bytes:"
-                    " it is cut off or its header is damaged, copy it again"
-                )
-            ]
+        name = f"extended VLR {number} of {count}"
+        bounded(path, f"start of {name}", start, most=size - EVLR_HEAD.size)
         file.seek(start)
         _, user_id, record_id, length, description = EVLR_HEAD.unpack(file.read(EVLR_HEAD.size))
         start += EVLR_HEAD.size
-        if length > size - start:
-            return (), [
-                (
-                    f"extended VLR {number} of {count} claims {length} bytes, {size - start} are"
-                    " left: the file is cut off, copy it again"
-                )
-            ]
-        evlrs.append(Evlr(user_id, record_id, description, start, length))
+        bounded(path, f"length of {name}", length, most=size - start)
+        yield Evlr(user_id, record_id, description, start, length)
         start += length
-    return tuple(evlrs), []
 
 
 def _text(padded: bytes) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from laspy.point.dims import get_sub_fields_dict
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError
+from spl_batch.formats.declared import bounded
 from spl_batch.formats.las.header import LasHeader
 
 EXTRA_BYTES_KEY: Final = ("LASF_Spec", 4)
@@ -22,6 +22,7 @@ _TYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 _SCALE_BIT: Final = 8
 _OFFSET_BIT: Final = 16
 _VLR_MAX: Final = 2**16 - 1
+_REWRITE: Final = "the header is damaged, rewrite the file with the software that made it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,25 +92,19 @@ def record_layout(header: LasHeader) -> RecordLayout:
         extra.append(
             _dimension(header, described[start : start + DESCRIPTOR_SIZE], number=len(extra))
         )
-    left = room - sum(d.dtype.itemsize for d in extra)
-    if left < 0:
-        raise InputError(
-            str(header.path),
-            f"extra bytes are described as {room - left} bytes, the records have {room}:"
-            " the header is damaged, rewrite the file with the software that made it",
-        )
+    held = sum(d.dtype.itemsize for d in extra)
+    left = room - bounded(
+        header.path, "extra bytes that are described", held, most=room, remedy=_REWRITE
+    )
     # Bytes that nothing describes get names, so that a copy can carry them along. The
     # standard has a type for such blocks, which common readers misunderstand.
     for plain in ["<u8"] * (left // 8) + ["u1"] * (left % 8):
         name = f"undescribed_{len(extra)}"
         field = f"extra_{len(extra)}"
         extra.append(replace(new_dimension(name, np.dtype(plain), ""), field=field))
-    if len(extra) * DESCRIPTOR_SIZE > _VLR_MAX:
-        raise InputError(
-            str(header.path),
-            f"point records of {header.record_size} bytes have {room} extra bytes, which is more"
-            " than can be described: the header is damaged, or the file needs converting",
-        )
+    remedy = "the header is damaged, or the file needs converting"
+    most = _VLR_MAX // DESCRIPTOR_SIZE
+    bounded(header.path, "dimensions in the extra bytes", len(extra), most=most, remedy=remedy)
     return RecordLayout(header.point_format, tuple(extra))
 
 
@@ -138,12 +133,8 @@ def _dimension(header: LasHeader, raw: bytes, *, number: int) -> ExtraDimension:
     field = f"extra_{number}"
     if code == 0:
         return ExtraDimension(name, field, np.dtype(("u1", (options,))), None, None, raw)
-    if code > 3 * len(_TYPES):
-        raise InputError(
-            str(header.path),
-            f"extra dimension {name!r} has data type {code}; 0 to 30 are known:"
-            " the header is damaged, rewrite the file with the software that made it",
-        )
+    what = f"data type of extra dimension {name!r}"
+    bounded(header.path, what, code, most=3 * len(_TYPES), remedy=_REWRITE)
     base = np.dtype(f"<{_TYPES[(code - 1) % len(_TYPES)]}")
     count = (code - 1) // len(_TYPES) + 1
     dtype = base if count == 1 else np.dtype((base, (count,)))
