@@ -35,7 +35,7 @@ FLOW: Mapping[str, tuple[str, ...]] = {
     "airborne": (
         *("sensors", "settings", "context", "store", "beams", "noise", "afterpulse", "filter"),
         *("ground", "strips", "products", "accuracy", "catalogue", "simulate", "tasks", "plan"),
-        *("arrays", "report", "precompile", "receiver", "compare", "quickstart"),
+        *("arrays", "report", "precompile", "receiver", "compare", "quickstart", "first_use"),
     ),
     "altimetry": (
         *("settings", "photon_table", "formats", "simulate", "water", "noise", "filter", "ground"),

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         filter_points,
     )
     from spl_batch.airborne.arrays.surfaces import Rasters, ground_points, rasterize
+    from spl_batch.airborne.first_use.one_file import denoise
     from spl_batch.airborne.quickstart import quickstart
     from spl_batch.engine.verbs.alone import AloneResult, run_alone
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
@@ -39,6 +40,7 @@ __all__ = [
     "RunStatus",
     "StageStatus",
     "compare",
+    "denoise",
     "expected_noise",
     "filter_points",
     "ground_points",
@@ -70,6 +72,7 @@ _HOMES = {
     "PlanSummary": "spl_batch.engine.verbs.planning",
     "plan": "spl_batch.engine.verbs.planning",
     "report": "spl_batch.engine.verbs.reporting",
+    "denoise": "spl_batch.airborne.first_use.one_file",
     "quickstart": "spl_batch.airborne.quickstart",
     "simulate": "spl_batch.engine.verbs.simulation",
 }

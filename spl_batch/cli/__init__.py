@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,9 @@ import click
 
 from spl_batch import __version__
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
+from spl_batch.cli.first_use import denoise
 from spl_batch.cli.lines import say_error
+from spl_batch.cli.options import CLOCK, OUTPUT, SETTINGS, WORKFLOW, limits
 from spl_batch.errors import SplBatchError
 
 _AGAIN_S = 0.05
@@ -23,33 +24,6 @@ _AGAIN_S = 0.05
 
 _LOADING = "loading, and reading the headers of the inputs"
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
-
-
-def _limits(command: Any) -> Any:
-    """Options that say how much of the machine may be used."""
-    command = click.option(
-        "--memory",
-        metavar="SIZE",
-        show_default="four fifths of the machine's, shared by the workers, 16GiB at most; "
-        "4GiB with a scheduler",
-        help="Memory limit of a worker, such as 4GiB.",
-    )(command)
-    return click.option(
-        "--workers", default=2, show_default=True, help="Worker processes; 0 works in this one."
-    )(command)
-
-
-_CLOCK: ContextVar[CommandClock] = ContextVar("command clock", default=CommandClock())  # noqa: B039 - never changed
-
-_WORKFLOW = click.argument("workflow", type=click.Path(path_type=Path))
-_OUTPUT = click.argument("output", type=click.Path(path_type=Path))
-_SETTINGS = click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY.PATH=VALUE",
-    help="Set a key of the workflow; repeatable.",
-)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -63,7 +37,7 @@ def cli() -> None:
 
 @cli.command()
 @click.argument("folder", type=click.Path(path_type=Path), default=Path("spl-quickstart"))
-@_limits
+@limits
 def quickstart(folder: Path, workers: int, memory: str | None) -> int:
     """Simulate a small survey into FOLDER and run the whole chain on it."""
     from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
@@ -78,13 +52,13 @@ def quickstart(folder: Path, workers: int, memory: str | None) -> int:
             progress=view.simulated,
             listener=view.on_event,
         )
-    screen.print_result(result, _CLOCK.get().took_s)
+    screen.print_result(result, CLOCK.get().took_s)
     return result.exit_status
 
 
 @cli.command()
 @click.argument("scene", type=click.Path(path_type=Path))
-@_OUTPUT
+@OUTPUT
 def simulate(scene: Path, output: Path) -> int:
     """Fly a synthetic survey of SCENE into OUTPUT, with truth for every point."""
     from spl_batch import api  # noqa: PLC0415
@@ -98,9 +72,9 @@ def simulate(scene: Path, output: Path) -> int:
 
 
 @cli.command()
-@_WORKFLOW
-@_limits
-@_SETTINGS
+@WORKFLOW
+@limits
+@SETTINGS
 def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str, ...]) -> int:
     """Say what a run of WORKFLOW would do, and what is wrong with its inputs."""
     with saying_if_slow(_LOADING):
@@ -113,8 +87,8 @@ def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str,
 
 
 @cli.command()
-@_WORKFLOW
-@_limits
+@WORKFLOW
+@limits
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Use a running dask scheduler.")
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs finished.")
 @click.option("--verify", is_flag=True, help="Compare all that is finished with its checksum.")
@@ -126,7 +100,7 @@ def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str,
     metavar="'KIND NAME'",
     help="Do one task alone, here, from what is finished; says where its traceback is.",
 )
-@_SETTINGS
+@SETTINGS
 def run(
     workflow: Path,
     workers: int,
@@ -169,12 +143,12 @@ def run(
                 overrides=overrides,
                 listener=listen,
             )
-    screen.print_result(result, _CLOCK.get().took_s)
+    screen.print_result(result, CLOCK.get().took_s)
     return result.exit_status
 
 
 @cli.command()
-@_WORKFLOW
+@WORKFLOW
 @click.option(
     "--methods",
     required=True,
@@ -182,8 +156,8 @@ def run(
     help="Methods to compare, e.g. vsaes,aes,published, or of photon profiles bayes,dbscan,yapc; "
     "the first is the yardstick.",
 )
-@_limits
-@_SETTINGS
+@limits
+@SETTINGS
 def compare(
     workflow: Path, methods: str, workers: int, memory: str | None, overrides: tuple[str, ...]
 ) -> int:
@@ -206,7 +180,7 @@ def compare(
 
 
 @cli.command()
-@_OUTPUT
+@OUTPUT
 @click.option("--watch", is_flag=True, help="Show it again and again until the run ends.")
 def status(output: Path, watch: bool) -> int:  # noqa: FBT001 - click passes flags by name
     """Say what is done, running, failed and left in OUTPUT, also while a run works there."""
@@ -221,7 +195,7 @@ def status(output: Path, watch: bool) -> int:  # noqa: FBT001 - click passes fla
 
 
 @cli.command()
-@_OUTPUT
+@OUTPUT
 def report(output: Path) -> int:
     """Write the report of OUTPUT again from what is on disk."""
     from spl_batch import api  # noqa: PLC0415
@@ -231,11 +205,14 @@ def report(output: Path) -> int:
     return 0
 
 
+cli.add_command(denoise)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
     told = threading.Event()
     # As the command of its process it began with that: loading Python and packages counts.
-    _CLOCK.set(CommandClock(process_age_s() if arguments is None else 0.0))
+    CLOCK.set(CommandClock(process_age_s() if arguments is None else 0.0))
     try:
         with _ended_in_order(told):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)

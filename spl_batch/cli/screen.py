@@ -43,7 +43,7 @@ def print_result(result: "RunResult", took_s: float | None = None) -> None:
     took_s : float, optional
         Time of the whole command [s]; a report that is written again has none.
     """
-    if result.report is None:
+    if result.report is None and not result.screen:
         _lines(f"stopped as asked; run again to continue in {result.output}")
         return
     _pairs([*result.screen, *_whole_time(took_s)])

@@ -110,6 +110,11 @@ class OutputSettings(StoreSettings):
     """What is written beside the classified clouds."""
 
     diagnostics: bool = Field(False, description="Extra bytes noise_density and p_value.")
+    classes: Literal["all", "noise"] = Field(
+        "all",
+        description="Classes of delivered points: all; or noise, where a signal point keeps the "
+        "class that the input gave it.",
+    )
     tiles: Literal["none", "laz", "copc"] = Field("none", description="Points by tile as well.")
     copc: bool = Field(
         False, description="Each classified cloud once more as COPC, in the folder copc."

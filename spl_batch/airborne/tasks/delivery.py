@@ -14,6 +14,7 @@ from spl_batch.airborne.products.product_table import HILLSHADE
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.tasks import index
+from spl_batch.constants import NOISE_SIGNAL
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
 from spl_batch.errors import Remark
@@ -72,6 +73,9 @@ class _FileLabels:
             at = mine["index"].astype(np.int64) - self.start
             for name in self.names:
                 self.values[name][at] = mine[name]
+        if self.context.workflow.outputs.classes == "noise":
+            signal = self.values["noise_class"] == NOISE_SIGNAL
+            self.values["classification"][signal] = KEEP_CLASS
 
     def _tiles(self) -> Iterator[PointTable]:
         store, columns = self.context.store, ("source", "index")
@@ -158,9 +162,11 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
     }
     columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
     table = read_labelled_tile(context.store, parse_cell(args["tile"]), columns, labels)
-    unlabelled = table["classification"] == KEEP_CLASS
+    given = table["classification"] == KEEP_CLASS
+    if context.workflow.outputs.classes == "noise":
+        given |= table["noise_class"] == NOISE_SIGNAL
     table = table.with_columns(
-        classification=np.where(unlabelled, table["input_class"], table["classification"])
+        classification=np.where(given, table["input_class"], table["classification"])
     )
     copc = context.workflow.outputs.tiles == "copc"
     target = context.output / "tiles" / f"{args['tile']}{'.copc' if copc else ''}.laz"

@@ -82,10 +82,14 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "surfaces", "spl_batch.airborne.strips.strip_comparison:strip_pairs", ()
         ),
         "deliver_file": Kind(
-            "deliver", "spl_batch.airborne.tasks.delivery:deliver_file", ("outputs.diagnostics",)
+            "deliver",
+            "spl_batch.airborne.tasks.delivery:deliver_file",
+            ("outputs.diagnostics", "outputs.classes"),
         ),
         "deliver_tile": Kind(
-            "deliver", "spl_batch.airborne.tasks.delivery:deliver_tile", ("outputs.tiles",)
+            "deliver",
+            "spl_batch.airborne.tasks.delivery:deliver_tile",
+            ("outputs.tiles", "outputs.classes"),
         ),
         "deliver_copc": Kind("deliver", "spl_batch.airborne.tasks.delivery:deliver_copc", ()),
         "deliver_hillshade": Kind(

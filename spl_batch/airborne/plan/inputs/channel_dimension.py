@@ -31,8 +31,10 @@ def are_beamlets(numbers: Numbers, sensor: Sensor) -> bool:
     return enough and within and all_of_them and even
 
 
-def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor) -> tuple[str, ...]:
-    """Propose the dimension that holds the beamlet numbers of most files, in one sentence.
+def numbered_dimension(
+    files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor
+) -> tuple[str, dict[str, list[str]]] | None:
+    """The dimension that holds the beamlet numbers of most files.
 
     Parameters
     ----------
@@ -40,6 +42,12 @@ def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor)
         What each dimension of each file holds, by their names.
     sensor : Sensor
         The instrument.
+
+    Returns
+    -------
+    (str, dict of str to list of str) or None
+        Its name, and files by the range of the numbers, such as ``1 to 100``; None where no
+        dimension is like that.
     """
     like = {
         name: {key: one for key, one in held.items() if are_beamlets(one, sensor)}
@@ -47,12 +55,24 @@ def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor)
     }
     votes = Counter(key for held in like.values() for key in held)
     if not votes:
-        return ()
+        return None
     chosen = max(votes, key=lambda key: (votes[key], key == "user_data", key))
     ranges: dict[str, list[str]] = {}
     for name, held in like.items():
         if chosen in held:
             ranges.setdefault(f"{held[chosen].low} to {held[chosen].high}", []).append(name)
+    return chosen, ranges
+
+
+def unnamed_channels(files: Mapping[str, Mapping[str, Numbers]], sensor: Sensor) -> tuple[str, ...]:
+    """Propose the dimension that holds the beamlet numbers of most files, in one sentence.
+
+    The arguments are those of :func:`numbered_dimension`.
+    """
+    found = numbered_dimension(files, sensor)
+    if found is None:
+        return ()
+    chosen, ranges = found
     listed = " and ".join(f"{span} in {named(names, 3)}" for span, names in ranges.items())
     text = (
         f"survey.channel_dimension is not set, but {chosen} holds {listed}, as the "

@@ -1,0 +1,244 @@
+"""One file, without a workflow: what it is not told it guesses, and says so.
+
+The chain is that of a run, in a folder beside the result that is deleted in the end. It stays where
+something failed or stopped the run, and the same command continues there.
+"""
+
+import glob
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from spl_batch.airborne.first_use.clouds import CloudLook, channel_guess, crs_guess, look_at
+from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.engine.settings.workflow_file import load_any
+from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
+from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.verbs.conclusion import RunResult
+from spl_batch.engine.verbs.running import run
+from spl_batch.engine.watch.events import Listener, Note, ignore
+from spl_batch.errors import DamagedError, InputError, WorkflowError, grouped
+from spl_batch.formats.files.atomic import remove, replacing, write_bytes
+
+WORK: Final = ".work"
+"""How the name of the folder ends that a result is made in, beside it."""
+
+_WORKFLOW: Final = "workflow.yaml"
+_MOVED: Final = "moved.json"
+"""Record of the results that were moved out of the folder: size and time of writing."""
+
+_SENSOR: Final = "spl100"
+
+
+def denoise(
+    source: Path | str,
+    target: Path | str,
+    *,
+    trajectory: Path | str | None = None,
+    sensor: str | None = None,
+    ground: bool = False,
+    dtm: Path | str | None = None,
+    force: bool = False,
+    workers: int = 2,
+    memory: str | int | None = None,
+    overrides: Sequence[str] = (),
+    listener: Listener = ignore,
+) -> RunResult:
+    """Label the noise of one file, and on request its ground.
+
+    Parameters
+    ----------
+    source : Path or str
+        LAS, LAZ or COPC with ``gps_time``.
+    target : Path or str
+        LAZ to write: every point, in order. Noise has class 7 or 18; ``noise_class`` says which.
+    trajectory : Path or str, optional
+        CSV, Parquet or SBET, or a pattern of several.
+    sensor : str, optional
+        Preset of the instrument; ``spl100`` unless told.
+    ground : bool
+        Whether points of the ground get class 2, and the others the class that a run gives them;
+        otherwise signal keeps the class that it has.
+    dtm : Path or str, optional
+        GeoTIFF of the terrain to write.
+    force : bool
+        Replace results that are there.
+    workers : int
+        Worker processes; 0 works in this process.
+    memory : str or int, optional
+        Memory limit of a worker [byte]; a share of the machine's unless told.
+    overrides : sequence of str
+        ``key.path=value`` of a workflow, such as ``filter.alpha=0.01``.
+    listener : callable
+        Told what is guessed, and what happens.
+
+    Returns
+    -------
+    RunResult
+        ``screen`` counts the points; there is no report.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds no shots.
+    WorkflowError, PlanError
+        If nothing can be started; a result that is there is not replaced unless ``force`` is given.
+    StoppedError
+        If the run had to stop as a whole; the same call continues.
+    """
+    cloud, raster = Path(target), None if dtm is None else Path(dtm)
+    folder = cloud.with_name(cloud.name + WORK)
+    results = [(cloud, ".laz"), *([] if raster is None else [(raster, ".tif")])]
+    _refuse(Path(source), results, _moved(folder), force=force)
+    look = look_at(Path(source))
+    guessed, content = _proposal(look, trajectory, sensor, ground=ground)
+    began = not folder.exists()
+    try:
+        write_bytes(folder / _WORKFLOW, yaml.safe_dump(content, sort_keys=False).encode())
+        load_any(folder / _WORKFLOW, overrides)
+        for text in guessed:
+            listener(Note("info", text))
+        found = run(
+            folder / _WORKFLOW,
+            workers=workers,
+            memory=memory,
+            until="deliver",
+            overrides=overrides,
+            listener=listener,
+        )
+    except (InputError, WorkflowError):
+        if began:
+            remove(folder)
+        raise
+    store = Store(found.output)
+    delivered = [r for r in read_receipts(store, "deliver_file") if not r.failed]
+    if not delivered:
+        told = ("attention", f"nothing was delivered, as told above; {folder} has the log")
+        return RunResult(found.exit_status, folder, None, (told,))
+    moves = dict(_moves(found.output, delivered[0], cloud, raster))
+    write_json(folder / _MOVED, {str(to.resolve()): _stamp(path) for path, to in moves.items()})
+    rows = (*_counts(delivered[0], ground=ground), *_acquisition(store))
+    if found.exit_status:
+        rows += (("attention", f"a part failed; the same command tries it again in {folder}"),)
+    for path, to in moves.items():
+        with replacing(to) as temporary:
+            shutil.move(path, temporary)
+    if found.exit_status == 0:
+        remove(folder)
+    return RunResult(found.exit_status, cloud.parent, None, rows, _found(list(moves.values())))
+
+
+def _refuse(
+    source: Path,
+    results: Iterable[tuple[Path, str]],
+    own: Mapping[str, list[int]],
+    *,
+    force: bool,
+) -> None:
+    """Refuse names that no result may have."""
+    for path, suffix in results:
+        if path.suffix.lower() != suffix or path.name.lower().endswith(f".copc{suffix}"):
+            raise WorkflowError(f"{path}: write a name that ends in {suffix}, and not in .copc.laz")
+        if path.exists() and source.exists() and path.samefile(source):
+            raise WorkflowError(f"{path}: this is the input; name another file")
+        mine = path.exists() and own.get(str(path.resolve())) == _stamp(path)
+        if path.exists() and not force and not mine:
+            raise WorkflowError(f"{path} is there already; name another file, or add --force")
+
+
+def _moved(folder: Path) -> Mapping[str, list[int]]:
+    """Results of an earlier call that has failed in part, by their paths."""
+    if folder.exists() and not (folder / _WORKFLOW).exists():
+        raise WorkflowError(f"{folder}: this folder is needed for the work; rename it")
+    try:
+        return read_json(folder / _MOVED)
+    except DamagedError:
+        return {}
+
+
+def _stamp(path: Path) -> list[int]:
+    stat = path.stat()
+    return [stat.st_size, stat.st_mtime_ns]
+
+
+def _proposal(
+    look: CloudLook, trajectory: Path | str | None, sensor: str | None, *, ground: bool
+) -> tuple[list[str], dict[str, Any]]:
+    """What is guessed, a sentence for each, and the workflow that follows."""
+    path = look.facts.path
+    if not look.facts.n_points:
+        raise InputError(str(path), "it holds no points")
+    if look.span_s is None:
+        raise InputError(
+            str(path),
+            "its first and last points have no usable gps_time, so there are no shots to tell "
+            "noise by; give the file its times, or use spl_batch.filter_points of Python, which "
+            "measures noise where the cloud is empty",
+        )
+    instrument = sensor or _SENSOR
+    channel = channel_guess([look], load_preset(instrument))
+    survey: dict[str, Any] = {
+        "name": path.stem,
+        "flightlines": glob.escape(str(path.resolve())),
+        "sensor": instrument,
+    }
+    if channel.value is not None:
+        survey["channel_dimension"] = channel.value
+    if trajectory is not None:
+        survey["trajectory"] = str(Path(trajectory).resolve())
+    outputs = {"classes": "all" if ground else "noise", "catalogue": False}
+    guessed = [
+        f"guessed: beamlet numbers: {f'{channel.value} ' if channel.value else ''}{channel.reason}",
+        f"guessed: CRS: {crs_guess([look]).reason}",
+    ]
+    if sensor is None:
+        guessed.append(f"guessed: sensor: {instrument}; --sensor names another one")
+    if trajectory is None:
+        guessed.append(
+            "guessed: beams: from where lines of sight meet, or vertical; --trajectory gives them"
+        )
+    return guessed, {"survey": survey, "outputs": outputs, "output": "out"}
+
+
+def _moves(
+    output: Path, delivered: Receipt, cloud: Path, raster: Path | None
+) -> Iterator[tuple[Path, Path]]:
+    """Each result where it was made, and where it goes; the cloud comes last."""
+    if raster is not None:
+        for made in sorted(output.glob("dtm.tif")) + sorted(output.glob("dtm_[0-9]*.tif")):
+            yield (
+                made,
+                raster.with_name(raster.stem + made.stem.removeprefix("dtm") + raster.suffix),
+            )
+    yield output / "laz" / delivered.facts["name"], cloud
+
+
+def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
+    """How many points there are of each kind."""
+    kinds = {int(kind): n for kind, n in delivered.facts["noise_class"].items()}
+    names = {0: "signal", 1: "background noise", 2: "afterpulses", 255: "not assessed"}
+    counts = [(name, kinds.get(kind, 0)) for kind, name in names.items()]
+    if ground:
+        counts.append(("ground", delivered.facts["classes"].get("2", 0)))
+    whole = grouped(delivered.points)
+    yield "points", f"{whole} in, {whole} out"
+    for name, n in counts:
+        if n or name != "not assessed":
+            yield name, f"{grouped(n)} ({100 * n / delivered.points:.1f} % of all points)"
+
+
+def _acquisition(store: Store) -> Iterator[tuple[str, str]]:
+    """What was found of the pulse rate and the range gate, by the line with most points."""
+    lines = [receipt for receipt in read_receipts(store, "fit_line") if not receipt.failed]
+    for line in sorted(lines, key=lambda one: (-one.points, one.name))[:1]:
+        facts = line.facts
+        yield "pulse rate", f"{grouped(facts['prf_hz'])} Hz, {facts['prf_basis']}"
+        yield "range gate", f"{grouped(facts['gate_m'])} m, {facts['gate_basis']}"
+
+
+def _found(results: Sequence[Path]) -> tuple[tuple[str, list[Path]], ...]:
+    *rasters, cloud = results
+    return ("cloud", [cloud]), ("terrain", rasters)

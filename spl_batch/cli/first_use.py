@@ -1,0 +1,60 @@
+"""Commands for somebody with files and without a workflow."""
+
+from pathlib import Path
+
+import click
+
+from spl_batch.cli.clock import saying_if_slow
+from spl_batch.cli.options import CLOCK, SETTINGS, limits
+
+_FILE = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("source", metavar="IN.laz", type=_FILE)
+@click.argument("target", metavar="OUT.laz", type=_FILE)
+@click.option("--trajectory", metavar="FILE", help="Where the sensor was: CSV, Parquet or SBET.")
+@click.option("--sensor", metavar="NAME", help="The instrument; spl100 unless told, or hrqls.")
+@click.option("--ground", is_flag=True, help="Find the ground as well: class 2.")
+@click.option("--dtm", metavar="FILE.tif", type=_FILE, help="Write the terrain as a GeoTIFF.")
+@click.option("--force", is_flag=True, help="Replace results that are there.")
+@limits
+@SETTINGS
+def denoise(
+    source: Path,
+    target: Path,
+    trajectory: str | None,
+    sensor: str | None,
+    ground: bool,  # noqa: FBT001 - click passes flags by name
+    dtm: Path | None,
+    force: bool,  # noqa: FBT001
+    workers: int,
+    memory: str | None,
+    overrides: tuple[str, ...],
+) -> int:
+    """Label the noise of IN.laz in OUT.laz, without a workflow file.
+
+    OUT.laz has every point, in order. Noise has class 7 (below the surface) or 18 (above it),
+    afterpulses too; `noise_class` tells them apart. What is not given is guessed, and printed.
+    """
+    with saying_if_slow("loading"):
+        from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
+        from spl_batch.cli import screen  # noqa: PLC0415
+        from spl_batch.cli.view import watching  # noqa: PLC0415
+
+    with watching() as view:
+        result = api.denoise(
+            source,
+            target,
+            trajectory=trajectory,
+            sensor=sensor,
+            ground=ground,
+            dtm=dtm,
+            force=force,
+            workers=workers,
+            memory=memory,
+            overrides=overrides,
+            listener=view.on_event,
+        )
+    screen.print_result(result, CLOCK.get().took_s)
+    return result.exit_status

@@ -1,0 +1,126 @@
+"""One file without a workflow: the labels of a run, and nothing lost on the way."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+
+from spl_batch import api
+from spl_batch.airborne.first_use import one_file
+from spl_batch.errors import StoppedError
+from tests import surveys
+
+KNOWN = [
+    f"--set=acquisition.prf_hz={surveys.PRF_HZ}",
+    f"--set=acquisition.gate_m={surveys.GATE_M}",
+    "--set=ground.cell_m=50",
+    "--set=ground.buffer_m=20",
+]
+
+
+@pytest.fixture(scope="module")
+def line(small_lines: Path) -> Path:
+    """One short pass without a trajectory."""
+    return small_lines.parent / "lines" / "line_1.laz"
+
+
+def denoise(*arguments: Any) -> surveys.Ended:
+    return surveys.command("denoise", *arguments, "--workers", 0, *KNOWN)
+
+
+def test_labels_and_terrain_are_those_of_a_run(line: Path, tmp_path: Path) -> None:
+    cloud, dtm = tmp_path / "clean.laz", tmp_path / "terrain" / "dtm.tif"
+    ended = denoise(line, cloud, "--ground", "--dtm", dtm)
+    assert ended.status == 0, ended.text
+    for guess in ("channel is called so", "WGS 84 / UTM zone 15N", "sensor: spl100", "beams: "):
+        assert guess in ended.err, guess
+    workflow = surveys.write_workflow(tmp_path, survey={"flightlines": str(line)})
+    whole = surveys.run(workflow)
+    assert f"signal            {whole.report.counts.signal:,}".replace(",", " ") in ended.out
+    expected = surveys.cloud(whole.output / "laz" / "line_1.laz")
+    assert surveys.cloud(cloud)["classification"].any()
+    for name, values in surveys.cloud(cloud).items():
+        assert values.tobytes() == expected[name].tobytes(), name
+    with rasterio.open(dtm) as ours, rasterio.open(whole.output / "dtm.tif") as theirs:
+        assert ours.read(1).tobytes() == theirs.read(1).tobytes()
+        assert ours.transform == theirs.transform
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "clean.laz", "out", "terrain", "workflow.yaml",
+    ]  # fmt: skip
+
+
+def test_signal_keeps_its_class_where_ground_is_not_asked_for(tmp_path: Path) -> None:
+    columns = surveys.flightline(shots=120, seed=1)
+    columns["classification"] = np.arange(len(columns["x"])) % 3 + 4
+    columns["classification"] = columns["classification"].astype(np.uint8)
+    source = surveys.write_cloud(tmp_path / "in.laz", columns)
+    assert denoise(source, tmp_path / "out.laz").status == 0
+    found = surveys.cloud(tmp_path / "out.laz")
+    signal = found["noise_class"] == 0
+    assert 0.5 < signal.mean() < 0.95
+    assert np.array_equal(found["classification"][signal], columns["classification"][signal])
+    assert set(found["classification"][~signal]) == {7, 18}
+
+
+def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
+    there = tmp_path / "there.laz"
+    there.write_bytes(b"somebody's")
+    (tmp_path / "work.laz.work").mkdir()
+    for arguments, said in (
+        ((line, there), "is there already; name another file, or add --force"),
+        ((line, tmp_path / "new.laz", "--dtm", there), "write a name that ends in .tif"),
+        ((line, tmp_path / "new.las"), "write a name that ends in .laz"),
+        ((line, tmp_path / "new.copc.laz"), "write a name that ends in .laz"),
+        ((line, line, "--force"), "this is the input"),
+        ((line, tmp_path / "new.laz", "--sensor", "spl99"), "no preset 'spl99'"),
+        ((line, tmp_path / "new.laz", "--trajectory", "no.csv"), "no.csv does not exist"),
+        ((line, tmp_path / "work.laz"), "work.laz.work: this folder is needed"),
+        ((tmp_path / "no.laz", tmp_path / "new.laz"), "no.laz"),
+    ):
+        ended = denoise(*arguments)
+        assert ended.status == 2, said
+        assert said in ended.err
+    assert there.read_bytes() == b"somebody's"
+    assert {p.name for p in tmp_path.iterdir()} == {"there.laz", "work.laz.work"}
+
+
+def test_a_file_without_times_is_told_what_helps(tmp_path: Path) -> None:
+    columns = surveys.flightline(shots=20)
+    columns["gps_time"] = np.zeros_like(columns["gps_time"])
+    source = surveys.write_cloud(tmp_path / "in.laz", columns)
+    ended = denoise(source, tmp_path / "out.laz")
+    assert ended.status == 2
+    assert "no usable gps_time" in ended.err
+    assert "filter_points" in ended.err
+    assert [p.name for p in tmp_path.iterdir()] == ["in.laz"]
+
+
+def test_what_stopped_goes_on_and_what_failed_in_part_is_tried_again(
+    line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud, work = tmp_path / "out.laz", tmp_path / "out.laz.work"
+    ends = iter(["stops", 1, 0])
+
+    def run(*arguments: Any, **options: Any) -> api.RunResult:
+        end = next(ends)
+        result = api.run(
+            *arguments, **{**options, "until": "index" if end == "stops" else "deliver"}
+        )
+        if end == "stops":
+            raise StoppedError("disk full")
+        return replace(result, exit_status=end)
+
+    monkeypatch.setattr(one_file, "run", run)
+    assert denoise(line, cloud).status == 3
+    assert work.is_dir()
+    assert not cloud.exists()
+    ended = denoise(line, cloud)
+    assert ended.status == 1
+    assert "the same command tries it again" in ended.out
+    assert "index: index file: 0 tasks, 1 finished before" in ended.err
+    assert cloud.exists()
+    assert denoise(line, cloud).status == 0  # what it wrote itself needs no --force
+    assert not work.exists()
