@@ -34,8 +34,9 @@ NAMES = {"constants", "errors", "imports", "receivers", "__init__"}
 FLOW: Mapping[str, tuple[str, ...]] = {
     "airborne": (
         *("sensors", "settings", "context", "store", "beams", "noise", "afterpulse", "filter"),
-        *("ground", "strips", "products", "accuracy", "catalogue", "simulate", "tasks", "plan"),
-        *("arrays", "report", "precompile", "receiver", "compare", "quickstart", "first_use"),
+        *("ground", "strips", "products", "pulses", "classes", "accuracy", "catalogue"),
+        *("simulate", "tasks", "plan", "arrays", "report", "precompile", "receiver"),
+        *("compare", "quickstart", "first_use"),
     ),
     "altimetry": (
         *("settings", "photon_table", "formats", "simulate", "water", "noise", "filter", "ground"),

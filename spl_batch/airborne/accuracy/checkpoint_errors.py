@@ -1,8 +1,8 @@
 """Vertical accuracy at checkpoints, as the ASPRS standards of 2023 want it told.
 
 Source: ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, Version 1.0
-(2023), Section 7. The accuracy of a product has two components: how well it fits the checkpoints,
-``RMSE_V1``, and how well the checkpoints are known, ``RMSE_V2``;
+(2023), sections 7.1, 7.4, 7.13 and 7.15. The accuracy of a product has two components: how well it
+fits the checkpoints, ``RMSE_V1``, and how well the checkpoints are known, ``RMSE_V2``;
 
     RMSE_V = sqrt(RMSE_V1^2 + RMSE_V2^2).
 
@@ -22,7 +22,7 @@ import numpy as np
 
 STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data"
 
-EDITION: Final = "Edition 2, Version 1.0 (2023), Section 7"
+EDITION: Final = "Edition 2, Version 1.0 (2023)"
 
 ENOUGH: Final = 30
 """Checkpoints of a kind that a statement needs [count]."""
@@ -156,7 +156,7 @@ def _found(name: str, kind: str, of: AtCheckpoints) -> str:
     )
     whole = "not known" if of.rmse_v_m is None else _cm(of.rmse_v_m)
     return (
-        f"The tested {name} was found to be RMSE_V = {whole} at {of.n} checkpoints{few}: fit "
+        f"{name} accuracy was found to be RMSE_V = {whole} at {of.n} checkpoints{few}: fit "
         f"{_cm(of.rmse_v1_m)}, {own}."
     )
 

@@ -1,7 +1,9 @@
 """What a contract asks for and what a run knows of it: limits by quality level, evidence.
 
-Source: USGS Lidar Base Specification 2024 rev. A, tables of nominal pulse spacing and density, of
-relative and of absolute vertical accuracy.
+Source: USGS Lidar Base Specification 2024 rev. A, Table 1 (aggregate nominal pulse spacing and
+density), Table 2 (relative vertical accuracy), Table 4 (absolute vertical accuracy). The limits of
+relative accuracy are those of a vertical accuracy class of the ASPRS standards of 2023, section
+7.4: of its RMSE_V the 0.6fold within a swath, 0.8fold (RMSDz) and 1.6fold (largest) between two.
 """
 
 from collections.abc import Mapping
@@ -10,6 +12,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from spl_batch.airborne.accuracy.checkpoint_errors import AtCheckpoints
+from spl_batch.airborne.pulses.smooth_surfaces import Repeatability
 
 
 class Level(NamedTuple):
@@ -86,16 +89,17 @@ class SwathDifferences:
     ----------
     rmsd_m : float
         RMSDz over all pairs, at smooth places of up to 10 degrees [m].
-    worst_m : float
-        That of the pair that is worst [m].
+    largest_m, largest_sd_m : float
+        Largest difference at one of these places, and its standard deviation [m].
     pairs, places : int
         Pairs of flightlines; places that both of a pair have [count].
     where : str
-        The worst pair.
+        The pair with the largest difference, and the place.
     """
 
     rmsd_m: float
-    worst_m: float
+    largest_m: float
+    largest_sd_m: float
     pairs: int
     places: int
     where: str
@@ -119,6 +123,8 @@ class Evidence:
         Whether polygons say where water is.
     swaths : SwathDifferences or None
         None where no flightlines were compared.
+    smooth : Repeatability or None
+        Smooth places of single flightlines; None where there are none, or nobody looked.
     flightlines : int
         Flightlines [count].
     classes : mapping of int to int
@@ -139,6 +145,7 @@ class Evidence:
     pulses: PulseTotals | None
     water_known: bool
     swaths: SwathDifferences | None
+    smooth: Repeatability | None
     flightlines: int
     classes: Mapping[int, int]
     filtered: bool

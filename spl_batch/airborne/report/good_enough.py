@@ -22,7 +22,8 @@ from spl_batch.airborne.accuracy.evidence import (
 from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines
-from spl_batch.airborne.products.pulse_coverage import SPACINGS, Coverage
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
+from spl_batch.airborne.pulses.smooth_surfaces import STEPS, Repeatability, repeatability
 from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
 from spl_batch.airborne.report.model import Requirement as RequirementReport
 from spl_batch.airborne.report.strip_pairs import strip_pairs
@@ -58,6 +59,7 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         pulses=_pulses(done, context, limits.spacing),
         water_known=workflow.water is not None,
         swaths=_swaths(strip_pairs(done)),
+        smooth=_smooth(done, limits.spacing),
         flightlines=len(flown),
         classes=_classes(done),
         filtered=workflow.filter.method != "none",
@@ -141,19 +143,34 @@ def _pulses(done: Receipts, context: Context, spacing: str) -> PulseTotals | Non
 
 def _swaths(pairs: Sequence[StripPair]) -> SwathDifferences | None:
     """Differences of all pairs of flightlines together; None where none were measured."""
-    known = [(p.flat_patches, p.rmsd_z_m, p) for p in pairs if p.flat_patches and p.rmsd_z_m]
+    known = [
+        (pair.flat_patches, pair.rmsd_z_m, pair.largest_m, pair)
+        for pair in pairs
+        if pair.flat_patches and pair.rmsd_z_m and pair.largest_m
+    ]
     if not known:
         return None
-    places = sum(count for count, _, _ in known)
-    squares = sum(count * rmsd**2 for count, rmsd, _ in known)
-    _, worst_m, worst = max(known, key=lambda one: one[1])
+    places = sum(count for count, *_ in known)
+    squares = sum(count * rmsd**2 for count, rmsd, *_ in known)
+    *_, largest_m, worst = max(known, key=lambda one: one[2])
+    east, north = worst.largest_at_m or worst.centre_m
     return SwathDifferences(
         rmsd_m=math.sqrt(squares / places),
-        worst_m=worst_m,
+        largest_m=largest_m,
+        largest_sd_m=worst.largest_sd_m or 0.0,
         pairs=len(known),
         places=places,
-        where=f"{worst.first} and {worst.second}",
+        where=f"{worst.first} and {worst.second} at {east or 0:.0f}, {north or 0:.0f}",
     )
+
+
+def _smooth(done: Receipts, spacing: str) -> Repeatability | None:
+    """Smooth places of all ground cells together."""
+    sums = np.zeros((STEPS, 3), np.int64)
+    for receipt in done.get("surface", {}).values():
+        for step, *added in receipt.facts.get(pulses.SMOOTH, {}).get(spacing, ()):
+            sums[step] += added
+    return repeatability(sums)
 
 
 def _classes(done: Receipts) -> Mapping[int, int]:

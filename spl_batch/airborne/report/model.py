@@ -273,6 +273,13 @@ class StripPair(Part):
         None, description="Root mean square of the vertical differences of these [m]."
     )
     noise_m: Number = Field(description="Ranging noise: spread about the smoothest patches [m].")
+    largest_m: Number = Field(
+        None, description="Largest vertical difference of a smooth patch of up to 10 degrees [m]."
+    )
+    largest_sd_m: Number = Field(None, description="Standard deviation of it [m].")
+    largest_at_m: tuple[Number, Number] | None = Field(
+        None, description="Easting and northing of that patch [m]."
+    )
 
 
 class Report(Part):

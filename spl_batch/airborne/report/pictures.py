@@ -7,9 +7,10 @@ was forgotten.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -96,14 +97,14 @@ def make_pictures(inputs: PictureInputs, report: Report) -> dict[str, Picture]:
     made = {
         "dtm": _relief(inputs, "dtm", photons=photons),
         "dsm": _relief(inputs, "dsm", photons=photons),
-        "chm": _canopy(inputs.chm),
+        "chm": _amount(inputs.chm, CANOPY),
         "difference": _difference(inputs.difference, overall),
         "histogram": _histogram(inputs.differences_m, overall),
         "profile": _profile(inputs.profile, photons=photons),
-        "noise_density": _noise(inputs.noise_density),
-        "dtm_quality": _quality(inputs.dtm_quality),
-        "density": _density(inputs.density, photons=photons),
-        "strips": _strips(inputs.strips),
+        "noise_density": _amount(inputs.noise_density, NOISE),
+        "dtm_quality": _amount(inputs.dtm_quality, QUALITY),
+        "density": _amount(inputs.density, SIGNAL_DENSITY if photons else POINT_DENSITY),
+        "strips": _amount(inputs.strips, STRIPS),
     }
     if report.survey.pieces:
         made["locator"] = _locator([piece.extent_m for piece in report.survey.pieces])
@@ -190,21 +191,90 @@ def _relief(inputs: PictureInputs, key: str, *, photons: bool, piece: int = 1) -
     )
 
 
-def _canopy(raster: Raster | None) -> Picture:
-    title = "Heights above ground (CHM)"
+class Amount(NamedTuple):
+    """A map of something that begins at zero.
 
+    Parameters
+    ----------
+    title, legend, caption : str
+        What it shows, with its unit in the legend.
+    ramp : Colormap
+        Its colours.
+    percent : float
+        Share of the cells whose values the colours tell apart, from below [%].
+    least : float
+        Upper end of the colours, at least [unit of the legend].
+    scale : float
+        Units of the legend in one of the raster.
+    missing : str
+        Why there is no raster, where there is none.
+    """
+
+    title: str
+    legend: str
+    caption: str
+    ramp: Colormap
+    percent: float = 98.0
+    least: float = 0.0
+    scale: float = 1.0
+    missing: str = "This raster was not made."
+
+
+CANOPY: Final = Amount(
+    "Heights above ground (CHM)",
+    "height above ground [m]",
+    "Surface minus terrain. Open ground is near zero; roofs are even, trees are rough.",
+    style.CANOPY,
+    percent=99.5,
+    least=1.0,
+)
+NOISE: Final = Amount(
+    "Expected background noise",
+    "noise returns per cubic metre",
+    "Solar and dark noise near the surface, from the rates of all beamlets that cross a place. It "
+    "steps where flightlines overlap, and grows over bright ground.",
+    style.SKY,
+    percent=99.0,
+    missing="No noise model was made for this run.",
+)
+QUALITY: Final = Amount(
+    "How well the terrain is known",
+    "standard deviation of the terrain [m]",
+    "By how far the nearest ground is, and by how much heights differ here over such a distance. "
+    "What was wrongly taken for ground does not show.",
+    style.SKY,
+)
+SIGNAL_DENSITY: Final = Amount(
+    "Point density",
+    "signal returns per square metre",
+    "Signal. Look for gaps between flightlines; the arcs are the track of the circular scan.",
+    style.DENSITY,
+)
+POINT_DENSITY: Final = SIGNAL_DENSITY._replace(
+    legend="points per square metre",
+    caption="All points that take part. Look for gaps between flightlines.",
+)
+STRIPS: Final = Amount(
+    "Height between flightlines",
+    "height between flightlines [cm]",
+    "Median over the planar patches of a place, whichever flightline lies above. An even tint "
+    "along a flightline is an offset of the whole strip, a change across it a roll angle that is "
+    "off.",
+    style.DENSITY,
+    least=1.0,
+    scale=100.0,
+    missing="No two flightlines share planar patches.",
+)
+
+
+def _amount(raster: Raster | None, of: Amount) -> Picture:
     def draw(given: Raster) -> Picture:
-        top = max(spread(reduce_raster(given).values, 1, 99.5)[1], 1.0)
-        drawn = draw_ramp(
-            given, title, "height above ground [m]", ramp=style.CANOPY, limits=(0.0, top)
-        )
-        return _finished(
-            drawn,
-            title,
-            "Surface minus terrain. Open ground is near zero; roofs are even, trees are rough.",
-        )
+        shown = given if of.scale == 1.0 else Raster(of.scale * given.masked(), given.extent_m)
+        top = max(spread(reduce_raster(shown).values, 1, of.percent)[1], of.least)
+        drawn = draw_ramp(shown, of.title, of.legend, ramp=of.ramp, limits=(0.0, top))
+        return _finished(drawn, of.title, of.caption)
 
-    return _or_missing(raster, title, "This raster was not made.", draw)
+    return _or_missing(raster, of.title, of.missing, draw)
 
 
 def _difference(raster: Raster | None, statistics: Statistics | None) -> Picture:
@@ -262,78 +332,3 @@ def _profile(profile: Profile | None, *, photons: bool) -> Picture:
             else "Look for roofs, crowns and wires that were taken for ground."
         ),
     )
-
-
-def _noise(raster: Raster | None) -> Picture:
-    title = "Expected background noise"
-
-    def draw(given: Raster) -> Picture:
-        top = spread(reduce_raster(given).values, 1, 99)[1]
-        drawn = draw_ramp(
-            given, title, "noise returns per cubic metre", ramp=style.SKY, limits=(0.0, top)
-        )
-        return _finished(
-            drawn,
-            title,
-            "Solar and dark noise near the surface, from the rates of all beamlets that cross a "
-            "place. It steps where flightlines overlap, and grows over bright ground.",
-        )
-
-    return _or_missing(raster, title, "No noise model was made for this run.", draw)
-
-
-def _quality(raster: Raster | None) -> Picture:
-    title = "How well the terrain is known"
-
-    def draw(given: Raster) -> Picture:
-        top = spread(reduce_raster(given).values, 1, 98)[1]
-        drawn = draw_ramp(
-            given, title, "standard deviation of the terrain [m]", ramp=style.SKY, limits=(0.0, top)
-        )
-        return _finished(
-            drawn,
-            title,
-            "By how far the nearest ground is, and by how much heights differ here over such a "
-            "distance. What was wrongly taken for ground does not show.",
-        )
-
-    return _or_missing(raster, title, "This raster was not made.", draw)
-
-
-def _density(raster: Raster | None, *, photons: bool) -> Picture:
-    title = "Point density"
-
-    def draw(given: Raster) -> Picture:
-        top = spread(reduce_raster(given).values, 1, 98)[1]
-        unit = f"{'signal returns' if photons else 'points'} per square metre"
-        drawn = draw_ramp(given, title, unit, ramp=style.DENSITY, limits=(0.0, top))
-        return _finished(
-            drawn,
-            title,
-            "Signal. Look for gaps between flightlines; the arcs are the track of the circular "
-            "scan."
-            if photons
-            else "All points that take part. Look for gaps between flightlines.",
-        )
-
-    return _or_missing(raster, title, "This raster was not made.", draw)
-
-
-def _strips(raster: Raster | None) -> Picture:
-    title = "Height between flightlines"
-
-    def draw(given: Raster) -> Picture:
-        scaled = Raster(100 * given.masked(), given.extent_m)
-        top = max(spread(scaled.values, 1, 98)[1], 1.0)
-        drawn = draw_ramp(
-            scaled, title, "height between flightlines [cm]", ramp=style.DENSITY, limits=(0.0, top)
-        )
-        return _finished(
-            drawn,
-            title,
-            "Median over the planar patches of a place, whichever flightline lies above. An even "
-            "tint along a flightline is an offset of the whole strip, a change across it a roll "
-            "angle that is off.",
-        )
-
-    return _or_missing(raster, title, "No two flightlines share planar patches.", draw)

@@ -24,6 +24,9 @@ def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
             flat_patches=pair.flat_patches,
             rmsd_z_m=pair.rmsd_z_m,
             noise_m=pair.noise_m,
+            largest_m=pair.largest_m,
+            largest_sd_m=pair.largest_sd_m,
+            largest_at_m=None if pair.largest_m is None else (pair.largest_x_m, pair.largest_y_m),
         )
         for receipt in done.get("strip_pairs", {}).values()
         for pair in pairs_of(receipt.facts)

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.strips.strip_patches import Patches
+from spl_batch.airborne.strips.strip_patches import FLAT, Patches
 
 FEWEST: Final = 10
 """Patches of a pair that tell something, at least [count]."""
@@ -42,10 +42,6 @@ slope of the terrain, and count as one witness [m]."""
 
 DETERMINED_M: Final = 0.1
 """Standard deviation of a horizontal difference, above which it is not told [m]."""
-
-FLAT: Final = 0.176
-"""Slope up to which a patch counts for the root mean square of heights: 10 degrees, as the USGS
-Lidar Base Specification has it [rise/run]."""
 
 TWICE: Final = 2.0
 """A patch thicker than this times the noise is overgrown, and no measure of heights."""
@@ -97,6 +93,11 @@ class PairDifference(NamedTuple):
         Root mean square of their vertical differences [m].
     noise_m : float
         Standard deviation of ranges: that about the smoothest patches [m].
+    largest_m, largest_sd_m : float or None
+        Largest vertical difference of a smooth patch of up to 10 degrees, without its sign, and its
+        standard deviation [m].
+    largest_x_m, largest_y_m : float or None
+        Where that patch lies [m].
     """
 
     first: str
@@ -113,6 +114,10 @@ class PairDifference(NamedTuple):
     flat_patches: int
     rmsd_z_m: float | None
     noise_m: float
+    largest_m: float | None
+    largest_sd_m: float | None
+    largest_x_m: float | None
+    largest_y_m: float | None
 
     @property
     def is_off_vertically(self) -> bool:
@@ -160,7 +165,7 @@ def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[PairDiffe
     found = []
     for (first, second), listed in sorted(parts.items()):
         whole = {k: np.concatenate([part[k] for part in listed]) for k in listed[0]}
-        if len(whole["rise"]) >= FEWEST:
+        if np.count_nonzero(whole["beyond"] == 0) >= FEWEST:
             found.append(_difference(first, second, whole))
     return found
 
@@ -180,11 +185,13 @@ def _by_pair(names: Sequence[str], patches: Patches) -> Iterable[tuple[tuple[str
         yield (first, second), chosen
 
 
-def _difference(first: str, second: str, patches: Patches) -> PairDifference:
+def _difference(first: str, second: str, listed: Patches) -> PairDifference:
+    sample = listed["beyond"] == 0
+    patches = {name: values[sample] for name, values in listed.items()}
     noise = float(np.quantile(patches["thickness"], QUARTER))
-    slope = np.hypot(patches["east"], patches["north"])
-    smooth = (slope <= FLAT) & (patches["thickness"] <= TWICE * noise)
-    flat = patches["rise"][smooth]
+    slope = np.hypot(listed["east"], listed["north"])
+    smooth = (slope <= FLAT) & (listed["thickness"] <= TWICE * noise)
+    flat = listed["rise"][smooth & sample]
     shift = fit_shift(patches)
     area = patches["edge_m"] ** 2
     return PairDifference(
@@ -202,7 +209,17 @@ def _difference(first: str, second: str, patches: Patches) -> PairDifference:
         len(flat),
         float(np.sqrt(np.mean(flat**2))) if len(flat) else None,
         noise,
+        *_largest({name: values[smooth] for name, values in listed.items()}),
     )
+
+
+def _largest(smooth: Patches) -> tuple[float | None, ...]:
+    """Largest difference without its sign, its standard deviation, and where it lies [m]."""
+    if not len(smooth["rise"]):
+        return (None,) * 4
+    rise, x, y = np.abs(smooth["rise"]), smooth["x"], smooth["y"]
+    at = np.lexsort((y, x, -rise))[0]
+    return float(rise[at]), float(np.sqrt(smooth["variance"][at])), float(x[at]), float(y[at])
 
 
 class Shift(NamedTuple):

@@ -106,8 +106,9 @@ def _cells(
 
 def _map(cells: Sequence[Patches]) -> dict[str, NDArray[Any]]:
     """Median height between flightlines by place, whichever lies above, north-up [m]."""
-    columns = [np.concatenate([cell[k] for cell in cells] or [np.empty(0)]) for k in ("x", "y")]
-    rise = np.abs(np.concatenate([cell["rise"] for cell in cells] or [np.empty(0)]))
+    sample = [{k: cell[k][cell["beyond"] == 0] for k in ("x", "y", "rise")} for cell in cells]
+    columns = [np.concatenate([cell[k] for cell in sample] or [np.empty(0)]) for k in ("x", "y")]
+    rise = np.abs(np.concatenate([cell["rise"] for cell in sample] or [np.empty(0)]))
     if not len(rise):
         return {"values": np.empty((0, 0), np.float32), "extent_m": np.zeros(4)}
     east, north = columns

@@ -54,6 +54,13 @@ MOST_PASSES: Final = 40
 """Passes of a ground cell that are compared, those with most returns [count]: more than fly over
 one place. Memory and pairs grow with them."""
 
+FLAT: Final = 0.176
+"""Slope up to which a patch counts for differences of heights: 10 degrees, as the USGS Lidar Base
+Specification has it [rise/run]."""
+
+STEP_M: Final = 0.005
+"""Thicknesses that are told apart where the largest differences are kept [m]."""
+
 MOST: Final = 256
 """Patches of a pair that a ground cell keeps [count]: more tell no more of it."""
 
@@ -140,7 +147,9 @@ def find_patches(table: PointTable, passes: Passes, core: Bounds) -> Patches:
         ``first, second``: passes, the one with less point source id and time first; ``x, y``:
         middle [m]; ``edge_m``; ``rise``: the second above the first [m]; ``variance`` of it [m2];
         ``east, north``: slope [rise/run], and ``ee, en, nn``, its covariance; ``thickness``:
-        standard deviation about the plane [m]; ``returns``: those of both [count].
+        standard deviation about the plane [m]; ``returns``: those of both [count]; ``beyond``: 1
+        for one that is kept beyond the sample of its pair, as the largest ``rise`` of those of up
+        to 10 degrees and its thickness, else 0.
     """
     whole = region(core)
     edge, joined = quanta(EDGE_M), 2 ** (LEVELS - 1)
@@ -275,24 +284,34 @@ def _rows(
 def _joined(found: list[Patches]) -> Patches:
     if not found:
         names = ("x", "y", "edge_m", "rise", "variance", "east", "north", "ee", "en", "nn")
-        empty = {name: np.empty(0) for name in (*names, "returns", "thickness")}
+        empty = {name: np.empty(0) for name in (*names, "returns", "thickness", "beyond")}
         return {"first": np.empty(0, np.int32), "second": np.empty(0, np.int32), **empty}
     return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
 
 def _thinned(patches: Patches) -> Patches:
-    """No more than :data:`MOST` patches of each pair, of all slopes."""
+    """No more than :data:`MOST` patches of each pair, of all slopes, and the largest differences.
+
+    Which patches are smooth is known when those of all cells are together: of each thickness, in
+    steps of :data:`STEP_M`, the largest difference is kept.
+    """
     pair = patches["first"].astype(np.int64) * 2**32 + patches["second"]
+    slope = np.hypot(patches["east"], patches["north"])
     keep = []
     for one in np.unique(pair):
         mine = np.flatnonzero(pair == one)
         if len(mine) > MOST:
-            slope = np.hypot(patches["east"][mine], patches["north"][mine])
-            mine = mine[np.argsort(slope, kind="stable")]
+            mine = mine[np.argsort(slope[mine], kind="stable")]
             steep = mine[-MOST // 2 :]
             rest = mine[: -MOST // 2]
             evenly = np.linspace(0, len(rest) - 1, MOST // 2).astype(int)
             mine = np.sort(np.concatenate([rest[evenly], steep]))
         keep.append(mine)
     rows = np.concatenate(keep) if keep else np.empty(0, np.intp)
-    return {name: values[rows] for name, values in patches.items()}
+    others = np.setdiff1d(np.flatnonzero(slope <= FLAT), rows)
+    step = np.floor(patches["thickness"][others] / STEP_M).astype(np.int64)
+    order = np.lexsort((-np.abs(patches["rise"][others]), step, pair[others]))
+    changes = np.diff(pair[others][order], prepend=-1) | np.diff(step[order], prepend=-1)
+    beyond = others[order[changes != 0]]
+    kept = {name: values[np.append(rows, beyond)] for name, values in patches.items()}
+    return {**kept, "beyond": np.repeat(np.array([0, 1], np.uint8), [len(rows), len(beyond)])}

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.flown_cells import close
-from spl_batch.airborne.products.pulse_coverage import SPACINGS, coverage, not_flown, reach_q
-from spl_batch.airborne.products.pulse_maps import flightline_of, pulse_maps
-from spl_batch.airborne.products.pulse_returns import COLUMNS_NEEDED, pulse_ends
 from spl_batch.airborne.products.surface_rasters import margin_cells
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, coverage, not_flown, reach_q
+from spl_batch.airborne.pulses.pulse_maps import flightline_of, pulse_maps
+from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, pulse_ends
+from spl_batch.airborne.pulses.smooth_surfaces import smooth_sums
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
@@ -28,8 +29,15 @@ BARE: Final = "pulse_bare"
 """Fact of a ground cell: flown cells beyond every signal, at the edge or in a wide hole [count]."""
 
 LEVELS: Final = "pulse_levels"
-"""Fact of a ground cell: a :class:`~spl_batch.airborne.products.pulse_coverage.Coverage` by
+"""Fact of a ground cell: a :class:`~spl_batch.airborne.pulses.pulse_coverage.Coverage` by
 spacing."""
+
+SMOOTH: Final = "smooth"
+"""Fact of a ground cell: sums of :mod:`~spl_batch.airborne.pulses.smooth_surfaces` by spacing; of
+each thickness that is there: its number, places, cells, squared differences [quanta2]."""
+
+PASS_S: Final = 60.0
+"""Returns of one point source id in the same minute are of one pass [s]."""
 
 COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
 """What is looked at, and ``noise_class, flags``."""
@@ -40,8 +48,10 @@ class PulseReturns(NamedTuple):
 
     Parameters
     ----------
-    first, last : (n, 2) int64
-        Where they are [quanta].
+    first : (n, 3) int64
+        Where the first ones are [quanta].
+    last : (n, 2) int64
+        Where the last ones are [quanta].
     time_s : (n,) float64
         Times of the first ones [s].
     point_source_id : (n,) uint16
@@ -73,10 +83,11 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
     margin = max(margin_cells(products) * quanta(products.cell_m), reach_q())
     usable &= inside(table["x"], table["y"], grow(core, margin))
     signal = table.select(COLUMNS).take(usable)
-    xy = np.column_stack([signal["x"], signal["y"]])
     first, last = pulse_ends(signal)
+    xyz = np.column_stack([signal[axis][first] for axis in "xyz"]).astype(np.int64)
+    xy = np.column_stack([signal[axis][last] for axis in "xy"])
     of_first = (signal[name][first] for name in ("gps_time", "point_source_id"))
-    return PulseReturns(xy[first], xy[last], *of_first)
+    return PulseReturns(xyz, xy, *of_first)
 
 
 def pulse_facts(
@@ -99,7 +110,7 @@ def pulse_facts(
     flown = ~not_flown(density)
     if context.workflow.water is not None:
         flown &= ~_water(core, flown.shape, context)
-    x, y = returns.first.T
+    x, y, _ = returns.first.T
     bare = flown & ~within_signal(x, y, core, products)
     flown &= ~bare
     levels: Mapping[str, Any] = {
@@ -113,7 +124,17 @@ def pulse_facts(
         CELLS: int(np.count_nonzero(flown)),
         BARE: int(np.count_nonzero(bare)),
         LEVELS: {level: list(found) for level, found in levels.items()},
+        SMOOTH: {
+            level: [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
+            for level, sums in smooth_sums(returns.first, _passes(returns), core).items()
+        },
     }
+
+
+def _passes(returns: PulseReturns) -> NDArray[np.int64]:
+    """A number for each pass of a flightline: one that turns comes back some minutes later."""
+    minute = np.nan_to_num(np.floor(returns.time_s / PASS_S), nan=-1.0).astype(np.int64)
+    return minute * 2**16 + returns.point_source_id
 
 
 def pulse_rasters(
@@ -136,7 +157,7 @@ def pulse_rasters(
         Point source id, first and last time of each flightline [s].
     """
     line = flightline_of(returns.point_source_id, returns.time_s, passes)
-    return pulse_maps(returns.first, returns.last, line, core, ~not_flown(density))
+    return pulse_maps(returns.first[:, :2], returns.last, line, core, ~not_flown(density))
 
 
 def within_signal(

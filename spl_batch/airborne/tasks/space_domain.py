@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.classes import point_classes
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.air import facts_of, look_at_air, noise_in_air
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.kept_noise import within_signal
 from spl_batch.airborne.ground import ground_methods as grounding
-from spl_batch.airborne.products import near_ground, point_classes, surface_points
+from spl_batch.airborne.products import near_ground, surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.reflectance import reflectance

@@ -7,6 +7,7 @@ import pytest
 from spl_batch.airborne.accuracy.checkpoint_errors import CheckpointError, at_checkpoints
 from spl_batch.airborne.accuracy.evidence import LEVELS, Evidence, PulseTotals, SwathDifferences
 from spl_batch.airborne.accuracy.requirements import answers, requirements
+from spl_batch.airborne.pulses.smooth_surfaces import Repeatability
 
 NOTHING = Evidence(
     level="QL2",
@@ -17,12 +18,14 @@ NOTHING = Evidence(
     pulses=None,
     water_known=True,
     swaths=None,
+    smooth=None,
     flightlines=3,
     classes={1: 10, 2: 20, 7: 3, 18: 4},
     filtered=True,
     vertical_datum="NAVD88 height",
     time_standard="adjusted",
 )
+LARGEST = "Swath overlap, largest difference"
 GOOD = PulseTotals(pulses=2000, area_m2=1000.0, squares=500, filled=450, void_m2=0.0, bare_m2=0.0)
 
 
@@ -51,6 +54,8 @@ def test_the_limits_are_those_of_the_specification() -> None:
         assert (level.overlap_rmsd_m, level.overlap_max_m) == pytest.approx(
             (overlap / 100, largest / 100)
         )
+        # ASPRS standards of 2023, section 7.4: shares of the vertical accuracy class
+        assert (smooth, overlap, largest) == pytest.approx((0.6 * rmse, 0.8 * rmse, 1.6 * rmse))
 
 
 def test_what_nobody_measured_cannot_be_told() -> None:
@@ -86,12 +91,14 @@ def test_what_nobody_measured_cannot_be_told() -> None:
         ({"pulses": replace(GOOD, void_m2=8.0)}, "Data voids", "fail"),
         ({"pulses": replace(GOOD, void_m2=8.0), "water_known": False}, "Data voids", "cannot tell"),
         ({"pulses": replace(GOOD, bare_m2=11.0)}, "Data voids", "cannot tell"),
-        ({"swaths": SwathDifferences(0.08, 0.16, 3, 9, "")}, "Swath overlap difference", "pass"),
-        ({"swaths": SwathDifferences(0.081, 0.1, 3, 9, "")}, "Swath overlap difference", "fail"),
-        ({"swaths": SwathDifferences(0.01, 0.16, 3, 9, "")}, "Swath overlap, largest difference",
-         "cannot tell"),
-        ({"swaths": SwathDifferences(0.01, 0.17, 3, 9, "")}, "Swath overlap, largest difference",
-         "fail"),
+        ({"nva": checkpoints(30, 0.05, 0.051)}, "Absolute vertical accuracy, NVA", "cannot tell"),
+        ({"swaths": SwathDifferences(0.08, 0.1, 0, 3, 9, "")}, "Swath overlap difference", "pass"),
+        ({"swaths": SwathDifferences(0.081, 0.1, 0, 3, 9, "")}, "Swath overlap difference", "fail"),
+        ({"swaths": SwathDifferences(0.01, 0.16, 0.02, 3, 9, "")}, LARGEST, "pass"),
+        ({"swaths": SwathDifferences(0.01, 0.21, 0.02, 3, 9, "")}, LARGEST, "cannot tell"),
+        ({"swaths": SwathDifferences(0.01, 0.23, 0.02, 3, 9, "")}, LARGEST, "fail"),
+        ({"smooth": Repeatability(0.06, 5, 80, 0.02)}, "Smooth surface repeatability", "pass"),
+        ({"smooth": Repeatability(0.061, 5, 80, 0.02)}, "Smooth surface repeatability", "fail"),
         ({"classes": {0: 1}}, "Points never classified", "fail"),
         ({"classes": {12: 1}}, "Overlap by flag", "fail"),
         ({"filtered": False}, "Noise", "cannot tell"),

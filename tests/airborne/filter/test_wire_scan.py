@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from spl_batch.airborne.classes.point_classes import classify
 from spl_batch.airborne.filter.denoise import denoise
 from spl_batch.airborne.filter.denoise import reach_m as filter_reach_m
 from spl_batch.airborne.filter.filter_interface import Cloud
@@ -24,7 +25,6 @@ from spl_batch.airborne.filter.wires.line_hough import (
 )
 from spl_batch.airborne.filter.wires.tube_agreement import agreeing, refine, vote
 from spl_batch.airborne.filter.wires.wire_scan import reach_m, scan
-from spl_batch.airborne.products.point_classes import classify
 from spl_batch.airborne.settings import FilterSettings, WireSettings
 from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_WIRE, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable

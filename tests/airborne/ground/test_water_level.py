@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from spl_batch.airborne.classes.point_classes import classify
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.ground.water_level import flattened, off_surface, water_level
-from spl_batch.airborne.products.point_classes import classify
 from spl_batch.airborne.products.surface_rasters import surfaces
 from spl_batch.airborne.settings import GroundSettings, ProductSettings
 from spl_batch.lattice.tables import PointFlag, PointTable

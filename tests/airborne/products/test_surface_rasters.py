@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spl_batch.airborne.classes.point_classes import classify
 from spl_batch.airborne.products.confirmed_tops import lift_pits
-from spl_batch.airborne.products.point_classes import classify
 from spl_batch.airborne.products.product_table import PRODUCTS
 from spl_batch.airborne.products.surface_rasters import reach_m, surfaces
 from spl_batch.airborne.settings import ProductSettings

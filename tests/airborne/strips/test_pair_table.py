@@ -149,3 +149,29 @@ def test_less_than_the_ranging_noise_is_not_told() -> None:
     found = pair(Shift(up=0.03))
     assert found.up_m == pytest.approx(0.03, abs=0.005)
     assert list(offset_warnings([found])) == []
+
+
+def test_the_largest_difference_is_that_of_all_patches() -> None:
+    # More patches than are kept of a pair, and one of them where the second lies half a metre up.
+    points = two_strips(Shift(), heights=flat, per_m2=4.0, edge_m=160.0)
+    x, y, second = (
+        points["x"] - 10_000_000,
+        points["y"] - 20_000_000,
+        points["point_source_id"] == 2,
+    )
+    step = second & (x // 5000 == 7) & (y // 5000 == 3)
+    points = points.with_columns(z=points["z"] + np.where(step, 500, 0).astype(np.int32))
+    passes = find_passes(points, 60.0)
+    names = named_passes(passes.psid, passes.time_s, STRIPS)
+    patches = find_patches(points, passes, CORE._replace(xmax=10_160_000, ymax=20_160_000))
+    assert np.count_nonzero(patches["beyond"]) > 0
+    (found,) = pair_table([(names, patches)])
+    assert found.largest_m == pytest.approx(0.5, abs=0.05)
+    assert (found.largest_x_m, found.largest_y_m) == (10_037.5, 20_017.5)
+    assert found.largest_sd_m == pytest.approx(0.05 * np.sqrt(2 / (4 * 25)), rel=0.2)
+    at = (patches["x"] == 10_037.5) & (patches["y"] == 20_017.5)
+    assert np.count_nonzero(at) == 1
+    # What is kept for its height alone is no part of the sample that tells the rest.
+    sample = {name: values[patches["beyond"] == 0] for name, values in patches.items()}
+    (alike,) = pair_table([(names, sample)])
+    assert found[:14] == alike[:14]

@@ -107,6 +107,7 @@ def test_crowns_and_lone_flightlines_have_no_patches() -> None:
 
 def test_a_pair_that_shares_much_is_thinned_and_keeps_its_slopes() -> None:
     patches = find_patches(*_passed(two_strips(Shift(), per_m2=4, edge_m=200)), WIDE)
+    patches = {name: values[patches["beyond"] == 0] for name, values in patches.items()}
     assert len(patches["rise"]) == MOST
 
 

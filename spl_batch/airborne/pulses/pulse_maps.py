@@ -1,6 +1,6 @@
 """Maps of pulses that clients ask for: density of first and last returns, voids, swaths.
 
-Domain: space. Each cell has its own value; only :mod:`~spl_batch.airborne.products.pulse_coverage`
+Domain: space. Each cell has its own value; only :mod:`~spl_batch.airborne.pulses.pulse_coverage`
 looks at cells around it.
 """
 
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.pulse_coverage import SPACINGS, VOID_SPACINGS, coverage
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, VOID_SPACINGS, coverage
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.lattice.tiles import Bounds, inside
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spl_batch.airborne.products import hillshade
-from spl_batch.airborne.products.pulse_maps import NAMES, flightline_of, pulse_maps
+from spl_batch.airborne.pulses.pulse_maps import NAMES, flightline_of, pulse_maps
 from spl_batch.constants import NODATA
 from spl_batch.lattice.tiles import Bounds
 from tests import surveys

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.products.pulse_coverage import SPACINGS, coverage
-from spl_batch.airborne.products.pulse_returns import MOST_RETURNS, pulse_ends
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, coverage
+from spl_batch.airborne.pulses.pulse_returns import MOST_RETURNS, pulse_ends
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.airborne.tasks.pulses import within_signal
 from spl_batch.lattice.tables import PointTable

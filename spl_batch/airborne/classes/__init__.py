@@ -1,0 +1,1 @@
+"""Classes of delivered points, in the codes of the ASPRS."""

@@ -1,0 +1,116 @@
+"""Smooth places of single flightlines, against loops and a least-squares solver."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spl_batch.airborne.pulses.smooth_surfaces import (
+    CELLS,
+    FEWEST,
+    LEVEL,
+    SQUARE_M,
+    STEP_M,
+    STEPS,
+    TWICE,
+    repeatability,
+    smooth_sums,
+)
+from spl_batch.lattice.tiles import Bounds
+
+CORE = Bounds(-12_000, 4_000, 12_000, 28_000)
+"""Two by two places lie in it as a whole."""
+
+
+def returns(seed: int, n: int = 2600, noise: float = 30.0):
+    """Slopes, some of them steep, from two flightlines, and a place that one did not see."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(-14_000, 14_000, n), rng.integers(2_000, 30_000, n)
+    east, north = rng.normal(0, 0.12, 2)
+    z = np.rint(east * x + north * y + rng.normal(0, noise * (1 + (x > 0)), n))
+    line = rng.choice([7, 2**40], n)
+    seen = (line == 7) | (x < 0)
+    return np.column_stack([x, y, z])[seen].astype(np.int64), line[seen]
+
+
+def by_hand(first, line, core, times):
+    """Each place of each flightline by itself: its plane by numpy's solver, its cells by loops."""
+    square, edge = round(1000 * SQUARE_M), 2000 * times
+    sums = np.zeros((STEPS, 3), np.int64)
+    for one in set(line.tolist()):
+        mine = first[line == one]
+        for i in range(core.xmin // square, core.xmax // square + 1):
+            for j in range(core.ymin // square, core.ymax // square + 1):
+                low, high = np.array([i, j]) * square, np.array([i + 1, j + 1]) * square
+                if (low < core[:2]).any() or (high > core[2:]).any():
+                    continue
+                held = mine[((mine[:, :2] >= low) & (mine[:, :2] < high)).all(axis=1)]
+                fine = [held[((held[:, :2] - low) // 2000 == (p, q)).all(axis=1)]
+                        for p in range(4) for q in range(4)]  # fmt: skip
+                if min(map(len, fine)) < FEWEST:
+                    continue
+                design = np.column_stack([held[:, :2] - low, np.ones(len(held))])
+                plane, left, *_ = np.linalg.lstsq(design, held[:, 2], rcond=None)
+                slope, thickness = np.hypot(*plane[:2]), np.sqrt(left[0] / (len(held) - 3))
+                step = int(thickness // (1000 * STEP_M))
+                if slope > LEVEL or step >= STEPS:
+                    continue
+                sums[step, 0] += 1
+                for p in range(4 // times):
+                    for q in range(4 // times):
+                        z = held[((held[:, :2] - low) // edge == (p, q)).all(axis=1), 2]
+                        over = z.max() - z.min() - round(slope * edge * np.sqrt(2))
+                        sums[step, 1] += 1
+                        sums[step, 2] += max(over, 0) ** 2
+    return sums
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_each_place_is_what_a_solver_finds(seed: int) -> None:
+    first, line = returns(seed)
+    found = smooth_sums(first, line, CORE)
+    for level, times in CELLS.items():
+        assert np.array_equal(found[level], by_hand(first, line, CORE, times))
+
+
+def test_places_are_found_at_all() -> None:
+    total = sum(smooth_sums(*returns(seed), CORE)["QL2"][:, 0].sum() for seed in range(20))
+    assert total > 20
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_neither_order_nor_place_in_the_survey_matters(seed: int) -> None:
+    first, line = returns(seed)
+    order = np.random.default_rng(seed).permutation(len(first))
+    whole = smooth_sums(first, line, CORE)["QL1"]
+    assert np.array_equal(whole, smooth_sums(first[order], line[order], CORE)["QL1"])
+    # Cells that share an edge on the grid of places add up.
+    west = smooth_sums(first, line, CORE._replace(xmax=0))["QL1"]
+    assert np.array_equal(whole, west + smooth_sums(first, line, CORE._replace(xmin=0))["QL1"])
+
+
+def test_ranges_of_normal_heights_are_found_as_a_simulation_has_them() -> None:
+    rng = np.random.default_rng(5)
+    xy = rng.integers(0, 80_000, (80 * 80 * 10, 2))
+    z = np.rint(rng.normal(0, 20.0, len(xy)))
+    first = np.column_stack([xy, z]).astype(np.int64)
+    core = Bounds(0, 0, 80_000, 80_000)
+    sums = smooth_sums(first, np.zeros(len(first), np.int64), core)
+    found = repeatability(sums["QL2"])
+    assert found is not None
+    count = rng.poisson(40, 4000)
+    drawn = [np.ptp(rng.normal(0, 0.020, n)) for n in count if n]
+    assert found.rmsd_m == pytest.approx(np.sqrt(np.mean(np.square(drawn))), rel=0.03)
+    assert (found.places, found.cells) == (100, 1600)
+    assert found.noise_m == pytest.approx(0.020, abs=STEP_M)
+
+
+def test_overgrown_places_do_not_count() -> None:
+    sums = np.zeros((STEPS, 3), np.int64)
+    sums[4], sums[9], sums[20] = (10, 160, 160 * 50**2), (2, 32, 32 * 50**2), (9, 144, 144 * 900**2)
+    found = repeatability(sums)
+    assert found is not None
+    assert (found.rmsd_m, found.places, found.noise_m) == (0.05, 12, 0.025)
+    assert TWICE * found.noise_m == 0.05
+    assert repeatability(np.zeros((STEPS, 3), np.int64)) is None
