@@ -156,7 +156,7 @@ def _planes(
     def added(values: NDArray[np.int64]) -> NDArray[np.float64]:
         return np.bincount(place, weights=values, minlength=places).astype(np.float64)
 
-    n, sx, sy, sz = added(np.ones_like(x)), added(x), added(y), added(z)
+    n, sx, sy, sz = np.maximum(added(np.ones_like(x)), 1), added(x), added(y), added(z)
     xx, xy, yy = (added(a * b) - s for a, b, s in
                   ((x, x, sx * sx / n), (x, y, sx * sy / n), (y, y, sy * sy / n)))  # fmt: skip
     xz, yz, zz = (added(a * b) - s for a, b, s in

@@ -62,8 +62,8 @@ def test_the_statement_is_in_the_words_of_the_standard() -> None:
         "This data set was tested to meet ASPRS Positional Accuracy Standards for Digital "
         "Geospatial Data, Edition 2 (2023) for a 10.0 cm RMSE_V Vertical Accuracy Class."
     )
-    assert "NVA was found to be RMSE_V = 5.0 cm at 30 checkpoints: fit 4.0 cm" in text
-    assert "VVA was found to be RMSE_V = 13.0 cm at 31 checkpoints" in text
+    assert "NVA accuracy was found to be RMSE_V = 5.0 cm at 30 checkpoints: fit 4.0 cm" in text
+    assert "VVA accuracy was found to be RMSE_V = 13.0 cm at 31 checkpoints" in text
 
 
 @pytest.mark.parametrize(
