@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         filter_points,
     )
     from spl_batch.airborne.arrays.surfaces import Rasters, ground_points, rasterize
+    from spl_batch.airborne.first_use.beginning import Beginning, init
     from spl_batch.airborne.first_use.one_file import denoise
     from spl_batch.airborne.quickstart import quickstart
     from spl_batch.engine.verbs.alone import AloneResult, run_alone
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AloneResult",
+    "Beginning",
     "ComparisonResult",
     "ExpectedNoise",
     "Follower",
@@ -44,6 +46,7 @@ __all__ = [
     "expected_noise",
     "filter_points",
     "ground_points",
+    "init",
     "plan",
     "quickstart",
     "rasterize",
@@ -72,6 +75,8 @@ _HOMES = {
     "PlanSummary": "spl_batch.engine.verbs.planning",
     "plan": "spl_batch.engine.verbs.planning",
     "report": "spl_batch.engine.verbs.reporting",
+    "Beginning": "spl_batch.airborne.first_use.beginning",
+    "init": "spl_batch.airborne.first_use.beginning",
     "denoise": "spl_batch.airborne.first_use.one_file",
     "quickstart": "spl_batch.airborne.quickstart",
     "simulate": "spl_batch.engine.verbs.simulation",

@@ -14,7 +14,7 @@ import click
 
 from spl_batch import __version__
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
-from spl_batch.cli.first_use import denoise
+from spl_batch.cli.first_use import denoise, init
 from spl_batch.cli.lines import say_error
 from spl_batch.cli.options import CLOCK, OUTPUT, SETTINGS, WORKFLOW, limits
 from spl_batch.errors import SplBatchError
@@ -206,6 +206,7 @@ def report(output: Path) -> int:
 
 
 cli.add_command(denoise)
+cli.add_command(init)
 
 
 def main(arguments: list[str] | None = None) -> None:

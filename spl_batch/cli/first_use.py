@@ -58,3 +58,23 @@ def denoise(
         )
     screen.print_result(result, CLOCK.get().took_s)
     return result.exit_status
+
+
+@click.command()
+@click.argument("folder", type=_FILE)
+@click.option("--force", is_flag=True, help="Replace a workflow that is there.")
+def init(folder: Path, force: bool) -> int:  # noqa: FBT001 - click passes flags by name
+    """Write a commented workflow for the files below FOLDER, and plan it.
+
+    Headers and both ends of the files are looked at: beamlet numbers, times, CRS, trajectories,
+    other clouds. What they do not tell is listed, and marked with `?` in FOLDER/workflow.yaml.
+    """
+    with saying_if_slow("looking at the files"):
+        from spl_batch import api  # noqa: PLC0415
+        from spl_batch.cli import screen  # noqa: PLC0415
+
+        begun = api.init(folder, force=force)
+    screen.print_beginning(begun)
+    summary = api.plan(begun.workflow)
+    screen.print_plan(summary)
+    return int(bool(summary.faults))

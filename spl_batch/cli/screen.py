@@ -22,6 +22,7 @@ from spl_batch.errors import grouped, storage
 if TYPE_CHECKING:  # each command loads what it needs only
     from spl_batch.api import (
         AloneResult,
+        Beginning,
         ComparisonResult,
         Follower,
         Left,
@@ -75,6 +76,14 @@ def print_simulation(summary: Any, output: Path) -> None:
     """Print what was simulated."""
     _pairs(summary.rows)
     _path("workflow", output / "workflow.yaml")
+
+
+def print_beginning(begun: "Beginning") -> None:
+    """Print what files tell of a survey, and what they do not."""
+    _pairs(begun.found)
+    for label, text in begun.unknown:
+        _lines(f"not told: {label}: {text}", "yellow")
+    _path("workflow", begun.workflow)
 
 
 def print_plan(summary: "PlanSummary") -> None:

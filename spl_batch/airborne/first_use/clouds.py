@@ -29,6 +29,9 @@ STANDARDS: Final[dict[TimeStandard, str]] = {
 """What the values of ``gps_time`` look like, in words."""
 
 
+_UNSEEN: Final = Ends(np.empty(0), np.empty(0, np.uint8), {}, ())
+
+
 class Guess(NamedTuple):
     """A value that nobody has given, and what it is guessed from.
 
@@ -79,13 +82,15 @@ class CloudLook:
         return (high[0] - low[0]) * (high[1] - low[1])
 
 
-def look_at(path: Path) -> CloudLook:
+def look_at(path: Path, *, points: bool = True) -> CloudLook:
     """Look at a file, which takes a tenth of a second whatever its size.
 
     Parameters
     ----------
     path : Path
         LAS, LAZ or COPC.
+    points : bool
+        Whether to look at points as well as at the header.
 
     Raises
     ------
@@ -93,7 +98,7 @@ def look_at(path: Path) -> CloudLook:
         If it cannot be read.
     """
     facts = inspect(path)
-    return CloudLook(facts, read_ends(path, None, SAMPLE_POINTS))
+    return CloudLook(facts, read_ends(path, None, SAMPLE_POINTS) if points else _UNSEEN)
 
 
 def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:

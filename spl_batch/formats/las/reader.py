@@ -238,11 +238,14 @@ class Ends(NamedTuple):
         Beamlet numbers.
     numbers : dict of str to Numbers
         Dimensions that hold small whole numbers, by name.
+    classes : tuple of int
+        Classifications that occur.
     """
 
     gps_time: NDArray[np.float64]
     channel: NDArray[Any]
     numbers: dict[str, Numbers]
+    classes: tuple[int, ...]
 
 
 def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
@@ -273,7 +276,8 @@ def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     timed = "gps_time" in layout.names
     time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
     channel = _channel(records, header, layout, channel_dimension, 0)
-    return Ends(time, channel, small_numbers(records, layout))
+    classes = np.unique(dimension(records, layout, "classification"))
+    return Ends(time, channel, small_numbers(records, layout), tuple(classes.tolist()))
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:

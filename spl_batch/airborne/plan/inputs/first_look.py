@@ -171,10 +171,10 @@ def _apart(
         return faults, []
     names = named([name_below(path, base) for path in trajectory], 3)
     try:
-        known = _in_time_of(list(spans.values()), known)
+        known = in_time_of(list(spans.values()), known)
     except ValueError as error:
         return [f"survey.trajectory: {names}: {error}"], []
-    far = {name: gap_s for name, span in spans.items() if (gap_s := _gap_s(span, known)) > 0}
+    far = {name: gap for name, span in spans.items() if (gap := gap_s(span, known)) > 0}
     if not far:
         return [], []
     low, high = (choose(spans[name][k] for name in far) for k, choose in enumerate((min, max)))
@@ -189,7 +189,7 @@ def _apart(
     return ([text], []) if none else ([], [text])
 
 
-def _in_time_of(points: Sequence[Span], known: Sequence[Span]) -> list[Span]:
+def in_time_of(points: Sequence[Span], known: Sequence[Span]) -> list[Span]:
     """Spans of trajectories in the time standard of the points."""
     whole, own = (
         (min(low for low, _ in spans), max(high for _, high in spans)) for spans in (points, known)
@@ -200,6 +200,6 @@ def _in_time_of(points: Sequence[Span], known: Sequence[Span]) -> list[Span]:
     return [(float(low), float(high)) for low, high in (convert(np.array(k)) for k in known)]
 
 
-def _gap_s(span: Span, known: Sequence[Span]) -> float:
+def gap_s(span: Span, known: Sequence[Span]) -> float:
     """Time between a span and the nearest of others; 0 where it meets one [s]."""
     return max(min(max(low - span[1], span[0] - high) for low, high in known), 0.0)

@@ -1,0 +1,63 @@
+"""The verb ``init``: a first workflow for a folder of files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from spl_batch.airborne.first_use.commented import SENSOR, propose
+from spl_batch.airborne.first_use.folder import look_through
+from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.errors import WorkflowError
+from spl_batch.formats.files.atomic import write_bytes
+
+NAME: Final = "workflow.yaml"
+"""What the workflow is called, in the folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """A workflow that was written, and what it rests on.
+
+    Parameters
+    ----------
+    workflow : Path
+        The file.
+    found : tuple of (str, str)
+        Key or word, and what the files tell of it.
+    unknown : tuple of (str, str)
+        Key, and what they do not tell.
+    """
+
+    workflow: Path
+    found: tuple[tuple[str, str], ...]
+    unknown: tuple[tuple[str, str], ...]
+
+
+def init(folder: Path | str, *, force: bool = False) -> Beginning:
+    """Write a commented workflow for the files of a folder.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Folder with LAS, LAZ or COPC below it, and what belongs to them.
+    force : bool
+        Replace a workflow that is there.
+
+    Returns
+    -------
+    Beginning
+
+    Raises
+    ------
+    WorkflowError
+        If no cloud there can be used, or a workflow is there already.
+    """
+    place = Path(folder)
+    target = place / NAME
+    if target.exists() and not force:
+        raise WorkflowError(
+            f"{target} is there already; `spl-batch plan` reads it, --force replaces"
+        )
+    proposal = propose(look_through(place, load_preset(SENSOR)))
+    write_bytes(target, proposal.text.encode())
+    return Beginning(target, tuple(proposal.found), tuple(proposal.unknown))

@@ -1,0 +1,238 @@
+"""A workflow for the files of a folder: what was found is written, what was not is said."""
+
+import glob
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from spl_batch.airborne.first_use.clouds import (
+    STANDARDS,
+    CloudLook,
+    Guess,
+    channel_guess,
+    crs_guess,
+)
+from spl_batch.airborne.first_use.folder import Folder
+from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.errors import grouped, named, plain
+
+SENSOR: Final = "spl100"
+"""What is supposed: no file tells the instrument."""
+
+_PLAIN: Final = re.compile(r"[A-Za-z][\w./*:-]*")
+
+
+@dataclass
+class Proposal:
+    """A workflow file in the making.
+
+    Parameters
+    ----------
+    lines : list of str
+        Its text.
+    found, unknown : list of (str, str)
+        Key and what was seen; key and what files do not tell.
+    """
+
+    lines: list[str] = field(default_factory=list)
+    found: list[tuple[str, str]] = field(default_factory=list)
+    unknown: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """Content of the file."""
+        return "\n".join(self.lines) + "\n"
+
+    def section(self, name: str) -> None:
+        """Begin a section."""
+        self.lines += ["", f"{name}:"]
+
+    def known(self, key: str, value: Any, reason: str, label: str = "") -> None:
+        """Write a key of a section, and above it why it has this value."""
+        self.found.append((label or key, plain(reason)))
+        self.lines += [f"  # {plain(reason)}", *_key(key, value, "  ")]
+
+    def supposed(self, key: str, value: str, reason: str) -> None:
+        """Write a key that has to have a value, and above it that this one may be wrong."""
+        self.unknown.append((key, reason))
+        self.lines += [f"  # ? {reason}", *_key(key, value, "  ")]
+
+    def open(self, key: str, example: Any, reason: str, *, indent: str = "  ") -> None:
+        """Write a key as a comment, and above it what is not known."""
+        self.unknown.append((key, plain(reason)))
+        shown = [f"{indent}# {line.strip()}" for line in _key(key, example, "")]
+        self.lines += [f"{indent}# ? {plain(reason)}", *shown]
+
+
+def propose(folder: Folder) -> Proposal:
+    """Write a workflow for what a folder holds."""
+    sensor = load_preset(SENSOR)
+    made = Proposal(
+        [
+            "# Written by `spl-batch init` from what the files tell. A `?` marks what they do not",
+            "# tell: look at these lines first. docs/using.md explains the keys that are not here.",
+            "#",
+            "#   spl-batch plan workflow.yaml    what a run costs, what is wrong with the inputs",
+            "#   spl-batch run workflow.yaml     everything; run again, it continues",
+        ]
+    )
+    made.section("survey")
+    made.lines += _key("name", folder.path.resolve().name or "survey", "  ")
+    made.known("flightlines", _patterns(folder, _paths(folder.lines)), _clouds(folder.lines))
+    _times(made, folder)
+    _crs(made, folder)
+    made.supposed("sensor", SENSOR, "no file tells the instrument: spl100, hrqls, or its facts")
+    channel = channel_guess(folder.lines, sensor)
+    if channel.value is not None:
+        made.known("channel_dimension", channel.value, f"{channel.value} {channel.reason}")
+    else:
+        made.open("channel_dimension", "user_data", channel.reason)
+    _reference(made, folder)
+    _polygons(made, folder)
+    made.lines += ["", "output: out"]
+    _filter(made, folder, channel)
+    for text in _left_out(folder):
+        made.unknown.append(("left out", text))
+    return made
+
+
+def _clouds(looks: Sequence[CloudLook]) -> str:
+    """How much there is."""
+    points = sum(look.facts.n_points for look in looks)
+    area_m2 = sum(look.area_m2 for look in looks)
+    density = f", {points / area_m2:.1f} points per m2 of them" if area_m2 else ""
+    files = f"{len(looks)} file{'s' * (len(looks) != 1)}"
+    km2 = grouped(area_m2 / 1e6, 3)
+    return f"{files}, {grouped(points)} points, boxes of {km2} km2 in all{density}"
+
+
+def _times(made: Proposal, folder: Folder) -> None:
+    spans = [look.span_s for look in folder.lines if look.span_s is not None]
+    if not spans:
+        made.unknown.append(("gps_time", "missing, so there are no shots: noise is not told"))
+        return
+    standards = sorted({look.standard for look in folder.lines if look.span_s is not None})
+    first, last = min(low for low, _ in spans), max(high for _, high in spans)
+    kind = " and ".join(STANDARDS[one] for one in standards)
+    seen = f"gps_time: {kind}, {first:.0f} to {last:.0f} s"
+    made.found.append(("gps_time", seen.removeprefix("gps_time: ")))
+    made.lines.append(f"  # {seen}")
+    if folder.trajectories:
+        paths = [*folder.trajectories]
+        more = f"; {named([folder.named(p) for p in folder.doubles], 3)} has it too"
+        made.known(
+            "trajectory",
+            _patterns(folder, paths),
+            f"its times meet those of the flightlines{more if folder.doubles else ''}",
+        )
+    else:
+        made.open(
+            "trajectory",
+            "trajectory/*.sbet",
+            "no trajectory of these times is here: beams come from where lines of sight meet",
+        )
+
+
+def _crs(made: Proposal, folder: Folder) -> None:
+    crs = crs_guess(folder.lines)
+    if crs.value is None:
+        made.open("crs", "EPSG:32615", crs.reason)
+    else:
+        made.found.append(("CRS", crs.reason))
+        made.lines.append(f"  # CRS: {plain(crs.reason)}")
+
+
+def _reference(made: Proposal, folder: Folder) -> None:
+    if not folder.references and not folder.checkpoints:
+        return
+    made.section("reference")
+    if folder.references:
+        paths = _paths(folder.references)
+        reason = f"class 2, ground, in other clouds: {_clouds(folder.references)}"
+        made.known("points", _patterns(folder, paths), reason, "reference")
+    if folder.checkpoints:
+        names = [folder.named(path) for path in folder.checkpoints]
+        made.known("checkpoints", names[0], f"by its columns; of {named(names, 3)}")
+
+
+def _polygons(made: Proposal, folder: Folder) -> None:
+    if folder.polygons:
+        names = [folder.named(path) for path in folder.polygons]
+        made.lines.append("")
+        reason = (
+            f"polygons are here, {named(names, 3)}: of water, or of the area of interest (aoi)?"
+        )
+        made.open("water", names[0], reason, indent="")
+
+
+def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
+    if all(look.span_s is None for look in folder.lines):
+        made.lines += [
+            "",
+            "# Without times no noise is told: every point stays; ground and surfaces are made.",
+            "filter: {method: none}",
+            "afterpulse: {enabled: false}",
+        ]
+        return
+    made.lines += [
+        "",
+        "# Pulse rate [Hz] and slant length of the range gate [m] are estimated from the points.",
+        "# acquisition: {prf_hz: 60000, gate_m: 300}",
+    ]
+    if channel.value is None:
+        made.lines += [
+            "",
+            "# Conventional (linear-mode) lidar has no such noise; for ground and surfaces alone:",
+            "# filter: {method: none}",
+            "# afterpulse: {enabled: false}",
+        ]
+
+
+def _left_out(folder: Folder) -> Iterator[str]:
+    """Files that the workflow does not name, and why."""
+    for error in folder.bad:
+        yield str(error)
+    for paths, why in (
+        (_paths(folder.others), "no times or beamlet numbers like the others', no ground"),
+        (folder.elsewhen, "times of another flight"),
+        (folder.foreign, "files of another receiver"),
+    ):
+        if paths:
+            yield f"{named([folder.named(path) for path in paths], 3)}: {why}"
+
+
+def _paths(looks: Sequence[CloudLook]) -> list[Path]:
+    return [look.facts.path for look in looks]
+
+
+def _patterns(folder: Folder, paths: Sequence[Path]) -> str | list[str]:
+    """Files as patterns where these match nothing else, else by name."""
+    found: list[str] = []
+    for place in sorted({path.parent for path in paths}):
+        for suffix in sorted({path.suffix for path in paths if path.parent == place}):
+            these = sorted(p for p in paths if p.parent == place and p.suffix == suffix)
+            pattern = f"*{suffix}"
+            if len(these) > 1 and these == sorted(place.glob(pattern)):
+                found.append(f"{glob.escape(folder.named(place))}/{pattern}".removeprefix("./"))
+            else:
+                found += [glob.escape(folder.named(path)) for path in these]
+    return found[0] if len(found) == 1 else found
+
+
+def _key(key: str, value: Any, indent: str) -> list[str]:
+    """A key and its value, a list one below the other."""
+    if isinstance(value, list):
+        return [f"{indent}{key}:", *(f"{indent}  - {_scalar(one)}" for one in value)]
+    return [f"{indent}{key}: {_scalar(value)}"]
+
+
+def _scalar(value: str) -> str:
+    """Text as YAML reads it back."""
+    if _PLAIN.fullmatch(value) and yaml.safe_load(value) == value:
+        return value
+    return json.dumps(value)

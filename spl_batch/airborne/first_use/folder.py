@@ -1,0 +1,225 @@
+"""What the files of a folder are: flightlines, other clouds, trajectories, what else belongs."""
+
+import csv
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from spl_batch.airborne.first_use.clouds import CloudLook, channel_guess, look_at
+from spl_batch.airborne.plan.inputs.first_look import gap_s, in_time_of
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.constants import CLASS_GROUND
+from spl_batch.engine.store.deliveries import RECORD
+from spl_batch.engine.store.output_lock import lock_file
+from spl_batch.errors import InputError, WorkflowError
+from spl_batch.formats import checkpoints
+from spl_batch.formats.trajectory.ends import ends
+from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES
+from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
+
+CLOUDS: Final = frozenset({".las", ".laz"})
+POLYGONS: Final = frozenset({".gpkg", ".shp", ".geojson", ".fgb"})
+OTHERS: Final = {".h5": "altimetry", ".hdf5": "altimetry"}
+"""Files of other receivers by their suffix, and the page of those."""
+
+TIMES_ALIKE_S: Final = 2.0
+"""Trajectories whose ends differ by less are one flight in two formats [s]."""
+
+LOOKED_INTO: Final = 200
+"""Clouds whose points are looked at, evenly among more of them [count]."""
+
+Span = tuple[float, float]
+
+
+@dataclass
+class Folder:
+    """What was found in a folder; each file below it once.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    lines : list of CloudLook
+        Clouds that seem to be raw flightlines.
+    references : list of CloudLook
+        Other clouds that hold a ground class.
+    others : list of CloudLook
+        Clouds that are neither.
+    bad : list of InputError
+        Clouds that cannot be read.
+    trajectories : dict of Path to (float, float)
+        First and last time of each [s], in the clock of the points where that can be told.
+    doubles : list of Path
+        Trajectories of a flight that another file has too.
+    elsewhen : list of Path
+        Trajectories of other times than the flightlines'.
+    checkpoints, polygons : list of Path
+        By their columns; by their names.
+    foreign : list of Path
+        Files of other receivers.
+    """
+
+    path: Path
+    lines: list[CloudLook] = field(default_factory=list)
+    references: list[CloudLook] = field(default_factory=list)
+    others: list[CloudLook] = field(default_factory=list)
+    bad: list[InputError] = field(default_factory=list)
+    trajectories: dict[Path, Span] = field(default_factory=dict)
+    doubles: list[Path] = field(default_factory=list)
+    elsewhen: list[Path] = field(default_factory=list)
+    checkpoints: list[Path] = field(default_factory=list)
+    polygons: list[Path] = field(default_factory=list)
+    foreign: list[Path] = field(default_factory=list)
+
+    def named(self, path: Path) -> str:
+        """What the workflow calls a file."""
+        return path.relative_to(self.path).as_posix()
+
+
+def look_through(path: Path, sensor: Sensor) -> Folder:
+    """Look at every file below a folder; nothing is read to its end.
+
+    Parameters
+    ----------
+    path : Path
+        The folder. Results of runs in it, and hidden files, are left out.
+    sensor : Sensor
+        The instrument that is supposed.
+
+    Raises
+    ------
+    WorkflowError
+        If it is no folder, or no cloud in it can be used.
+    """
+    if not path.is_dir():
+        raise WorkflowError(f"{path}: no such folder; name the one that holds the files")
+    found = Folder(path)
+    files = sorted(_files(path))
+    _sort_clouds([file for file in files if file.suffix.lower() in CLOUDS], sensor, found)
+    for file in files:
+        suffix = file.suffix.lower()
+        if suffix in POLYGONS:
+            found.polygons.append(file)
+        elif suffix in OTHERS:
+            found.foreign.append(file)
+        elif suffix in {".csv", ".txt", *PARQUET_SUFFIXES, *SBET_SUFFIXES}:
+            _sort_table(file, found)
+    if not found.lines:
+        raise WorkflowError(_nothing(found))
+    _sort_trajectories(found)
+    return found
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Files below a folder but for hidden ones and results of runs."""
+    for place, folders, names in os.walk(folder):
+        folders[:] = [
+            name
+            for name in folders
+            if not name.startswith(".") and not _is_output(Path(place, name))
+        ]
+        yield from (Path(place, name) for name in names if not name.startswith("."))
+
+
+def _is_output(folder: Path) -> bool:
+    return (folder / RECORD).exists() or lock_file(folder).exists()
+
+
+def _sort_clouds(files: Sequence[Path], sensor: Sensor, found: Folder) -> None:
+    """Flightlines are what is most like a raw survey: with beamlet numbers, else with times."""
+    some = {
+        files[k] for k in np.linspace(0, len(files) - 1, min(len(files), LOOKED_INTO)).astype(int)
+    }
+    looks = []
+    for file in files:
+        try:
+            look = look_at(file) if file in some else look_at(file, points=False)
+        except InputError as error:
+            found.bad.append(error)
+            continue
+        looks.append(look)
+    rank = {look.facts.path: _rank(look, looks, sensor) for look in looks}
+    best = max(rank.values(), default=0)
+    for look in looks:
+        if rank[look.facts.path] == best:
+            found.lines.append(look)
+        elif CLASS_GROUND in look.ends.classes:
+            found.references.append(look)
+        else:
+            found.others.append(look)
+
+
+def _rank(look: CloudLook, looks: Sequence[CloudLook], sensor: Sensor) -> int:
+    """How much a cloud is like a raw flightline; one that was not looked into is like its peers."""
+    if not look.facts.n_points:
+        return -1
+    if not len(look.ends.gps_time):
+        peers = [
+            one
+            for one in looks
+            if len(one.ends.gps_time) and one.facts.dimensions == look.facts.dimensions
+        ]
+        return _rank(peers[0], looks, sensor) if peers else 0
+    numbered = channel_guess([look], sensor).value is not None
+    return 2 * numbered + (look.span_s is not None)
+
+
+def _sort_table(file: Path, found: Folder) -> None:
+    """A table is a trajectory by its columns and times, or holds checkpoints."""
+    if file.suffix.lower() in SBET_SUFFIXES and file.stat().st_size % SBET_RECORD.itemsize:
+        return  # many programs call a log so
+    try:
+        span = ends(file)
+    except InputError:
+        if _has_checkpoints(file):
+            found.checkpoints.append(file)
+        return
+    if span is not None:
+        found.trajectories[file] = span
+
+
+def _has_checkpoints(file: Path) -> bool:
+    if file.suffix.lower() != ".csv":
+        return False
+    with file.open(encoding="utf-8", errors="replace", newline="") as stream:
+        head = next(csv.reader([stream.readline(65_536)]), [])
+    return {name.strip().lower() for name in head} >= {*checkpoints.COLUMNS}
+
+
+def _sort_trajectories(found: Folder) -> None:
+    """Put aside what is of another flight, and the second file of the same."""
+    spans = [look.span_s for look in found.lines if look.span_s is not None]
+    if not spans:
+        return
+    kept: dict[Path, Span] = {}
+    order = sorted(found.trajectories, key=lambda p: (p.suffix.lower() in SBET_SUFFIXES, p))
+    for path in order:
+        try:
+            (span,) = in_time_of(spans, [found.trajectories[path]])
+        except ValueError:
+            found.elsewhen.append(path)
+            continue
+        if not any(gap_s(line, [span]) == 0 for line in spans):
+            found.elsewhen.append(path)
+        elif any(np.allclose(span, one, rtol=0.0, atol=TIMES_ALIKE_S) for one in kept.values()):
+            found.doubles.append(path)
+        else:
+            kept[path] = span
+    found.trajectories = kept
+
+
+def _nothing(found: Folder) -> str:
+    """Why a folder holds no survey, and what helps."""
+    if found.bad:
+        return f"{found.path}: no cloud can be used: {found.bad[0]}"
+    if found.foreign:
+        page = OTHERS[found.foreign[0].suffix.lower()]
+        return (
+            f"{found.path}: no LAS or LAZ file, but {found.named(found.foreign[0])}: of such files "
+            f"docs/{page}.md has the workflow"
+        )
+    return f"{found.path}: no LAS, LAZ or COPC file below it; name the folder that holds them"
