@@ -291,7 +291,7 @@ def _catalogue_files(task: Task) -> list[str]:
 
 def _of_further_pieces(output: Path) -> list[Path]:
     """Terrain of the other pieces of a survey, of few; their folder where there are more."""
-    found = sorted(output.glob("dtm_*.tif"))
+    found = sorted(output.glob("dtm_[0-9]*.tif"))
     return found if len(found) <= FEW_PIECES else [output]
 
 

@@ -8,11 +8,13 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
+from click.shell_completion import get_completion_class
 
 from spl_batch import __version__
+from spl_batch.cli import document
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
 from spl_batch.cli.first_use import denoise, init
 from spl_batch.cli.lines import say_error
@@ -75,14 +77,24 @@ def simulate(scene: Path, output: Path) -> int:
 @WORKFLOW
 @limits
 @SETTINGS
-def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str, ...]) -> int:
+@document.option
+def plan(
+    workflow: Path,
+    workers: int,
+    memory: str | None,
+    overrides: tuple[str, ...],
+    as_json: bool,  # noqa: FBT001 - click passes flags by name
+) -> int:
     """Say what a run of WORKFLOW would do, and what is wrong with its inputs."""
     with saying_if_slow(_LOADING):
         from spl_batch import api  # noqa: PLC0415
         from spl_batch.cli import screen  # noqa: PLC0415
 
         summary = api.plan(workflow, workers=workers, memory=memory, overrides=overrides)
-    screen.print_plan(summary)
+    if as_json:
+        document.print_document(document.of_plan(summary))
+    else:
+        screen.print_plan(summary)
     return int(bool(summary.faults))
 
 
@@ -101,6 +113,7 @@ def plan(workflow: Path, workers: int, memory: str | None, overrides: tuple[str,
     help="Do one task alone, here, from what is finished; says where its traceback is.",
 )
 @SETTINGS
+@document.option
 def run(
     workflow: Path,
     workers: int,
@@ -111,6 +124,7 @@ def run(
     until: str | None,
     only: str | None,
     overrides: tuple[str, ...],
+    as_json: bool,  # noqa: FBT001
 ) -> int:
     """Process the survey of WORKFLOW; run again, it continues where it stopped."""
     with saying_if_slow(_LOADING) as begun:
@@ -119,7 +133,7 @@ def run(
         from spl_batch.cli.view import watching  # noqa: PLC0415
 
         if only is not None:
-            if scheduler or fresh or verify or until:
+            if scheduler or fresh or verify or until or as_json:
                 raise click.UsageError("--only goes with --workers, --memory and --set alone")
             alone = api.run_alone(
                 workflow, only, workers=workers, memory=memory, overrides=overrides
@@ -143,7 +157,10 @@ def run(
                 overrides=overrides,
                 listener=listen,
             )
-    screen.print_result(result, CLOCK.get().took_s)
+    if as_json:
+        document.print_document(document.of_result(result))
+    else:
+        screen.print_result(result, CLOCK.get().took_s)
     return result.exit_status
 
 
@@ -182,12 +199,17 @@ def compare(
 @cli.command()
 @OUTPUT
 @click.option("--watch", is_flag=True, help="Show it again and again until the run ends.")
-def status(output: Path, watch: bool) -> int:  # noqa: FBT001 - click passes flags by name
+@document.option
+def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - click passes flags by name
     """Say what is done, running, failed and left in OUTPUT, also while a run works there."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
 
-    if watch:
+    if watch and as_json:
+        raise click.UsageError("--json prints one document: leave out --watch")
+    if as_json:
+        document.print_document(document.of_status(api.status(output)))
+    elif watch:
         screen.watch_status(api.Follower(output))
     else:
         screen.print_status(api.status(output))
@@ -209,11 +231,27 @@ cli.add_command(denoise)
 cli.add_command(init)
 
 
+@cli.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> int:
+    """Print what completes commands and options in SHELL.
+
+    For bash: `eval "$(spl-batch completion bash)"` in ~/.bashrc; zsh likewise in ~/.zshrc; for fish
+    `spl-batch completion fish > ~/.config/fish/completions/spl-batch.fish`.
+    """
+    made = get_completion_class(shell)
+    if made is None:
+        raise click.UsageError(f"click knows no completion of {shell}")
+    click.echo(made(cli, {}, "spl-batch", "_SPL_BATCH_COMPLETE").source())
+    return 0
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
     told = threading.Event()
     # As the command of its process it began with that: loading Python and packages counts.
     CLOCK.set(CommandClock(process_age_s() if arguments is None else 0.0))
+    document.ASKED.set(False)
     try:
         with _ended_in_order(told):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
@@ -221,27 +259,30 @@ def main(arguments: list[str] | None = None) -> None:
         error.show()
         sys.exit(2)
     except click.Abort:
-        click.echo("interrupted; the same command continues", err=True)
-        sys.exit(3)
+        _end("interrupted; the same command continues", 3)
     except SplBatchError as error:
-        say_error(f"spl-batch: {error}")
-        sys.exit(error.exit_status if error.exit_status != 1 else 2)
+        _end(f"spl-batch: {error}", error.exit_status if error.exit_status != 1 else 2)
     except TimeoutError as error:
         said = str(error) or "no answer in time"
-        say_error(f"spl-batch: {said}; the machine is busy, run again to continue")
-        sys.exit(3)
+        _end(f"spl-batch: {said}; the machine is busy, run again to continue", 3)
     except OSError as error:
         full = error.errno in {errno.ENOSPC, errno.EDQUOT}
         remedy = "free some space and run again" if full else "check the path and its rights"
-        say_error(f"spl-batch: {error.filename}: {error.strerror}; {remedy}")
-        sys.exit(3 if full else 2)
+        _end(f"spl-batch: {error.filename}: {error.strerror}; {remedy}", 3 if full else 2)
     except Exception:
         # The interrupt may come up as something else: in a callback of a compiler it is lost.
         if not told.is_set():
             raise
-        click.echo("interrupted; the same command continues", err=True)
-        sys.exit(3)
+        _end("interrupted; the same command continues", 3)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _end(text: str, status: int) -> NoReturn:
+    """Say why the command ends, and end it."""
+    say_error(text)
+    if document.ASKED.get():
+        document.print_error(text, status)
+    sys.exit(status)
 
 
 @contextmanager

@@ -216,6 +216,12 @@ def print_alone(result: "AloneResult") -> None:
 
 
 def _pairs(pairs: Sequence[tuple[str, str]]) -> None:
+    """Label and value, side by side; in a pipe or a log each pair is one line, however long."""
+    if not _OUT.is_terminal:
+        width = max((len(label) for label, _ in pairs), default=0)
+        for label, value in pairs:
+            _lines(f"{label:{width}}  {value}")
+        return
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for label, value in pairs:
         loud = {"attention": "bold red", "failed": "red"}.get(label, "")

@@ -68,8 +68,8 @@ def test_files_of_other_kinds_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "poscal.out").write_bytes(b"a log of another program")
     (tmp_path / "broken.laz").write_bytes(b"LASF")
     (tmp_path / ".hidden.laz").write_bytes(b"")
-    surveys.write_cloud(tmp_path / "out" / "laz" / "a.laz", line)
-    (tmp_path / "out" / "delivered.json").write_text("{}")
+    surveys.write_cloud(tmp_path / "earlier" / "laz" / "a.laz", line)
+    (tmp_path / "earlier" / "delivered.json").write_text("{}")
     found, content = begun(tmp_path)
     assert content["survey"]["flightlines"] == "raw [[]1]/*.laz"
     summary = api.plan(found.workflow)
