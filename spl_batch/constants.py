@@ -34,12 +34,19 @@ ADJUSTED_STANDARD_OFFSET_S: Final = 1_000_000_000
 
 CLASS_UNCLASSIFIED: Final = 1
 CLASS_GROUND: Final = 2
+CLASS_LOW_VEGETATION: Final = 3
+CLASS_MEDIUM_VEGETATION: Final = 4
+CLASS_HIGH_VEGETATION: Final = 5
 CLASS_BUILDING: Final = 6
 CLASS_LOW_NOISE: Final = 7
 CLASS_WATER: Final = 9
 CLASS_WIRE: Final = 14
 CLASS_HIGH_NOISE: Final = 18
 """ASPRS LAS 1.4 classes that the delivered clouds use."""
+
+FLAG_WITHHELD: Final = 4
+FLAG_OVERLAP: Final = 8
+"""Classification flags of a point record of formats 6 to 10 [LAS 1.4 R15, 2.6]."""
 
 NOISE_SIGNAL: Final = 0
 NOISE_BACKGROUND: Final = 1

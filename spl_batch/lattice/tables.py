@@ -56,6 +56,7 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
         "wire": Column(np.uint8, "", "1 where the scan along lines is sure of a conductor"),
         "ground": Column(np.uint8, "", "1 where the ground filter accepts the point"),
         "classification": Column(np.uint8, "", "ASPRS class as delivered"),
+        "set_flags": Column(np.uint8, "", "LAS flags that are set: 4 withheld, 8 overlap"),
     }
 )
 """Every column that a table may have."""

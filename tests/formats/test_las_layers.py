@@ -54,6 +54,44 @@ def test_same_bytes_as_compressing_all_again(
     assert copied.read_bytes() == whole.read_bytes()
 
 
+@pytest.mark.parametrize("point_format", [6, 8])
+def test_flags_are_set_beside_those_of_the_input(tmp_path: Path, point_format: int) -> None:
+    n = 50_100
+    number = np.arange(n)
+    values = {
+        "scanner_channel": number % 4,
+        "withheld": number % 5 == 0,
+        "overlap": number % 7 == 0,
+        "synthetic": number % 11 == 0,
+        "edge_of_flight_line": number % 3 == 0,
+        "scan_direction_flag": number % 2,
+        "scan_angle": number % 100 - 50,
+        "point_source_id": number % 9,
+        "user_data": number % 101,
+    }
+    src = write_las(tmp_path / "a.laz", point_format=point_format, n=n, extra=EXTRA, values=values)
+    known, _ = decoded(src)
+    set_flags = np.random.default_rng(3).choice([0, 4, 8, 12], n).astype(np.uint8)
+
+    def flagged(start: int, stop: int) -> dict[str, Any]:
+        return {**labels(start, stop), "set_flags": set_flags[start:stop]}
+
+    read = []
+    for name, found in (("copied.laz", known), ("whole.laz", None)):
+        write_classified(
+            src, tmp_path / name, labels=flagged, diagnostics=False, flags=True, crs=None,
+            decoded=found,
+        )  # fmt: skip
+        read.append((tmp_path / name).read_bytes())
+    assert read[0] == read[1]
+    before, after = laspy.read(src), laspy.read(tmp_path / "copied.laz")
+    assert np.array_equal(after.withheld, np.asarray(before.withheld) | ((set_flags & 4) > 0))
+    assert np.array_equal(after.overlap, np.asarray(before.overlap) | ((set_flags & 8) > 0))
+    changed = {"classification", "withheld", "overlap"}
+    for name in set(before.point_format.dimension_names) - changed:
+        assert np.array_equal(after[name], before[name]), name
+
+
 def test_dimensions_of_an_earlier_run_are_replaced(tmp_path: Path) -> None:
     src = write_las(tmp_path / "a.laz", extra={"noise_class": "f8", "height": "f4"})
     first = twice(src, tmp_path)[0].rename(tmp_path / "first.laz")

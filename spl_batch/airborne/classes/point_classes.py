@@ -3,17 +3,21 @@
 Domain: space. Runs on the points that a ground cell owns, once its DTM is made.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.ground.water_level import APART_M, NEAR_M
+from spl_batch.airborne.settings import VegetationSettings
 from spl_batch.constants import (
     CLASS_BUILDING,
     CLASS_GROUND,
     CLASS_HIGH_NOISE,
+    CLASS_HIGH_VEGETATION,
     CLASS_LOW_NOISE,
+    CLASS_LOW_VEGETATION,
+    CLASS_MEDIUM_VEGETATION,
     CLASS_UNCLASSIFIED,
     CLASS_WATER,
     CLASS_WIRE,
@@ -38,7 +42,34 @@ WIRE_ABOVE_M: Final = 3.0
 """Conductors hang at least so high [m]."""
 
 
-def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArray[np.uint8]:
+UNDECIDED: Final = (0, CLASS_UNCLASSIFIED, *range(CLASS_LOW_VEGETATION, CLASS_HIGH_VEGETATION + 1))
+"""Classes that make way where vegetation and buildings are asked for."""
+
+
+class Further(NamedTuple):
+    """Classes that are asked for beyond ground, noise and water.
+
+    Parameters
+    ----------
+    building : (n,) bool, optional
+        Points that are of buildings.
+    vegetation : VegetationSettings, optional
+        Heights from which on the others are vegetation.
+    """
+
+    building: NDArray[np.bool_] | None = None
+    vegetation: VegetationSettings | None = None
+
+
+NOTHING_FURTHER: Final = Further()
+
+
+def classify(
+    table: PointTable,
+    cell: Bounds,
+    dtm: NDArray[np.float32],
+    further: Further = NOTHING_FURTHER,
+) -> NDArray[np.uint8]:
     """ASPRS class of each point as delivered.
 
     Parameters
@@ -50,6 +81,8 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
         The ground cell [quanta].
     dtm : (rows, cols) float32
         Its DTM, north up [m]; nodata where there is none.
+    further : Further
+        More classes.
 
     Returns
     -------
@@ -61,6 +94,8 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
         or higher, is 1; 6 where the input says building; 14 where ``wire`` is
         given and 1, at least :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that
         nothing assessed keep the input's class, except that class 2 is this project's ground only.
+        Of what would be 1, or is vegetation by the input: 6 of a building that was found; 3, 4, 5
+        by height above the DTM, where it is not void.
 
     Notes
     -----
@@ -83,11 +118,34 @@ def classify(table: PointTable, cell: Bounds, dtm: NDArray[np.float32]) -> NDArr
     if "wire" in table:
         clear = (table["wire"] == 1) & (height >= WIRE_ABOVE_M)
         result[clear & (result == CLASS_UNCLASSIFIED)] = CLASS_WIRE
+    open_to = np.isin(result, UNDECIDED) & ((noise_class == NOISE_SIGNAL) | ~assessed)
+    open_to &= ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
+    _add(further, result, open_to, np.where(void, -np.inf, height))
     noise = (noise_class == NOISE_BACKGROUND) | (noise_class == NOISE_AFTERPULSE)
     result[noise] = np.where(height[noise] < 0, CLASS_LOW_NOISE, CLASS_HIGH_NOISE)
     untouched = ~assessed & table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
     result[untouched] = given[untouched]
     return result.astype(np.uint8)
+
+
+def _add(
+    further: Further,
+    result: NDArray[np.uint8],
+    open_to: NDArray[np.bool_],
+    height: NDArray[np.float64],
+) -> None:
+    """Classes that were asked for, of points that have no other."""
+    if further.building is not None:
+        result[open_to & further.building] = CLASS_BUILDING
+        open_to = open_to & ~further.building
+    if further.vegetation is not None:
+        heights = further.vegetation
+        for least_m, kind in (
+            (heights.low, CLASS_LOW_VEGETATION),
+            (heights.medium, CLASS_MEDIUM_VEGETATION),
+            (heights.high, CLASS_HIGH_VEGETATION),
+        ):
+            result[open_to & (height >= least_m)] = kind
 
 
 def _surface_below(

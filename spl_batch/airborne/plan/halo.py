@@ -4,6 +4,7 @@ A chain of neighbourhood steps is exact at a seam only with the sum of their rea
 says its own reach; tasks carry the halo in their arguments.
 """
 
+from spl_batch.airborne.classes import buildings
 from spl_batch.airborne.filter import denoise
 from spl_batch.airborne.noise import haze
 from spl_batch.airborne.products import surface_rasters
@@ -19,4 +20,5 @@ def halo_m(workflow: Workflow) -> float:
 
 def surface_reach_m(workflow: Workflow) -> float:
     """Margin that a ground cell's rasters read [m]."""
-    return max(surface_rasters.reach_m(workflow.products), reflectance.reach_m(workflow.products))
+    reaches = [surface_rasters.reach_m(workflow.products), reflectance.reach_m(workflow.products)]
+    return max(*reaches, buildings.REACH_M if workflow.classes.building else 0.0)

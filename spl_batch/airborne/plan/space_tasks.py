@@ -121,8 +121,9 @@ def surface(survey: Survey) -> Iterator[Task]:
     halo = quanta(surface_reach_m(survey.workflow))
     index = fired_index(_boxes(survey, "fired")) if knows_reflectance(survey) else None
     holders = survey.holders()
-    # Only the map of swaths asks which flightline a return belongs to.
-    lines = survey.flown if survey.workflow.products.maps else []
+    # Only the map of swaths and the flag of overlap ask which flightline a return belongs to.
+    asked = survey.workflow.products.maps or survey.workflow.classes.overlap
+    lines = survey.flown if asked else []
     passes = [[line.psid, line.first_s, line.last_s] for line in lines]
     for cell in survey.ground_cells.units(survey.counts, survey.tile_q, halo):
         if str(cell.cell) not in survey.of("ground"):

@@ -3,6 +3,7 @@
 Each key has its unit in its name or in its description.
 """
 
+from spl_batch.airborne.settings.classes import ClassSettings, VegetationSettings
 from spl_batch.airborne.settings.filters import (
     AesSettings,
     CylinderSettings,
@@ -32,6 +33,7 @@ __all__ = [
     "AcquisitionSettings",
     "AesSettings",
     "AfterpulseSettings",
+    "ClassSettings",
     "CylinderSettings",
     "DccSettings",
     "FilterSettings",
@@ -46,6 +48,7 @@ __all__ = [
     "SmrfSettings",
     "SurveySettings",
     "TilingSettings",
+    "VegetationSettings",
     "VoxelSettings",
     "WireSettings",
 ]

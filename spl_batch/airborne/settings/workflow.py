@@ -15,6 +15,7 @@ from spl_batch.airborne.sensors.sensor import Sensor, load_preset
 from spl_batch.airborne.settings import (
     AcquisitionSettings,
     AfterpulseSettings,
+    ClassSettings,
     FilterSettings,
     GroundSettings,
     NoiseSettings,
@@ -45,6 +46,7 @@ class Workflow(BaseWorkflow):
     afterpulse: AfterpulseSettings = AfterpulseSettings()
     ground: GroundSettings = GroundSettings()
     products: ProductSettings = ProductSettings()
+    classes: ClassSettings = ClassSettings()
     outputs: OutputSettings = OutputSettings()
     requirements: RequirementSettings = RequirementSettings()
     water: str | None = Field(None, description="Polygons of water, any vector format.")
@@ -88,6 +90,11 @@ class Workflow(BaseWorkflow):
         if self.filter.wires.classify and not self._scans_lines:
             off = "filter.wires.enabled: false" if not self.filter.wires.enabled else chosen
             yield f"filter.wires.classify: no point gets class 14, as {off} looks for no conductors"
+        if self.classes.vegetation is not None and not self.classes.building:
+            yield (
+                "classes.vegetation: roofs become high vegetation where the input has no class 6; "
+                "write classes.building: true"
+            )
         if self.outputs.diagnostics and method != "vsaes":
             yield f"outputs.diagnostics: p_value is NaN everywhere, as {chosen} knows none"
 

@@ -36,6 +36,7 @@ DEFAULTS: dict[str, float] = {
     "wire": 0,
     "ground": 0,
     "classification": 255,
+    "set_flags": 0,
 }
 """Label of a point that no unit has labelled."""
 

@@ -33,6 +33,10 @@ from spl_batch.lattice.tiles import Bounds, cells_of_runs, parse_cell, quanta
 PASS_POINTS = 32_000_000
 """Points of a file whose labels are held in memory at once [count]."""
 
+_DELIVERED = ("noise_class", "classification")
+_DIAGNOSTICS = ("noise_density", "p_value")
+"""Labels that are written always, and where they are asked for."""
+
 KEEP_CLASS = 255
 """Classification of a point that nothing labelled: the input's class stays."""
 
@@ -61,7 +65,7 @@ class _FileLabels:
     def _load(self, start: int, stop: int) -> None:
         self.start, self.stop = start, min(stop, int(self.args["points"]))
         n = self.stop - self.start
-        fill = {"noise_class": 255, "classification": KEEP_CLASS}
+        fill = {"noise_class": 255, "classification": KEEP_CLASS, "set_flags": 0}
         self.values = {
             k: np.full(n, fill.get(k, np.nan), dtype=COLUMNS[k].dtype) for k in self.names
         }
@@ -81,18 +85,20 @@ class _FileLabels:
         store, columns = self.context.store, ("source", "index")
         with LabelFiles(store) as files:
             for tile, units in self.args["tiles"].items():
-                labels = {"classification": [("classes", u) for u in units["classes"]]}
-                for name in self.names:
-                    if name != "classification":
-                        labels[name] = [("noise", u) for u in units["noise"]]
+                of_classes = ("classification", "set_flags")
+                holders = {
+                    name: "classes" if name in of_classes else "noise" for name in self.names
+                }
+                labels = {name: [(kind, u) for u in units[kind]] for name, kind in holders.items()}
                 yield read_labelled_tile(store, parse_cell(tile), columns, labels, files)
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     """Write one input file again with its labels: every point once, in order."""
     diagnostics = context.workflow.outputs.diagnostics
-    extra = ("noise_density", "p_value") if diagnostics else ()
-    labels = _FileLabels(args, context, ("noise_class", "classification", *extra))
+    flags = context.workflow.classes.flags
+    names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
+    labels = _FileLabels(args, context, names)
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed(args, context)
@@ -102,6 +108,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             target,
             labels=labels,
             diagnostics=diagnostics,
+            flags=flags,
             crs=context.crs,
             decoded=_decoded(args, context),
         )
@@ -160,6 +167,8 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
         "classification": [("classes", u) for u in units["classes"]],
         "noise_class": [("noise", u) for u in units["noise"]],
     }
+    if context.workflow.classes.flags:
+        labels["set_flags"] = [("classes", u) for u in units["classes"]]
     columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
     table = read_labelled_tile(context.store, parse_cell(args["tile"]), columns, labels)
     given = table["classification"] == KEEP_CLASS

@@ -76,7 +76,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "surface": Kind(
             "surfaces",
             "spl_batch.airborne.tasks.space_domain:surface",
-            ("ground.cell_m", "products", "aoi", "water"),
+            ("ground.cell_m", "products", "classes", "aoi", "water"),
         ),
         "strip_pairs": Kind(
             "surfaces", "spl_batch.airborne.strips.strip_comparison:strip_pairs", ()
@@ -84,12 +84,12 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "deliver_file": Kind(
             "deliver",
             "spl_batch.airborne.tasks.delivery:deliver_file",
-            ("outputs.diagnostics", "outputs.classes"),
+            ("outputs.diagnostics", "outputs.classes", "classes.overlap", "classes.withheld"),
         ),
         "deliver_tile": Kind(
             "deliver",
             "spl_batch.airborne.tasks.delivery:deliver_tile",
-            ("outputs.tiles", "outputs.classes"),
+            ("outputs.tiles", "outputs.classes", "classes.overlap", "classes.withheld"),
         ),
         "deliver_copc": Kind("deliver", "spl_batch.airborne.tasks.delivery:deliver_copc", ()),
         "deliver_hillshade": Kind(

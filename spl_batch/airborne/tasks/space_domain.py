@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.classes import point_classes
+from spl_batch.airborne.classes.buildings import buildings
+from spl_batch.airborne.classes.overlap import overlapping
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.air import facts_of, look_at_air, noise_in_air
@@ -20,16 +22,26 @@ from spl_batch.airborne.products import surface_rasters as surfacing
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
+from spl_batch.airborne.pulses.pulse_maps import flightline_of
+from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.store.label_tables import read_region, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import pulses
 from spl_batch.airborne.tasks.coverage import covered
-from spl_batch.constants import NODATA
+from spl_batch.constants import (
+    CLASS_HIGH_NOISE,
+    CLASS_LOW_NOISE,
+    FLAG_OVERLAP,
+    FLAG_WITHHELD,
+    NODATA,
+    NOISE_NOT_ASSESSED,
+    NOISE_SIGNAL,
+)
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
-from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tables import EXCLUDED, PointTable
 from spl_batch.lattice.tiles import (
     Bounds,
     CellId,
@@ -155,7 +167,11 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     owned = inside(table["x"], table["y"], core)
     classified = (*point_classes.COLUMNS_NEEDED, *(("wire",) if "wire" in table else ()))
     mine, place = table.select(classified).take(owned), origin.of(owned)
-    del origin, owned
+    roofs = _buildings(table, region, workflow.classes)
+    further = point_classes.Further(
+        None if roofs is None else roofs[owned], workflow.classes.vegetation
+    )
+    del origin, owned, roofs
     shown = surface_points.makes_surfaces(table)
     table = table.select(near_ground.COLUMNS_NEEDED)
     arrays = surfacing.surfaces(shown, core, workflow.products)
@@ -172,11 +188,42 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     arrays["noise"] = noise_m3
     chunks = _write_rasters(args["cell"], core, arrays, context)
     path = context.store.labels("classes", args["cell"])
-    found = point_classes.classify(mine, core, arrays["dtm"])
-    write_labels(path, *place, {"classification": found})
+    found = point_classes.classify(mine, core, arrays["dtm"], further)
+    flags = _flags(mine, found, returns, args["passes"], workflow.classes)
+    write_labels(path, *place, {"classification": found, **flags})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
     facts = {"core": list(core), "rasters": sums, "kept_noise": kept_noise, **counted}
     return Produced([path, *chunks], facts, len(mine))
+
+
+def _buildings(
+    table: PointTable, region: Bounds, classes: ClassSettings
+) -> NDArray[np.bool_] | None:
+    """Points of buildings, where these are asked for."""
+    if not classes.building:
+        return None
+    usable = np.isin(table["noise_class"], (NOISE_SIGNAL, NOISE_NOT_ASSESSED))
+    return buildings(table, usable & ~table.has(EXCLUDED), region)
+
+
+def _flags(
+    mine: PointTable,
+    classification: NDArray[np.uint8],
+    returns: pulses.PulseReturns,
+    passes: Sequence[tuple[int, float, float]],
+    classes: ClassSettings,
+) -> dict[str, NDArray[np.uint8]]:
+    """Flags of the points of a ground cell, where some are asked for."""
+    if not classes.flags:
+        return {}
+    flags = np.zeros(len(mine), np.uint8)
+    if classes.withheld:
+        flags[np.isin(classification, (CLASS_LOW_NOISE, CLASS_HIGH_NOISE))] |= FLAG_WITHHELD
+    if classes.overlap:
+        line = flightline_of(returns.point_source_id, returns.time_s, passes)
+        over = overlapping(returns.first[:, :2], line, mine["x"], mine["y"])
+        flags[over] |= FLAG_OVERLAP
+    return {"set_flags": flags}
 
 
 def _fog_facts(

@@ -2,7 +2,7 @@
 
 Of point formats 6-10 a chunk keeps each field in a layer of its own: the first record as it is, the
 number of points, the size of every layer, the layers. How classes are coded depends on the returns
-of a pulse and the scanner channel, an extra byte on the scanner channel alone [LASzip,
+of a pulse and the scanner channel, flags and an extra byte on the scanner channel alone [LASzip,
 ``laswriteitemcompressed_v3.cpp``]. So a copy takes the layers of all other fields from the input,
 and these from records in which nothing else is set. It decodes as if all had been compressed anew;
 where the input is of the same compressor it is the same bytes.
@@ -37,7 +37,8 @@ GIVEN: Final = "given"
 _COPIED_FORMATS: Final = (6, 7, 8)
 _FORMAT: Final = 6
 _CLASSES: Final = 2
-"""Place of the layer of classes among those of a format."""
+_FLAGS: Final = 3
+"""Places of the layers of classes and of flags among those of a format."""
 
 
 def given_of(records: NDArray[Any]) -> NDArray[np.uint32]:
@@ -68,9 +69,13 @@ class LayerCopy:
         Of its records into those of the copy.
     added : int
         Dimensions of the copy that are not the input's, its last ones [count].
+    flags : bool
+        Whether flags are the copy's own as well.
     """
 
-    def __init__(self, reader: RecordReader, convert: Conversion, added: int) -> None:
+    def __init__(
+        self, reader: RecordReader, convert: Conversion, added: int, *, flags: bool = False
+    ) -> None:
         points = CHUNK_SIZE.unpack_from(reader.laszip, CHUNK_SIZE_AT)[0]
         self.laz = laz_record(convert.layout, points)
         self._convert = convert
@@ -82,6 +87,7 @@ class LayerCopy:
         self._own_layers = count_layers(bytes(self._own_laz.record_data()))
         self._added_bytes = sum(d.dtype.itemsize for d in self.own.extra)
         self._kept = self._kept_layers()
+        self._changed = (_CLASSES, _FLAGS) if flags else (_CLASSES,)
 
     def _kept_layers(self) -> list[int]:
         """Layers of the input that the copy has too, in order."""
@@ -116,19 +122,19 @@ class LayerCopy:
             From :meth:`records`, with the same for all points.
         """
         theirs = chunk_layers(packed, self._given_dtype.itemsize, self._given_layers)
-        classes, *added = self._compressed(own)
+        ours = self._compressed(own)
         layers = [theirs[k] for k in self._kept]
-        layers[_CLASSES] = classes
-        layers += added
+        for layer in self._changed:
+            layers[layer] = ours[layer]
+        layers += ours[self._own_layers - self._added_bytes :]
         sizes = np.array([len(own), *map(len, layers)], "<u4")
         return b"".join([first.tobytes(), sizes.tobytes(), *layers])
 
     def _compressed(self, own: NDArray[Any]) -> list[bytes]:
-        """Layers of the classes and of each added byte."""
+        """Layers of records in which only class, returns, flags and added bytes are set."""
         content = io.BytesIO()
         compressor = lazrs.LasZipCompressor(content, self._own_laz)
         compressor.compress_many(own.view(np.uint8))
         compressor.done()
         place = 8  # the chunk follows the place of the table
-        layers = chunk_layers(content.getvalue()[place:], own.dtype.itemsize, self._own_layers)
-        return [layers[_CLASSES], *layers[self._own_layers - self._added_bytes :]]
+        return chunk_layers(content.getvalue()[place:], own.dtype.itemsize, self._own_layers)

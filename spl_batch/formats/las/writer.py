@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.constants import FLAG_WITHHELD, QUANTA_PER_M, QUANTUM_M
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
@@ -69,7 +69,6 @@ _ONLY_RETURN: Final = 0x11
 _DIAGNOSTICS: Final = ("noise_density", "p_value")
 _CHUNK: Final = 500_000
 _POINT_FORMAT: Final = 6
-_WITHHELD_BIT: Final = 4
 _ORIGIN_STEP: Final = 1_000 * QUANTA_PER_M
 _INT32: Final = np.iinfo(np.int32)
 
@@ -97,6 +96,7 @@ def write_classified(
     labels: Labels,
     diagnostics: bool,
     crs: CRS | None,
+    flags: bool = False,
     decoded: Decoded | None = None,
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
@@ -121,6 +121,9 @@ def write_classified(
         Whether to add ``noise_density`` and ``p_value``.
     crs : CRS or None
         CRS for an input that carries none.
+    flags : bool
+        Whether labels have ``set_flags`` (uint8): classification flags that are set beside those
+        of the input.
     decoded : Decoded, optional
         Spares decoding a file of which :func:`~spl_batch.formats.las.layers.can_be_copied` holds:
         what is not changed is copied as it is compressed.
@@ -176,7 +179,7 @@ def write_classified(
         )
         if decoded is None or not can_be_copied(reader):
             return write_laz(dst, frame, chunks())
-        copy = LayerCopy(reader, convert, len(names))
+        copy = LayerCopy(reader, convert, len(names), flags=flags)
         return write_packed(dst, frame, copy.laz, decoded.extent, packed(decoded, copy))
 
 
@@ -195,6 +198,8 @@ def _label(
     field = {d.name: d.field for d in layout.extra}
     given = np.asarray(values["classification"], dtype=np.uint8)
     out["classification"] = np.where(given == KEEP_CLASS, classes, given)
+    if "set_flags" in values:
+        out["classification_flags"] |= values["set_flags"]
     for name in names:
         out[field[name]] = classes if name == "input_classification" else values[name]
 
@@ -314,7 +319,9 @@ def _fill(records: NDArray[Any], table: PointTable) -> None:
     if "scan_angle" in table:
         records["scan_angle"] = np.rint(table["scan_angle"] / SCAN_ANGLE_STEP_DEG)
     if "flags" in table:
-        records["classification_flags"] = table.has(PointFlag.WITHHELD) * np.uint8(_WITHHELD_BIT)
+        records["classification_flags"] = table.has(PointFlag.WITHHELD) * np.uint8(FLAG_WITHHELD)
+    if "set_flags" in table:
+        records["classification_flags"] |= table["set_flags"]
     name = "classification" if "classification" in table else "input_class"
     if name in table:
         records["classification"] = table[name]

@@ -1,0 +1,1 @@
+"""Classes of delivered points, against producers and simulated truth."""

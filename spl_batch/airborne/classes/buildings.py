@@ -1,0 +1,259 @@
+"""Which returns are of buildings: planes that stand high above the ground, side by side.
+
+Domain: space. The idea is that of planar surfaces and their height, as in G. Vosselman & S. Dijkman
+(2001, *3D building model reconstruction from point clouds and ground plans*, IAPRS 34-3/W4) and
+N. Haala & C. Brenner (1999, *Extraction of buildings and trees in urban environments*, ISPRS J. 54,
+130-137), reduced to what needs no region that grows, so that no tiling changes it:
+
+1. What stands :data:`STANDS_M` or more above the ground around takes part. The ground is the mean
+   of ground returns of each square metre, the nearest one where a square has none.
+2. Of each window of 3 x 3 cells of an absolute grid the plane by least squares is found; it is a
+   roof's if the returns spread by no more than :data:`FLAT_M` about it, and lie in all directions.
+   A return is planar that lies near the plane of a window around it. Cells of 1 m are tried first;
+   where no window holds :data:`FEWEST` returns, those of 2 m, and of 4 m.
+3. Planar returns are of a building where most returns of the 5 x 5 cells around are planar; so are
+   others where nearly all are, as chimneys and ridges.
+
+What is flat, high, and no building, as a deck of a bridge, is taken for one.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds, quanta
+
+DOMAIN: Final = "space"
+
+COLUMNS_NEEDED: Final = ("x", "y", "z", "ground")
+
+STANDS_M: Final = 2.0
+"""Buildings stand so high above the ground, at least [m]."""
+
+CELLS_M: Final = (1.0, 2.0, 4.0)
+"""Edges of the cells that are tried [m]."""
+
+GROUND_CELL_M: Final = 1.0
+"""Edge of the cells of the ground [m]."""
+
+FEWEST: Final = 6
+"""Returns that make a plane [count]."""
+
+FLAT_M: Final = 0.25
+"""Standard deviation about a roof's plane, at most [m]."""
+
+STEEPEST: Final = 1.8
+"""Slope of a roof, at most: 60 degrees [rise/run]."""
+
+WIDE: Final = 0.12
+"""Standard deviation of a window's returns in each direction, at least [edges of the window]."""
+
+NEAR_SIGMA: Final = 2.5
+"""A return is near a plane within so many of its standard deviations."""
+
+MOST: Final = 0.5
+NEARLY_ALL: Final = 0.75
+"""Shares of planar returns around that make a building of planar, and of other returns, 0..1."""
+
+AROUND: Final = 2
+"""Cells on each side in which that share is taken [count]."""
+
+AT_ONCE: Final = 100_000
+"""Returns that are compared with planes at once [count]."""
+
+REACH_M: Final = (AROUND + 2) * max(CELLS_M)
+"""How far around a return its neighbours decide [m]; the ground may lie farther."""
+
+
+class _Planes(NamedTuple):
+    """Plane of the window around each cell: (rows, cols).
+
+    Parameters
+    ----------
+    returns : int64
+        Returns of the window.
+    roof : bool
+        Whether it is a roof's.
+    x, y, z : float64
+        Mean of its returns [quanta].
+    east, north : float64
+        Slope [rise/run].
+    sigma : float64
+        Standard deviation about it [quanta].
+    """
+
+    returns: NDArray[np.int64]
+    roof: NDArray[np.bool_]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    east: NDArray[np.float64]
+    north: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+
+def buildings(table: PointTable, usable: NDArray[np.bool_], region: Bounds) -> NDArray[np.bool_]:
+    """Which returns are of buildings.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points with :data:`COLUMNS_NEEDED`, in any order.
+    usable : (n,) bool
+        Signal; the others are no building and tell nothing.
+    region : Bounds
+        What the points lie in; returns nearer to its edge than :data:`REACH_M` lack neighbours
+        [quanta].
+
+    Returns
+    -------
+    (n,) bool
+    """
+    found = np.zeros(len(table), np.bool_)
+    ground = usable & (table["ground"] == 1)
+    if not ground.any():
+        return found
+    rows = np.flatnonzero(usable & ~ground)
+    rows = rows[_height(table, rows, ground, region) >= quanta(STANDS_M)]
+    corner = (region.xmin, region.ymin, int(table["z"][rows].min(initial=0)))
+    xyz = np.empty((len(rows), 3), np.int32)
+    for k, axis in enumerate("xyz"):
+        xyz[:, k] = table[axis][rows].astype(np.int64) - corner[k]
+    judged = np.zeros(len(rows), np.bool_)
+    for cell_m in CELLS_M:
+        if judged.all():
+            break
+        able, building = _of_cells(xyz, region, quanta(cell_m))
+        found[rows[building & ~judged]] = True
+        judged |= able
+    return found
+
+
+def _height(
+    table: PointTable, rows: NDArray[np.intp], ground: NDArray[np.bool_], region: Bounds
+) -> NDArray[np.int64]:
+    """Height above the ground around [quanta]."""
+    edge = quanta(GROUND_CELL_M)
+    grid = _Grid(region, edge)
+    held = grid.number(table["x"][ground], table["y"][ground])
+    order = np.argsort(held, kind="stable")
+    first = np.flatnonzero(np.diff(held[order], prepend=-1))
+    count = np.diff(first, append=len(held))
+    mean = np.add.reduceat(table["z"][ground][order].astype(np.int64), first) // count
+    level = np.zeros(grid.rows * grid.columns, np.int64)
+    void = np.ones(len(level), np.bool_)
+    level[held[order][first]], void[held[order][first]] = mean, False
+    shape = grid.rows, grid.columns
+    at = distance_transform_edt(void.reshape(shape), return_distances=False, return_indices=True)
+    nearest = level.reshape(shape)[tuple(at)].ravel()
+    own = grid.number(table["x"][rows], table["y"][rows])
+    height: NDArray[np.int64] = table["z"][rows] - nearest[own]
+    return height
+
+
+class _Grid:
+    """Absolute cells over a region."""
+
+    def __init__(self, region: Bounds, edge: int) -> None:
+        self.edge = edge
+        self.west, self.south = region.xmin // edge, region.ymin // edge
+        self.columns = -(-region.xmax // edge) - self.west
+        self.rows = -(-region.ymax // edge) - self.south
+
+    def number(self, x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Number of the cell of each place, row by row."""
+        found: NDArray[np.int64] = (y // self.edge - self.south) * self.columns
+        return found + x // self.edge - self.west
+
+
+def _of_cells(
+    xyz: NDArray[np.int32], region: Bounds, edge: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which returns cells of one size can judge, and which of them are of buildings."""
+    grid = _Grid(region, edge)
+    shape = grid.rows, grid.columns
+    number = grid.number(
+        xyz[:, 0].astype(np.int64) + region.xmin, xyz[:, 1].astype(np.int64) + region.ymin
+    )
+    planes = _planes(xyz, number, shape, edge)
+    able, planar = np.zeros((2, len(xyz)), np.bool_)
+    for start in range(0, len(xyz), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        able[part], planar[part] = _planar(xyz[part], np.divmod(number[part], shape[1]), planes)
+    cells = shape[0] * shape[1]
+    total, flat = (
+        _around(np.bincount(of, minlength=cells).reshape(shape), AROUND).ravel()[number]
+        for of in (number, number[planar])
+    )
+    building = planar & (flat >= MOST * total) | (flat >= NEARLY_ALL * total)
+    return able, building
+
+
+def _planar(
+    xyz: NDArray[np.int32], cell: tuple[NDArray[np.int64], NDArray[np.int64]], planes: _Planes
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which returns have windows that can tell, and which lie near a roof's plane."""
+    able, planar = np.zeros((2, len(xyz)), np.bool_)
+    rows, columns = planes.roof.shape
+    for i in (-1, 0, 1):
+        for j in (-1, 0, 1):
+            at = np.clip(cell[0] + i, 0, rows - 1), np.clip(cell[1] + j, 0, columns - 1)
+            able |= planes.returns[at] >= FEWEST
+            away = xyz[:, 2] - planes.z[at]
+            away -= planes.east[at] * (xyz[:, 0] - planes.x[at])
+            away -= planes.north[at] * (xyz[:, 1] - planes.y[at])
+            planar |= planes.roof[at] & (np.abs(away) <= NEAR_SIGMA * planes.sigma[at])
+    return able, planar
+
+
+def _around(values: NDArray[np.int64], reach: int) -> NDArray[np.int64]:
+    """Sum over the cells up to so many on each side, whole numbers."""
+    for axis in (0, 1):
+        pad = [(reach + 1, reach) if k == axis else (0, 0) for k in (0, 1)]
+        run = np.cumsum(np.pad(values, pad), axis=axis)
+        size = values.shape[axis]
+        ends = [np.take(run, np.arange(k, k + size), axis=axis) for k in (2 * reach + 1, 0)]
+        values = ends[0] - ends[1]
+    return values
+
+
+def _planes(
+    xyz: NDArray[np.int32], number: NDArray[np.int64], shape: tuple[int, int], edge: int
+) -> _Planes:
+    """Planes by least squares; sums are whole numbers, so that no order matters."""
+    order = np.argsort(number, kind="stable")
+    held = number[order]
+    first = np.flatnonzero(np.diff(held, prepend=-1))
+    x, y, z = (xyz[order, k].astype(np.int64) for k in range(3))
+
+    def added(values: NDArray[np.int64]) -> NDArray[np.int64]:
+        sums = np.zeros(shape[0] * shape[1], np.int64)
+        if len(first):
+            sums[held[first]] = np.add.reduceat(values, first)
+        return _around(sums.reshape(shape), 1)
+
+    n = added(np.ones_like(x))
+    count = np.maximum(n, 1)
+    mx, my, mz = (added(axis) / count for axis in (x, y, z))
+    xx, xy, yy = (
+        added(x * x) / count - mx * mx,
+        added(x * y) / count - mx * my,
+        added(y * y) / count - my * my,
+    )
+    xz, yz, zz = (
+        added(x * z) / count - mx * mz,
+        added(y * z) / count - my * mz,
+        added(z * z) / count - mz * mz,
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = xx * yy - xy * xy
+        east, north = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
+        square = np.maximum(zz - east * xz - north * yz, 0.0) * n / np.maximum(n - 3, 1)
+    narrowest = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    roof = (n >= FEWEST) & (narrowest >= (WIDE * 3 * edge) ** 2)
+    roof &= (square <= quanta(FLAT_M) ** 2) & (np.hypot(east, north) <= STEEPEST)
+    sigma = np.where(roof, np.sqrt(square), 0.0)
+    return _Planes(n, roof, mx, my, mz, east, north, sigma)
