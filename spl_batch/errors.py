@@ -11,6 +11,7 @@ import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Final, NamedTuple
 
 
@@ -210,7 +211,7 @@ class MissingPackageError(SplBatchError, ImportError):
 
 
 def needed(module: str, what: str, extra: str) -> Any:
-    """Import a package that only some of the work needs.
+    """Import a module that only some of the work needs.
 
     Parameters
     ----------
@@ -219,23 +220,33 @@ def needed(module: str, what: str, extra: str) -> Any:
     what : str
         What needs it, in the plural.
     extra : str
-        Extra of this project that installs it.
+        Extra of this project that installs it, and what it needs.
 
     Raises
     ------
     MissingPackageError
-        If it is not installed: one line with the command that installs it.
+        If a package is not installed: one line with the command that installs it.
     """
     try:
         return import_module(module)
     except ModuleNotFoundError as missing:
-        if missing.name is None or missing.name.split(".")[0] != module.split(".", maxsplit=1)[0]:
-            raise  # it is there, but something that it needs is not
-        package = module.split(".", maxsplit=1)[0]
-        raise MissingPackageError(
-            f"{what} need the package {package}, which is not installed; "
-            f"pip install 'spl-batch[{extra}]'"
-        ) from missing
+        package = str(missing.name).split(".", maxsplit=1)[0]
+        if package == __name__.split(".", maxsplit=1)[0]:
+            raise  # a fault of this project, not of the installation
+        raise _missing(package, what, extra) from missing
+
+
+def refuse_without(package: str, what: str, extra: str) -> None:
+    """Raise :class:`MissingPackageError` before work that would end for want of a package."""
+    if find_spec(package) is None:
+        raise _missing(package, what, extra)
+
+
+def _missing(package: str, what: str, extra: str) -> MissingPackageError:
+    return MissingPackageError(
+        f"{what} need the package {package}, which is not installed; "
+        f"pip install 'spl-batch[{extra}]'"
+    )
 
 
 class PlanError(SplBatchError):

@@ -6,9 +6,10 @@ processes an airborne survey needs nothing of the others.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Final
+
+from spl_batch.errors import needed
 
 IMAGING: Final = "imaging"
 """Kind of a workflow that names none: airborne single-photon lidar."""
@@ -32,6 +33,10 @@ class Home:
         Makes synthetic data: a function of a scene file, an output folder and, by name, of
         ``progress``, which is told the share that is done; what it gives back has ``rows``, label
         and value of what a user is told. It leaves a ``workflow.yaml`` in the folder.
+    compare : str
+        Runs several methods side by side; empty where it has one.
+    extra : str
+        Extra of this project that installs what it needs beside an airborne survey.
     """
 
     workflow: str
@@ -40,6 +45,7 @@ class Home:
     report: str
     simulate: str
     compare: str = ""
+    extra: str = "report"
 
 
 HOMES: Final[Mapping[str, Home]] = MappingProxyType(
@@ -59,6 +65,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.altimetry.report.model:TrackReport",
             "spl_batch.altimetry.simulate:simulate_file",
             "spl_batch.altimetry.compare.comparison:compare",
+            extra="altimetry",
         ),
         "coincidence": Home(
             "spl_batch.geiger.coincidence.settings:CoincidenceWorkflow",
@@ -66,6 +73,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.geiger.coincidence.receiver:RECEIVER",
             "spl_batch.geiger.coincidence.report.model:CoincidenceReport",
             "spl_batch.geiger.coincidence.simulate:simulate_file",
+            extra="geiger",
         ),
         "water_surface": Home(
             "spl_batch.geiger.water.settings:WaterWorkflow",
@@ -73,6 +81,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.geiger.water.receiver:RECEIVER",
             "spl_batch.geiger.water.report.model:WaterReport",
             "spl_batch.geiger.water.simulate:simulate_file",
+            extra="geiger",
         ),
     }
 )
@@ -81,36 +90,41 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
 
 def workflow_model(kind: str) -> Any:
     """Model of a receiver's workflow file."""
-    return load(HOMES[kind].workflow)
+    return _part(kind, HOMES[kind].workflow)
 
 
 def task_kinds(kind: str) -> Any:
     """What a receiver's tasks do, by kind of task."""
-    return load(HOMES[kind].kinds)
+    return _part(kind, HOMES[kind].kinds)
 
 
 def receiver(kind: str) -> Any:
     """What the verbs need of a receiver."""
-    return load(HOMES[kind].receiver)
+    return _part(kind, HOMES[kind].receiver)
 
 
 def report_model(kind: str) -> Any:
     """Model of a receiver's report."""
-    return load(HOMES[kind].report)
+    return _part(kind, HOMES[kind].report)
 
 
 def simulator(kind: str) -> Any:
     """What makes synthetic data for a receiver."""
-    return load(HOMES[kind].simulate)
+    return _part(kind, HOMES[kind].simulate)
 
 
 def comparison(kind: str) -> Any:
     """What runs several methods of a receiver side by side; None where it has none."""
     place = HOMES[kind].compare
-    return load(place) if place else None
+    return _part(kind, place) if place else None
 
 
-def load(place: str) -> Any:
-    """What lies at a place, ``module:name``."""
+def _part(kind: str, place: str) -> Any:
+    """Part of a receiver; one line where a package is missing that it needs."""
+    return load(place, f"workflows of the kind {kind}", HOMES[kind].extra)
+
+
+def load(place: str, what: str = "these tasks", extra: str = "report,altimetry,geiger") -> Any:
+    """What lies at a place, ``module:name``; ``what`` needs it, and ``extra`` installs it."""
     module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
+    return getattr(needed(module, what, extra), name)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.arrays.checked import densities, points_of, settings_of
+from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
 from spl_batch.airborne.filter import denoise
@@ -106,6 +107,7 @@ class ExpectedNoise(NamedTuple):
     warnings: tuple[str, ...]
 
 
+@telling
 def filter_points(
     xyz: ArrayLike,
     noise_density: ArrayLike | None = None,
@@ -192,6 +194,7 @@ def filter_points(
     return _filtered(table if known is None else known.table, given, known, chosen)
 
 
+@telling
 def expected_noise(
     xyz: ArrayLike,
     *,

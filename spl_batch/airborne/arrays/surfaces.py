@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.arrays.checked import points_of, settings_of
+from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.filtering import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.plan.ground_cells import GroundCells
@@ -76,6 +77,7 @@ class Rasters:
         )
 
 
+@telling
 def ground_points(
     xyz: ArrayLike,
     labels: Labels | ArrayLike | None = None,
@@ -125,6 +127,7 @@ def ground_points(
     return found
 
 
+@telling
 def rasterize(
     xyz: ArrayLike,
     labels: Labels | ArrayLike | None = None,

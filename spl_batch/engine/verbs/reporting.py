@@ -12,7 +12,7 @@ from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.receipt_index import Shelf
 from spl_batch.engine.verbs.conclusion import RunResult
 from spl_batch.engine.verbs.receiver import Place, Receiver
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, refuse_without
 from spl_batch.receivers import receiver
 
 
@@ -34,6 +34,7 @@ def report(output: Path | str) -> RunResult:
     fault = no_output(Path(output), "report")
     if fault:
         raise WorkflowError(f"{output}: {fault}")
+    refuse_without("matplotlib", "reports", "report")
     folder = Path(output).resolve()
     done, context, facts = recalled(folder)
     found: Receiver[Any, Any] = receiver(context.workflow.kind)

@@ -30,7 +30,15 @@ from spl_batch.engine.verbs.repair import Repairs
 from spl_batch.engine.watch.events import Listener, Note, PhaseStarted, RunEnded, RunStarted, ignore
 from spl_batch.engine.watch.progress import Progress
 from spl_batch.engine.watch.tile_map import TileMap
-from spl_batch.errors import Said, SplBatchError, StoppedError, WorkflowError, shared, told_together
+from spl_batch.errors import (
+    Said,
+    SplBatchError,
+    StoppedError,
+    WorkflowError,
+    refuse_without,
+    shared,
+    told_together,
+)
 
 COMPILING: Final = (
     "getting the kernels ready; the first run on a machine compiles them, which usually takes a "
@@ -92,6 +100,8 @@ def run(
     order = stages_of(prepared)
     if until is not None and until not in order:
         raise WorkflowError(f"--until {until}: write one of {', '.join(order)}")
+    if _reports(until):
+        refuse_without("matplotlib", "reports", "report")
     cost = fitting_cost(prepared)
     output = prepared.context.output
     invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
@@ -150,6 +160,11 @@ def run(
     return result
 
 
+def _reports(until: str | None) -> bool:
+    """Whether a run that ends with this stage writes a report."""
+    return until in {None, "report"}
+
+
 @contextmanager
 def _telling_the_end(progress: Progress) -> Iterator[None]:
     """Log why a run stops before its end, for those who watch it from elsewhere."""
@@ -193,9 +208,10 @@ def _run_phases(
 ) -> None:
     ledger, receiver, order = prepared.ledger, prepared.receiver, stages_of(prepared)
     last = order.index(until) if until else len(order)
+    reports = _reports(until)
     for wave in waves(receiver.phases):
         phases = [p for p in wave if order.index(progress.stage(p.kind)) <= last]
-        _run_wave(phases, prepared, pool, progress, verify=verify)
+        _run_wave(phases, prepared, pool, progress, verify=verify, reports=reports)
         if progress.repairs.wanted(progress.failed, ledger):
             return
         for phase in phases:
@@ -217,6 +233,7 @@ def _run_wave(
     progress: Progress,
     *,
     verify: bool,
+    reports: bool,
 ) -> None:
     """Do what phases that do not wait for each other have left to do."""
     work: dict[str, Worklist] = {}
@@ -224,7 +241,9 @@ def _run_wave(
     for phase in phases:
         prepared.receiver.before(phase, prepared)
         work[phase.kind] = Worklist(phase, prepared.ledger, prepared.context, verify=verify)
-        targets += _begin_phase(work[phase.kind], phase.kind, prepared, pool, progress)
+        targets += _begin_phase(
+            work[phase.kind], phase.kind, prepared, pool, progress, reports=reports
+        )
     for text in progress.deliveries.make_room(targets):
         progress.tell(Note("info", text))
 
@@ -245,7 +264,13 @@ def _run_wave(
 
 
 def _begin_phase(
-    work: Worklist, kind: str, prepared: Prepared[Any, Any], pool: Executor, progress: Progress
+    work: Worklist,
+    kind: str,
+    prepared: Prepared[Any, Any],
+    pool: Executor,
+    progress: Progress,
+    *,
+    reports: bool,
 ) -> list[str]:
     """See what one phase has left to do, and tell of it; the files that it will deliver."""
     targets: list[str] = []
@@ -264,7 +289,7 @@ def _begin_phase(
         return targets
     if work.left:
         pool.make_ready()
-        if progress.invocation.workers:
+        if reports and progress.invocation.workers:
             _load_meanwhile(prepared.receiver)
     tiles = _tile_map(prepared.receiver.edge_m(kind, ledger), left, ready)
     progress.tell(PhaseStarted(stage, kind, work.left, work.ready, work.points, tiles))

@@ -1,0 +1,49 @@
+"""One line where the first call on a machine compiles, which would else be a silent minute."""
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, Final, ParamSpec, TypeVar
+
+from numba.core import event
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+LINE: Final = (
+    "spl_batch: compiling for this machine ... this takes a minute or two, once; later calls load "
+    "what is compiled\n"
+)
+
+
+class _Teller(event.Listener):
+    """Writes the line when the first kernel is compiled and not loaded."""
+
+    def __init__(self) -> None:
+        self.told = False
+
+    def on_start(self, event: Any) -> None:
+        """A kernel is about to be compiled."""
+        del event
+        if not self.told:
+            self.told = True
+            sys.stderr.write(LINE)
+            sys.stderr.flush()
+
+    def on_end(self, event: Any) -> None:
+        """It is compiled."""
+        del event
+
+
+_TELLER: Final = _Teller()
+
+
+def telling(function: Callable[P, R]) -> Callable[P, R]:
+    """Say it on standard error, once in a process, where a function compiles."""
+
+    @wraps(function)
+    def told(*arguments: P.args, **named: P.kwargs) -> R:
+        with event.install_listener("numba:compile", _TELLER):
+            return function(*arguments, **named)
+
+    return told

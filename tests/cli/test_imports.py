@@ -1,0 +1,92 @@
+"""What a command needs not it does not load, and what is missing it names in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from spl_batch import receivers
+from spl_batch.airborne.arrays import compiling
+from spl_batch.errors import MissingPackageError, refuse_without
+from tests import surveys
+
+FOREIGN = ("matplotlib", "h5py", "skimage", "sklearn", "pystac", "s3fs", "xarray", "bokeh")
+"""Packages of reports, of other receivers, of clusters and object stores."""
+
+
+def python(code: str, *arguments: object) -> str:
+    found = subprocess.run(  # noqa: S603 - what stands here
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "Traceback" not in found.stderr, found.stderr
+    return found.stdout + found.stderr
+
+
+def test_a_filter_run_loads_nothing_of_reports_and_other_receivers(
+    small_lines: Path, tmp_path: Path
+) -> None:
+    code = (
+        "import sys; from spl_batch.cli import main\n"
+        "try: main(sys.argv[2:])\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "print('loaded', sorted({m.split('.')[0] for m in sys.modules} & {*sys.argv[1].split()}))"
+    )
+    line = small_lines.parent / "lines" / "line_1.laz"
+    known = [f"--set=acquisition.prf_hz={surveys.PRF_HZ}", "--set=acquisition.gate_m=60"]
+    said = python(
+        code, " ".join(FOREIGN), "denoise", line, tmp_path / "o.laz", "--workers", 0, *known
+    )
+    assert (tmp_path / "o.laz").exists(), said
+    assert "loaded []" in said
+
+
+@pytest.mark.parametrize(
+    ("missing", "arguments", "said"),
+    [
+        ("h5py", ("plan", "altimetry.yaml"), "pip install 'spl-batch[altimetry]'"),
+        ("matplotlib", ("run", "WORKFLOW"), "reports need the package matplotlib"),
+    ],
+)
+def test_a_missing_package_is_one_line(
+    missing: str, arguments: tuple[str, str], said: str, small: Path
+) -> None:
+    code = "import sys; sys.modules[sys.argv[1]] = None; from spl_batch.cli import main\n"
+    code += "main(sys.argv[2:])"
+    verb, name = arguments
+    examples = Path(__file__).parents[2] / "workflows"
+    told = python(code, missing, verb, small if name == "WORKFLOW" else examples / name)
+    assert said in told, told
+    assert len(told.strip().splitlines()) <= 2
+
+
+def test_a_task_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = "spl_batch.geiger.water.surface.pixel_surface"
+    monkeypatch.setitem(sys.modules, "skimage", None)  # type: ignore[arg-type]
+    monkeypatch.delitem(sys.modules, "skimage.restoration", raising=False)
+    monkeypatch.delitem(sys.modules, module, raising=False)
+    with pytest.raises(MissingPackageError, match="these tasks need the package skimage"):
+        receivers.load(f"{module}:anything")
+
+
+def test_a_package_that_is_there_is_not_refused() -> None:
+    refuse_without("json", "things", "report")
+    with pytest.raises(MissingPackageError, match=r"pip install 'spl-batch\[report\]'"):
+        refuse_without("no_such_package_here", "things", "report")
+
+
+def test_compiling_is_told_once(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiling._TELLER, "told", False)
+
+    @compiling.telling
+    def compiled_anew(value: int) -> int:
+        return int(numba.njit(lambda x: x + 1)(value))
+
+    assert [compiled_anew(1), compiled_anew(2)] == [2, 3]
+    assert capsys.readouterr().err == compiling.LINE
