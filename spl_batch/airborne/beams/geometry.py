@@ -33,6 +33,9 @@ STEP_BIN_S: Final = 1e-8
 STEP_BINS: Final = 100_000
 """Bins of that histogram: steps up to 1 ms, so PRFs from 1 kHz."""
 
+PRF_DIGITS: Final = 3
+"""Digits of an estimated pulse rate [count]: rounded times tell no more in short files."""
+
 AHEAD_S: Final = 1.0
 """Time in which a scan looks ahead and astern many times over [s]."""
 
@@ -262,8 +265,8 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
     """Pulse repetition frequency from the steps between shots.
 
     Silent shots make steps of two and more periods, but one period stays the commonest;
-    the mean around the mode takes out the jitter (20.03 / 19.97 us), and the steps of
-    two periods sharpen it.
+    the mean around the mode takes out the jitter (20.03 / 19.97 us). It is told to
+    :data:`PRF_DIGITS`, so that the same flightline has the same whatever files it is cut into.
 
     Parameters
     ----------
@@ -292,4 +295,4 @@ def estimate_prf(steps: NDArray[np.int64]) -> float | None:
         return None
     counted = steps[low[mode] : high[mode]]
     period = float(np.dot(counted, centre[low[mode] : high[mode]]) / counted.sum())
-    return 1.0 / period
+    return float(f"{1.0 / period:.{PRF_DIGITS}g}")

@@ -1,6 +1,7 @@
 """Flightlines and stretches, from what the index stage found in each file."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -201,11 +202,14 @@ def _prf(
     receipts: Mapping[str, Receipt],
     workflow: Workflow,
 ) -> tuple[float, str]:
-    """Pulse rate: given, else what the file with most points of the line shows."""
+    """Pulse rate: given, else what the files with most points of the line show."""
     if workflow.sensor.prf_hz is not None:
         return workflow.sensor.prf_hz, "given"
-    for _, _, _, key in sorted(lift, key=lambda span: (-span[2], span[3])):
+    votes: Counter[float] = Counter()
+    for _, _, points, key in lift:
         found = receipts[key].facts["prf_hz"].get(str(psid))
         if found:
-            return float(found), "estimated"
+            votes[float(found)] += points
+    if votes:
+        return max(votes, key=lambda rate: (votes[rate], rate)), "estimated"
     return FALLBACK_PRF_HZ, "assumed"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.simulate.beamlet_room import empty_layers
 from spl_batch.airborne.simulate.file_writers import (
+    folder_of,
     las_header,
     raster_rows,
     sbet_records,
@@ -272,12 +273,12 @@ def _workflow(scene: Scene, out: Path, water: bool) -> Path:  # noqa: FBT001 - o
     content: dict[str, Any] = {
         "survey": {
             "name": scene.name,
-            "flightlines": "flightlines/*.laz",
+            "flightlines": f"{folder_of(scene)}/*.laz",
             "trajectory": "trajectory.csv",
             "sensor": scene.instrument.model_dump(mode="json")
             if scene.sensor_overrides or not isinstance(scene.sensor, str)
             else scene.sensor,
-            "channel_dimension": "channel",
+            "channel_dimension": scene.delivery.channel_dimension,
         },
         "reference": {"points": "reference_lml.laz", "checkpoints": "checkpoints.csv"},
         "output": "out",

@@ -4,7 +4,7 @@ import datetime as dt
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from pyproj import CRS, Proj, Transformer
 from rasterio.windows import Window
 
+from spl_batch.airborne.simulate.flight import Pass
+from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S, GPS_WEEK_S, NODATA, QUANTUM_M
 from spl_batch.formats.files.atomic import replacing, write_bytes
 
@@ -29,9 +31,13 @@ SCAN_ANGLE_DEG = 0.006
 
 GPS_EPOCH = dt.date(1980, 1, 6)
 
+Columns = dict[str, NDArray[Any]]
 
-def las_header(crs: str, origin_m: tuple[float, float, float], time_s: float) -> laspy.LasHeader:
-    """Header of LAS 1.4, format 6, millimetres, adjusted standard time.
+
+def las_header(
+    crs: str, origin_m: tuple[float, float, float], time_s: float, scale_m: float = QUANTUM_M
+) -> laspy.LasHeader:
+    """Header of LAS 1.4, format 6, adjusted standard time.
 
     Parameters
     ----------
@@ -41,9 +47,11 @@ def las_header(crs: str, origin_m: tuple[float, float, float], time_s: float) ->
         Near the points; offsets are whole metres at it.
     time_s : float
         Adjusted standard time that gives the creation date [s].
+    scale_m : float
+        Unit of the coordinates [m].
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = np.full(3, QUANTUM_M)
+    header.scales = np.full(3, scale_m)
     header.offsets = np.floor(np.asarray(origin_m))
     header.offsets[2] = 0.0
     header.global_encoding.gps_time_type = GpsTimeType.STANDARD
@@ -54,22 +62,19 @@ def las_header(crs: str, origin_m: tuple[float, float, float], time_s: float) ->
     return header
 
 
-class LineWriter:
-    """One flightline's LAZ file and the truth of its points, written piece by piece.
+class PointsWriter:
+    """A LAZ file and the truth of its points, written piece by piece.
 
     Parameters
     ----------
     laz, truth : Path
         Where to write; usually temporary names.
     header : LasHeader
-        As :func:`las_header` makes it.
-    number : int
-        The ``point_source_id``.
+        As :func:`las_header` makes it, with the extra dimensions of the points.
     """
 
-    def __init__(self, laz: Path, truth: Path, header: laspy.LasHeader, number: int) -> None:
-        header.add_extra_dim(laspy.ExtraBytesParams("channel", "uint8", "beamlet, from 1"))
-        self._header, self._number = header, number
+    def __init__(self, laz: Path, truth: Path, header: laspy.LasHeader) -> None:
+        self._header = header
         self._las = laspy.open(str(laz), mode="w", header=header, do_compress=True)
         self._schema = pa.schema(
             [("kind", pa.uint8()), ("parent", pa.uint8()), ("parent_row", pa.int64())]
@@ -98,13 +103,93 @@ class LineWriter:
         record = laspy.ScaleAwarePointRecord.zeros(n, header=self._header)
         for name, values in columns.items():
             record[name] = values
-        record["point_source_id"] = np.full(n, self._number, dtype=np.uint16)
         record["classification"] = np.ones(n, dtype=np.uint8)
         self._las.write_points(record)
         rows = np.where(truth["parent_row"] >= 0, truth["parent_row"] + self.count, -1)
         table = {"kind": truth["kind"], "parent": truth["parent"], "parent_row": rows}
         self._truth.write_table(pa.table(table, schema=self._schema))
         self.count += n
+
+
+def folder_of(scene: Scene) -> str:
+    """Folder of the files, below that of the survey."""
+    return "flightlines" if scene.delivery.tile_m is None else "tiles"
+
+
+class PointFiles:
+    """Files of a survey's returns and their truth, each whole or not there.
+
+    Parameters
+    ----------
+    scene : Scene
+        Says how they are handed over.
+    out : Path
+        Folder of the survey.
+    stack : ExitStack
+        Closes them.
+    """
+
+    def __init__(self, scene: Scene, out: Path, stack: ExitStack) -> None:
+        self._scene, self._out, self._open = scene, out, stack
+        self._writers: dict[str, PointsWriter] = {}
+
+    def write(self, run: Pass, columns: Columns, truth: Columns) -> None:
+        """Add returns of a flightline.
+
+        Parameters
+        ----------
+        run : Pass
+            The flightline.
+        columns : dict
+            LAS dimensions by name; x, y, z as coordinates [m].
+        truth : dict
+            As :meth:`PointsWriter.write` takes it.
+        """
+        columns = self._handed_over(run, columns)
+        for name, rows in self._files(run, columns):
+            # Rows count within a file; a parent in another one has none in this.
+            place = np.full(len(truth["kind"]), -1)
+            place[rows] = np.arange(len(rows))
+            parent = truth["parent_row"][rows]
+            mine = {key: values[rows] for key, values in truth.items()}
+            mine["parent_row"] = np.where(parent >= 0, place[parent], -1)
+            self._writer(name, run).write({k: v[rows] for k, v in columns.items()}, mine)
+
+    def _handed_over(self, run: Pass, columns: Columns) -> Columns:
+        """The same returns as the delivery tells them."""
+        given = self._scene.delivery
+        out = dict(columns)
+        out[given.channel_dimension] = out.pop("channel")
+        if given.time_step_us:
+            step = given.time_step_us * 1e-6
+            out["gps_time"] = np.rint(out["gps_time"] / step) * step
+        number = run.number if given.point_source_id else 0
+        out["point_source_id"] = np.full(len(out["x"]), number, np.uint16)
+        return out
+
+    def _files(self, run: Pass, columns: Columns) -> Iterator[tuple[str, NDArray[np.intp]]]:
+        """Names of the files that the returns go to, and which do."""
+        tile_m = self._scene.delivery.tile_m
+        if tile_m is None:
+            yield f"line_{run.number:02d}", np.arange(len(columns["x"]))
+            return
+        east, north = (np.floor(columns[axis] / tile_m).astype(np.int64) for axis in "xy")
+        tiles, of_point = np.unique(np.stack([east, north]), axis=1, return_inverse=True)
+        for k, (i, j) in enumerate(tiles.T.tolist()):
+            yield f"tile_{i}_{j}", np.flatnonzero(of_point.reshape(-1) == k)
+
+    def _writer(self, name: str, run: Pass) -> PointsWriter:
+        if name not in self._writers:
+            scene = self._scene
+            header = las_header(scene.crs, scene.origin_m, run.middle_s, scene.delivery.scale_m)
+            if scene.delivery.channel_dimension == "channel":
+                header.add_extra_dim(laspy.ExtraBytesParams("channel", "uint8", "beamlet, from 1"))
+            laz, truth = (
+                self._open.enter_context(replacing(self._out / folder / f"{name}.{suffix}"))
+                for folder, suffix in ((folder_of(scene), "laz"), ("truth", "parquet"))
+            )
+            self._writers[name] = self._open.enter_context(PointsWriter(laz, truth, header))
+        return self._writers[name]
 
 
 def write_points(

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from spl_batch.airborne.simulate.brightness import (
 )
 from spl_batch.airborne.simulate.companion_files import deliver, deliver_noise
 from spl_batch.airborne.simulate.detector import Receiver
-from spl_batch.airborne.simulate.file_writers import SCAN_ANGLE_DEG, LineWriter, las_header
+from spl_batch.airborne.simulate.file_writers import SCAN_ANGLE_DEG, PointFiles
 from spl_batch.airborne.simulate.flight import (
     CHUNK_S,
     GATE_S,
@@ -44,7 +45,6 @@ from spl_batch.airborne.simulate.shots import (
 from spl_batch.airborne.simulate.sky import make_air, make_stray_light
 from spl_batch.airborne.simulate.stray_light import StrayLight
 from spl_batch.errors import WorkflowError, grouped
-from spl_batch.formats.files.atomic import replacing
 from spl_batch.numerics.attitude import rotations
 
 BUFFER_POINTS = 400_000
@@ -131,6 +131,9 @@ def simulate(
     ``noise_density.npz`` (expected background per cubic metre, lattice index of the first
     voxel, edge) and ``scene.json``.
 
+    A delivery by tile has ``tiles/tile_I_J.laz`` and their truth in place of those of the lines,
+    flightline after flightline; a ``parent_row`` is -1 where the parent is in another file.
+
     Only shots whose footprint meets the extent are there, so a flightline's shots come in
     arcs with pauses of thousands of shots between them, as in a delivery cut to an area.
 
@@ -176,8 +179,10 @@ def simulate(
         if progress is not None:
             progress(done / shots)
 
-    for k, (run, chunk_list) in enumerate(zip(passes, pieces, strict=True)):
-        counts[k] = _fly(rig, run, chunk_list, out, advance)
+    with ExitStack() as stack:
+        files = PointFiles(scene, out, stack)
+        for k, (run, chunk_list) in enumerate(zip(passes, pieces, strict=True)):
+            counts[k] = _fly(rig, run, chunk_list, files, advance)
     deliver_noise(scene, rig.grid, out)
     workflow = deliver(scene, rig.arrays, layout, passes, out)
     return SimulationSummary(
@@ -211,10 +216,9 @@ def _noise_grid(scene: Scene) -> NoiseGrid:
 
 
 def _fly(
-    rig: _Rig, run: Pass, pieces: list[Chunk], out: Path, advance: Callable[[int], None]
+    rig: _Rig, run: Pass, pieces: list[Chunk], files: PointFiles, advance: Callable[[int], None]
 ) -> NDArray[np.int64]:
     """Write one flightline; returns the number of points of each kind."""
-    name = f"line_{run.number:02d}"
     centres = gate_centres(pieces)
     counts = np.zeros(len(KINDS), dtype=np.int64)
     gate = rig.scene.acquisition.gate_m
@@ -232,43 +236,37 @@ def _fly(
     channels = len(rig.optics.gain)
     beamlets = empty_beamlets(rig.arrays, channels, room, len(rig.stray.reflectors))
     buffers = _buffers(max(BUFFER_POINTS, 2 * room * channels))
-    header = las_header(rig.scene.crs, rig.scene.origin_m, run.middle_s)
-    with (
-        replacing(out / "flightlines" / f"{name}.laz") as laz,
-        replacing(out / "truth" / f"{name}.parquet") as truth,
-        LineWriter(laz, truth, header, run.number) as writer,
-    ):
-        for piece in pieces:
-            centre = centres[int(piece.index * CHUNK_S / GATE_S)]
-            shots = _shots(rig, run, piece, centre - gate * rig.scene.acquisition.gate_above)
-            key = np.random.SeedSequence(rig.scene.seed, spawn_key=(3, run.number, piece.index))
-            rng = np.random.default_rng(key)
-            first = 0
-            while first < len(piece.shot):
-                last, count = fire(
-                    rng,
-                    rig.arrays,
-                    rig.optics,
-                    rig.receiver,
-                    rig.air,
-                    rig.stray,
-                    shots,
-                    first,
-                    beamlets,
-                    rig.grid,
-                    buffers,
-                )
-                points = first_rows(buffers, count)
-                time_s = run.time_of(piece.shot)[points.shot]
-                truth_columns: dict[str, NDArray[Any]] = {
-                    "kind": points.kind,
-                    "parent": points.parent,
-                    "parent_row": points.parent_row,
-                }
-                writer.write(_columns(rig, run, time_s, points, rng), truth_columns)
-                counts += np.bincount(points.kind, minlength=len(KINDS))
-                advance(last - first)
-                first = last
+    for piece in pieces:
+        centre = centres[int(piece.index * CHUNK_S / GATE_S)]
+        shots = _shots(rig, run, piece, centre - gate * rig.scene.acquisition.gate_above)
+        key = np.random.SeedSequence(rig.scene.seed, spawn_key=(3, run.number, piece.index))
+        rng = np.random.default_rng(key)
+        first = 0
+        while first < len(piece.shot):
+            last, count = fire(
+                rng,
+                rig.arrays,
+                rig.optics,
+                rig.receiver,
+                rig.air,
+                rig.stray,
+                shots,
+                first,
+                beamlets,
+                rig.grid,
+                buffers,
+            )
+            points = first_rows(buffers, count)
+            time_s = run.time_of(piece.shot)[points.shot]
+            truth_columns: dict[str, NDArray[Any]] = {
+                "kind": points.kind,
+                "parent": points.parent,
+                "parent_row": points.parent_row,
+            }
+            files.write(run, _columns(rig, run, time_s, points, rng), truth_columns)
+            counts += np.bincount(points.kind, minlength=len(KINDS))
+            advance(last - first)
+            first = last
     return counts
 
 

@@ -106,6 +106,14 @@ def test_prf_in_spite_of_silent_shots_and_jitter(prf: float, silent: float) -> N
     assert geometry.estimate_prf(steps) == pytest.approx(prf, rel=2e-3)
 
 
+def test_prf_of_rounded_times_is_the_same_however_a_flightline_is_cut() -> None:
+    shot = np.sort(np.random.default_rng(2).choice(40_000, 30_000, replace=False))
+    time = np.round(3e8 + shot / 25_000, 6)
+    half = (time * 1e3).astype(int) % 2 == 0
+    for part in (time, time[half], time[~half], time[:300]):
+        assert geometry.estimate_prf(geometry.shot_steps(part)) == 25_000
+
+
 def test_prf_of_no_rhythm_is_none() -> None:
     assert geometry.estimate_prf(geometry.shot_steps(np.array([1.0, 2.0, 2.00001]))) is None
     assert geometry.estimate_prf(geometry.shot_steps(np.empty(0))) is None

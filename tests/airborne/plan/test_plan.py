@@ -119,6 +119,8 @@ def test_pulse_rate_is_given_estimated_or_assumed() -> None:
         25_000.0,
         "estimated",
     )
+    pieces = [indexed(name, {1: [[9.0, 9.5, 60]]}, 10_000.0) for name in "cd"]
+    assert lines_of([many, *pieces])[0].clock.prf_hz == 10_000.0, "points count, not files"
     given_rate = lines_of([many], acquisition={"prf_hz": 60000})[0]
     assert (given_rate.clock.prf_hz, given_rate.prf_basis) == (60_000.0, "given")
     assert lines_of([indexed("c", spans)])[0].prf_basis == "assumed"

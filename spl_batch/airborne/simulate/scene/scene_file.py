@@ -4,10 +4,11 @@ Places are metres east and north of the scene's origin. Defaults are written her
 nowhere else; an unknown key is an error that names the nearest known one.
 """
 
+import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pyproj import CRS
@@ -21,6 +22,10 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Place = tuple[float, float]
+
+
+MOST_TILES: Final = 400
+"""Files of a delivery by tile, all of which are open while it is simulated [count]."""
 
 
 class Section(BaseModel):
@@ -235,6 +240,25 @@ class Reference(Section):
     noise_m: NotNegative = Field(0.03, description="Spread of heights [m].")
 
 
+class Delivery(Section):
+    """How the returns are handed over."""
+
+    tile_m: Positive | None = Field(
+        None,
+        description="Edge of the tiles that files hold; without it a file is a flightline [m].",
+    )
+    point_source_id: bool = Field(
+        True, description="Whether points tell their flightline; 0 in all files if not."
+    )
+    channel_dimension: Literal["channel", "user_data"] = Field(
+        "channel", description="LAS dimension with the beamlet, from 1."
+    )
+    time_step_us: NotNegative = Field(
+        0.0, description="Whole multiples of it are recorded as gps_time; any time with 0 [us]."
+    )
+    scale_m: Positive = Field(0.001, description="Unit of the coordinates [m].")
+
+
 class Scene(Section):
     """A survey to be simulated."""
 
@@ -259,6 +283,7 @@ class Scene(Section):
     sky: Sky = Sky()
     acquisition: Acquisition = Acquisition()
     reference: Reference = Reference()
+    delivery: Delivery = Delivery()
 
     @model_validator(mode="after")
     def _consistent(self) -> "Scene":
@@ -279,6 +304,14 @@ class Scene(Section):
         upside_down = [k for k, haze in enumerate(self.sky.haze) if haze.top_m <= haze.base_m]
         if upside_down:
             raise ValueError(f"sky: haze.{upside_down[0]}: top_m must be above base_m")
+        tile_m = self.delivery.tile_m
+        if (
+            tile_m is not None
+            and math.prod(size / tile_m + 1 for size in self.extent_m) > MOST_TILES
+        ):
+            raise ValueError(
+                f"delivery: tile_m makes more than {MOST_TILES} files; choose larger tiles"
+            )
         outside = sorted(c for c in used if not 1 <= c <= instrument.beamlets)
         if outside:
             raise ValueError(f"acquisition: channels are 1..{instrument.beamlets}, not {outside}")
