@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
 
 from spl_batch.airborne.strips.strip_patches import FLAT, Patches
 
@@ -42,6 +43,13 @@ slope of the terrain, and count as one witness [m]."""
 
 DETERMINED_M: Final = 0.1
 """Standard deviation of a horizontal difference, above which it is not told [m]."""
+
+UNKNOWNS: Final = 3
+"""East, north and up: so many squares are needed to find them [count]."""
+
+FEW_M: Final = 0.2
+"""Horizontal difference that is told however few squares there are: on some few, aligned
+flightlines have been seen to differ by half as much, sure as each square was [m]."""
 
 TWICE: Final = 2.0
 """A patch thicker than this times the noise is overgrown, and no measure of heights."""
@@ -93,6 +101,8 @@ class PairDifference(NamedTuple):
         Root mean square of their vertical differences [m].
     noise_m : float
         Standard deviation of ranges: that about the smoothest patches [m].
+    squares : int
+        Squares of :data:`NEIGHBOURS_M` that hold the patches [count].
     largest_m, largest_sd_m : float or None
         Largest vertical difference of a smooth patch of up to 10 degrees, without its sign, and its
         standard deviation [m].
@@ -114,6 +124,7 @@ class PairDifference(NamedTuple):
     flat_patches: int
     rmsd_z_m: float | None
     noise_m: float
+    squares: int
     largest_m: float | None
     largest_sd_m: float | None
     largest_x_m: float | None
@@ -126,11 +137,17 @@ class PairDifference(NamedTuple):
 
     @property
     def is_off_horizontally(self) -> bool:
-        """The same for the horizontal difference."""
+        """The same for the horizontal difference; few squares tell no small one."""
         if self.east_m is None or self.north_m is None or self.horizontal_sd_m is None:
             return False
         away = float(np.hypot(self.east_m, self.north_m))
-        return away > max(self.noise_m, 3 * self.horizontal_sd_m)
+        sure = min(student_t(self.squares - UNKNOWNS) * self.horizontal_sd_m, FEW_M)
+        return away > max(self.noise_m, 3 * self.horizontal_sd_m, sure)
+
+
+def student_t(freedom: int) -> float:
+    """Standard deviations that hold what three of a normal distribution hold."""
+    return float(stdtrit(freedom, ndtr(3.0))) if freedom > 0 else np.inf
 
 
 def named_passes(
@@ -209,6 +226,7 @@ def _difference(first: str, second: str, listed: Patches) -> PairDifference:
         len(flat),
         float(np.sqrt(np.mean(flat**2))) if len(flat) else None,
         noise,
+        int(_square(patches).max()) + 1,
         *_largest({name: values[smooth] for name, values in listed.items()}),
     )
 

@@ -126,6 +126,30 @@ def test_passes_take_the_name_of_their_flightline() -> None:
     assert named_passes(psid, time_s, STRIPS) == ["one", "00001", "00002", "00007"]
 
 
+@pytest.mark.parametrize(
+    ("east_m", "squares", "told"),
+    [(0.11, 1, False), (0.11, 4, False), (0.11, 40, True), (0.25, 1, True), (0.25, 4, True)],
+)
+def test_few_squares_tell_no_small_horizontal_difference(
+    east_m: float,
+    squares: int,
+    told: bool,  # noqa: FBT001 - a parameter of the test
+) -> None:
+    found = pair(Shift())._replace(
+        east_m=east_m, north_m=0.0, horizontal_sd_m=0.015, squares=squares
+    )
+    assert found.is_off_horizontally == told
+    assert len(list(offset_warnings([found]))) == told
+
+
+def test_squares_of_a_pair_are_counted() -> None:
+    names, patches = patches_of(Shift())
+    (one,) = pair_table([(names, patches)])
+    moved = {**patches, "x": patches["x"] + 300.0}
+    (two,) = pair_table([(names, patches), (names, moved)])
+    assert (one.squares, two.squares) == (1, 2)
+
+
 def test_what_is_off_is_told_with_number_place_and_consequence() -> None:
     (said,) = offset_warnings([pair(Shift(0.3, -0.2, 0.2))])
     for word in ("two lies 20.", "cm above", "cm east", "cm south", "of one", "10 040 E"):
