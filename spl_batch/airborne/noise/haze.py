@@ -79,6 +79,9 @@ CHANCE: Final = 3.0
 SOLID: Final = 3.0
 """Times the noise of a square beyond which a cube holds a surface, too."""
 
+EXACT: Final = 2.0**20
+"""Parts of an expected return that are told: whole ones add up alike in any blocks."""
+
 Axes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 Expected = Callable[[Axes], NDArray[np.float64]]
 """Noise that the model expects at places [quanta]: three (m,) int64 to (m,) [1/m3]."""
@@ -233,6 +236,7 @@ def noise_by_layer(
     at_middle = np.nonzero(asked)
     # The middle cube stands for its square.
     model, seen = expected(_centres(counts, at_middle)) * CUBE_M**3, counts.held[at_middle]
+    model = np.rint(model * EXACT) / EXACT
     heard = model > 0.0
     returns, predicted = (
         np.bincount(at_middle[2][heard], values[heard], len(counts.layer))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spl_batch.airborne.afterpulse import candidates
-from spl_batch.airborne.beams import geometry, sensor_path
+from spl_batch.airborne.beams import crosstalk, geometry, sensor_path
 from spl_batch.airborne.beams.told_apart import told_apart
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.noise import line_noise
@@ -131,6 +131,8 @@ def observe_table(table: PointTable, args: Mapping[str, Any], context: Context) 
         facts["leap_s"] = _leap(table, context.store)
     observed = line_noise.observe(table, known, context.workflow.noise)
     sensor = context.workflow.sensor
+    if args["trajectory"] or args["sensor_path"]:
+        observed |= crosstalk.observe(table, known, sensor, context.workflow.noise.interval_shots)
     if tells_beamlets(args, sensor):
         table, order = told_apart(table, known, sensor)
         known = known.take(order)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
+from spl_batch.airborne.beams import crosstalk
 from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.beams.told_apart import told_apart
@@ -94,6 +95,7 @@ def fit_line(args: Mapping[str, Any], context: Context) -> Produced:
     told = disagreements(law, sensor) if context.workflow.afterpulse.enabled else ()
     if context.workflow.afterpulse.enabled:
         told += uneven(parts, _spans_s(args), law, model.mean_rate / beamlets, sensor)
+    told += crosstalk.told(parts)
     write_arrays(path, {**model.to_arrays(), **law.to_arrays()})
     seen = model.seen_fraction
     facts = {

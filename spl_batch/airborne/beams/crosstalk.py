@@ -1,0 +1,121 @@
+"""Crosstalk: a detection in one channel sets off the channels beside it at the same moment.
+
+Domain: time. Of noise crosstalk makes pairs, which look like a signal that two beamlets have seen.
+Far from the surface chance does not know neighbours. So pairs of returns of one shot are counted
+that differ in range by less than :data:`SAME_M`, of beamlets one pitch apart and of those somewhat
+farther apart. Where beamlets point tells their neighbours, whatever the numbers of the channels
+are. Wires, towers and ground below them have returns side by side, too, but not everywhere:
+a flightline is cut into :data:`PARTS`, and the half of them with fewest pairs must show it.
+
+Counted is one shot in :data:`EVERY`. What is found is told, and nothing is removed: which of a pair
+set the other off is not to be known, and on surfaces neighbours see one range anyway. No source
+has a rule for it.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.beams.crosstalk_pairs import count_pairs
+from spl_batch.airborne.beams.shot_runs import run_starts
+from spl_batch.airborne.sensors.sensor import Sensor
+from spl_batch.errors import Remark
+from spl_batch.lattice.tables import BeamTable, PointTable
+
+DOMAIN: Final = "time"
+
+EVERY: Final = 8
+"""One shot in so many is looked at; by shot number, so that no cut matters."""
+
+SAME_M: Final = 0.15
+"""Ranges of one moment: three times the ranging noise of the instrument [m]."""
+
+FAR_M: Final = 30.0
+"""How far from most returns of its shot a return is noise: farther than trees and houses [m]."""
+
+BESIDE: Final = (0.6, 1.25)
+"""Directions of beamlets side by side [pitches of the array]."""
+
+FURTHER: Final = 2.3
+"""Directions of those that are compared with them, up to two rows and one column away [pitches]."""
+
+LIKELY: Final = 180 / 610
+"""Pairs of beamlets side by side over those farther apart, in an array of 10 x 10."""
+
+CLOSER: Final = 2.0
+"""Times more often than by chance that pairs must lie side by side."""
+
+PARTS: Final = 16
+"""Parts of a flightline that are compared [count]."""
+
+SURE: Final = 6.0
+"""Standard deviations of chance beyond which it is crosstalk."""
+
+LEAST: Final = 0.005
+"""Chance to set off one given neighbour that is worth a word."""
+
+
+def observe(
+    table: PointTable, beams: BeamTable, sensor: Sensor, interval_shots: int
+) -> dict[str, NDArray[np.int64]]:
+    """Count pairs of one stretch.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows of one stretch, sorted by ``gps_time``, with ``shot``.
+    beams : BeamTable
+        Their beams; rows without a known one take no part.
+    sensor : Sensor
+        The pitch of its array.
+    interval_shots : int
+        Shots that are counted together.
+
+    Returns
+    -------
+    dict
+        ``crosstalk`` (m, 4) int64: number of the interval, returns far from the surface, their
+        pairs side by side, and those farther apart, at one range [count].
+    """
+    rows = np.flatnonzero(beams.known & (table["shot"] % EVERY == 0))
+    starts = run_starts(table["gps_time"][rows])
+    of_shot = table["shot"][rows[starts[:-1]]] // interval_shots
+    interval, row = np.unique(of_shot, return_inverse=True)
+    counts = np.zeros((len(interval), 3), np.int64)
+    apart = np.array([*BESIDE, FURTHER]) * sensor.beamlet_pitch_urad * 1e-6
+    count_pairs(
+        starts, beams.range_m[rows], beams.direction.take(rows, axis=0), row.reshape(-1),
+        FAR_M, SAME_M, apart**2, counts,
+    )  # fmt: skip
+    return {"crosstalk": np.column_stack([interval, counts]).astype(np.int64)}
+
+
+def told(parts: Sequence[Mapping[str, NDArray[Any]]]) -> tuple[Remark, ...]:
+    """What to tell of a flightline's crosstalk; nothing where there is none.
+
+    Parameters
+    ----------
+    parts : sequence of dict
+        Results of :func:`observe`, where beams are known.
+    """
+    known = [part["crosstalk"] for part in parts if "crosstalk" in part]
+    rows = np.concatenate([np.empty((0, 4), np.int64), *known])
+    ordered = rows[np.argsort(rows[:, 0], kind="stable"), 1:]
+    sums = np.array([part.sum(axis=0) for part in np.array_split(ordered, PARTS)])
+    fewest = np.argsort(sums[:, 1] / np.maximum(sums[:, 0], 1), kind="stable")[: PARTS // 2]
+    returns, beside, further = sums[fewest].sum(axis=0).tolist()
+    by_chance = LIKELY * further
+    if beside - CLOSER * by_chance <= SURE * np.sqrt(beside + CLOSER**2 * LIKELY * by_chance):
+        return ()
+    # A return has four neighbours, and sets off each with the same chance.
+    chance = (beside - by_chance) / (4 * max(returns - beside, 1))
+    if chance < LEAST:
+        return ()
+    text = (
+        "far from the surface a return sets off each channel beside its own with a chance of "
+        f"{100 * chance:.1f} %, at the same range: crosstalk; noise comes in pairs, so that more "
+        "of it than filter.alpha is kept, and edges of surfaces are blurred by a beamlet"
+    )
+    return (Remark(text, chance),)
