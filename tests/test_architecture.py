@@ -34,8 +34,8 @@ NAMES = {"constants", "errors", "imports", "receivers", "__init__"}
 FLOW: Mapping[str, tuple[str, ...]] = {
     "airborne": (
         *("sensors", "settings", "context", "store", "beams", "noise", "afterpulse", "filter"),
-        *("ground", "strips", "products", "pulses", "classes", "accuracy", "catalogue"),
-        *("simulate", "tasks", "plan", "arrays", "report", "precompile", "receiver"),
+        *("ground", "strips", "products", "pulses", "classes", "hydro", "accuracy"),
+        *("catalogue", "simulate", "tasks", "plan", "arrays", "report", "precompile", "receiver"),
         *("compare", "quickstart", "first_use"),
     ),
     "altimetry": (

@@ -45,7 +45,7 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
     parts = []
     try:
         for shapes, own in _layers(path):
-            parts.append(_in_crs(path, shapely.force_2d(shapes), own, crs))
+            parts.append(in_crs(path, shapely.force_2d(shapes), own, crs))
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read as polygons: {reason}") from None
@@ -69,7 +69,27 @@ def _layers(path: Path) -> Iterator[tuple[NDArray[Any], str | None]]:
                 yield shapes, meta["crs"]
 
 
-def _in_crs(path: Path, shapes: NDArray[Any], own: str | None, crs: CRS | None) -> NDArray[Any]:
+def in_crs(
+    path: Path, shapes: NDArray[Any], own: str | None, crs: CRS | None, *, heights: bool = False
+) -> NDArray[Any]:
+    """Shapes of a file in another CRS.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    shapes : (n,) ndarray of Geometry
+        What it holds.
+    own, crs : str or None, CRS or None
+        Its CRS, and the wanted one.
+    heights : bool
+        Whether heights are kept, as they are.
+
+    Raises
+    ------
+    InputError
+        If one of both has no CRS, or they cannot be transformed.
+    """
     if own is None and crs is None:
         return shapes
     if own is None:
@@ -86,11 +106,12 @@ def _in_crs(path: Path, shapes: NDArray[Any], own: str | None, crs: CRS | None) 
         return shapes
     transformer = Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
 
-    def move(xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.column_stack(transformer.transform(xy[:, 0], xy[:, 1], errcheck=True))
+    def move(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        xy = transformer.transform(xyz[:, 0], xyz[:, 1], errcheck=True)
+        return np.column_stack([*xy, xyz[:, 2:]])
 
     try:
-        moved: NDArray[Any] = shapely.transform(shapes, move)
+        moved: NDArray[Any] = shapely.transform(shapes, move, include_z=heights)
     except ProjError:
         raise InputError(
             str(path), f"cannot be transformed from {crs_name(source)} to {crs_name(crs)}"

@@ -136,7 +136,7 @@ def surface(survey: Survey) -> Iterator[Task]:
             "halo": halo,
             "noise": named_units("noise", noise),
             "ground": named_units("ground", ground_of),
-            "polygons": list(survey.inputs.polygons),
+            "polygons": [*survey.inputs.polygons, *survey.inputs.breaklines],
             "fired": parts,
             "passes": passes,
         }

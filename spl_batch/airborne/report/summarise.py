@@ -8,6 +8,7 @@ import numpy as np
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
+from spl_batch.airborne.hydro.flattening import bank_warnings
 from spl_batch.airborne.report.coverage import area_km2, density, unsure_terrain
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged
 from spl_batch.airborne.report.model import (
@@ -86,6 +87,9 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *fog_warning(done),
             *misfit_warning(done, context),
             *unsure_terrain(done),
+            *bank_warnings(
+                r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts
+            ),
             *not_compared(done, context, facts),
         ),
         provenance=_provenance(done, context, facts.reference),

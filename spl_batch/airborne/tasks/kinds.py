@@ -76,7 +76,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "surface": Kind(
             "surfaces",
             "spl_batch.airborne.tasks.space_domain:surface",
-            ("ground.cell_m", "products", "classes", "aoi", "water"),
+            ("ground.cell_m", "products", "classes", "aoi", "water", "breaklines"),
         ),
         "strip_pairs": Kind(
             "surfaces", "spl_batch.airborne.strips.strip_comparison:strip_pairs", ()

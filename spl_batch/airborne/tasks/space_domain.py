@@ -17,6 +17,7 @@ from spl_batch.airborne.filter.air import facts_of, look_at_air, noise_in_air
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.kept_noise import within_signal
 from spl_batch.airborne.ground import ground_methods as grounding
+from spl_batch.airborne.hydro.flattening import Banks, flatten, water_heights
 from spl_batch.airborne.products import near_ground, surface_points
 from spl_batch.airborne.products import surface_rasters as surfacing
 from spl_batch.airborne.products.cell_values import add_up_finite
@@ -39,6 +40,7 @@ from spl_batch.constants import (
 )
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
 from spl_batch.engine.tasks.context import Produced
+from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.verified.parquet_npz import read_arrays
 from spl_batch.lattice.tables import EXCLUDED, PointTable
@@ -167,15 +169,13 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     owned = inside(table["x"], table["y"], core)
     classified = (*point_classes.COLUMNS_NEEDED, *(("wire",) if "wire" in table else ()))
     mine, place = table.select(classified).take(owned), origin.of(owned)
-    roofs = _buildings(table, region, workflow.classes)
-    further = point_classes.Further(
-        None if roofs is None else roofs[owned], workflow.classes.vegetation
-    )
-    del origin, owned, roofs
+    further = _further(table, region, owned, workflow.classes)
+    del origin, owned
     shown = surface_points.makes_surfaces(table)
     table = table.select(near_ground.COLUMNS_NEEDED)
     arrays = surfacing.surfaces(shown, core, workflow.products)
     arrays |= reflected
+    banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
     counted = covered(shown, core, arrays, context)
@@ -192,18 +192,31 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     flags = _flags(mine, found, returns, args["passes"], workflow.classes)
     write_labels(path, *place, {"classification": found, **flags})
     sums = {k: hashlib.blake2b(v.tobytes(), digest_size=8).hexdigest() for k, v in arrays.items()}
+    counted |= {"banks": list(banks)} if banks else {}
     facts = {"core": list(core), "rasters": sums, "kept_noise": kept_noise, **counted}
     return Produced([path, *chunks], facts, len(mine))
 
 
-def _buildings(
-    table: PointTable, region: Bounds, classes: ClassSettings
-) -> NDArray[np.bool_] | None:
-    """Points of buildings, where these are asked for."""
-    if not classes.building:
+def _flatten(
+    arrays: dict[str, NDArray[np.float32]], core: Bounds, context: Context
+) -> Banks | None:
+    """Put lakes and rivers into the rasters of a ground cell, where breaklines give them."""
+    if context.workflow.breaklines is None:
         return None
+    waters = read_breaklines(context.resolve(context.workflow.breaklines), context.crs)
+    rows, columns = arrays["dtm"].shape
+    return flatten(arrays, water_heights(waters, core, (rows, columns)))
+
+
+def _further(
+    table: PointTable, region: Bounds, owned: NDArray[np.bool_], classes: ClassSettings
+) -> point_classes.Further:
+    """What else is asked of the classes of points that a ground cell owns."""
+    if not classes.building:
+        return point_classes.Further(vegetation=classes.vegetation)
     usable = np.isin(table["noise_class"], (NOISE_SIGNAL, NOISE_NOT_ASSESSED))
-    return buildings(table, usable & ~table.has(EXCLUDED), region)
+    roofs = buildings(table, usable & ~table.has(EXCLUDED), region)
+    return point_classes.Further(roofs[owned], classes.vegetation)
 
 
 def _flags(

@@ -3,7 +3,7 @@
 import difflib
 import glob
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +14,7 @@ from spl_batch.airborne.plan.inputs.file_positions import far_positions, without
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.errors import InputError, Said, WorkflowError, named, shared
+from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import (
     LIKE_DEGREES,
     crs_problems,
@@ -85,6 +86,8 @@ class Inputs:
         Key and checksum of each polygon file, or of all the files that it is made of.
     checkpoints : CheckpointFile or None
         Checkpoints of a field survey.
+    breaklines : tuple of (str, str)
+        As ``polygons``, of the file of breaklines.
     """
 
     sources: tuple[Source, ...]
@@ -95,6 +98,7 @@ class Inputs:
     warnings: tuple[str, ...]
     polygons: tuple[tuple[str, str], ...] = ()
     checkpoints: CheckpointFile | None = None
+    breaklines: tuple[tuple[str, str], ...] = ()
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -123,6 +127,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     for key, name in (
         ("aoi", workflow.aoi),
         ("water", workflow.water),
+        ("breaklines", workflow.breaklines),
         ("reference.checkpoints", checkpoints),
     ):
         if name is not None and not (base / name).exists():
@@ -135,6 +140,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     crs, good, mismatched = _survey_crs(workflow, good)
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
+    if workflow.breaklines is not None and good:
+        read_breaklines(base / workflow.breaklines, crs)  # whatever is wrong is told here
     warnings = [*workflow.remarks()]
     said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
@@ -156,8 +163,9 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         _checked_reference(reference, workflow, crs, mismatched),
         crs,
         tuple(warnings),
-        tuple(_polygon_checksums(workflow, base)),
+        tuple(_checksums(base, {"aoi": workflow.aoi, "water": workflow.water})),
         _checkpoint_file(checkpoints, base),
+        tuple(_checksums(base, {"breaklines": workflow.breaklines})),
     )
 
 
@@ -168,8 +176,8 @@ def _checkpoint_file(name: str | None, base: Path) -> CheckpointFile | None:
     return CheckpointFile(path, name_below(path, base))
 
 
-def _polygon_checksums(workflow: Workflow, base: Path) -> Iterable[tuple[str, str]]:
-    for key, name in (("aoi", workflow.aoi), ("water", workflow.water)):
+def _checksums(base: Path, files: Mapping[str, str | None]) -> Iterable[tuple[str, str]]:
+    for key, name in files.items():
         if name is not None:
             path = base / name
             # A shapefile's corners, table and CRS lie in files of the same stem.

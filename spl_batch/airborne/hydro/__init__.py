@@ -1,0 +1,1 @@
+"""Water surfaces that breaklines give to a terrain model."""

@@ -1,0 +1,162 @@
+"""Hydro-flattening: terrain and surface in lakes and rivers are what breaklines say.
+
+Domain: space. Source: USGS Lidar Base Specification, Digital Elevation Model Surface Treatments,
+Hydro-Flattening. Lakes are flat and level. Rivers are level from bank to bank, at right angles to
+their centre line, and nowhere rise downstream; where a line rises, the water stays as low as it was
+(a running minimum), so that it lies at or below what was drawn. Islands are holes of the polygons.
+Terrain outside is not touched: no hydro-enforcement, single lines do nothing.
+
+A cell belongs to a water where its centre lies inside; of several the lowest counts. Its height
+depends on its centre alone, so no tiling changes it.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from spl_batch.constants import NODATA, QUANTUM_M
+from spl_batch.errors import grouped
+from spl_batch.formats.breaklines import CentreLine, Water
+from spl_batch.lattice.tiles import Bounds
+
+DOMAIN: Final = "space"
+
+ABOVE_M: Final = 0.25
+"""Water that stands higher than the terrain beside it by more than this floods its bank [m]."""
+
+FLOODED_SHARE: Final = 0.05
+"""Share of its bank that water may flood without a word, 0..1."""
+
+Raster = NDArray[np.float32]
+
+
+class Banks(NamedTuple):
+    """Cells beside water; counts of several regions add up.
+
+    Parameters
+    ----------
+    cells : int
+        Cells of water [count].
+    banks, flooded : int
+        Cells of terrain beside water; those lower than it by more than :data:`ABOVE_M` [count].
+    """
+
+    cells: int
+    banks: int
+    flooded: int
+
+
+def water_heights(waters: Iterable[Water], core: Bounds, shape: tuple[int, int]) -> Raster:
+    """Height of the water in each raster cell of a region.
+
+    Parameters
+    ----------
+    waters : iterable of Water
+        Lakes and rivers.
+    core : Bounds
+        The region [quanta].
+    shape : (int, int)
+        Its rows and columns of cells.
+
+    Returns
+    -------
+    (rows, cols) float32
+        North up [m]; nodata where there is none.
+    """
+    rows, columns = shape
+    size = (core.xmax - core.xmin) / columns * QUANTUM_M
+    east = core.xmin * QUANTUM_M + (np.arange(columns) + 0.5) * size
+    north = core.ymax * QUANTUM_M - (np.arange(rows) + 0.5) * size
+    heights = np.full(shape, np.inf)
+    for water in waters:
+        west, south, right, top = shapely.bounds(water.area)
+        j = np.flatnonzero((east >= west) & (east <= right))
+        i = np.flatnonzero((north >= south) & (north <= top))
+        if not len(i) or not len(j):
+            continue
+        x, y = np.meshgrid(east[j], north[i])
+        shapely.prepare(water.area)
+        row, column = np.nonzero(shapely.contains_xy(water.area, x, y))
+        level = _levels(water, x[row, column], y[row, column])
+        at = i[row], j[column]
+        heights[at] = np.minimum(heights[at], level)
+    return np.where(np.isinf(heights), NODATA, heights).astype(np.float32)
+
+
+def _levels(water: Water, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Height of a lake, or of a river at the nearest place of the nearest of its lines."""
+    if water.level_m is not None:
+        return np.full(len(x), water.level_m)
+    points = shapely.points(x, y)
+    away = np.stack([shapely.distance(line.line, points) for line in water.lines])
+    nearest = away.argmin(axis=0)
+    found = np.empty(len(x))
+    for k, line in enumerate(water.lines):
+        mine = nearest == k
+        found[mine] = _along(line, points[mine])
+    return found
+
+
+def _along(line: CentreLine, points: NDArray[np.object_]) -> NDArray[np.float64]:
+    at = shapely.line_locate_point(line.line, points)
+    height: NDArray[np.float64] = np.interp(at, line.along, line.z)
+    return height
+
+
+def flatten(rasters: dict[str, Raster], water: Raster) -> Banks:
+    """Put water into the terrain and what rests on it.
+
+    Parameters
+    ----------
+    rasters : dict of str to (rows, cols) float32
+        ``dtm, dsm, chm, dtm_quality`` of a ground cell; are changed. A surface lies nowhere below
+        the water; how well a breakline is known nobody says, so that ``dtm_quality`` is void.
+    water : (rows, cols) float32
+        From :func:`water_heights`.
+    """
+    wet = water != np.float32(NODATA)
+    dry = (rasters["dtm"] != np.float32(NODATA)) & ~wet
+    banks = dry & binary_dilation(wet, np.ones((3, 3), np.bool_))
+    beside = _highest_beside(water, wet)
+    flooded = banks & (rasters["dtm"] < beside - ABOVE_M)
+    rasters["dtm"] = np.where(wet, water, rasters["dtm"])
+    # Nodata is lower than every water.
+    rasters["dsm"] = np.where(wet, np.maximum(rasters["dsm"], water), rasters["dsm"])
+    rasters["chm"] = np.where(wet, rasters["dsm"] - water, rasters["chm"])
+    rasters["dtm_quality"] = np.where(wet, np.float32(NODATA), rasters["dtm_quality"])
+    return Banks(*(int(np.count_nonzero(cells)) for cells in (wet, banks, flooded)))
+
+
+def _highest_beside(water: Raster, wet: NDArray[np.bool_]) -> Raster:
+    """Highest water of the eight cells around each, lower than everything without any."""
+    padded = np.pad(np.where(wet, water, np.float32(-np.inf)), 1, constant_values=-np.inf)
+    rows, columns = water.shape
+    around = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
+    found: Raster = np.max(around, axis=0)
+    return found
+
+
+def bank_warnings(found: Iterable[Sequence[int]]) -> Iterator[str]:
+    """Sentence on breaklines that do not fit the terrain.
+
+    Parameters
+    ----------
+    found : iterable of (int, int, int)
+        :class:`Banks` of each ground cell that was flattened.
+    """
+    listed = list(found)
+    if not listed:
+        return
+    cells, banks, flooded = np.sum(listed, axis=0).tolist()
+    if not cells:
+        yield "breaklines: no lake and no river covers a cell of the survey; check their CRS"
+    elif flooded > FLOODED_SHARE * banks:
+        yield (
+            f"breaklines: water stands more than {ABOVE_M:g} m above {grouped(flooded)} of "
+            f"{grouped(banks)} cells of terrain beside it, which it would flood: check heights, "
+            "vertical datum and banks"
+        )

@@ -1,0 +1,187 @@
+"""Breaklines of water: polygons and lines with heights, of any vector format.
+
+A polygon in which a line lies is a river, whose heights are the line's; any other is a lake, with
+one height: that of all its vertices, or a field :data:`HEIGHT_FIELDS`. Every fault of a file is
+told at once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyogrio
+import shapely
+from numpy.typing import NDArray
+from pyogrio.errors import DataLayerError, DataSourceError
+from pyproj import CRS
+
+from spl_batch.errors import InputError
+from spl_batch.formats.crs import crs_name, vertical
+from spl_batch.formats.polygons import in_crs
+
+HEIGHT_FIELDS: Final = ("z", "height", "elevation")
+"""Names of a field with the height of a feature whose vertices have none [m]."""
+
+LEVEL_M: Final = 0.02
+"""Heights of a lake's vertices differ by no more: by two roundings to centimetres [m]."""
+
+_POLYGONS: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+_LINES: Final = (shapely.GeometryType.LINESTRING, shapely.GeometryType.MULTILINESTRING)
+
+Geometries = NDArray[np.object_]
+Heights = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CentreLine:
+    """A line along which water runs, from its upper end.
+
+    Parameters
+    ----------
+    line : shapely.LineString
+        Its course, in the survey's CRS [m].
+    along : (k,) float64
+        Distance of each vertex from the upper end, rising [m].
+    z : (k,) float64
+        Height of the water there, nowhere rising [m].
+    """
+
+    line: shapely.LineString
+    along: Heights
+    z: Heights
+
+
+@dataclass(frozen=True, slots=True)
+class Water:
+    """A lake or a river.
+
+    Parameters
+    ----------
+    area : shapely.Polygon or MultiPolygon
+        What it covers, in the survey's CRS; islands are holes.
+    level_m : float or None
+        Height of a lake; None for a river [m].
+    lines : tuple of CentreLine
+        Of a river.
+    """
+
+    area: shapely.Geometry
+    level_m: float | None
+    lines: tuple[CentreLine, ...] = ()
+
+
+def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
+    """Lakes and rivers of a file, in the order of its layers and features.
+
+    Parameters
+    ----------
+    path : Path
+        A GeoPackage or another vector file; every layer is taken.
+    crs : CRS or None
+        CRS of the survey.
+
+    Raises
+    ------
+    InputError
+        With all faults of the file: none of its polygons, no CRS, heights of another vertical
+        datum, a polygon without one height and without a line.
+    """
+    if not path.exists():
+        raise InputError(str(path), "no such file; check the path")
+    names: list[str] = []
+    parts: list[Geometries] = []
+    fields: list[Heights] = []
+    try:
+        for layer, shapes, heights, own in _layers(path):
+            _same_datum(path, own, crs)
+            names += [f"{layer} {k}" for k in range(1, len(shapes) + 1)]
+            parts.append(in_crs(path, shapes, own, crs, heights=True))
+            fields.append(heights)
+    except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(str(path), f"cannot be read as breaklines: {reason}") from None
+    if not parts:
+        raise InputError(str(path), "holds no polygons of water; draw some or remove the key")
+    shapes, height = np.concatenate(parts), np.concatenate(fields)
+    kind = shapely.get_type_id(shapes)
+    if not np.isin(kind, _POLYGONS).any():
+        raise InputError(str(path), "holds lines alone: draw the polygon of each river as well")
+    lines = _merged(shapes[np.isin(kind, _LINES)])
+    faults: list[str] = []
+    found = []
+    for k in np.flatnonzero(np.isin(kind, _POLYGONS)):
+        try:
+            found.append(_water(shapes[k], float(height[k]), lines))
+        except ValueError as fault:
+            faults.append(f"{names[k]}: {fault}")
+    if faults:
+        more = f"; and {len(faults) - 5} more" if len(faults) > 5 else ""
+        raise InputError(str(path), "; ".join(faults[:5]) + more)
+    return found
+
+
+def _layers(path: Path) -> Iterator[tuple[str, Geometries, Heights, str | None]]:
+    """Name, lines and polygons, field of heights (NaN without), and CRS of each layer."""
+    for name, _ in pyogrio.list_layers(path):
+        meta, _, wkb, columns = pyogrio.raw.read(path, layer=name)
+        shapes = shapely.from_wkb([] if wkb is None else wkb)
+        heights = np.full(len(shapes), np.nan)
+        for field, values in zip(meta["fields"], columns, strict=True):
+            if field.lower() in HEIGHT_FIELDS and np.issubdtype(values.dtype, np.number):
+                heights = values.astype(np.float64)
+        chosen = np.isin(shapely.get_type_id(shapes), (*_POLYGONS, *_LINES))
+        chosen &= ~shapely.is_empty(shapes)
+        if chosen.any():
+            yield name, shapes[chosen], heights[chosen], meta["crs"]
+
+
+def _same_datum(path: Path, own: str | None, crs: CRS | None) -> None:
+    """Refuse heights that refer to another vertical datum than the survey's."""
+    theirs = None if own is None else vertical(CRS.from_user_input(own))
+    ours = None if crs is None else vertical(crs)
+    if theirs is not None and ours is not None and not theirs.equals(ours):
+        text = f"its heights are {crs_name(theirs)}, the survey's {crs_name(ours)}: transform them"
+        raise InputError(str(path), text)
+
+
+def _merged(lines: Geometries) -> list[shapely.LineString]:
+    """Lines that continue one another are one."""
+    if not len(lines):
+        return []
+    merged = shapely.line_merge(shapely.union_all(shapely.get_parts(lines)))
+    return [*shapely.get_parts(merged)]
+
+
+def _water(shape: shapely.Geometry, height: float, lines: list[shapely.LineString]) -> Water:
+    """What a polygon is; ValueError where its heights do not tell."""
+    flat = shapely.force_2d(shape)
+    area = flat if shapely.is_valid(flat) else shapely.make_valid(flat)
+    inside = [line for line in lines if shapely.length(shapely.intersection(line, area)) > 0]
+    if inside:
+        return Water(area, None, tuple(map(_downhill, inside)))
+    z = shapely.get_coordinates(shape, include_z=True)[:, 2]
+    if np.isnan(z).all():
+        z = np.array([height])
+    if not np.isfinite(z).all():
+        raise ValueError("has no height: give its vertices one, or a field z")
+    if np.ptp(z) > LEVEL_M:
+        raise ValueError(
+            f"its vertices differ by {np.ptp(z):.2f} m and no line lies in it: a lake has one "
+            "height, a river a centre line with heights"
+        )
+    return Water(area, float(z.min()))
+
+
+def _downhill(line: shapely.LineString) -> CentreLine:
+    """A centre line from its upper end, on which nothing rises."""
+    xyz = shapely.get_coordinates(line, include_z=True)
+    z = xyz[:, 2]
+    if not np.isfinite(z).all():
+        raise ValueError("a line in it has vertices without heights")
+    if z[-1] > z[0]:
+        xyz, line = xyz[::-1], shapely.reverse(line)
+    steps = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
+    along = np.append(0.0, np.cumsum(steps))
+    return CentreLine(shapely.force_2d(line), along, np.minimum.accumulate(xyz[:, 2]))
