@@ -138,7 +138,10 @@ def _cloud_item(cloud: Cloud, delivery: Delivery) -> Any:
         schemas=[Schema.create(n, size, SchemaType(kind)) for n, size, kind in cloud.dimensions],
         density=cloud.per_m2,
         statistics=[
-            Statistic.create(axis, minimum=cloud.bounds_m[k], maximum=cloud.bounds_m[k + 3])
+            # create() writes null for what is not given, which the extension's schema refuses.
+            Statistic(
+                {"name": axis, "minimum": cloud.bounds_m[k], "maximum": cloud.bounds_m[k + 3]}
+            )
             for k, axis in enumerate("XYZ")
         ],
     )

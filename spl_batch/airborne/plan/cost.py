@@ -25,7 +25,7 @@ STORE_BYTES_PER_POINT: Final = 60
 """Working store, all of it [byte]."""
 
 DELIVERED_BYTES_PER_POINT: Final = 12
-"""Classified LAZ [byte]."""
+"""Classified LAZ, as files, as tiles or as an octree [byte]."""
 
 REFERENCE_BYTES_PER_POINT: Final = 35
 """A point of the reference in the working store while its file is cut into squares [byte]."""
@@ -130,7 +130,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         roomier=_roomier(survey, pieces) if blocks.read > MUCH_READ else None,
         halo_m=halo_m(workflow),
         tasks=tasks,
-        disk_bytes=points * (STORE_BYTES_PER_POINT + DELIVERED_BYTES_PER_POINT)
+        disk_bytes=points * (STORE_BYTES_PER_POINT + _copies(workflow) * DELIVERED_BYTES_PER_POINT)
         + compared * REFERENCE_BYTES_PER_POINT,
         memory_bytes=heaviest.memory_bytes,
         heaviest=heaviest.task,
@@ -152,6 +152,11 @@ def _roomier(survey: Survey, pieces: Sequence[Piece]) -> tuple[int, float] | Non
         if read <= MUCH_READ:
             return memory_bytes, read
     return None
+
+
+def _copies(workflow: Workflow) -> int:
+    """How often each point is delivered: in its file, in a tile, in a COPC twin [count]."""
+    return 1 + (workflow.outputs.tiles != "none") + workflow.outputs.copc
 
 
 def _rasters_and_comparisons(survey: Survey, cells: int) -> int:

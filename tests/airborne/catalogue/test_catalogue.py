@@ -16,59 +16,25 @@ import rasterio
 from jsonschema import Draft7Validator
 from jsonschema.validators import validator_for
 from pyproj import CRS
+from pyproj.datadir import get_data_dir
 from pystac.validation.local_validator import get_local_schema_cache
 from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT7
 
+from spl_batch import api
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.catalogue.delivered_files import utc_span
 from tests import surveys
 
+PROJJSON = json.loads(Path(get_data_dir(), "projjson.schema.json").read_text(encoding="utf-8"))
 EXTENSIONS = {
-    # What the schemas of the extensions require of an item, in their own words shortened.
-    "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json": {
-        "required": ["properties"],
-        "properties": {
-            "properties": {
-                "required": ["pc:count", "pc:type", "pc:encoding", "pc:schemas"],
-                "properties": {
-                    "pc:count": {"type": "integer", "minimum": 0},
-                    "pc:type": {"enum": ["lidar", "eopc", "radar", "sonar", "other"]},
-                    "pc:encoding": {"type": "string"},
-                    "pc:density": {"type": "number", "minimum": 0},
-                    "pc:schemas": {
-                        "type": "array",
-                        "minItems": 1,
-                        "items": {
-                            "required": ["name", "size", "type"],
-                            "properties": {
-                                "size": {"type": "integer"},
-                                "type": {"enum": ["floating", "unsigned", "signed"]},
-                            },
-                        },
-                    },
-                    "pc:statistics": {"type": "array", "items": {"required": ["name"]}},
-                },
-            }
-        },
+    # As their projects publish them, Apache License 2.0; PROJ brings its own.
+    **{
+        content["$id"].rstrip("#"): content
+        for path in (Path(__file__).parent / "schemas").glob("*.json")
+        for content in [json.loads(path.read_text(encoding="utf-8"))]
     },
-    "https://stac-extensions.github.io/projection/v2.0.0/schema.json": {
-        "properties": {
-            "properties": {
-                "properties": {
-                    "proj:code": {"type": ["string", "null"], "pattern": "^[A-Z]+:"},
-                    "proj:wkt2": {"type": ["string", "null"]},
-                    "proj:bbox": {
-                        "oneOf": [{"minItems": 4, "maxItems": 4}, {"minItems": 6, "maxItems": 6}],
-                        "items": {"type": "number"},
-                    },
-                    "proj:shape": {"minItems": 2, "maxItems": 2, "items": {"type": "integer"}},
-                    "proj:transform": {"minItems": 6, "maxItems": 9},
-                    "proj:epsg": False,
-                }
-            }
-        }
-    },
+    **{f"https://proj.org/schemas/v0.{k}/projjson.schema.json": PROJJSON for k in (5, 7)},
 }
 
 
@@ -122,6 +88,8 @@ def test_stac_keeps_to_its_schemas(output: Path) -> None:
     broken = {**items[0], "properties": {**items[0]["properties"], "pc:count": -1}}
     assert faults(broken) != [], "the check finds something"
     assert faults({**items[0], "bbox": [0]}) != []
+    shape = {**items[-1], "properties": {**items[-1]["properties"], "proj:shape": [1, 2, 3]}}
+    assert faults(shape) != []
 
 
 def test_every_link_of_stac_leads_somewhere(output: Path) -> None:
@@ -169,6 +137,8 @@ def test_the_virtual_cloud_is_what_its_readers_want(output: Path) -> None:
     clouds = {}
     for feature in content["features"]:
         assert feature["stac_version"] == "1.0.0"
+        for uri in feature["stac_extensions"]:
+            assert [error.message for error in schema(uri).iter_errors(feature)] == []
         path = output / next(iter(feature["assets"].values()))["href"]
         with laspy.open(path) as reader:
             clouds[path.name] = reader.header.point_count
@@ -310,3 +280,11 @@ def test_leap_seconds_are_taken_off() -> None:
     span = utc_span(371_000_000.0, 371_000_001.5)
     assert span.first.isoformat() == "2023-06-17T01:19:42+00:00"
     assert (span.last - span.first).total_seconds() == 1.5
+
+
+def test_a_plan_has_disk_for_every_copy_of_the_points(tmp_path: Path) -> None:
+    workflow = surveys.small_survey(tmp_path)
+    overrides = ([], ["outputs.copc=true"], ["outputs.copc=true", "outputs.tiles=laz"])
+    disk = [api.plan(workflow, overrides=given).cost.disk_bytes for given in overrides]
+    points = api.plan(workflow).cost.points
+    assert np.diff(disk).tolist() == [12 * points] * 2
