@@ -1,6 +1,6 @@
 # The same commands as in .ci/run and CONTRIBUTING.md, by short names.
 .DEFAULT_GOAL := help
-.PHONY: help install format check lint types schemas test quick quickstart ci clean
+.PHONY: help install format check lint types schemas test quick quickstart site ci clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -32,6 +32,9 @@ quick: ## tests that take less than a few seconds each
 
 quickstart: ## simulate a small survey and run the whole chain on it
 	spl-batch quickstart
+
+site: ## the documentation as a site, in build/site
+	mkdocs build --strict
 
 ci: ## everything, in a fresh environment
 	.ci/run

@@ -1,0 +1,67 @@
+"""Pages for people say what is true: their code runs, their commands exist, messages are ours."""
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+import matplotlib as mpl
+import pytest
+
+from spl_batch.cli import cli
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+GUIDES = ("tutorial.md", "coming_from.md", "using.md", "troubleshooting.md")
+
+
+def blocks(name: str, language: str) -> list[str]:
+    text = (DOCS / name).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def test_the_code_of_the_tutorial_runs(tiny_output: Path, tmp_path: Path) -> None:
+    mpl.use("agg")
+    (tmp_path / "out").symlink_to(tiny_output)
+    names: dict[str, object] = {"output": tmp_path / "out"}
+    code = blocks("tutorial.md", "python")
+    assert len(code) == 3
+    for block in code:
+        exec(compile(block, "tutorial.md", "exec"), names)  # noqa: S102 - it is our own page
+    assert (tmp_path / "strip.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", GUIDES)
+def test_commands_on_pages_are_commands(name: str) -> None:
+    text = (DOCS / name).read_text(encoding="utf-8")
+    found = [line for block in blocks(name, "sh") for line in block.splitlines()]
+    found += re.findall(r"`(spl-batch [a-z][^`]*)`", text)
+    for line in found:
+        if not line.startswith("spl-batch ") or "|" in line:
+            continue
+        verb, *arguments = shlex.split(line.split("#")[0])[1:]
+        assert verb in cli.commands, line
+        options = {
+            one for p in cli.commands[verb].params for one in p.opts if isinstance(p, click.Option)
+        }
+        given = {word.split("=")[0] for word in arguments if word.startswith("--")}
+        assert given <= options, line
+
+
+def test_messages_on_the_page_are_messages_of_the_program() -> None:
+    text = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    found = re.findall(r"\*\*`([^`]+)`\*\*", text)
+    assert len(found) > 20
+    source = "".join(
+        path.read_text(encoding="utf-8") for path in sorted((ROOT / "spl_batch").rglob("*.py"))
+    )
+    # Texts that go over a line, and values in them.
+    joined = re.sub(r'"\s+f?"', "", source)
+    missing = [one for one in found if one not in joined]
+    assert missing == []
+
+
+def test_every_page_is_on_the_site() -> None:
+    listed = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    pages = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")]
+    assert [page for page in pages if f": {page}\n" not in listed] == []
