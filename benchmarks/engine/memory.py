@@ -43,7 +43,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.store import label_tables
-from spl_batch.airborne.tasks import space_domain
+from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner
@@ -121,7 +121,8 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
 
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch.object(job, "run_task", watched))
-        stack.enter_context(mock.patch.object(space_domain, "read_region", counted))
+        for tasks in (space_domain, surfaces):
+            stack.enter_context(mock.patch.object(tasks, "read_region", counted))
         for attempt in ("first", "second"):  # the first one loads and compiles
             seen.clear()
             api.run(workflow, workers=0, overrides=[f"output={folder}/{attempt}", *overrides])

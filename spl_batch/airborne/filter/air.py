@@ -1,5 +1,6 @@
 """Noise of a block as the model has it, and as it is where haze or cloud fills the air."""
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -25,8 +26,19 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "flags", "afterpulse")
 
 
 class Look(NamedTuple):
-    """What a block sees of its noise: air that holds more, and how the model fits elsewhere."""
+    """What a part of a block sees of its noise.
 
+    Parameters
+    ----------
+    core : Bounds
+        The part [quanta].
+    air : Air or None
+        Air that holds more noise than the model expects, in the part and around it.
+    layers : Layers or None
+        How the model fits elsewhere.
+    """
+
+    core: Bounds
     air: Air | None = None
     layers: Layers | None = None
 
@@ -48,14 +60,14 @@ def look_at_air(
         What the block owns.
     """
     if model is None or not denoising.asks_for_air(workflow.filter, workflow.noise):
-        return Look()
+        return Look(core)
     counted = ~table.has(EXCLUDED | PointFlag.NO_BEAM) & ~dependents(table)
     x, y, z = (table[axis].astype(np.int64, copy=False) for axis in "xyz")
     counts = count_cubes((x, y, z), counted)
     if counts is None:
-        return Look()
+        return Look(core)
     air = find_air(counts, model.local)
-    return Look(air, noise_by_layer(counts, air, model.local, core))
+    return Look(core, air, noise_by_layer(counts, air, model.local, core))
 
 
 def noise_in_air(
@@ -83,24 +95,24 @@ def noise_in_air(
     return Expected(mean, local)
 
 
-def facts_of(look: Look, core: Bounds) -> dict[str, Any]:
-    """What a report says of it: ``air`` of :func:`_summary`, and ``layers``.
+def facts_of(looks: Sequence[Look]) -> dict[str, Any]:
+    """What a report says of a block, by its parts: ``air`` of :func:`_summary`, and ``layers``.
 
     Returns
     -------
     dict
         ``layers``: index, returns and expected returns of each; empty where nothing was looked at.
     """
-    told = [] if look.layers is None else zip(*look.layers, strict=True)
-    layers = [
-        [int(layer), int(returns), float(expected)]
-        for layer, returns, expected in told
-        if returns or expected
-    ]
-    return {"air": _summary(look.air, core), "layers": layers}
+    layers: dict[int, tuple[int, float]] = {}
+    for told in (look.layers for look in looks if look.layers is not None):
+        for layer, returns, expected in zip(*(v.tolist() for v in told), strict=True):
+            before = layers.get(layer, (0, 0.0))
+            layers[layer] = before[0] + returns, before[1] + expected
+    listed = [[layer, *both] for layer, both in sorted(layers.items()) if any(both)]
+    return {"air": _summary(looks), "layers": listed}
 
 
-def _summary(air: Air | None, core: Bounds) -> dict[str, Any] | None:
+def _summary(looks: Sequence[Look]) -> dict[str, Any] | None:
     """What a report says of the air over what a block owns; None where there is none.
 
     Returns
@@ -110,14 +122,18 @@ def _summary(air: Air | None, core: Bounds) -> dict[str, Any] | None:
         ``expected`` by the model [count]; ``low`` and ``high``, heights between which nine tenths
         of the returns lie [quanta]; ``box`` around them [quanta].
     """
-    if air is None:
-        return None
     edge = quanta(CUBE_M)
-    centre = air.cube * edge + edge // 2
-    mine = air.held & inside(centre[:, 0], centre[:, 1], core)
-    if not mine.any():
+    own = []
+    for core, air, _ in looks:
+        if air is not None:
+            centre = air.cube * edge + edge // 2
+            mine = air.held & inside(centre[:, 0], centre[:, 1], core)
+            own.append((air.cube[mine], air.returns[mine], air.expected[mine]))
+    if not sum(len(cube) for cube, _, _ in own):
         return None
-    cube, count = air.cube[mine], air.returns[mine]
+    cube, count, expected = (np.concatenate(some) for some in zip(*own, strict=True))
+    order = np.lexsort(cube.T[::-1])  # the same sums, however many parts
+    cube, count, expected = cube[order], count[order], expected[order]
     order = np.argsort(cube[:, 2], kind="stable")
     share = np.cumsum(count[order]) / count.sum()
     low, high = (cube[order[np.searchsorted(share, at)], 2] for at in (0.05, 0.95))
@@ -126,7 +142,7 @@ def _summary(air: Air | None, core: Bounds) -> dict[str, Any] | None:
         "squares": len(np.unique(cube[:, :2], axis=0)),
         "cubes": len(cube),
         "returns": int(count.sum()),
-        "expected": float(air.expected[mine].sum() * CUBE_M**3),
+        "expected": float(expected.sum() * CUBE_M**3),
         "low": int(low) * edge,
         "high": (int(high) + 1) * edge,
         "box": [int(side) * edge for side in (west, south, east, north)],

@@ -16,7 +16,8 @@ How much of pure noise is kept, the cloud itself says, as the filter may be any:
 boxes that hold noise alone, and in them the least of what was delivered was kept.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -76,6 +77,34 @@ BOXES: Final = (Box(1, 30, 0.2), Box(3, 60, 0.06))
 
 Count = NDArray[np.int64]
 
+_KINDS: Final = (NOISE_SIGNAL, NOISE_BACKGROUND)
+
+
+class Bare(NamedTuple):
+    """Cells in which kept returns are too few beside the refused ones around them.
+
+    Parameters
+    ----------
+    corner : (3,) int64
+        Lower corner of the lattice [quanta].
+    place : three (cells,) int64
+        Number of a cell along each axis, gaps closed.
+    marked : (a, b, c) bool
+        The cells.
+    """
+
+    corner: Count
+    place: tuple[Count, Count, Count]
+    marked: NDArray[np.bool_]
+
+    def holds(self, table: PointTable) -> NDArray[np.bool_]:
+        """Which signals lie in such a cell: (n,) bool."""
+        out = np.zeros(len(table), np.bool_)
+        nothing = np.zeros((2, *self.marked.shape), np.int64)
+        number = _count(self.corner, self.place, (nothing[0], nothing[1]), table)
+        in_marked_cells(number, self.marked.ravel(), out)
+        return out
+
 
 def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
     """Kept returns that are too few beside the refused ones around them.
@@ -93,20 +122,36 @@ def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
     (n,) bool
         True for signals in a column or a box with fewer of them than noise explains.
     """
-    out = np.zeros(len(table), np.bool_)
-    xyz, kind = (table["x"], table["y"], table["z"]), table["noise_class"]
-    kinds, edge = (NOISE_SIGNAL, NOISE_BACKGROUND), quanta(CELL_M)
-    extent = np.zeros((3, 2), np.int64)
-    if lowest_and_highest(xyz, kind, kinds, extent) != 3:
-        return out
-    lattice = extent // edge
-    corner = lattice[:, 0] * edge
-    x, y, z = (np.zeros(count, np.bool_) for count in lattice[:, 1] - lattice[:, 0] + 1)
-    cells_held(xyz, kind, kinds, corner, float(edge), (x, y, z))
+    bare = bare_cells(lambda: (table,), spare_above=spare_above)
+    return np.zeros(len(table), np.bool_) if bare is None else bare.holds(table)
+
+
+def bare_cells(
+    tables: Callable[[], Iterable[PointTable]], *, spare_above: bool = False
+) -> Bare | None:
+    """Cells whose signals are stray; None where there are no two kinds to compare.
+
+    Parameters
+    ----------
+    tables : callable
+        Gives all points of a place, table by table; it is called three times.
+    spare_above : bool
+        As in :func:`stray`.
+    """
+    # A table is held by nothing while the next one is read: map, and no loop's variable.
+    extents = list(map(_extent, tables()))
+    if not all(any(met & kind for met, _ in extents) for kind in (1, 2)):
+        return None
+    edge, ends = quanta(CELL_M), np.stack([extent for met, extent in extents if met])
+    first, last = ends[:, :, 0].min(axis=0) // edge, ends[:, :, 1].max(axis=0) // edge
+    corner = first * edge
+    x, y, z = (np.zeros(count, np.bool_) for count in last - first + 1)
+    for _ in map(partial(_mark, corner, (x, y, z)), tables()):
+        pass
     place = _close_gaps(x), _close_gaps(y), _close_gaps(z)
-    kept, gone = (np.zeros([int(along[-1]) + 1 for along in place], np.int64) for _ in kinds)
-    number = np.empty(len(table), np.int32)
-    count_in_cells(xyz, kind, kinds, corner, float(edge), place, kept, gone, number)
+    kept, gone = (np.zeros([int(along[-1]) + 1 for along in place], np.int64) for _ in _KINDS)
+    for _ in map(partial(_count, corner, place, (kept, gone)), tables()):
+        pass
     held = [_in_boxes(kept, gone, box) for box in BOXES]
     occupied = kept + gone > 0
     odds = _kept_of_noise(*(count[occupied] for count in held[-1]))
@@ -114,8 +159,35 @@ def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
     if spare_above:
         bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
     bare |= _bare_columns(kept, gone, odds)[:, :, None]
-    in_marked_cells(number, bare.ravel(), out)
-    return out
+    return Bare(corner, place, bare)
+
+
+def _xyz(table: PointTable) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    return table["x"], table["y"], table["z"]
+
+
+def _extent(table: PointTable) -> tuple[int, Count]:
+    """Which kinds of points there are, and their lowest and highest coordinates: (3, 2)."""
+    extent = np.zeros((3, 2), np.int64)
+    return lowest_and_highest(_xyz(table), table["noise_class"], _KINDS, extent), extent
+
+
+def _mark(
+    corner: Count, held: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
+    table: PointTable,
+) -> None:  # fmt: skip
+    """Mark the cells along each axis that hold points of both kinds."""
+    cells_held(_xyz(table), table["noise_class"], _KINDS, corner, float(quanta(CELL_M)), held)
+
+
+def _count(
+    corner: Count, place: tuple[Count, Count, Count], counts: tuple[Count, Count], table: PointTable
+) -> NDArray[np.int32]:
+    """Add up the points of both kinds by cell; the cell of each kept one, -1 for others."""
+    edge, number = float(quanta(CELL_M)), np.empty(len(table), np.int32)
+    kind, (kept, gone) = table["noise_class"], counts
+    count_in_cells(_xyz(table), kind, _KINDS, corner, edge, place, kept, gone, number)
+    return number
 
 
 def _close_gaps(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -5,9 +5,9 @@ it runs on squares of ``ground.cell_m`` on the absolute grid with ``ground.buffe
 points around them, always the same ones, and its caller keeps what the square owns.
 """
 
-import math
-from collections.abc import Callable, Mapping
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,9 @@ from spl_batch.airborne.ground.ground_seeds import (
     sunk,
     supported,
 )
-from spl_batch.airborne.ground.lowest_layers import count_squares, lowest_layers
-from spl_batch.airborne.ground.multiscale import multiscale_mask
+from spl_batch.airborne.ground.lowest_layers import lowest_layers
+from spl_batch.airborne.ground.multiscale import Strip, multiscale_masks
+from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
 from spl_batch.airborne.ground.smrf import provisional_terrain
 from spl_batch.airborne.settings import GroundSettings, PtdSettings, SmrfSettings
@@ -43,9 +44,6 @@ point, and more than that of a layer's mean [m]."""
 
 _FILLED = 2.0
 """Points in an occupied cell below which the candidates' grid is doubled [count]."""
-
-_WIDE_M = 16.0
-"""Cells that tell the occupied area from voids [m]."""
 
 _GAP_SPACINGS = 10.0
 """Edges longer than this many mean spacings of the points around cross a gap of the ground
@@ -99,6 +97,71 @@ def ground_mask(
         evidence, places = _metres(table, own), _metres(table, told)
         mask[told] = METHODS[settings.method](evidence, places, settings)
     return mask
+
+
+class Band(NamedTuple):
+    """Some of the points of a ground cell: whole rows of blocks.
+
+    Parameters
+    ----------
+    table : PointTable
+        The points.
+    usable, asked : (n,) bool
+        As :func:`ground_mask` has them.
+    origin : object
+        Where the caller found them.
+    """
+
+    table: PointTable
+    usable: NDArray[np.bool_]
+    asked: NDArray[np.bool_]
+    origin: Any = None
+
+
+def ground_in_bands(
+    bands: Callable[[], Iterable[Band]],
+) -> Iterator[tuple[Band, NDArray[np.bool_]]]:
+    """What :func:`ground_mask` finds by the method that follows the data, band by band.
+
+    Parameters
+    ----------
+    bands : callable
+        Gives the bands of a ground cell and its buffer from the south; it is called several times,
+        and no band is held while the next is made.
+
+    Returns
+    -------
+    iterator of (Band, (n,) bool)
+        Each band, and which of its points are ground.
+    """
+    # Where everything may be an afterpulse all of it is evidence.
+    plain = not any(map(_has_evidence, bands()))
+    if plain and not any(map(_has_usable, bands())):
+        return ((band, np.zeros(len(band.table), np.bool_)) for band in bands())
+    return map(_of_table, multiscale_masks(lambda: map(partial(_strip, plain), bands())))
+
+
+def _has_usable(band: Band) -> bool:
+    return bool(band.usable.any())
+
+
+def _has_evidence(band: Band) -> bool:
+    return bool((band.usable & ~dependents(band.table)).any())
+
+
+def _strip(plain: bool, band: Band) -> Strip:  # noqa: FBT001 - the first of a partial
+    """Places of a band's points; it remembers the band, and which points are asked."""
+    own = band.usable if plain else band.usable & ~dependents(band.table)
+    told = band.usable & band.asked
+    return Strip(_metres(band.table, own), _metres(band.table, told), (band, told))
+
+
+def _of_table(told: tuple[Strip, NDArray[np.bool_]]) -> tuple[Band, NDArray[np.bool_]]:
+    """What was found of a strip, for all points of its band."""
+    (_, _, (band, asked)), found = told
+    mask = np.zeros(len(band.table), np.bool_)
+    mask[asked] = found
+    return band, mask
 
 
 def _metres(table: PointTable, chosen: NDArray[np.bool_]) -> Points:
@@ -177,57 +240,6 @@ def node_cell(x: Float, y: Float, smallest_m: float) -> float:
     return smallest_m * (1 if smallest_m**2 >= _FILLED * spacing_m(x, y) ** 2 else 2)
 
 
-def spacing_m(x: Float, y: Float) -> float:
-    """Mean spacing of points where there are any, voids of :data:`_WIDE_M` left out [m].
-
-    Parameters
-    ----------
-    x, y : (n,) float64
-        Places [m]; n > 0.
-    """
-    count, _ = _in_squares(x, y)
-    return _WIDE_M * math.sqrt(np.count_nonzero(count) / len(x))
-
-
-def _in_squares(x: Float, y: Float) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Points in squares of :data:`_WIDE_M` [count], and column and row of the first square."""
-    ends = [int(np.floor(end / _WIDE_M)) for v in (x, y) for end in (v.min(), v.max())]
-    count = np.zeros((ends[1] - ends[0] + 1, ends[3] - ends[2] + 1), dtype=np.int64)
-    count_squares(x, y, _WIDE_M, ends[0], ends[2], count)
-    return count, (ends[0], ends[2])
-
-
-def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
-    """Mean spacing of points around places, by the nine squares of :data:`_WIDE_M` [m].
-
-    The squares lie on the absolute lattice: ground cells agree where they overlap.
-
-    Parameters
-    ----------
-    x, y : (n,) float64
-        Points [m]; n > 0.
-    at_x, at_y : (m,) float64
-        Places [m].
-
-    Returns
-    -------
-    (m,) float64
-        Of the squares with points; :data:`_WIDE_M` where none of the nine has any.
-    """
-    count, (left, bottom) = _in_squares(x, y)
-    around = np.pad(count, 2)
-    points, squares = (
-        sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
-        for values in (around, (around > 0).astype(np.int64))
-    )
-    spacing = _WIDE_M * np.sqrt(np.maximum(squares, 1) / np.maximum(points, 1))
-    # Places farther out have no points around, as the outermost squares have none.
-    column = np.clip(np.floor(at_x / _WIDE_M).astype(np.int64) - left + 2, 0, len(spacing) - 1)
-    row = np.clip(np.floor(at_y / _WIDE_M).astype(np.int64) - bottom + 2, 0, len(spacing[0]) - 1)
-    found: Float = spacing[column, row]
-    return found
-
-
 def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.bool_]:
     """Ground points by the simple morphological filter.
 
@@ -247,8 +259,8 @@ def smrf_mask(own: Points, asked: Points, settings: SmrfSettings) -> NDArray[np.
     """
     cells = group_by_cell(own.x, own.y, settings.cell_m)
     nodes = lowest_layers(*own, cells, settings.layer_m)
-    below = sunk(nodes, cells, settings.cell_m)
-    believed = supported(nodes, cells, settings.cell_m) & ~below
+    below = sunk(nodes, cells.rows, cells.columns, settings.cell_m)
+    believed = supported(nodes, cells.rows, cells.columns, settings.cell_m) & ~below
     leaves = seen_through(nodes, believed, cells, settings.cell_m)
     trusted = first_true((~nodes.doubtful & ~below & ~leaves,))
     lowest = lowest_grid(nodes, trusted, cells)
@@ -274,7 +286,7 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
 
 def _multiscale(own: Points, asked: Points, _: GroundSettings) -> NDArray[np.bool_]:
     """By a surface whose scale follows the data."""
-    return multiscale_mask(own, asked, spacing_around_m(own.x, own.y, asked.x, asked.y))
+    return next(multiscale_masks(lambda: (Strip(own, asked),)))[1]
 
 
 METHODS: Final[Mapping[str, Callable[[Points, Points, GroundSettings], NDArray[np.bool_]]]] = {

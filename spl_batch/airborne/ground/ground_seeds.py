@@ -125,12 +125,12 @@ def _judge(
 
     A crown does; the top of a cliff stands out above the trend, but not as it is.
     """
-    below = sunk(nodes, cells, cell_m)
+    below = sunk(nodes, cells.rows, cells.columns, cell_m)
     # Afterpulses below a meadow lie near enough to continue each other. Before the ground's trend
     # is known, much that is sunk in deep shade is ground.
     asked = np.ones_like(below) if also is None else ~below
     continued = np.zeros_like(below)
-    continued[asked] = supported(_of(nodes, asked), cells, cell_m)
+    continued[asked] = supported(_of(nodes, asked), cells.rows, cells.columns, cell_m)
     trusted = continued & ~nodes.doubtful & ~below
     objects = _on_objects(nodes, trusted, cells, cell_m, settings)
     if also is not None:
@@ -139,20 +139,20 @@ def _judge(
     return _Judged(below, trusted, first_true((eligible, trusted)))
 
 
-def sunk(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
+def sunk(nodes: Nodes, rows: int, columns: int, cell_m: float) -> Mask:
     """Nodes below a hard surface in their cell, or in a pit of a smooth one around it."""
     pit = np.empty(len(nodes.cell), dtype=np.bool_)
     reach = max(round(REACH_M / cell_m), 1)
     asked = nodes.points < SUPPORTED
-    in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, cells.rows, cells.columns, reach, pit)
+    in_pits(nodes.xyz, nodes.cell, asked, nodes.doubtful, rows, columns, reach, pit)
     return pit | nodes.buried
 
 
-def supported(nodes: Nodes, cells: Cells, cell_m: float) -> Mask:
+def supported(nodes: Nodes, rows: int, columns: int, cell_m: float) -> Mask:
     """Nodes that others continue."""
     support = np.empty(len(nodes.cell), dtype=np.int64)
     count_support(
-        nodes.xyz, nodes.cell, np.ones(len(support), dtype=np.bool_), cells.rows, cells.columns,
+        nodes.xyz, nodes.cell, np.ones(len(support), dtype=np.bool_), rows, columns,
         _REACH, _REACH * cell_m, _SUPPORT_STEP_M, _SUPPORT_SLOPE, _SUPPORT, support,
     )  # fmt: skip
     return support >= _SUPPORT

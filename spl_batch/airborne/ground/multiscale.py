@@ -6,23 +6,27 @@ tolerance around the surface and its growth on slopes follow from the spacing of
 from how much the ground scatters.
 """
 
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
-from spl_batch.airborne.ground.lowest_layers import lowest_layers
+from spl_batch.airborne.ground.lowest_layers import Nodes, lowest_layers
 from spl_batch.airborne.ground.multiscale_surface import (
     BLOCK_M,
     CELL_M,
+    Below,
     agreeing_nodes,
     ground_nodes,
     low_outliers,
-    spread_below,
+    points_below,
     terrain,
 )
+from spl_batch.airborne.ground.point_spacing import Squares, added_up, in_squares, spacing_at_m
 from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.triangulation.tin import Tin, interpolate, triangulate
@@ -59,6 +63,7 @@ _HARD_M = 0.08
 of a range [m]."""
 
 Float = NDArray[np.float64]
+Index = NDArray[np.int64]
 Place = tuple[Float, Float, Float]
 
 
@@ -85,42 +90,96 @@ class Surface(NamedTuple):
     corner: Float
 
 
-def multiscale_mask(own: Place, asked: Place, spacing_m: Float) -> NDArray[np.bool_]:
-    """Ground points by a surface whose scale follows the data.
+class Strip(NamedTuple):
+    """A band of whole rows of blocks.
 
     Parameters
     ----------
     own : three (n,) float64
-        Evidence: x, y, z [m]; at least one point.
+        Evidence: x, y, z [m].
     asked : three (m,) float64
-        Points to be told; at least one.
-    spacing_m : (m,) float64
-        Mean spacing of the evidence around each of these [m].
-
-    Returns
-    -------
-    (m,) bool
-        Which of those asked are ground.
+        Points to be told [m].
+    known_as : object
+        What its maker knows it by.
     """
-    xyz, hard = _nodes(*own)
+
+    own: Place
+    asked: Place
+    known_as: Any = None
+
+
+def multiscale_masks(
+    strips: Callable[[], Iterable[Strip]],
+) -> Iterator[tuple[Strip, NDArray[np.bool_]]]:
+    """Ground points by a surface whose scale follows the data, strip by strip.
+
+    However points are divided into strips, the same ones are ground: nodes belong to cells, spreads
+    and spacings to blocks, and the surface is made of the nodes of all.
+
+    Parameters
+    ----------
+    strips : callable
+        Gives all strips from the south, and is called three times, so that none need be held; one
+        point at least is evidence.
+
+    Yields
+    ------
+    strip : Strip
+        One of them.
+    mask : (m,) bool
+        Which of those asked in it are ground.
+    """
+    xyz, hard = _nodes(map(_evidence, strips()))
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
     ground = _joined(xyz, chosen & hard, ground_nodes(xyz, chosen))
     grid = terrain(xyz, ground)
     corner = np.floor(xyz[:, :2].min(axis=0) / CELL_M)
     surface = Surface(triangulate(xyz[ground]), grid, _steepness(grid), corner)
-    height, slope = _surface_at(surface, own)
-    spread = spread_below(own[2] - height, own[0], own[1], _BAND_M[1])
-    if asked[0] is not own[0]:
-        height, slope = _surface_at(surface, asked)
-    level = np.maximum(_BAND_SIGMA * _of_block(spread, own, asked), _BAND_SPACINGS * spacing_m)
+    looked = filter(None, map(partial(_look, surface), strips()))
+    depth, number, points = (added_up(some) for some in zip(*looked, strict=True))
+    known = _Known(surface, points, Below(depth, number).spread(), depth.first)
+    # A strip is held by nothing while the next one is read.
+    yield from map(partial(_told, known), strips())
+
+
+def _evidence(strip: Strip) -> Place:
+    return strip.own
+
+
+class _Known(NamedTuple):
+    """What tells ground: the surface, points around, and the spread below it by blocks."""
+
+    surface: Surface
+    points: Squares
+    spread: Float
+    first: tuple[int, int]
+
+
+def _look(surface: Surface, strip: Strip) -> tuple[Squares, Squares, Squares] | None:
+    """Depths and numbers of points below the surface, and of all, by blocks; None without any."""
+    x, y, z = strip.own
+    if not len(x):
+        return None
+    height, _ = _surface_at(surface, strip.own)
+    return *points_below(z - height, x, y, _BAND_M[1]), in_squares(x, y)
+
+
+def _told(known: _Known, strip: Strip) -> tuple[Strip, NDArray[np.bool_]]:
+    """A strip, and which of the points that are asked are ground."""
+    height, slope = _surface_at(known.surface, strip.asked)
+    x, y, z = strip.asked
+    spacing_m = spacing_at_m(known.points, x, y)
+    level = np.maximum(_BAND_SIGMA * _of_block(known, x, y), _BAND_SPACINGS * spacing_m)
     band = np.clip(level, *_BAND_M) + np.minimum(spacing_m, _SLOPE_M) * slope
-    found: NDArray[np.bool_] = np.abs(asked[2] - height) <= band
-    return found
+    found: NDArray[np.bool_] = np.abs(z - height) <= band
+    return strip, found
 
 
 def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
     """Height of the surface at places [m], and its slope there [rise/run]."""
     x, y, _ = places
+    if not len(x):
+        return x, y
     at = [y / CELL_M - surface.corner[1] - 0.5, x / CELL_M - surface.corner[0] - 0.5]
     height: Float = ndimage.map_coordinates(surface.grid, at, order=1, mode="nearest")
     slope: Float = ndimage.map_coordinates(surface.steepness, at, order=1, mode="nearest")
@@ -132,26 +191,45 @@ def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
     return height, slope
 
 
-def _of_block(spread: Float, own: Place, places: Place) -> Float:
-    """Value of the block that each place is in, or of the nearest."""
-    at = []
-    for axis, last in ((1, len(spread) - 1), (0, len(spread[0]) - 1)):
-        first = np.floor(own[axis].min() / BLOCK_M)
-        at.append(np.clip(np.floor(places[axis] / BLOCK_M) - first, 0, last).astype(np.int64))
-    found: Float = spread[at[0], at[1]]
+def _of_block(known: _Known, x: Float, y: Float) -> Float:
+    """Spread of the block that each place is in, or of the nearest."""
+    rows, columns = known.spread.shape
+    row = np.floor(y / BLOCK_M).astype(np.int64) - known.first[0]
+    column = np.floor(x / BLOCK_M).astype(np.int64) - known.first[1]
+    found: Float = known.spread[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
     return found
 
 
-def _nodes(x: Float, y: Float, z: Float) -> tuple[Float, NDArray[np.bool_]]:
+def _nodes(strips: Iterable[Place]) -> tuple[Float, NDArray[np.bool_]]:
     """Lowest layers of cells that are no low noise: (n, 3) [m]; and which are of hard cells."""
-    cells = group_by_cell(x, y, CELL_M)
-    nodes = lowest_layers(x, y, z, cells, _LAYER_M)
-    above = ~sunk(nodes, cells, CELL_M)
+    parts = [part for part in map(_layers, strips) if part is not None]
+    found, hard, row, column = zip(*parts, strict=True)
+    nodes = Nodes(*(np.concatenate(some) for some in zip(*found, strict=True)))
+    at = [np.concatenate(some) for some in (row, column)]
+    rows, columns = (int(np.ptp(along)) + 1 for along in at)
+    nodes = nodes._replace(cell=(at[0] - at[0].min()) * columns + at[1] - at[1].min())
+    above = ~sunk(nodes, rows, columns, CELL_M)
     # A single return below many others is ground where its neighbours continue it, else noise.
-    above &= ~nodes.doubtful | supported(nodes, cells, CELL_M)
+    above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
     if not above.any():
         above[:] = True
-    return nodes.xyz[above], _hard(x, y, z, cells)[nodes.cell[above]]
+    return nodes.xyz[above], np.concatenate(hard)[above]
+
+
+def _layers(own: Place) -> tuple[Nodes, NDArray[np.bool_], Index, Index] | None:
+    """Lowest layers of a strip; which are of hard cells; row and column of each; None without."""
+    x, y, z = own
+    if not len(x):
+        return None
+    cells = group_by_cell(x, y, CELL_M)
+    nodes = lowest_layers(x, y, z, cells, _LAYER_M)
+    row, column = np.divmod(nodes.cell, cells.columns)
+    south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
+    hard = _hard(x, y, z, cells)[nodes.cell]
+    # Room for two layers of every cell is not held.
+    xyz, cell, points, doubtful, buried = nodes
+    kept = xyz.copy(), cell.copy(), points.copy(), doubtful.copy(), buried.copy()
+    return Nodes(*kept), hard, row + south, column + west
 
 
 def _hard(x: Float, y: Float, z: Float, cells: Cells) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ Deviations from the sources:
   nodes scatter *below* the surface (:func:`scatter_below`): vegetation scatters them upwards only.
 """
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
+from spl_batch.airborne.ground.point_spacing import Squares
 from spl_batch.airborne.ground.smrf import fill_gaps, object_cells
 
 CELL_M: Final = 1.0
@@ -240,33 +241,46 @@ def plane_heights(xyz: Float, grid: Index, cell_m: float, *, own: bool = True) -
     return found
 
 
-def spread_below(off: Float, x: Float, y: Float, most_m: float) -> Float:
-    """Spread of points below the surface, by blocks.
+class Below(NamedTuple):
+    """Points below the surface by blocks of :data:`BLOCK_M`, row by row.
+
+    Parameters
+    ----------
+    depth, number : Squares
+        Sum of their depths [m], and how many they are.
+    """
+
+    depth: Squares
+    number: Squares
+
+    def spread(self) -> Float:
+        """Standard deviation in each block, of it and those around; 0 without points below [m]."""
+        total, count = _around(self.depth.sums), _around(self.number.sums)
+        spread: Float = _HALF_NORMAL * total / np.maximum(count, 1.0)
+        return spread
+
+
+def points_below(off: Float, x: Float, y: Float, most_m: float) -> Below:
+    """Points below the surface.
 
     Parameters
     ----------
     off : (n,) float64
         Heights above the surface [m].
     x, y : (n,) float64
-        Places [m].
+        Places [m]; n > 0.
     most_m : float
         Points farther below are noise and do not count [m].
-
-    Returns
-    -------
-    (block rows, block columns) float64
-        Standard deviation in each block of :data:`BLOCK_M`, of it and those around [m]; 0 where
-        there is no point below.
     """
     column, row, shape = _places(np.column_stack([x, y]), BLOCK_M)
     low = (off < 0.0) & (off > -most_m)
     key = row[low] * shape[1] + column[low]
-    total, count = (
-        _around(np.bincount(key, weights=w, minlength=shape[0] * shape[1]).reshape(shape))
+    first = int(np.floor(y.min() / BLOCK_M)), int(np.floor(x.min() / BLOCK_M))
+    depth, number = (
+        Squares(np.bincount(key, weights=w, minlength=shape[0] * shape[1]).reshape(shape), first)
         for w in (-off[low], None)
     )
-    spread: Float = _HALF_NORMAL * total / np.maximum(count, 1.0)
-    return spread
+    return Below(depth, number)
 
 
 def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float:
@@ -293,7 +307,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
     """
     off = np.zeros(len(xyz))
     off[nodes] = xyz[nodes, 2] - plane_heights(xyz, grid, cell_m, own=False)[nodes]
-    return spread_below(off, xyz[:, 0], xyz[:, 1], np.inf)
+    return points_below(off, xyz[:, 0], xyz[:, 1], np.inf).spread()
 
 
 def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:

@@ -186,6 +186,7 @@ def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> 
         survey.workflow,
         survey.stretch_points,
         files=[s.facts.n_points for s in inputs.sources],
+        limit=survey.memory_bytes,
         boxes=boxes,
         trajectory=inputs.trajectory,
     )

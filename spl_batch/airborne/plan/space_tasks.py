@@ -10,12 +10,24 @@ from spl_batch.airborne.noise.local_noise import MARGIN_VOXELS
 from spl_batch.airborne.plan.block_size import Holders
 from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.plan.inputs.survey_inputs import source_args
-from spl_batch.airborne.plan.space_units import Unit, fired_index, voxel_index
+from spl_batch.airborne.plan.space_units import (
+    Unit,
+    fired_index,
+    parts_of,
+    unit_within,
+    voxel_index,
+)
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
-from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.airborne.plan.task_memory import (
+    LEAST_PART_Q,
+    ground_bands,
+    longer_side,
+    points_within,
+    refusal,
+)
 from spl_batch.airborne.products.product_table import HILLSHADE, is_piece, products
 from spl_batch.engine.tasks.task import Task
-from spl_batch.lattice.tiles import CellId, cell_runs, grow, parse_cell, quanta
+from spl_batch.lattice.tiles import Bounds, CellId, cell_runs, grow, parse_cell, quanta
 
 
 class _Pieces(NamedTuple):
@@ -102,7 +114,23 @@ def denoise(survey: Survey) -> Iterator[Task]:
             *tile_needs(block),
             *(("scatter", s) for s in dict.fromkeys(map(stretch_of.__getitem__, parts))),
         )
-        yield _task("denoise", block, args, needs, survey)
+        cut = _parts(block, survey)
+        held = max(_held(part, survey) for part in cut)
+        refused = refusal("denoise", held, survey.memory_bytes)
+        how = {"parts": [list(part) for part in cut]}
+        yield Task("denoise", block.name, args, needs, block.points, refused, how)
+
+
+def _parts(block: Unit, survey: Survey) -> list[Bounds]:
+    """What of a block is judged at once: all of it, where that fits into memory."""
+    most = points_within("denoise", survey.memory_bytes)
+    return parts_of(block, lambda part: _held(part, survey), most, LEAST_PART_Q)
+
+
+def _held(part: Bounds, survey: Survey) -> int:
+    """Points that a part of a block reads [count]."""
+    named = ("", CellId(0, 0))
+    return unit_within(part, survey.counts, survey.tile_q, survey.halo_q, named).held
 
 
 def ground(survey: Survey) -> Iterator[Task]:
@@ -113,7 +141,11 @@ def ground(survey: Survey) -> Iterator[Task]:
         noise = holders.of(cell.tiles)
         args = {**cell_args(cell), "halo": halo, "noise": named_units("noise", noise)}
         needs = (*tile_needs(cell), *label_needs("denoise", noise))
-        yield _task("ground", cell, args, needs, survey)
+        side, limit = longer_side(cell.core) + 2 * halo, survey.memory_bytes
+        bands, needed = ground_bands(cell.held, cell.points, side, survey.workflow, limit)
+        refused = refusal("ground", cell.held, limit, needed)
+        how = {"bands": bands}
+        yield Task("ground", cell.name, args, needs, cell.points, refused, how)
 
 
 def surface(survey: Survey) -> Iterator[Task]:
@@ -142,7 +174,8 @@ def surface(survey: Survey) -> Iterator[Task]:
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
         needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
-        yield _task("surface", cell, args, needs, survey)
+        refused = refusal("surface", cell.held, survey.memory_bytes)
+        yield Task("surface", cell.name, args, needs, cell.points, refused)
 
 
 def knows_reflectance(survey: Survey) -> bool:
@@ -217,17 +250,6 @@ def hillshade(survey: Survey) -> Iterator[Task]:
             made = name.replace("dtm", HILLSHADE.name)
             args = {"source": f"{name}.tif", "target": f"{made}.tif"}
             yield Task("deliver_hillshade", made, args, (("mosaic", name),))
-
-
-def _task(
-    kind: str,
-    unit: Unit,
-    args: Mapping[str, object],
-    needs: tuple[tuple[str, str], ...],
-    survey: Survey,
-) -> Task:
-    refused = refusal(kind, unit.held, survey.memory_bytes)
-    return Task(kind, unit.name, args, needs, unit.points, refused)
 
 
 def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:

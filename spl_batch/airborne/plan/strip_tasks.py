@@ -21,7 +21,7 @@ def patches(survey: Survey) -> Iterator[Task]:
         noise = holders.of(cell.tiles)
         args = {**cell_args(cell), "noise": named_units("noise", noise)}
         needs = (*tile_needs(cell), *label_needs("denoise", noise))
-        refused = refusal("ground", cell.held, survey.memory_bytes)
+        refused = refusal("strip_patches", cell.held, survey.memory_bytes)
         yield Task("strip_patches", cell.name, args, needs, 0, refused)
 
 

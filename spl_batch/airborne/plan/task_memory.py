@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from spl_batch.airborne.ground.multiscale_surface import BLOCK_M
 from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.halo import halo_m, surface_reach_m
 from spl_batch.airborne.settings.workflow import Workflow
@@ -24,7 +25,7 @@ from spl_batch.engine.plan.worker_memory import (
 from spl_batch.errors import grouped
 from spl_batch.formats.trajectory.merge import WAITING_RECORDS
 from spl_batch.lattice.density import Box, Peak, Piece, largest
-from spl_batch.lattice.tiles import quanta
+from spl_batch.lattice.tiles import Bounds, quanta
 
 BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
     {
@@ -34,15 +35,27 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "observe": 380,
         "scatter": 540,
         "build_tile": 280,
-        "denoise": 125,
-        "ground": 125,
-        "surface": 175,
+        "denoise": 150,
+        "ground": 215,
+        "strip_patches": 80,
+        "surface": 115,
         "deliver_tile": 280,
         "deliver_copc": 280,
         "accuracy": 300,
     }
 )
 """Peak memory of a task by each of the points that it holds at once [byte]."""
+
+BAND_BYTES: Final = 300
+"""Memory of a ground cell that is done in bands, by each point of a band: twice that of a cell at
+once, as tiles are read whole [byte]."""
+
+BANDED_LABEL_BYTES: Final = 60
+"""And by each point that the cell owns, whose labels are put in order [byte]."""
+
+LEAST_PART_Q: Final = quanta(25.0)
+"""Least side of a part that a block is cut into where memory is short [quanta]: smaller ones would
+read little but their halo."""
 
 BYTES_PER_LABEL: Final = 12
 """Labels of a point of the file that is delivered [byte]."""
@@ -101,6 +114,42 @@ def points_within(kind: str, limit: int) -> int:
     return max(usable_bytes(limit) - WORKER_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
 
 
+def ground_bands(
+    points: float, owned: float, side_q: int, workflow: Workflow, limit: int
+) -> tuple[int, int]:
+    """Fewest bands in which the ground of a cell can be found in memory: 1 where all of it fits.
+
+    Parameters
+    ----------
+    points, owned : float
+        Points of the cell with its buffer, and of the cell alone [count].
+    side_q : int
+        Its longer side, buffer included [quanta].
+    workflow : Workflow
+        Only the method that follows the data works in bands, and only without water.
+    limit : int
+        Memory limit of a worker [byte].
+
+    Returns
+    -------
+    bands : int
+        How many [count].
+    memory_bytes : int
+        What the task needs in them, its worker included [byte].
+    """
+    whole = task_bytes("ground", points)
+    if whole <= usable_bytes(limit):
+        return 1, whole
+    if workflow.ground.method != "multiscale" or workflow.water is not None:
+        return 1, whole
+    labels = WORKER_BASE_BYTES + int(owned * BANDED_LABEL_BYTES)
+    for bands in range(2, max(side_q // quanta(BLOCK_M), 2) + 1):
+        needed = labels + int(points / bands * BAND_BYTES)
+        if needed <= usable_bytes(limit):
+            break
+    return bands, needed
+
+
 def stretch_points(limit: int) -> int:
     """Points that a stretch should hold on average under a memory limit [count].
 
@@ -119,6 +168,7 @@ def needs(
     stretch_points: int,
     *,
     files: Sequence[int],
+    limit: int,
     boxes: Sequence[Box] = (),
     trajectory: Iterable[Path] = (),
 ) -> list[Need]:
@@ -134,27 +184,30 @@ def needs(
         Points that a stretch holds on average [count].
     files : sequence of int
         Points of each file of the survey [count].
+    limit : int
+        Memory limit of a worker: what does not fit is done in parts, where it can be [byte].
     boxes : sequence of Box
         Bounding boxes of its files: ground cells at its edge own what is left over there.
     trajectory : iterable of Path
         Trajectory files.
     """
-    tile_q, cell_q = quanta(workflow.tiling.tile_m), quanta(workflow.ground.cell_m)
-    block = (workflow.tiling.block_tiles or 1) * tile_q
-    reaches = {
-        "build_tile": (tile_q, 0.0),
-        "denoise": (block, halo_m(workflow)),
-        "ground": (cell_q, workflow.ground.buffer_m),
-        "surface": (cell_q, surface_reach_m(workflow)),
-    }
+    tile_q = quanta(workflow.tiling.tile_m)
+    tiles = largest(piece.peak(tile_q, 0) for piece in pieces)
+    found = [_need("build_tile", tiles), _need("denoise", _part(pieces, workflow, limit))]
     cells = GroundCells.of_workflow((box.bounds for box in boxes), workflow)
-    found = []
-    for kind, (edge, reach) in reaches.items():
-        peak = largest(piece.peak(edge, quanta(reach)) for piece in pieces)
-        if kind in {"ground", "surface"}:
-            peak = largest([peak, cells.fullest_joined(boxes, quanta(reach))])
-        found.append(Need(_place(kind, peak), task_bytes(kind, peak.points), REMEDIES[kind]))
-    tile = largest(piece.peak(tile_q, 0) for piece in pieces).points
+    for kind, reach_m in (
+        ("ground", workflow.ground.buffer_m),
+        ("surface", surface_reach_m(workflow)),
+    ):
+        reach = quanta(reach_m)
+        squares = (piece.peak(quanta(workflow.ground.cell_m), reach) for piece in pieces)
+        peak = largest([largest(squares), cells.fullest_joined(boxes, reach)])
+        needed = None
+        if kind == "ground":
+            side = longer_side(peak.core)
+            owned = peak.points * (side / (side + 2 * reach)) ** 2
+            _, needed = ground_bands(peak.points, owned, side + 2 * reach, workflow, limit)
+        found.append(_need(kind, peak, needed))
     points = sum(files)
     stretch = min(points, UNEVEN * stretch_points)
     labels = min(points, PASS_POINTS) * BYTES_PER_LABEL
@@ -168,7 +221,11 @@ def needs(
         *found,
         Need("reading a file", task_bytes("index_file", chunk), ""),
         Need("a stretch of a flightline", task_bytes("scatter", stretch), ""),
-        Need("a file's labels", task_bytes("deliver_tile", tile) + labels, "lower tiling.tile_m"),
+        Need(
+            "a file's labels",
+            task_bytes("deliver_tile", tiles.points) + labels,
+            "lower tiling.tile_m",
+        ),
         Need(
             f"a trajectory of about {grouped(records)} records",
             WORKER_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
@@ -182,6 +239,7 @@ REMEDIES: Final[Mapping[str, str]] = MappingProxyType(
         "build_tile": "lower tiling.tile_m",
         "denoise": "lower tiling.tile_m",
         "ground": "lower ground.cell_m or ground.buffer_m",
+        "strip_patches": "lower ground.cell_m",
         "surface": "lower ground.cell_m or products.void_max_m",
         "accuracy": "cut the reference into files that fill their bounding boxes evenly",
         "deliver_copc": "set outputs.copc: false, and outputs.tiles: copc for octrees by tile",
@@ -194,6 +252,7 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
         "build_tile": "a tile",
         "denoise": "a denoise block",
         "ground": "a ground cell",
+        "strip_patches": "a ground cell whose flightlines are compared",
         "surface": "a surface cell",
         "accuracy": "a square of the reference",
         "deliver_copc": "an octree of a cloud",
@@ -202,9 +261,21 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
 """What a kind of task is called, in words."""
 
 
-def refusal(kind: str, points: float, limit: int) -> str:
-    """Why a task cannot be started, and what helps; empty if it can."""
-    needed = task_bytes(kind, points)
+def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> str:
+    """Why a task cannot be started, and what helps; empty if it can.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the task.
+    points : float
+        Points in its reach [count].
+    limit : int
+        Memory limit of a worker [byte].
+    needed : int, optional
+        What it needs, where that is not told by its points alone [byte].
+    """
+    needed = task_bytes(kind, points) if needed is None else needed
     if needed <= usable_bytes(limit):
         return ""
     return (
@@ -212,6 +283,28 @@ def refusal(kind: str, points: float, limit: int) -> str:
         f"{grouped(needed / 2**20)} MiB, more than {100 * USABLE_SHARE:.0f} % of --memory "
         f"{grouped(limit / 2**20)} MiB; raise it to {enough_mib(needed)}MiB or {REMEDIES[kind]}"
     )
+
+
+def longer_side(region: Bounds) -> int:
+    """Longer side of a region [quanta]."""
+    return max(region.xmax - region.xmin, region.ymax - region.ymin)
+
+
+def _part(pieces: Sequence[Piece], workflow: Workflow, limit: int) -> Peak:
+    """The fullest denoise block, or the fullest of the largest parts of blocks that fit."""
+    edge = (workflow.tiling.block_tiles or 1) * quanta(workflow.tiling.tile_m)
+    halo, most = quanta(halo_m(workflow)), points_within("denoise", limit)
+    peak = largest(piece.peak(edge, halo) for piece in pieces)
+    while peak.points > most and edge >= 2 * LEAST_PART_Q:
+        edge //= 2
+        peak = largest(piece.peak(edge, halo) for piece in pieces)
+    return peak
+
+
+def _need(kind: str, peak: Peak, needed: int | None = None) -> Need:
+    """What the fullest task of a kind needs."""
+    most = task_bytes(kind, peak.points) if needed is None else needed
+    return Need(_place(kind, peak), most, REMEDIES[kind])
 
 
 def _place(kind: str, peak: Peak) -> str:

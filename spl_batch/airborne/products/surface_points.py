@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.stray_returns import stray
+from spl_batch.airborne.filter.stray_returns import Bare, stray
 from spl_batch.airborne.ground.water_level import off_surface
 from spl_batch.airborne.products import surface_rasters
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -17,16 +17,20 @@ from spl_batch.lattice.tables import PointFlag, PointTable
 DOMAIN: Final = "space"
 
 
-def holds_ground(table: PointTable) -> NDArray[np.bool_]:
+def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool_]:
     """Signal that the ground may rest on: (n,) bool.
 
     Parameters
     ----------
     table : PointTable
         ``x, y, z, flags, noise_class``.
+    bare : Bare, optional
+        Where signals are stray, if these are some of a cell's points only. None of them lie in
+        water then, whose level asks for all of it.
     """
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
-    usable = usable & ~table.has(PointFlag.OUTSIDE_AOI) & ~stray(table)
+    usable = usable & ~table.has(PointFlag.OUTSIDE_AOI)
+    usable &= ~(stray(table) if bare is None else bare.holds(table))
     return usable & ~off_surface(table, usable)
 
 
@@ -40,10 +44,19 @@ def makes_surfaces(table: PointTable) -> PointTable:
     table : PointTable
         ``x, y, z, flags, noise_class, ground``, and what intensity is made of where it is there.
     """
-    known = (table["noise_class"] != NOISE_NOT_ASSESSED) | table.has(PointFlag.NO_BEAM)
-    stands = ~stray(table, spare_above=True)
+    chosen = known(table) & ~stray(table, spare_above=True)
     optional = (*surface_rasters.COLUMNS_OF_INTENSITY, "afterpulse")
     also = [name for name in optional if name in table]
-    return table.select((*surface_rasters.COLUMNS_NEEDED, *also)).take(
-        known & ~table.has(PointFlag.OUTSIDE_AOI) & stands
-    )
+    return table.select((*surface_rasters.COLUMNS_NEEDED, *also)).take(chosen)
+
+
+def known(table: PointTable) -> NDArray[np.bool_]:
+    """Points of the area that a unit has labelled or that have no beam: (n,) bool, each by itself.
+
+    Parameters
+    ----------
+    table : PointTable
+        ``flags, noise_class``.
+    """
+    labelled: NDArray[np.bool_] = table["noise_class"] != NOISE_NOT_ASSESSED
+    return (labelled | table.has(PointFlag.NO_BEAM)) & ~table.has(PointFlag.OUTSIDE_AOI)

@@ -4,7 +4,7 @@ A label names its point by tile and row in the tile's file, so units that are cu
 otherwise than the tiles (ground cells, blocks) need no join to find their points.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from itertools import pairwise
 from pathlib import Path
@@ -269,6 +269,7 @@ def read_region(
     labels: Mapping[str, Mapping[CellId, Sequence[tuple[str, str]]]],
     *,
     ordered: bool = True,
+    keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
 ) -> tuple[PointTable, Origin]:
     """Points of a region with labels, in canonical order or as they lie.
 
@@ -287,6 +288,8 @@ def read_region(
     ordered : bool
         Whether to put points in canonical order; else they come tile by tile, in the order in
         which :func:`write_labels` wants them, and each tile's are in canonical order.
+    keep : callable, optional
+        Tells of each point by itself whether it is wanted; others are never held together.
 
     Returns
     -------
@@ -311,13 +314,16 @@ def read_region(
             values, row = read_between(store.tile(str(tile)), columns, span)
             chosen = _within(values["x"], values["y"], bounds)
             row = row[chosen]
-            start, end = end, end + len(row)
-            for name in columns:
-                joined[name][start:end] = values.pop(name)[chosen]
-            joined["row"][start:end], joined["owner"][start:end] = row, k
             of_tile = {name: units.get(tile, ()) for name, units in labels.items()}
-            for name, found in _labels_of(files, tile, row, of_tile).items():
-                joined[name][start:end] = found
+            found = _labels_of(files, tile, row, of_tile)
+            values = {name: values[name][chosen] for name in columns}
+            wanted = slice(None) if keep is None else rows_of(keep(PointTable({**values, **found})))
+            row = row[wanted]
+            start, end = end, end + len(row)
+            joined["row"][start:end], joined["owner"][start:end] = row, k
+            for part in (values, found):
+                for name in list(part):
+                    joined[name][start:end] = part.pop(name)[wanted]
     joined = {name: values[:end] for name, values in joined.items()}
     if ordered:
         # Tiles are in canonical order, and points of different ones differ in x or, where their

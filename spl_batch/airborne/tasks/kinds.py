@@ -75,7 +75,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         ),
         "surface": Kind(
             "surfaces",
-            "spl_batch.airborne.tasks.space_domain:surface",
+            "spl_batch.airborne.tasks.surfaces:surface",
             ("ground.cell_m", "products", "classes", "aoi", "water", "breaklines"),
         ),
         "strip_pairs": Kind(

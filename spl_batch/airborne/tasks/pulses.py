@@ -16,7 +16,7 @@ from spl_batch.airborne.pulses.smooth_surfaces import smooth_sums
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
-from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
+from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 
 PULSES: Final = "pulses"
@@ -64,6 +64,13 @@ class PulseReturns(NamedTuple):
     point_source_id: NDArray[np.uint16]
 
 
+def usable(table: PointTable) -> NDArray[np.bool_]:
+    """Signal that may be a return of a pulse: (n,) bool, of each point by itself."""
+    noise_class = table["noise_class"]
+    found: NDArray[np.bool_] = (noise_class == NOISE_SIGNAL) | (noise_class == NOISE_NOT_ASSESSED)
+    return found & ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
+
+
 def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) -> PulseReturns:
     """First and last signal returns in and around a ground cell.
 
@@ -76,13 +83,10 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
     products : ProductSettings
         Cell size and voids.
     """
-    noise_class = table["noise_class"]
-    usable = (noise_class == NOISE_SIGNAL) | (noise_class == NOISE_NOT_ASSESSED)
-    usable &= ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
     # Returns of one pulse lie side by side: what leans across the margin counts on its own side.
     margin = max(margin_cells(products) * quanta(products.cell_m), reach_q())
-    usable &= inside(table["x"], table["y"], grow(core, margin))
-    signal = table.select(COLUMNS).take(usable)
+    chosen = usable(table) & inside(table["x"], table["y"], grow(core, margin))
+    signal = table.select(COLUMNS).take(rows_of(chosen))
     first, last = pulse_ends(signal)
     xyz = np.column_stack([signal[axis][first] for axis in "xyz"]).astype(np.int64)
     xy = np.column_stack([signal[axis][last] for axis in "xy"])

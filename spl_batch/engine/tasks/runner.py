@@ -212,7 +212,7 @@ def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
     try:
         function = _kind(task, context).loaded()
         start = time.perf_counter()  # what loads a module for the first time is no work of a task
-        produced = function(task.args, context)
+        produced = function({**task.args, **task.how}, context)
         paths = {context.store.name_of(path): path for path in produced.outputs}
         outputs = {name: checksum(path) for name, path in paths.items()}
         receipt = Receipt(

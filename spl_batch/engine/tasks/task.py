@@ -23,6 +23,9 @@ class Task:
         Points that it handles, for progress [count].
     refused : str
         Why it cannot be started, with a remedy; empty where it can.
+    how : mapping
+        Further arguments that change how the work is done and not what comes out: they are no part
+        of a receipt's key.
     """
 
     kind: str
@@ -31,6 +34,7 @@ class Task:
     needs: tuple[tuple[str, str], ...] = ()
     points: int = 0
     refused: str = ""
+    how: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

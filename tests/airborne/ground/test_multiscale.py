@@ -12,7 +12,7 @@ from spl_batch.airborne.ground.multiscale_surface import (
     low_outliers,
     lowest_nodes,
     plane_heights,
-    spread_below,
+    points_below,
 )
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
@@ -93,7 +93,7 @@ def test_spread_is_that_of_the_noise_whatever_grows_above() -> None:
     rng = np.random.default_rng(4)
     off = rng.normal(0, 0.04, len(x))
     off += np.where(rng.random(len(x)) < 0.7, rng.uniform(0.2, 1.5, len(x)), 0.0)
-    assert spread_below(off, x, y, 0.5) == pytest.approx(0.04, rel=0.15)
+    assert points_below(off, x, y, 0.5).spread() == pytest.approx(0.04, rel=0.15)
 
 
 def test_roofs_of_a_thinned_town_are_no_ground() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from spl_batch.airborne.plan.ground_cells import GroundCells, strip_q
 from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
-from spl_batch.airborne.tasks.space_domain import _write_rasters
+from spl_batch.airborne.tasks.surfaces import _write_rasters
 from spl_batch.constants import NODATA
 from spl_batch.engine.store.working_store import Store, read_receipt, write_receipt
 from spl_batch.engine.tasks.task import Receipt

@@ -16,7 +16,7 @@ from spl_batch.airborne.products.product_table import (
     products,
 )
 from spl_batch.airborne.settings.workflow import load_workflow
-from spl_batch.airborne.tasks import space_domain
+from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.lattice.tiles import Bounds, grow
 from tests import surveys
 
@@ -38,7 +38,8 @@ def test_a_task_reads_as_far_as_its_plan_says(
         regions.append(region)
         raise ReadError
 
-    monkeypatch.setattr(space_domain, "read_region", read)
+    tasks = surfaces if kind == "surface" else space_domain
+    monkeypatch.setattr(tasks, "read_region", read)
     workflow = load_workflow(surveys.write_workflow(tmp_path))
     context = Context(workflow, tmp_path, tmp_path / "out", "", "code")
     args = {
@@ -46,7 +47,7 @@ def test_a_task_reads_as_far_as_its_plan_says(
         "ground": {}, "fired": None, "voxels": [], "beamlets": 1,
     }  # fmt: skip
     with pytest.raises(ReadError):
-        getattr(space_domain, kind)(args, context)
+        getattr(tasks, kind)(args, context)
     assert regions == [grow(CORE, halo)]
 
 

@@ -1,0 +1,106 @@
+"""Mean spacing of points where there are any: voids are left out.
+
+Points are counted in squares of the absolute lattice, so that ground cells agree where they
+overlap, and counts of parts of a cell add up.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.airborne.ground.lowest_layers import count_squares
+
+WIDE_M: Final = 16.0
+"""Edge of the squares that tell the occupied area from voids [m]."""
+
+Float = NDArray[np.float64]
+
+
+class Squares(NamedTuple):
+    """Sums over squares of an absolute grid.
+
+    Parameters
+    ----------
+    sums : (a, b) ndarray
+        One for each square.
+    first : (int, int)
+        Place of the first square in the grid, along either axis.
+    """
+
+    sums: NDArray[Any]
+    first: tuple[int, int]
+
+
+def in_squares(x: Float, y: Float) -> Squares:
+    """Count n > 0 points in squares of :data:`WIDE_M`, column by column."""
+    ends = [int(np.floor(end / WIDE_M)) for v in (x, y) for end in (v.min(), v.max())]
+    count = np.zeros((ends[1] - ends[0] + 1, ends[3] - ends[2] + 1), dtype=np.int64)
+    count_squares(x, y, WIDE_M, ends[0], ends[2], count)
+    return Squares(count, (ends[0], ends[2]))
+
+
+def added_up(parts: Sequence[Squares]) -> Squares:
+    """Sums of all parts of an area; at least one."""
+    first = min(part.first[0] for part in parts), min(part.first[1] for part in parts)
+    shape = [max(part.first[k] + part.sums.shape[k] for part in parts) - first[k] for k in (0, 1)]
+    total = np.zeros(shape, parts[0].sums.dtype)
+    for sums, corner in parts:
+        i, j = corner[0] - first[0], corner[1] - first[1]
+        total[i : i + sums.shape[0], j : j + sums.shape[1]] += sums
+    return Squares(total, first)
+
+
+def spacing_m(x: Float, y: Float) -> float:
+    """Mean spacing of points where there are any, voids of :data:`WIDE_M` left out [m].
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Places [m]; n > 0.
+    """
+    return WIDE_M * math.sqrt(np.count_nonzero(in_squares(x, y).sums) / len(x))
+
+
+def spacing_around_m(x: Float, y: Float, at_x: Float, at_y: Float) -> Float:
+    """Mean spacing of points around places; see :func:`spacing_at_m`.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+        Points [m]; n > 0.
+    at_x, at_y : (m,) float64
+        Places [m].
+    """
+    return spacing_at_m(in_squares(x, y), at_x, at_y)
+
+
+def spacing_at_m(squares: Squares, at_x: Float, at_y: Float) -> Float:
+    """Mean spacing of points around places, by the nine squares of :data:`WIDE_M` [m].
+
+    Parameters
+    ----------
+    squares : Squares
+        The points, by :func:`in_squares`.
+    at_x, at_y : (m,) float64
+        Places [m].
+
+    Returns
+    -------
+    (m,) float64
+        Of the squares with points; :data:`WIDE_M` where none of the nine has any.
+    """
+    around = np.pad(squares.sums, 2)
+    points, held = (
+        sum(np.roll(values, (i, j), axis=(0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        for values in (around, (around > 0).astype(np.int64))
+    )
+    spacing = WIDE_M * np.sqrt(np.maximum(held, 1) / np.maximum(points, 1))
+    # Places farther out have no points around, as the outermost squares have none.
+    column = np.floor(at_x / WIDE_M).astype(np.int64) - squares.first[0] + 2
+    row = np.floor(at_y / WIDE_M).astype(np.int64) - squares.first[1] + 2
+    at = np.clip(column, 0, len(spacing) - 1), np.clip(row, 0, len(spacing[0]) - 1)
+    found: Float = spacing[at]
+    return found

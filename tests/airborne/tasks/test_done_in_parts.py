@@ -1,0 +1,94 @@
+"""What does not fit in memory is done in parts, and no byte tells."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan import phases
+from spl_batch.airborne.plan.space_units import Unit, parts_of
+from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.tasks import space_domain
+from spl_batch.engine.store.working_store import read_receipts
+from spl_batch.engine.tasks.task import Task
+from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.lattice.tiles import Bounds, CellId
+
+CORE = Bounds(0, 0, 40_000, 100_000)
+
+
+def test_parts_are_halves_and_cover_the_whole() -> None:
+    unit = Unit("u", CellId(0, 0), CORE, (), 0, 0)
+    parts = parts_of(
+        unit, lambda part: part.xmax - part.xmin + part.ymax - part.ymin, 70_000, 25_000
+    )
+    assert sorted(parts) == [
+        Bounds(0, 0, 40_000, 25_000),
+        *(Bounds(0, low, 40_000, low + 25_000) for low in (25_000, 50_000, 75_000)),
+    ]
+    assert parts_of(unit, lambda _: 1, 1, 1) == [CORE]
+    # what holds too much at any size is cut down to the least side, and no further
+    least = parts_of(unit, lambda _: 2, 1, 20_000)
+    assert {(p.xmax - p.xmin, p.ymax - p.ymin) for p in least} == {(20_000, 25_000)}
+
+
+@pytest.fixture(scope="module")
+def finished(tiny_output: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Survey, Context]:
+    """The tiny survey with the receipts of its run, in a store that a test may write to."""
+    prepared = prepare(tiny_output.parent / "workflow.yaml", ["outputs.diagnostics=true"])
+    survey, context = prepared.ledger, prepared.context
+    copied = tmp_path_factory.mktemp("parts") / "out"
+    shutil.copytree(tiny_output / "store", copied / "store")
+    for kind in ("index_file", "scatter", "build_tile", "denoise", "ground"):
+        for receipt in read_receipts(context.store, kind):
+            survey.of(kind).put(receipt)
+    return survey, replace(context, output=copied)
+
+
+def only_task(survey: Survey, kind: str) -> Task:
+    phase = next(phase for phase in phases.PHASES if phase.kind == kind)
+    return max(phase.tasks(survey), key=lambda task: task.points)
+
+
+@pytest.mark.parametrize(
+    ("kind", "how"),
+    [
+        ("denoise", {"parts": None}),
+        ("ground", {"bands": 3}),
+        ("ground", {"bands": 200}),
+    ],
+)
+def test_parts_give_the_same_labels(
+    finished: tuple[Survey, Context], kind: str, how: dict[str, object]
+) -> None:
+    survey, context = finished
+    task = only_task(survey, kind)
+    if kind == "denoise":
+        west, south, east, north = task.args["core"]
+        middle, third = (west + east) // 2 + 7, south + (north - south) // 3
+        how = {"parts": [[west, south, middle, north], [middle, south, east, third],
+                         [middle, third, east, north]]}  # fmt: skip
+    labels = {"denoise": "noise", "ground": "ground"}[kind]
+    path = context.store.labels(labels, task.args.get("block") or task.args["cell"])
+    before = path.read_bytes()
+    path.unlink()
+    produced = getattr(space_domain, kind)({**task.args, **how}, context)
+    assert path.read_bytes() == before
+    assert produced.points == task.points
+    (receipt,) = (r for r in read_receipts(context.store, kind) if r.name == task.name)
+    assert {k: v for k, v in produced.facts.items() if k != "layers"} == {
+        k: v for k, v in receipt.facts.items() if k != "layers"
+    }
+
+
+def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Context]) -> None:
+    survey, _ = finished
+    short = replace(survey, memory_bytes=620 << 20)
+    wet = only_task(short, "ground")
+    dry = replace(short, workflow=survey.workflow.model_copy(update={"water": None}))
+    assert wet.how == only_task(survey, "ground").how == {"bands": 1}, "a level asks for all of it"
+    assert only_task(dry, "ground").how["bands"] > 1
+    assert only_task(dry, "ground").args == wet.args
+    assert len(only_task(short, "denoise").how["parts"]) > 1
