@@ -139,7 +139,7 @@ def _whole(content: bytes) -> Iterator[tuple[int, int]]:
     yield 0, len(content)
 
 
-def _ends(content: bytes) -> Iterator[tuple[int, int]]:
+def file_ends(content: bytes) -> Iterator[tuple[int, int]]:
     """Where formats with a footer tell what they hold."""
     yield max(len(content) - 900, 0), len(content)
     yield 0, min(200, len(content))
@@ -234,9 +234,9 @@ SEEDS: Final[dict[str, tuple[str, Callable[[Path], Path], Parts]]] = {
     "laz 1.4": (".laz", _laz, las_parts),
     "copc": (".copc.laz", _copc, las_parts),
     "trajectory csv": (".csv", _csv, _whole),
-    "trajectory parquet": (".parquet", _parquet, _ends),
+    "trajectory parquet": (".parquet", _parquet, file_ends),
     "trajectory sbet": (".sbet", _sbet, _whole),
-    "geotiff": (".tif", _geotiff, _ends),
+    "geotiff": (".tif", _geotiff, file_ends),
     "gpkg": (".gpkg", _gpkg, _whole),
     "geojson": (".geojson", _geojson, _whole),
     "atl03": (".h5", _atl03, _whole),
@@ -244,7 +244,7 @@ SEEDS: Final[dict[str, tuple[str, Callable[[Path], Path], Parts]]] = {
     "mabel": (".h5", _mabel, _whole),
     "track csv": (".csv", _track_csv, _whole),
     "frames": (".h5", _frames_h5, _whole),
-    "l1 frames": (".parquet", _l1_frames, _ends),
-    "l1 detections": (".parquet", _l1_detections, _ends),
+    "l1 frames": (".parquet", _l1_frames, file_ends),
+    "l1 detections": (".parquet", _l1_detections, file_ends),
 }
 """How a name ends, what writes it, where it is tender; by format."""

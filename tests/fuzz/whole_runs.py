@@ -19,12 +19,14 @@ import laspy
 import yaml
 
 from spl_batch.cli.lines import LINE_MAX
+from spl_batch.geiger.coincidence.simulate import simulate as simulate_looks
 from tests import surveys
 from tests.altimetry.tracks import small_track, write_atl03
 from tests.altimetry.tracks import write_workflow as write_track_workflow
 from tests.fuzz.mutants import Seed
 from tests.fuzz.readers import LIMIT_S, BrokenPromiseError, little_memory
-from tests.fuzz.seeds import las_parts, seed
+from tests.fuzz.seeds import file_ends, las_parts, seed
+from tests.geiger.coincidence.coincidence_scene import SMALL
 from tests.geiger.water.water_scene import write_tank
 
 SHOTS: Final = 25
@@ -97,17 +99,32 @@ def kind(name: str) -> Kind:
             content = yaml.safe_load(sound["workflow.yaml"])
             sound["workflow.yaml"] = yaml.safe_dump({**content, "aoi": "aoi.gpkg"}).encode()
             return Kind(seed("gpkg"), sound, "aoi.gpkg", lines, lost=True)
-        if name == "granules":
-            write_atl03(folder / "good.h5", {"gt1r": small_track(1, length_m=120.0)})
-            write_track_workflow(folder, "*.h5")
-            return Kind(seed("atl03"), kept(folder), "mutant_1.h5", ())
-        workflow = write_tank(folder)
-        files = kept(workflow.parent)
-        (first, *_) = sorted(n for n in files if n.startswith("frames/") and n.endswith(".h5"))
-        return Kind(Seed(files[first], ".h5"), files, first, ())
+        return _of_receiver(name, folder)
 
 
-KINDS: Final = ("flightlines", "old flightlines", "trajectory", "polygons", "granules", "tank")
+def _of_receiver(name: str, folder: Path) -> Kind:
+    """The same of the other receivers."""
+    if name == "granules":
+        write_atl03(folder / "good.h5", {"gt1r": small_track(1, length_m=120.0)})
+        write_track_workflow(folder, "*.h5")
+        return Kind(seed("atl03"), kept(folder), "mutant_1.h5", ())
+    if name in LOOKS:
+        simulate_looks(SMALL, folder)
+        files, first = kept(folder), f"l1/pass_1_{name.partition(' ')[0]}.parquet"
+        made = Seed(files[first], ".parquet", tuple(file_ends(files[first])))
+        return Kind(made, files, first, ())
+    workflow = write_tank(folder)
+    files = kept(workflow.parent)
+    (first, *_) = sorted(n for n in files if n.startswith("frames/") and n.endswith(".h5"))
+    return Kind(Seed(files[first], ".h5"), files, first, ())
+
+
+LOOKS: Final = ("detections of looks", "frames of looks")
+"""Both files of a pass of Geiger-mode looks."""
+
+KINDS: Final = (
+    "flightlines", "old flightlines", "trajectory", "polygons", "granules", "tank", *LOOKS,
+)  # fmt: skip
 """Kinds of whole runs."""
 
 
