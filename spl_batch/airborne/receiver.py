@@ -70,6 +70,9 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
+CLIP_PAGE: Final = "report_3d.html"
+"""The page beside the report on which a square can be turned."""
+
 _CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches"})
 """Kinds of task that work on a ground cell."""
 
@@ -88,7 +91,7 @@ class Imaging(Receiver[Survey, Context]):
     essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
-        *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
+        *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml", CLIP_PAGE),
         *(
             f"{p.name}{piece}.tif"
             for p in (*PRODUCTS, HILLSHADE)
@@ -273,7 +276,7 @@ class Imaging(Receiver[Survey, Context]):
     def results(self, output: Path) -> list[tuple[str, list[Path]]]:
         """What a user looks at first."""
         return [
-            ("report", [output / "report.html"]),
+            ("report", [output / "report.html", output / CLIP_PAGE]),
             (
                 "rasters",
                 [output / "dtm.tif", output / "dsm.tif", *_of_further_pieces(output)],

@@ -9,6 +9,7 @@ import numpy as np
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
 from spl_batch.airborne.hydro.flattening import bank_warnings
+from spl_batch.airborne.report.clip_view import cut_clip, write_clip
 from spl_batch.airborne.report.coverage import area_km2, density, unsure_terrain
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged
 from spl_batch.airborne.report.model import (
@@ -94,7 +95,10 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
         ),
         provenance=_provenance(done, context, facts.reference),
     )
-    write_report(context.output, report, make_pictures(_pictures(done, context, found), report))
+    pictures = make_pictures(_pictures(done, context, found), report)
+    clip = cut_clip(_tallest(done, context), done, context)
+    write_clip(context.output, report.survey.name, clip, pictures["profile"])
+    write_report(context.output, report, pictures)
     remember(done, context, facts)
     return report
 
@@ -301,6 +305,13 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
         if name is not None:
             inputs.append(input_file(context.resolve(name), role))
     return provenance(context, inputs)
+
+
+def _tallest(done: Receipts, context: Context) -> Part | None:
+    """Heights above ground of the survey, or of its first piece."""
+    pieces = find_pieces(done, context)
+    bounds = pieces[0].bounds_m if len(pieces) > 1 else None
+    return _overview(context.output / "chm.tif", bounds)
 
 
 def _pictures(done: Receipts, context: Context, found: Comparison | None) -> PictureInputs:
