@@ -17,15 +17,8 @@ from spl_batch.errors import FAULT_MAX, InputError, StoreError, brief, one_line,
 from tests import surveys
 
 HOSTILE = (
-    "<script>alert(1)<\\.laz",
-    "esc\x1b[31mred\x1b]0;title\x07.laz",
-    "line\nend\r.laz",
-    "$\\frac{$_^.laz",
-    "turned\u202eround.laz",
-    "c1\x9b31m.laz",
-    "{{7*7}}{%raw%}.laz",
-    "[bold red]rich[-].laz",
-    "&amp;\"'.laz",
+    "<script>alert(1)<\\&amp;\"'$\\frac{$_^{{7*7}}{%raw%}[bold red]rich[-].laz",
+    "esc\x1b[31mred\x1b]0;title\x07line\nend\rturned\u202eround-c1\x9b31m.laz",
     "x" * 240 + ".laz",
 )
 """Names of files, which a file system takes."""

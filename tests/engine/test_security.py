@@ -19,6 +19,7 @@ import psutil
 import pytest
 import yaml
 
+from spl_batch.engine.flow import executor
 from spl_batch.engine.flow.cluster import local_cluster
 from spl_batch.errors import DamagedError, InputError, WorkflowError
 from spl_batch.formats.verified.parquet_npz import read_arrays
@@ -78,7 +79,9 @@ def encrypted(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_the_example_of_a_cluster_with_tls_works(tmp_path: Path) -> None:
+def test_the_example_of_a_cluster_with_tls_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     keys, *_ = blocks("sh")
     command = ["bash", "-euc", keys]
     made = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)  # noqa: S603
@@ -104,6 +107,8 @@ def test_the_example_of_a_cluster_with_tls_works(tmp_path: Path) -> None:
         assert (tmp_path / "out/laz/lines/1.laz").exists()
         address = json.loads(place.read_text())["address"]
         assert address.startswith("tls://127.0.0.1:")
+        brief = {**executor.SETTINGS, "distributed.comm.timeouts.connect": "1s"}
+        monkeypatch.setattr(executor, "SETTINGS", brief)  # it would ask again for ten seconds
         without = surveys.command("run", workflow, "--scheduler", address, "--fresh")
         assert without.status == 3, "who has no key gets no answer"
 

@@ -271,20 +271,31 @@ def _count(xyz: Axes) -> Counts:
         int(axis.max()) // edge - low + 1 + half
         for axis, low in zip(xyz, (west, south), strict=False)
     )
-    layer, at = np.unique(xyz[2] // edge, return_inverse=True)
-    strip = xyz[0] // edge - west
-    order = np.argsort(strip.astype(np.int32), kind="stable")
-    start = np.searchsorted(strip[order], np.arange(nx + 1))
+    layer, at = _numbered((xyz[2] // edge).astype(np.int32))
+    strip = (xyz[0] // edge - west).astype(np.int32)
+    order = np.argsort(strip, kind="stable")
+    start = np.append(0, np.cumsum(np.bincount(strip, minlength=nx)))
+    del strip
     shape = (nx, ny, len(layer))
     count = np.zeros(shape, np.int32)
     columns, cells = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     parts = round(CUBE_M / CELL_M)
     room = np.zeros((ny, len(layer), parts, parts, parts), np.int32)
     count_strips(
-        xyz[0], xyz[1], xyz[2], at.astype(np.int32), order, start, edge, quanta(CELL_M), south,
+        xyz[0], xyz[1], xyz[2], at, order, start, edge, quanta(CELL_M), south,
         room, count, columns, cells,
     )  # fmt: skip
     return Counts((west, south), layer, count, columns, cells)
+
+
+def _numbered(index: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Indices that occur, ascending, and which of them each is: without sorting them all."""
+    low = int(index.min())
+    index = index - low
+    held = np.zeros(int(index.max()) + 1, np.bool_)
+    held[index] = True
+    number = np.cumsum(held, dtype=np.int32) - 1
+    return np.flatnonzero(held) + low, number[index]
 
 
 def _even(counts: Counts) -> NDArray[np.bool_]:
