@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from spl_batch.errors import InputError
+from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.reader import inspect, iter_points
+from spl_batch.formats.las.records import record_layout
 from tests.io_files import patch, write_las
 
 
@@ -226,6 +228,13 @@ def test_described_extra_bytes_that_are_not_there(tmp_path: Path) -> None:
         patch(path, place, "B", 10)
     )
     assert "data type of extra dimension 'a' is 77" in fault(patch(path, place, "B", 77))
+
+
+def test_a_description_of_no_bytes_is_not_copied(tmp_path: Path) -> None:
+    path = write_las(tmp_path / "a.las", extra={"a": "u1"})
+    place = path.read_bytes().index(b"LASF_Spec") - 2 + 54 + 2
+    patch(path, place, "BB", 0, 0)
+    assert [d.name for d in record_layout(read_header(path)).extra] == ["undescribed_0"]
 
 
 def test_any_damaged_header_is_refused_or_read(tmp_path: Path) -> None:

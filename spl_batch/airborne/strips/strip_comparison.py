@@ -23,9 +23,7 @@ from spl_batch.airborne.strips.strip_patches import (
     region,
 )
 from spl_batch.constants import NODATA, NOISE_SIGNAL
-from spl_batch.engine.store.working_store import forget_receipt
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.errors import DamagedError
 from spl_batch.formats.verified.parquet_npz import read_arrays, write_arrays
 from spl_batch.lattice.tables import EXCLUDED
 from spl_batch.lattice.tiles import Bounds, parse_cell
@@ -77,13 +75,9 @@ def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, 
     Raises
     ------
     DamagedError
-        If the file is damaged; the next run makes it again.
+        If the file is damaged: who writes a report has it made again.
     """
-    try:
-        arrays = read_arrays(context.store.path("strips", "map.npz"))
-    except DamagedError:
-        forget_receipt(context.store, "strip_pairs", "all")
-        raise
+    arrays = read_arrays(context.store.path("strips", "map.npz"))
     if not arrays["values"].size:
         return None
     return arrays["values"], tuple(map(float, arrays["extent_m"]))

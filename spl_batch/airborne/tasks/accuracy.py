@@ -204,7 +204,8 @@ def _squares(
         try:
             arrays = read_arrays(context.store.path("accuracy", f"{square}.npz"))
         except DamagedError as error:
-            forget_receipt(context.store, "accuracy", square)  # the next run makes it again
+            if damaged is not None:
+                forget_receipt(context.store, "accuracy", square)  # made again with the first
             damaged = damaged or error
             continue
         if "cell" in arrays:

@@ -89,9 +89,9 @@ def record_layout(header: LasHeader) -> RecordLayout:
     described = b"" if vlr is None else vlr.data
     extra: list[ExtraDimension] = []
     for start in range(0, len(described) - DESCRIPTOR_SIZE + 1, DESCRIPTOR_SIZE):
-        extra.append(
-            _dimension(header, described[start : start + DESCRIPTOR_SIZE], number=len(extra))
-        )
+        found = _dimension(header, described[start : start + DESCRIPTOR_SIZE], number=len(extra))
+        # One of no bytes holds nothing, and standard readers divide by its size.
+        extra += [found] if found.dtype.itemsize else []
     held = sum(d.dtype.itemsize for d in extra)
     left = room - bounded(
         header.path, "extra bytes that are described", held, most=room, remedy=_REWRITE

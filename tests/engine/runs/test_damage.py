@@ -1,8 +1,10 @@
 """Damage to the working store: noticed where it is read, and made good within the run."""
 
 import contextlib
+import dataclasses
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,9 +15,14 @@ import pytest
 from spl_batch import api
 from spl_batch.airborne.store.raster_cells import create_raster_store, read_window, write_cell
 from spl_batch.airborne.store.voxel_parts import add_voxels, write_voxels
+from spl_batch.airborne.strips.strip_comparison import difference_map
+from spl_batch.airborne.tasks.accuracy import compared
 from spl_batch.constants import NODATA
 from spl_batch.engine.flow import job
+from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.repair import Repairs
 from spl_batch.engine.watch.events import Event, TaskEnded
 from spl_batch.errors import DamagedError
 from spl_batch.formats.verified.parquet_npz import (
@@ -252,3 +259,29 @@ def test_what_the_report_finds_damaged_is_made_again_in_the_same_run(
     assert result.exit_status == 0
     assert (output / "report.json").exists()
     assert surveys.results(result.output) == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "pattern", "look"),
+    [
+        ("strip_pairs", "strips/map.npz", lambda _, context: difference_map(context)),
+        ("accuracy", "accuracy/*.npz", compared),
+    ],
+)
+def test_who_meets_damage_for_the_report_leaves_its_maker_known(
+    tiny_output: Path, tmp_path: Path, kind: str, pattern: str, look: Callable[..., Any]
+) -> None:
+    prepared = prepare(tiny_output.parent / "workflow.yaml", ["outputs.diagnostics=true"])
+    context, ledger = dataclasses.replace(prepared.context, output=tmp_path), prepared.ledger
+    shutil.copytree(tiny_output / "store", tmp_path / "store")
+    for name in ("dtm.tif", "dsm.tif"):
+        shutil.copy(tiny_output / name, tmp_path)
+    for made in ("reference", kind):
+        for receipt in read_receipts(context.store, made):
+            ledger.of(made).put(receipt)
+    for path in (tmp_path / "store").glob(pattern):
+        flip(path)
+    with pytest.raises(DamagedError) as met:
+        look(ledger.done, context)
+    again = Repairs(context.store).wanted([], ledger, [met.value.path])
+    assert [maker for maker, _ in again.values()] == [kind]
