@@ -23,6 +23,7 @@ from spl_batch.airborne.plan.inputs.findings import (
     copies,
     judge_index,
     looks_ahead,
+    merged_shots,
     stretches_anew,
     times_off,
 )
@@ -192,6 +193,7 @@ class Imaging(Receiver[Survey, Context]):
             if survey.has_other_stretches():
                 remember_stretch(store, survey.stretch_points)
             yield from copies(survey)
+            yield from merged_shots(survey)
             yield from looks_ahead(survey)
         if phase.kind == "trajectory" and survey.inputs.trajectory and not survey.of("trajectory"):
             failures = [r.reason for r in failed if r.kind == "trajectory"]

@@ -44,13 +44,14 @@ FURTHER: Final = 2.3
 LIKELY: Final = 180 / 610
 """Pairs of beamlets side by side over those farther apart, in an array of 10 x 10."""
 
-CLOSER: Final = 2.0
-"""Times more often than by chance that pairs must lie side by side."""
+CLOSER: Final = 4.0
+"""Times more often than by chance that pairs must lie side by side: patches of ground between
+towers have half as many."""
 
 PARTS: Final = 16
 """Parts of a flightline that are compared [count]."""
 
-SURE: Final = 6.0
+SURE: Final = 5.0
 """Standard deviations of chance beyond which it is crosstalk."""
 
 LEAST: Final = 0.005

@@ -33,6 +33,9 @@ STEP_BIN_S: Final = 1e-8
 STEP_BINS: Final = 100_000
 """Bins of that histogram: steps up to 1 ms, so PRFs from 1 kHz."""
 
+ASIDE_M: Final = 1.0
+"""What places may be off for other reasons, at most [m]."""
+
 PRF_DIGITS: Final = 3
 """Digits of an estimated pulse rate [count]: rounded times tell no more in short files."""
 
@@ -234,6 +237,29 @@ def look_ahead(beams: BeamTable, time_s: NDArray[np.float64]) -> Ahead | None:
     to_return = beams.direction[rows] * beams.range_m[rows, None]
     ahead = float(np.mean(to_return[:, :2] @ velocity)) / speed
     return Ahead(ahead, float(-np.mean(to_return[:, 2])), speed)
+
+
+def off_one_beam(table: PointTable) -> tuple[int, int]:
+    """Returns of one channel and one time, and those that cannot lie on one beam with the first.
+
+    Parameters
+    ----------
+    table : PointTable
+        Rows sorted by ``gps_time`` and ``channel``, with ``x, y, z``.
+
+    Returns
+    -------
+    together, apart : int
+        Returns that follow another one of their channel and time; those of them that lie farther
+        aside of the first one than :data:`ASIDE_M` and a beam of 45 degrees explain [count].
+    """
+    starts = run_starts(table["gps_time"], table["channel"])
+    first = np.repeat(starts[:-1], np.diff(starts))
+    later = np.flatnonzero(first < np.arange(len(first)))
+    steps = (table[axis][later].astype(np.int64) - table[axis][first[later]] for axis in "xyz")
+    east, north, up = (QUANTUM_M * step for step in steps)
+    apart = np.hypot(east, north) > ASIDE_M + np.abs(up)
+    return len(later), int(np.count_nonzero(apart))
 
 
 def ordered_times(time_s: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Noise of a block as the model has it, and as it is where haze or cloud fills the air."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,7 +11,9 @@ from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.expected_noise import Expected, NoiseModel
 from spl_batch.airborne.noise.haze import (
     CUBE_M,
+    REACH_M,
     Air,
+    Axes,
     Layers,
     count_cubes,
     find_air,
@@ -21,6 +23,13 @@ from spl_batch.airborne.noise.haze import (
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
+
+CUBES_MOST: Final = 2_000_000
+"""Cubes that are counted at once, 60 bytes each [count]: those of a wide block with few points
+would take more than its points do."""
+
+MARGIN: Final = round(REACH_M / CUBE_M)
+"""What a strip reads on each side [cubes]."""
 
 COLUMNS_NEEDED: Final = ("x", "y", "z", "flags", "afterpulse")
 
@@ -63,11 +72,61 @@ def look_at_air(
         return Look(core)
     counted = ~table.has(EXCLUDED | PointFlag.NO_BEAM) & ~dependents(table)
     x, y, z = (table[axis].astype(np.int64, copy=False) for axis in "xyz")
-    counts = count_cubes((x, y, z), counted)
+    looks = [_look_at(span, (x, y, z), counted, model, core) for span in _strips((x, y, z))]
+    airs = [look.air for look in looks if look.air is not None]
+    layers = [look.layers for look in looks if look.layers is not None]
+    return Look(core, _beside(airs) if airs else None, _added(layers) if layers else None)
+
+
+def _strips(xyz: Axes) -> Iterator[tuple[int, int]]:
+    """Spans of x, whole cubes, that hold no more than :data:`CUBES_MOST` each [quanta]."""
+    if not len(xyz[0]):
+        return
+    edge = quanta(CUBE_M)
+    (west, east), (south, north), (low, _) = (
+        (int(axis.min()) // edge, int(axis.max()) // edge + 1) for axis in xyz
+    )
+    layers = int(np.count_nonzero(np.bincount(xyz[2] // edge - low)))
+    wide = max(CUBES_MOST // ((north - south) * layers) - 2 * MARGIN, MARGIN)
+    for first in range(west, east, wide):
+        yield first * edge, min(first + wide, east) * edge
+
+
+def _look_at(
+    span: tuple[int, int], xyz: Axes, counted: NDArray[np.bool_], model: NoiseModel, core: Bounds
+) -> Look:
+    """Air of a strip, and noise by layer where squares have their middles in it."""
+    (low, high), margin = span, quanta(REACH_M)
+    counts = count_cubes(xyz, counted & (xyz[0] >= low - margin) & (xyz[0] < high + margin))
     if counts is None:
         return Look(core)
     air = find_air(counts, model.local)
-    return Look(core, air, noise_by_layer(counts, air, model.local, core))
+    mine = (max(core.xmin, low), core.ymin, min(core.xmax, high), core.ymax)
+    layers = noise_by_layer(counts, air, model.local, mine)
+    if air is None:
+        return Look(core, None, layers)
+    west = air.cube[:, 0] * quanta(CUBE_M)
+    own = np.flatnonzero((west >= low) & (west < high))
+    return Look(core, _beside([air], own) if len(own) else None, layers)
+
+
+def _beside(parts: Sequence[Air], rows: NDArray[np.intp] | slice = slice(None)) -> Air:
+    """Air of strips side by side, or some of its rows."""
+    return Air(
+        np.concatenate([part.cube for part in parts])[rows],
+        np.concatenate([part.density for part in parts])[rows],
+        np.concatenate([part.held for part in parts])[rows],
+        np.concatenate([part.returns for part in parts])[rows],
+        np.concatenate([part.expected for part in parts])[rows],
+    )
+
+
+def _added(parts: Sequence[Layers]) -> Layers:
+    """Noise by layer of all strips."""
+    layer, at = np.unique(np.concatenate([part.layer for part in parts]), return_inverse=True)
+    returns = np.bincount(at, np.concatenate([part.returns for part in parts]), len(layer))
+    expected = np.bincount(at, np.concatenate([part.expected for part in parts]), len(layer))
+    return Layers(layer, returns.astype(np.int64), expected.astype(np.float64))
 
 
 def noise_in_air(

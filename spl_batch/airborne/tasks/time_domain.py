@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.afterpulse import afterpulse_law, candidates
 from spl_batch.airborne.afterpulse.law_warnings import disagreements, uneven
-from spl_batch.airborne.beams import crosstalk
+from spl_batch.airborne.beams import crosstalk, geometry
 from spl_batch.airborne.beams.bloom import find_bloom
 from spl_batch.airborne.beams.shot_runs import run_starts
 from spl_batch.airborne.beams.told_apart import told_apart
@@ -65,6 +65,8 @@ def gather(args: Mapping[str, Any], context: Context) -> Produced:
     facts: dict[str, Any] = {"points": len(table), "uncovered": 0, "copies": again}
     if not len(table):
         return Produced((), facts)
+    if args["beamlets"] > 1:
+        facts["off_one_beam"] = geometry.off_one_beam(table)
     look = lines_of_sight.observe_table if args["trajectory"] else lines_of_sight.collect
     looked = look(table, args, context)
     return Produced(looked.outputs, {**facts, **looked.facts}, len(table))

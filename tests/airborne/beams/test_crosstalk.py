@@ -19,7 +19,7 @@ def directions(channel):
     return np.stack([row, column, np.full(len(channel), -1.0)], axis=1)
 
 
-def line(rng, *, chance=0.0, noise=8.0, shots=1600, wire=0.0, lean=0.13):
+def line(rng, *, chance=0.0, noise=8.0, shots=2000, wire=0.0, lean=0.13):
     """Ground at 2500 m, noise in 200 m, crosstalk, and in some of the shots a wire 40 m up."""
     channels, ranges, number = [], [], []
     for shot in range(shots):
@@ -72,6 +72,16 @@ def test_wires_over_a_third_of_a_flightline_are_no_crosstalk():
     assert parts[1]["crosstalk"][:, 2].sum() > 100, "the wire has returns side by side"
     assert not told(parts)
     assert not told(parts[::-1])
+
+
+def test_patches_of_ground_between_towers_are_no_crosstalk_however_long_the_flightline():
+    rng = np.random.default_rng(6)
+    part = line(rng, noise=0.3, shots=400)["crosstalk"]
+    # As many pairs, and as many of them side by side, as among towers of 45 to 60 m.
+    part[:, 1:] = [100, 9, 12]
+    whole = np.tile(part, (200, 1))
+    whole[:, 0] = np.arange(len(whole))
+    assert not told([{"crosstalk": whole}])
 
 
 def test_a_flightline_without_shots_tells_nothing():

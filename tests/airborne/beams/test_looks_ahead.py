@@ -125,3 +125,16 @@ def test_the_mean_of_a_scan_is_where_it_was_put() -> None:
     beams.known[: 4 * len(time) // 5] = False
     assert look_ahead(beams, time) is None, "too short to tell"
     assert look_ahead(*a_scan(4.0, 0.1, 55.0)) is None, "a sensor that stands has no direction"
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.02])
+def test_shots_that_share_one_time_are_told(small: Path, step_s: float) -> None:
+    for k in (1, 2):
+        line = surveys.flightline(shots=120, psid=k, start_s=surveys.START_S + 3 * (k - 1), seed=k)
+        line["gps_time"] = np.round(line["gps_time"] / step_s) * step_s
+        surveys.write_cloud(small.parent / "lines" / f"line_{k}.laz", line)
+    events: list[Event] = []
+    surveys.run(small, until="shots", listener=events.append)
+    said = [e.text for e in events if isinstance(e, Note) and "not lie on one beam" in e.text]
+    assert len(said) == (step_s > 0.001)
+    assert all("rounded to more than the time between shots" in text for text in said)

@@ -45,6 +45,32 @@ def canopy(rng, per_m2=20.0):
     return np.floor(np.concatenate([leaves, ground]) * 1000).astype(np.int64) + CORNER
 
 
+def turbid(rng, per_m3=1.0, extinction=0.15):
+    """A closed canopy, evenly turbid: what it returns falls off with the depth, 20 m of it."""
+    depth = rng.exponential(1 / extinction, int(per_m3 * SIDE_M**2 / extinction))
+    depth = depth[depth < 20]
+    xyz = np.column_stack([rng.random((len(depth), 2)) * SIDE_M, 30.0 - depth])
+    return np.floor(xyz * 1000).astype(np.int64) + CORNER
+
+
+def thin(rng, per_m3=0.05):
+    """Bare branches, seen so seldom that returns in pairs are all that tells them."""
+    middle = rng.random((int(per_m3 * SIDE_M**2 * 10), 3)) * [SIDE_M, SIDE_M, 20] + [0, 0, 8]
+    xyz = np.repeat(middle, 2, axis=0) + rng.normal(0, 0.5, (2 * len(middle), 3))
+    return np.floor(xyz * 1000).astype(np.int64) + CORNER
+
+
+@pytest.mark.parametrize(
+    ("leaves", "constant", "without"), [(turbid, "STEADY", 100.0), (thin, "PAIRS_LEAST", 40)]
+)
+def test_canopies_that_one_rule_alone_keeps_out(monkeypatch, leaves, constant, without):
+    rng = np.random.default_rng(3)
+    parts = [box(rng, 0.004, -60, 80), leaves(rng)]
+    assert found(parts, 0.004)[1] is None
+    monkeypatch.setattr(haze, constant, without)
+    assert found(parts, 0.004)[1] is not None
+
+
 @pytest.mark.parametrize("per_m3", [0.3, 1.5])
 def test_a_layer_is_found_with_its_height_and_its_density(per_m3):
     rng = np.random.default_rng(1)

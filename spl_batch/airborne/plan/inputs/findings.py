@@ -29,6 +29,10 @@ PAIRS_NAMED: Final = 5
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
 
+MERGED: Final = 0.1
+"""Share of returns of one time and channel off one beam that no flightline has whose times tell its
+shots apart."""
+
 
 _TIMELESS: Final = (
     "no usable gps_time (none, not finite, or the same for every point); such points are delivered "
@@ -209,6 +213,28 @@ def looks_ahead(survey: Survey) -> Iterator[str]:
                 f"{late}, and noise and reflectance are computed along wrong beams; correct its "
                 "times. If the files hold only a part of each scan, ignore this"
             )
+
+
+def merged_shots(survey: Survey) -> Iterator[str]:
+    """Say where several shots share one time, or channels are none."""
+    counts: dict[str, list[tuple[int, int]]] = {}
+    for name, receipt in survey.of("gather").items():
+        if "off_one_beam" in receipt.facts:
+            line = name.split("/", maxsplit=1)[0]
+            counts.setdefault(line, []).append(receipt.facts["off_one_beam"])
+    shares: dict[str, float] = {}
+    for line, stretches in counts.items():
+        together, apart = np.sum(stretches, axis=0).tolist()
+        if apart > MERGED * max(together, 1):
+            shares[line] = apart / together
+    if shares:
+        yield (
+            f"{named([*shares])}: of returns with the same time and channel up to "
+            f"{100 * max(shares.values()):.0f} % do not lie on one beam: gps_time is rounded to "
+            "more than the time between shots, or survey.channel_dimension holds no beamlet "
+            "numbers. In this run ground, roofs and leaves are lost as afterpulses; deliver times "
+            "that tell shots apart, or name the dimension that numbers the beamlets"
+        )
 
 
 def _contradicted_rates(survey: Survey) -> Iterator[str]:

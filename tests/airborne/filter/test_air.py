@@ -1,0 +1,50 @@
+"""Air of a block does not depend on the strips that it is looked at in."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from spl_batch.airborne.filter import air as looking
+from spl_batch.airborne.settings.workflow import Workflow
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import Bounds
+
+CORNER = np.array([272_000_000, 3_290_000_000, 40_000])
+CORE = Bounds(272_030_000, 3_290_030_000, 272_130_000, 3_290_110_000)
+
+
+def block() -> PointTable:
+    """Noise, ground, and haze in the middle of it."""
+    rng = np.random.default_rng(3)
+
+    def box(per_m3: float, low: float, high: float) -> np.ndarray:
+        size = np.array([160.0, 140.0, high - low])
+        return rng.random((rng.poisson(per_m3 * size.prod()), 3)) * size + [0, 0, low]
+
+    haze = box(0.9, 50, 75)
+    haze = haze[np.hypot(haze[:, 0] - 80, haze[:, 1] - 70) < 45]
+    xyz = np.concatenate([box(0.04, -40, 100), box(30.0, 0, 0.1), haze])
+    xyz = np.floor(xyz * 1000).astype(np.int64) + CORNER
+    columns = dict(zip("xyz", xyz.T, strict=True))
+    columns |= {"flags": np.zeros(len(xyz), np.uint8), "afterpulse": np.zeros(len(xyz), np.float32)}
+    return PointTable(columns)
+
+
+def test_strips_of_a_block_find_the_air_of_the_whole(monkeypatch: Any) -> None:
+    table = block()
+    # Rising from west to east, so that a sum of floats would depend on its order.
+    model: Any = SimpleNamespace(local=lambda at: 0.04 + (at[0] - CORNER[0]) * 1e-8 / 3)
+    settings = Workflow.model_validate({"survey": {"flightlines": "x"}, "output": "o"})
+    whole = looking.look_at_air(table, model, settings, CORE)
+    monkeypatch.setattr(looking, "CUBES_MOST", 12_000)
+    assert len(list(looking._strips([table[axis] for axis in "xyz"]))) > 3
+    strips = looking.look_at_air(table, model, settings, CORE)
+    assert whole.air is not None
+    assert strips.air is not None
+    assert whole.air.held.sum() > 500
+    for name in whole.air._fields:
+        assert np.array_equal(getattr(whole.air, name), getattr(strips.air, name)), name
+    told, told_of_strips = (looking.facts_of([look]) for look in (whole, strips))
+    assert told == told_of_strips
+    assert len(told["layers"]) == 20
