@@ -33,7 +33,7 @@ from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import REMEDIES
 from spl_batch.airborne.precompile import compile_share
-from spl_batch.airborne.products.product_table import HILLSHADE, NAMES, PRODUCTS
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
@@ -95,7 +95,7 @@ class Imaging(Receiver[Survey, Context]):
         *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml", CLIP_PAGE),
         *(
             f"{p.name}{piece}.tif"
-            for p in (*PRODUCTS, HILLSHADE)
+            for p in (*PRODUCTS, HILLSHADE, *ABOVE_GEOID)
             if p.delivered
             for piece in ("", "_[0-9]*")
         ),
@@ -217,7 +217,7 @@ class Imaging(Receiver[Survey, Context]):
             return [f"tiles/{task.name}{copc}.laz"]
         if task.kind == "mosaic" and task.args["delivered"]:
             return [f"{task.name}.tif"]
-        if task.kind in {"deliver_copc", "deliver_hillshade"}:
+        if task.kind in {"deliver_copc", "deliver_hillshade", "deliver_geoid"}:
             return [task.args["target"]]
         if task.kind == "deliver_catalogue":
             return _catalogue_files(task)

@@ -81,7 +81,9 @@ def _accuracy(known: Evidence) -> Requirement:
     limit, nva = known.rmse_v_m, known.nva
     required = f"RMSE_V at most {centimetres(limit)} at {ENOUGH} open checkpoints or more"
     place = ("Absolute vertical accuracy, NVA", required)
-    section = f"{EDITION}, 7.4, 7.12, 7.13; {LBS}, {PROCESSING}, Absolute Vertical Accuracy"
+    section = (
+        f"{EDITION}, sections 7.4, 7.12 and 7.13; {LBS}, {PROCESSING}, Absolute Vertical Accuracy"
+    )
     if nva is None or not nva.n:
         why = (
             "no open checkpoint lies on the terrain"
@@ -116,10 +118,10 @@ def _vegetated(known: Evidence) -> Requirement:
         if vva is not None and vva.rmse_v1_m is not None:
             found = f"fit {centimetres(vva.rmse_v1_m)} at {vva.n} checkpoints"
         why = f"a statement needs {ENOUGH} vegetated checkpoints of known accuracy"
-        return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, 7.4")
+        return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, section 7.4")
     found = f"RMSE_V {centimetres(vva.rmse_v_m)} at {vva.n} checkpoints"
     why = "the standard sets no limit any more: it is reported"
-    return Requirement(*place, found, "pass", why, STANDARD, f"{EDITION}, 7.4")
+    return Requirement(*place, found, "pass", why, STANDARD, f"{EDITION}, section 7.4")
 
 
 def _mean_error(known: Evidence) -> Requirement:
@@ -129,11 +131,13 @@ def _mean_error(known: Evidence) -> Requirement:
     if nva is None or nva.mean_m is None or nva.n < ENOUGH:
         why = f"needs {ENOUGH} open checkpoints"
         found = "not tested" if nva is None else centimetres(nva.mean_m)
-        return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, 7.2")
+        return Requirement(*place, found, "cannot tell", why, STANDARD, f"{EDITION}, section 7.2")
     good = abs(nva.mean_m) <= limit
     why = f"a quarter of the largest RMSE_V{'' if good else ': find the cause before delivery'}"
     answer: Answer = "pass" if good else "fail"
-    return Requirement(*place, centimetres(nva.mean_m), answer, why, STANDARD, f"{EDITION}, 7.2")
+    return Requirement(
+        *place, centimetres(nva.mean_m), answer, why, STANDARD, f"{EDITION}, section 7.2"
+    )
 
 
 def _density(known: Evidence) -> Requirement:

@@ -14,7 +14,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from spl_batch.constants import ADJUSTED_STANDARD_OFFSET_S
-from spl_batch.formats.crs import horizontal
+from spl_batch.formats.crs import horizontal, vertical
 from spl_batch.formats.gps_clock import leap_seconds
 
 GPS_EPOCH: Final = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
@@ -122,6 +122,8 @@ class RasterFile:
         What its band holds.
     range : (float, float) or None
         Smallest and largest value of its overview; None where all is nodata.
+    crs : CRS or None
+        Its own.
     """
 
     href: str
@@ -131,6 +133,7 @@ class RasterFile:
     meaning: str
     unit: str
     range: tuple[float, float] | None
+    crs: CRS | None
 
     @property
     def name(self) -> str:
@@ -145,12 +148,13 @@ def read_raster_file(output: Path, href: str) -> RasterFile:
         meaning = source.descriptions[0] or href
         unit = source.units[0] or ""
         levels, cell_m, nodata = len(source.overviews(1)), source.transform.a, source.nodata
+        crs = CRS.from_wkt(source.crs.to_wkt()) if source.crs else None
     coarse = {"overview_level": levels - 1} if levels else {}
     with rasterio.open(output / href, **coarse) as source:
         values = source.read(1)
     held = values[values != nodata]
     ends = (float(held.min()), float(held.max())) if held.size else None
-    return RasterFile(href, tuple(bounds), shape, float(cell_m), meaning, unit, ends)
+    return RasterFile(href, tuple(bounds), shape, float(cell_m), meaning, unit, ends, crs)
 
 
 @dataclass(frozen=True)
@@ -192,6 +196,14 @@ class Delivery:
             *box_m, densify_pts=EDGE_POINTS
         )
         return west, south, east, north
+
+    def crs_of(self, raster: RasterFile) -> CRS:
+        """The CRS of all, but of a raster whose heights are above something else its own."""
+        if raster.crs is None:
+            return self.crs
+        mine, ours = vertical(raster.crs), vertical(self.crs)
+        alike = mine is ours if mine is None or ours is None else mine.equals(ours)
+        return self.crs if alike else raster.crs
 
     def outline_deg(self, box_m: tuple[float, float, float, float]) -> dict[str, Any]:
         """Corners of a box in longitudes and latitudes, as GeoJSON."""

@@ -8,6 +8,8 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
+from pyproj import CRS
+
 from spl_batch.airborne.catalogue.delivered_files import Cloud, Delivery, RasterFile, outline
 from spl_batch.formats.files.atomic import write_bytes
 
@@ -130,7 +132,7 @@ def _cloud_item(cloud: Cloud, delivery: Delivery) -> Any:
     )
     kind = COPC_TYPE if cloud.href.endswith(".copc.laz") else LAZ_TYPE
     item.add_asset("data", pystac.Asset(f"../{cloud.href}", media_type=kind, roles=["data"]))
-    _project(item, delivery, cloud.box_m, (low_m, high_m))
+    _project(item, delivery.crs, cloud.box_m, (low_m, high_m))
     PointcloudExtension.ext(item, add_if_missing=True).apply(
         count=cloud.points,
         type=PhenomenologyType.LIDAR,
@@ -167,7 +169,7 @@ def _raster_item(raster: RasterFile, delivery: Delivery) -> Any:
     if raster.unit:
         asset.extra_fields["unit"] = raster.unit
     item.add_asset("data", asset)
-    _project(item, delivery, raster.box_m)
+    _project(item, delivery.crs_of(raster), raster.box_m)
     west, _, _, north = raster.box_m
     found = ProjectionExtension.ext(item)
     found.shape = list(raster.shape)
@@ -177,20 +179,20 @@ def _raster_item(raster: RasterFile, delivery: Delivery) -> Any:
 
 def _project(
     item: Any,
-    delivery: Delivery,
+    crs: CRS,
     box_m: tuple[float, float, float, float],
     heights_m: tuple[float, float] | None = None,
 ) -> None:
     from pystac.extensions.projection import ProjectionExtension  # noqa: PLC0415
 
-    authority = delivery.crs.to_authority()
+    authority = crs.to_authority()
     west, south, east, north = box_m
     box = [west, south, east, north]
     if heights_m is not None:
         box = [west, south, heights_m[0], east, north, heights_m[1]]
     ProjectionExtension.ext(item, add_if_missing=True).apply(
         code=":".join(authority) if authority else None,
-        wkt2=delivery.crs.to_wkt("WKT2_2019"),
+        wkt2=crs.to_wkt("WKT2_2019"),
         geometry=outline(box_m),
         bbox=box,
     )

@@ -8,11 +8,12 @@ N. Haala & C. Brenner (1999, *Extraction of buildings and trees in urban environ
 1. What stands :data:`STANDS_M` or more above the ground around takes part. The ground is the mean
    of ground returns of each square metre, the nearest one where a square has none.
 2. Of each window of 3 x 3 cells of an absolute grid the plane by least squares is found; it is a
-   roof's if the returns spread by no more than :data:`FLAT_M` about it, and lie in all directions.
-   A return is planar that lies near the plane of a window around it. Cells of 1 m are tried first;
-   where no window holds :data:`FEWEST` returns, those of 2 m, and of 4 m.
-3. Planar returns are of a building where most returns of the 5 x 5 cells around are planar; so are
-   others where nearly all are, as chimneys and ridges.
+   roof's if the returns spread by no more than :data:`FLAT_M` about it, lie in all directions, and
+   are as many as those of the ground there: conductors side by side let light pass. A return is
+   planar that lies near the plane of a window around it. Cells of 1 m are tried first; where no
+   window holds :data:`FEWEST` returns, those of 2 m, and of 4 m.
+3. Planar returns are of a building where many returns of the 5 x 5 cells around are planar; so are
+   others where most are, as chimneys and ridges.
 
 What is flat, high, and no building, as a deck of a bridge, is taken for one.
 """
@@ -42,7 +43,7 @@ GROUND_CELL_M: Final = 1.0
 FEWEST: Final = 6
 """Returns that make a plane [count]."""
 
-FLAT_M: Final = 0.25
+FLAT_M: Final = 0.30
 """Standard deviation about a roof's plane, at most [m]."""
 
 STEEPEST: Final = 1.8
@@ -54,8 +55,8 @@ WIDE: Final = 0.12
 NEAR_SIGMA: Final = 2.5
 """A return is near a plane within so many of its standard deviations."""
 
-MOST: Final = 0.5
-NEARLY_ALL: Final = 0.75
+MANY: Final = 0.4
+MOST: Final = 0.6
 """Shares of planar returns around that make a building of planar, and of other returns, 0..1."""
 
 AROUND: Final = 2
@@ -126,7 +127,11 @@ def buildings(table: PointTable, usable: NDArray[np.bool_], region: Bounds) -> N
     for cell_m in CELLS_M:
         if judged.all():
             break
-        able, building = _of_cells(xyz, region, quanta(cell_m))
+        grid = _Grid(region, quanta(cell_m))
+        below = np.bincount(
+            grid.number(table["x"][ground], table["y"][ground]), minlength=grid.rows * grid.columns
+        ).reshape(grid.rows, grid.columns)
+        able, building = _of_cells(xyz, grid, below)
         found[rows[building & ~judged]] = True
         judged |= able
     return found
@@ -158,7 +163,7 @@ class _Grid:
     """Absolute cells over a region."""
 
     def __init__(self, region: Bounds, edge: int) -> None:
-        self.edge = edge
+        self.region, self.edge = region, edge
         self.west, self.south = region.xmin // edge, region.ymin // edge
         self.columns = -(-region.xmax // edge) - self.west
         self.rows = -(-region.ymax // edge) - self.south
@@ -170,15 +175,24 @@ class _Grid:
 
 
 def _of_cells(
-    xyz: NDArray[np.int32], region: Bounds, edge: int
+    xyz: NDArray[np.int32], grid: _Grid, below: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which returns cells of one size can judge, and which of them are of buildings."""
-    grid = _Grid(region, edge)
-    shape = grid.rows, grid.columns
-    number = grid.number(
-        xyz[:, 0].astype(np.int64) + region.xmin, xyz[:, 1].astype(np.int64) + region.ymin
-    )
-    planes = _planes(xyz, number, shape, edge)
+    """Which returns cells of one size can judge, and which of them are of buildings.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int32
+        What stands above the ground, from the corner of the region [quanta].
+    grid : _Grid
+        The cells.
+    below : (rows, cols) int64
+        Ground returns of each [count].
+    """
+    shape = below.shape
+    corner = grid.region.xmin, grid.region.ymin
+    number = grid.number(*(xyz[:, k].astype(np.int64) + corner[k] for k in (0, 1)))
+    planes = _planes(xyz, number, (grid.rows, grid.columns), grid.edge)
+    planes = planes._replace(roof=planes.roof & (_around(below, 1) <= planes.returns))
     able, planar = np.zeros((2, len(xyz)), np.bool_)
     for start in range(0, len(xyz), AT_ONCE):
         part = slice(start, start + AT_ONCE)
@@ -188,7 +202,7 @@ def _of_cells(
         _around(np.bincount(of, minlength=cells).reshape(shape), AROUND).ravel()[number]
         for of in (number, number[planar])
     )
-    building = planar & (flat >= MOST * total) | (flat >= NEARLY_ALL * total)
+    building = planar & (flat >= MANY * total) | (flat >= MOST * total)
     return able, building
 
 
@@ -255,5 +269,6 @@ def _planes(
     narrowest = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
     roof = (n >= FEWEST) & (narrowest >= (WIDE * 3 * edge) ** 2)
     roof &= (square <= quanta(FLAT_M) ** 2) & (np.hypot(east, north) <= STEEPEST)
-    sigma = np.where(roof, np.sqrt(square), 0.0)
+    # Returns of one line have no plane, and no slope that could be multiplied.
+    east, north, sigma = (np.where(roof, values, 0.0) for values in (east, north, np.sqrt(square)))
     return _Planes(n, roof, mx, my, mz, east, north, sigma)

@@ -26,17 +26,16 @@ def deliver_copc(survey: Survey) -> Iterator[Task]:
 
 def catalogue(survey: Survey) -> Iterator[Task]:
     """One task, once there is anything to list."""
-    delivered, made = survey.of("deliver_file"), survey.of("mosaic")
+    delivered = survey.of("deliver_file")
     if not survey.workflow.outputs.catalogue or not delivered:
         return
-    twins, shades = survey.of("deliver_copc"), survey.of("deliver_hillshade")
+    twins, made_of = survey.of("deliver_copc"), ("mosaic", "deliver_hillshade", "deliver_geoid")
+    rasters = [(kind, name, r) for kind in made_of for name, r in sorted(survey.of(kind).items())]
     clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
-    receipts = [r for kept in (made, shades) for _, r in sorted(kept.items())]
-    rasters = [name for r in receipts for name in r.outputs if "store/" not in name]
     checkpoints = survey.of("checkpoints")
     args = {
         "clouds": list(clouds.values()),
-        "rasters": rasters,
+        "rasters": [n for *_, r in rasters for n in r.outputs if "store/" not in n],
         "flightlines": list(_flightlines(survey, clouds)),
         "blocks": [
             [unit.name, list(unit.core), unit.name in survey.of("denoise")]
@@ -49,8 +48,7 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     needs = (
         *(("deliver_file", key) for key in clouds),
         *(("deliver_copc", key) for key in sorted(twins)),
-        *(("mosaic", name) for name in sorted(made)),
-        *(("deliver_hillshade", name) for name in sorted(shades)),
+        *((kind, name) for kind, name, _ in rasters),
         *(("checkpoints", name) for name in sorted(checkpoints)),
     )
     yield Task("deliver_catalogue", "all", args, needs)

@@ -14,7 +14,7 @@ from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import Need, needs
-from spl_batch.airborne.products.product_table import products
+from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
 from spl_batch.engine.plan.budget import Cost, measured_rates
@@ -164,6 +164,7 @@ def _rasters_and_comparisons(survey: Survey, cells: int) -> int:
     workflow, sources = survey.workflow, survey.inputs.sources
     maps, outputs = workflow.products.maps, workflow.outputs
     rasters = len(products(reflectance=False, maps=maps)) + maps
+    rasters += len(ABOVE_GEOID) * (outputs.geoid is not None)
     # flightlines are told by the index; until it is there, each file counts as one
     spans = [receipt.facts["spans"] for receipt in survey.of("index_file").values()]
     lines = len({psid for span in spans for psid in span}) or len(sources)

@@ -25,7 +25,12 @@ from spl_batch.airborne.plan.task_memory import (
     points_within,
     refusal,
 )
-from spl_batch.airborne.products.product_table import HILLSHADE, is_piece, products
+from spl_batch.airborne.products.product_table import (
+    ABOVE_GEOID,
+    HILLSHADE,
+    is_piece,
+    products,
+)
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import Bounds, CellId, cell_runs, grow, parse_cell, quanta
 
@@ -237,6 +242,7 @@ def mosaic(survey: Survey) -> Iterator[Task]:
                 "delivered": product.delivered,
                 "meaning": product.meaning,
                 "unit": product.unit,
+                "colours": list(product.colours),
             }
             yield Task("mosaic", name, args, needs)
 
@@ -250,6 +256,24 @@ def hillshade(survey: Survey) -> Iterator[Task]:
             made = name.replace("dtm", HILLSHADE.name)
             args = {"source": f"{name}.tif", "target": f"{made}.tif"}
             yield Task("deliver_hillshade", made, args, (("mosaic", name),))
+
+
+def geoid(survey: Survey) -> Iterator[Task]:
+    """Terrain and surface above a geoid, where one is named."""
+    if survey.workflow.outputs.geoid is None:
+        return
+    for name in sorted(survey.of("mosaic")):
+        for product in ABOVE_GEOID:
+            source = product.name.removesuffix("_geoid")
+            if is_piece(name, source):
+                made = name.replace(source, product.name)
+                args = {
+                    "source": f"{name}.tif",
+                    "target": f"{made}.tif",
+                    "meaning": product.meaning,
+                    "unit": product.unit,
+                }
+                yield Task("deliver_geoid", made, args, (("mosaic", name),))
 
 
 def _boxes(survey: Survey, fact: str) -> dict[str, Sequence[int]]:

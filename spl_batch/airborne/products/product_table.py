@@ -18,6 +18,8 @@ class Product(NamedTuple):
         Whether it goes into the output; else it serves the report alone.
     is_map : bool
         Whether it is one of the maps of ``products.maps``.
+    colours : tuple of str
+        Of counts: colours of 0, 1 and so on, the last one for all above.
     """
 
     name: str
@@ -25,7 +27,11 @@ class Product(NamedTuple):
     unit: str
     delivered: bool = True
     is_map: bool = False
+    colours: tuple[str, ...] = ()
 
+
+SWATHS: Final = ("#d7301f", "#fdd49e", "#c7e9c0", "#74c476", "#238b45", "#00441b")
+"""No flightline is red, one pale, more are greener."""
 
 PRODUCTS: Final = (
     Product("dtm", "height of the terrain", "m"),
@@ -37,7 +43,7 @@ PRODUCTS: Final = (
     Product("first_returns", "first returns of pulses per m2", "1/m2", is_map=True),
     Product("last_returns", "last returns of pulses per m2", "1/m2", is_map=True),
     Product("voids", "edge of the largest empty square of four spacings", "m", is_map=True),
-    Product("swaths", "flightlines with a first return", "1", is_map=True),
+    Product("swaths", "flightlines with a first return", "1", is_map=True, colours=SWATHS),
     Product("noise", "expected noise", "1/m3", delivered=False),
 )
 """Every raster, in the order in which they are written."""
@@ -51,6 +57,12 @@ NAMES: Final = tuple(product.name for product in PRODUCTS)
 
 HILLSHADE: Final = Product("hillshade", "shaded relief of the terrain", "", is_map=True)
 """Made of the finished terrain model, not of ground cells."""
+
+ABOVE_GEOID: Final = (
+    Product("dtm_geoid", "height of the terrain above the geoid", "m"),
+    Product("dsm_geoid", "height of the surface above the geoid", "m"),
+)
+"""Made of the finished models, where a geoid is named."""
 
 
 def products(*, reflectance: bool, maps: bool = False) -> tuple[Product, ...]:

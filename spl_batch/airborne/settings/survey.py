@@ -106,6 +106,18 @@ class AcquisitionSettings(Section):
         return prf_hz
 
 
+class GeoidSettings(Section):
+    """A geoid that terrain and surface are given above as well."""
+
+    grid: str = Field(
+        description="Grid of its heights above the ellipsoid of the survey's CRS: a name that PROJ "
+        "knows, or a path relative to this file."
+    )
+    crs: str | None = Field(
+        None, description="Vertical CRS of heights above it, in metres, e.g. EPSG:5703."
+    )
+
+
 class OutputSettings(StoreSettings):
     """What is written beside the classified clouds."""
 
@@ -116,6 +128,11 @@ class OutputSettings(StoreSettings):
         "class that the input gave it.",
     )
     tiles: Literal["none", "laz", "copc"] = Field("none", description="Points by tile as well.")
+    geoid: GeoidSettings | None = Field(
+        None,
+        description="Where heights are above the ellipsoid: dtm_geoid.tif and dsm_geoid.tif, "
+        "heights above a geoid.",
+    )
     copc: bool = Field(
         False, description="Each classified cloud once more as COPC, in the folder copc."
     )

@@ -1,6 +1,7 @@
 """Stage ``deliver``: labels back to the input files, mosaics, points by tile."""
 
 from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +11,16 @@ from numpy.typing import NDArray
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products import hillshade
+from spl_batch.airborne.products.hillshade import BLOCK
 from spl_batch.airborne.products.product_table import HILLSHADE
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.tasks import index
-from spl_batch.constants import NOISE_SIGNAL
+from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.tasks.context import Produced
 from spl_batch.engine.tasks.input_changes import as_indexed, unchanged
-from spl_batch.errors import Remark
+from spl_batch.errors import Remark, WorkflowError, grouped
+from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.copc_copy import copy_as_copc
 from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.header import read_header
@@ -215,6 +218,47 @@ def deliver_hillshade(args: Mapping[str, Any], context: Context) -> Produced:
     return Produced([target], {"rows": terrain.shape[0], "columns": terrain.shape[1]})
 
 
+def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write heights of a model once more above a geoid, some of them at a time."""
+    named = context.workflow.outputs.geoid
+    if named is None:  # a plan makes no such task
+        raise WorkflowError("outputs.geoid: none is named")
+    geoid = Geoid(named.grid, context.resolve(named.grid), context.crs)
+    source, target = context.output / args["source"], context.output / args["target"]
+    beyond = 0
+
+    def blocks() -> Iterator[tuple[int, int, NDArray[np.float32]]]:
+        nonlocal beyond
+        rows, columns = model.shape
+        for row, col in product(range(0, rows, BLOCK), range(0, columns, BLOCK)):
+            heights = model.read(row, min(row + BLOCK, rows), col, min(col + BLOCK, columns))
+            east = model.left_m + (col + np.arange(heights.shape[1]) + 0.5) * model.cell_m
+            north = model.top_m - (row + np.arange(heights.shape[0]) + 0.5) * model.cell_m
+            x, y = (side.ravel() for side in np.meshgrid(east, north))
+            above = heights - geoid.heights(x, y).reshape(heights.shape)
+            known = heights != np.float32(NODATA)
+            beyond += int(np.count_nonzero(known & np.isnan(above)))
+            kept = np.where(known & ~np.isnan(above), above, NODATA)
+            yield row, col, kept.astype(np.float32)
+
+    with windows(source) as model:
+        write_cog(
+            target,
+            blocks(),
+            shape=model.shape,
+            origin_xy_m=(model.left_m, model.top_m),
+            cell_m=model.cell_m,
+            crs=geoid.crs_above(named.crs).to_wkt(),
+            description=args["meaning"],
+            unit=args["unit"],
+        )
+    lost = (
+        f"{args['target']}: {grouped(beyond)} cells lie beyond the grid {named.grid} and are void"
+    )
+    facts = {"name": args["target"], "warnings": [Remark(lost)] if beyond else []}
+    return Produced([target], facts)
+
+
 def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     """Join a product's raster cells into one cloud-optimised GeoTIFF."""
     products = context.workflow.products
@@ -238,5 +282,6 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
         crs=context.crs_wkt or None,
         description=args["meaning"],
         unit=args["unit"],
+        colours=args["colours"],
     )
     return Produced([target], {"rows": shape[0], "columns": shape[1]})

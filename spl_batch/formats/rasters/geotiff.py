@@ -3,7 +3,7 @@
 import math
 import shutil
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +27,9 @@ Blocks = Iterable[tuple[int, int, NDArray[np.float32]]]
 TILE_PX: Final = 256
 """Edge of a COG's internal tile [cells]."""
 
+NO_COUNT: Final = 255
+"""Value of cells that hold nothing in a raster of counts with colours."""
+
 CACHE_BYTES: Final = 64 * 2**20
 """GDAL's block cache while a COG is written: memory does not grow with the raster [bytes]."""
 
@@ -42,6 +45,7 @@ def write_cog(
     description: str,
     unit: str = "",
     nodata: float = NODATA,
+    colours: Sequence[str] = (),
 ) -> None:
     """Write a cloud-optimised GeoTIFF: tiled, deflated, with overviews; equal input, equal bytes.
 
@@ -65,6 +69,9 @@ def write_cog(
         Unit of its values, as GDAL's unit type; empty where they have none.
     nodata : float
         Value of cells that hold nothing.
+    colours : sequence of str
+        Of values that are counts: colours ``#rrggbb`` of 0, 1 and so on, the last one for all
+        above. The raster is one of bytes with a colour table then, its nodata :data:`NO_COUNT`.
 
     Raises
     ------
@@ -76,6 +83,8 @@ def write_cog(
         If ``crs`` is not understood.
     """
     pieces: Blocks = [(0, 0, blocks)] if isinstance(blocks, np.ndarray) else blocks
+    if colours:
+        pieces, nodata = _counts(pieces, nodata), NO_COUNT
     try:
         known_crs = None if crs is None else rasterio.crs.CRS.from_user_input(crs)
     except CRSError as error:
@@ -85,7 +94,7 @@ def write_cog(
         "height": shape[0],
         "width": shape[1],
         "count": 1,
-        "dtype": "float32",
+        "dtype": "uint8" if colours else "float32",
         "nodata": nodata,
         "crs": known_crs,
         "transform": Affine(cell_m, 0.0, origin_xy_m[0], 0.0, -cell_m, origin_xy_m[1]),
@@ -98,8 +107,8 @@ def write_cog(
         ):
             # Overviews and other by-products of GDAL come and go with the folder.
             plain, finished = Path(folder, "plain.tif"), Path(folder, "cog.tif")
-            marks = _write_plain(plain, pieces, profile, (description, unit))
-            _add_overviews(plain, shape)
+            marks = _write_plain(plain, pieces, profile, (description, unit), colours)
+            _add_overviews(plain, shape, Resampling.mode if colours else Resampling.average)
             _copy_as_cog(plain, finished)
             _verify(finished, marks)
             finished.replace(cog)
@@ -108,7 +117,11 @@ def write_cog(
 
 
 def _write_plain(
-    path: Path, pieces: Blocks, profile: dict[str, Any], named: tuple[str, str]
+    path: Path,
+    pieces: Blocks,
+    profile: dict[str, Any],
+    named: tuple[str, str],
+    colours: Sequence[str],
 ) -> list[tuple[Window, int]]:
     """Write pieces as they come; uncompressed, so that rewriting a tile leaves no waste.
 
@@ -121,15 +134,31 @@ def _write_plain(
         out.set_band_description(1, named[0])
         if named[1]:
             out.set_band_unit(1, named[1])
+        if colours:
+            out.write_colormap(1, _table(colours))
         for row, col, block in pieces:
             rows, cols = block.shape
             window = Window(col, row, cols, rows)
-            values = block.astype(np.float32, copy=False)
+            values = block.astype(profile["dtype"], copy=False)
             out.write(values, 1, window=window)
             marks.append((window, zlib.crc32(values.tobytes())))
             summary.add(values)
         out.update_tags(1, **summary.tags())
     return marks
+
+
+def _counts(pieces: Blocks, nodata: float) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
+    """Whole numbers that a byte holds."""
+    for row, col, block in pieces:
+        held = np.clip(np.rint(block), 0, NO_COUNT - 1)
+        yield row, col, np.where(block == np.float32(nodata), NO_COUNT, held).astype(np.float32)
+
+
+def _table(colours: Sequence[str]) -> dict[int, tuple[int, int, int, int]]:
+    """Colour of each byte; that of nodata lets everything through."""
+    known = [(*bytes.fromhex(colour.removeprefix("#")), 255) for colour in colours]
+    table = {k: known[min(k, len(known) - 1)] for k in range(NO_COUNT)}
+    return {**table, NO_COUNT: (0, 0, 0, 0)}
 
 
 class _Summary:
@@ -150,7 +179,7 @@ class _Summary:
         self.squares: list[float] = []
         self.held = 0
 
-    def add(self, values: NDArray[np.float32]) -> None:
+    def add(self, values: NDArray[Any]) -> None:
         """Take a piece in."""
         known = values[values != self.nodata].astype(np.float64)
         self.held += known.size
@@ -215,13 +244,13 @@ def _finer(start: int, count: int, ratio: float, size: int) -> NDArray[np.int64]
     return cells
 
 
-def _add_overviews(path: Path, shape: tuple[int, int]) -> None:
+def _add_overviews(path: Path, shape: tuple[int, int], by: Resampling) -> None:
     """Overviews down to one tile, and one always: GDAL by itself leaves small rasters without."""
     factors = [2]
     while max(shape) // factors[-1] > TILE_PX:
         factors.append(2 * factors[-1])
     with rasterio.open(path, "r+") as raster:
-        raster.build_overviews(factors, Resampling.average)
+        raster.build_overviews(factors, by)
 
 
 def _copy_as_cog(plain: Path, cog: Path) -> None:

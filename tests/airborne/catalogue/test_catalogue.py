@@ -25,6 +25,7 @@ from spl_batch import api
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.catalogue.delivered_files import utc_span
 from tests import surveys
+from tests.formats.test_geoid import by_hand, write_grid
 
 PROJJSON = json.loads(Path(get_data_dir(), "projjson.schema.json").read_text(encoding="utf-8"))
 EXTENSIONS = {
@@ -62,7 +63,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("catalogued")
     workflow = surveys.small_survey(
         folder,
-        outputs={"copc": True},
+        outputs={"copc": True, "geoid": {"grid": write_grid(folder / "a.gtx"), "crs": "EPSG:5703"}},
         products={"maps": True},
         reference={"checkpoints": "checkpoints.csv"},
     )
@@ -82,7 +83,7 @@ def read(path: Path) -> Any:
 
 def test_stac_keeps_to_its_schemas(output: Path) -> None:
     items = read(output / "stac" / "items.json")["features"]
-    assert len(items) == 11 + len([*(output / "laz").rglob("*.laz")])
+    assert len(items) == 13 + len([*(output / "laz").rglob("*.laz")])
     assert faults(read(output / "stac" / "collection.json")) == []
     assert [fault for item in items for fault in faults(item)] == []
     broken = {**items[0], "properties": {**items[0]["properties"], "pc:count": -1}}
@@ -90,6 +91,23 @@ def test_stac_keeps_to_its_schemas(output: Path) -> None:
     assert faults({**items[0], "bbox": [0]}) != []
     shape = {**items[-1], "properties": {**items[-1]["properties"], "proj:shape": [1, 2, 3]}}
     assert faults(shape) != []
+
+
+def test_models_come_above_the_geoid_in_a_crs_that_says_so(output: Path) -> None:
+    items = {item["id"]: item for item in read(output / "stac" / "items.json")["features"]}
+    for model in ("dtm", "dsm"):
+        with rasterio.open(output / f"{model}.tif") as source:
+            plain, transform, nodata = source.read(1), source.transform, source.nodata
+        with rasterio.open(output / f"{model}_geoid.tif") as source:
+            above = source.read(1)
+            assert source.transform == transform
+            assert CRS.from_wkt(source.crs.to_wkt()).sub_crs_list[1].to_epsg() == 5703
+        known = plain != nodata
+        assert np.array_equal(above != nodata, known)
+        place = rasterio.transform.xy(transform, *np.nonzero(known))
+        np.testing.assert_allclose(plain[known] - above[known], by_hand(*place), atol=2e-4)
+        assert "NAVD88" in items[f"{model}_geoid"]["properties"]["proj:wkt2"]
+        assert "NAVD88" not in items[model]["properties"]["proj:wkt2"]
 
 
 def test_every_link_of_stac_leads_somewhere(output: Path) -> None:

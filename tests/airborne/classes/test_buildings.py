@@ -1,4 +1,4 @@
-"""Roofs, crowns, walls and decks on a slope; planes against a solver; seams and order."""
+"""Roofs, crowns and conductors; planes against a solver; seams and order."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta
 
 EDGE_M = 100
-GROUND, ROOF, CROWN, WALL = range(4)
+GROUND, ROOF, CROWN, WIRE = range(4)
 
 
 def terrain(x, y):
@@ -121,6 +121,19 @@ def test_planes_are_those_of_a_solver(seed: int) -> None:
                 assert planes.sigma[row, column] == pytest.approx(sigma, rel=1e-6)
                 slopes = planes.east[row, column], planes.north[row, column]
                 assert slopes == pytest.approx(plane[:2], abs=1e-6)
+
+
+def test_conductors_side_by_side_are_no_roof() -> None:
+    rng = np.random.default_rng(5)
+    n = 12 * EDGE_M**2
+    x, y = rng.uniform(0, EDGE_M - 0.001, (2, n))
+    along, conductor = rng.uniform(0, EDGE_M - 0.001, 1200), rng.integers(0, 3, 1200)
+    wires = np.column_stack([along, 50.0 + conductor, np.full(1200, 9.0)])
+    xyz = np.concatenate([np.column_stack([x, y, np.zeros(n)]), wires])
+    xyz[:, 2] += rng.normal(0, 0.05, len(xyz))
+    kind = np.repeat([GROUND, WIRE], [n, 1200])
+    found = buildings(table(xyz, kind), np.ones(len(kind), np.bool_), REGION)
+    assert found.mean() == 0
 
 
 def test_what_is_low_and_what_has_no_ground_is_none() -> None:

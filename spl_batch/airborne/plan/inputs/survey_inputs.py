@@ -25,6 +25,7 @@ from spl_batch.formats.crs import (
     with_vertical,
 )
 from spl_batch.formats.files.atomic import checksum
+from spl_batch.formats.geoid import Geoid
 from spl_batch.formats.las.reader import LasFacts, inspect
 
 MAX_POINTS = 2**32 - 1
@@ -142,6 +143,9 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
     if workflow.breaklines is not None and good:
         read_breaklines(base / workflow.breaklines, crs)  # whatever is wrong is told here
+    if workflow.outputs.geoid is not None and good:
+        geoid = workflow.outputs.geoid
+        Geoid(geoid.grid, base / geoid.grid, crs).crs_above(geoid.crs)
     warnings = [*workflow.remarks()]
     said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
