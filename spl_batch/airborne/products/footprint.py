@@ -47,8 +47,8 @@ Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
 
 def footprint(
     table: PointTable, cell: Bounds, settings: ProductSettings, within: Within | None = None
-) -> int:
-    """Squares of :data:`SQUARE_M2` of a ground cell that its returns cover [count].
+) -> NDArray[np.bool_]:
+    """Squares of a ground cell that its returns cover.
 
     Parameters
     ----------
@@ -61,21 +61,63 @@ def footprint(
         The widest void.
     within : callable, optional
         Takes the centres of squares; those that it refuses do not count.
+
+    Returns
+    -------
+    (rows, cols) bool
+        Squares of :func:`whole_squares`, from the south.
     """
     wide = _squares(grow(cell, quanta(2 * settings.void_max_m)))
-    core = _squares(cell)
-    # the margin is that of two discs; a square's own width is taken off them
-    reach = quanta(settings.void_max_m) // SQUARE_Q - 1
-    if _covers_all(table, wide, reach // COARSE - 2):
-        covered = np.ones((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
-    else:
-        covered = _covered(table, wide, core, reach)
-    if within is not None:
-        row, column = np.nonzero(covered)
-        half = SQUARE_Q // 2
-        east, north = (core.xmin + column) * SQUARE_Q + half, (core.ymin + row) * SQUARE_Q + half
-        return int(np.count_nonzero(within(east, north)))
-    return int(np.count_nonzero(covered))
+    some = table.select(("x", "y", "ground")).take(slice(None, None, len(table) // ENOUGH + 1))
+    some = some.take(some["ground"] == 1)
+
+    def all_about_ground() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        there = about_ground(table, _quanta(wide))
+        return table["x"][there], table["y"][there]
+
+    covered = _covered(some["x"], some["y"], all_about_ground, cell, settings)
+    return covered if within is None else refused(covered, cell, within)
+
+
+def within_returns(
+    x: NDArray[np.int64], y: NDArray[np.int64], cell: Bounds, settings: ProductSettings
+) -> NDArray[np.bool_]:
+    """Squares of a ground cell that some returns cover, such as those of signal.
+
+    Off the edge of a swath, and of a lake, there is noise but no signal.
+
+    Parameters
+    ----------
+    x, y : (n,) int64
+        Returns of the cell and of twice ``settings.void_max_m`` around it, in any order [quanta].
+    cell : Bounds
+        The ground cell [quanta].
+    settings : ProductSettings
+        The widest void.
+
+    Returns
+    -------
+    (rows, cols) bool
+        As of :func:`footprint`.
+    """
+    near = inside(x, y, _quanta(_squares(grow(cell, quanta(2 * settings.void_max_m)))))
+    step = slice(None, None, len(x) // ENOUGH + 1)
+    return _covered(x[step], y[step], lambda: (x[near], y[near]), cell, settings)
+
+
+def whole_squares(cell: Bounds) -> Bounds:
+    """The squares whose south-western corner a ground cell owns [quanta]."""
+    return _quanta(_squares(cell))
+
+
+def refused(covered: NDArray[np.bool_], cell: Bounds, within: Within) -> NDArray[np.bool_]:
+    """Squares without those whose centre ``within`` refuses; shapes as of :func:`footprint`."""
+    row, column = np.nonzero(covered)
+    core, half = _squares(cell), SQUARE_Q // 2
+    east, north = (core.xmin + column) * SQUARE_Q + half, (core.ymin + row) * SQUARE_Q + half
+    kept = np.zeros_like(covered)
+    kept[row, column] = within(east, north)
+    return kept
 
 
 def _squares(region: Bounds) -> Bounds:
@@ -94,25 +136,41 @@ def _held(column: NDArray[np.int64], row: NDArray[np.int64], frame: Bounds) -> N
     return held
 
 
-def _covers_all(table: PointTable, wide: Bounds, reach: int) -> bool:
-    """Whether some of the ground already tells that no place is far from all points."""
-    some = table.select(("x", "y", "ground")).take(slice(None, None, len(table) // ENOUGH + 1))
-    some = some.take((some["ground"] == 1) & inside(some["x"], some["y"], _quanta(wide)))
-    if reach < 1 or not len(some):
+def _covered(
+    some_x: NDArray[np.int64],
+    some_y: NDArray[np.int64],
+    everything: Callable[[], tuple[NDArray[np.int64], NDArray[np.int64]]],
+    cell: Bounds,
+    settings: ProductSettings,
+) -> NDArray[np.bool_]:
+    """Squares that returns cover; all of them are looked at where some do not tell."""
+    wide, core = _squares(grow(cell, quanta(2 * settings.void_max_m))), _squares(cell)
+    # the margin is that of two discs; a square's own width is taken off them
+    reach = quanta(settings.void_max_m) // SQUARE_Q - 1
+    if _cover_all(some_x, some_y, wide, reach // COARSE - 2):
+        return np.ones((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
+    return _closed(*everything(), wide, core, reach)
+
+
+def _cover_all(x: NDArray[np.int64], y: NDArray[np.int64], wide: Bounds, reach: int) -> bool:
+    """Whether some of the returns already tell that no place is far from all of them."""
+    there = inside(x, y, _quanta(wide))
+    if reach < 1 or not there.any():
         return False
     edge = SQUARE_Q * COARSE
     frame = Bounds(
         wide.xmin // COARSE, wide.ymin // COARSE, -(-wide.xmax // COARSE), -(-wide.ymax // COARSE)
     )
-    held = _held(some["x"] // edge, some["y"] // edge, frame)
+    held = _held(x[there] // edge, y[there] // edge, frame)
     return bool((distance_transform_edt(~held) <= reach).all())
 
 
-def _covered(table: PointTable, wide: Bounds, core: Bounds, reach: int) -> NDArray[np.bool_]:
-    """Squares of the core that points cover, as far as points reach."""
+def _closed(
+    x: NDArray[np.int64], y: NDArray[np.int64], wide: Bounds, core: Bounds, reach: int
+) -> NDArray[np.bool_]:
+    """Squares of the core that returns cover, as far as returns reach."""
     covered = np.zeros((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
-    there = about_ground(table, _quanta(wide))
-    column, row = (table[axis][there] // SQUARE_Q for axis in "xy")
+    column, row = x // SQUARE_Q, y // SQUARE_Q
     if not len(column):
         return covered
     hull = Bounds(int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1)

@@ -22,6 +22,7 @@ from spl_batch.airborne.accuracy.evidence import (
 from spl_batch.airborne.accuracy.requirements import requirements
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import Flightline, find_flightlines
+from spl_batch.airborne.products.footprint import SQUARE_M2
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage
 from spl_batch.airborne.pulses.smooth_surfaces import STEPS, Repeatability, repeatability
 from spl_batch.airborne.report.model import Checkpoint, Checkpoints, CheckpointStatistics, StripPair
@@ -56,7 +57,7 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         pulses_per_m2=asked.pulses_per_m2 or limits.pulses_per_m2,
         nva=nva,
         vva=vva,
-        pulses=_pulses(done, context, limits.spacing),
+        pulses=_pulses(done, limits.spacing),
         water_known=workflow.water is not None,
         swaths=_swaths(strip_pairs(done)),
         smooth=_smooth(done, limits.spacing),
@@ -123,21 +124,20 @@ def _tested(done: Receipts) -> tuple[AtCheckpoints, AtCheckpoints] | tuple[None,
     return at_checkpoints(errors["open"]), at_checkpoints(errors["vegetated"])
 
 
-def _pulses(done: Receipts, context: Context, spacing: str) -> PulseTotals | None:
+def _pulses(done: Receipts, spacing: str) -> PulseTotals | None:
     """First returns of all ground cells; None where one was made without counting."""
     facts: list[Mapping[str, Any]] = [r.facts for r in done.get("surface", {}).values()]
     if not facts or any(pulses.LEVELS not in of_cell for of_cell in facts):
         return None
     found = [Coverage(*of_cell[pulses.LEVELS][spacing]) for of_cell in facts]
-    cell_m2 = context.workflow.products.cell_m**2
     place_m2 = (SPACINGS[spacing] * QUANTUM_M) ** 2
     return PulseTotals(
         pulses=sum(of_cell[pulses.PULSES] for of_cell in facts),
-        area_m2=sum(of_cell[pulses.CELLS] for of_cell in facts) * cell_m2,
+        area_m2=sum(of_cell[pulses.FLOWN] for of_cell in facts) * SQUARE_M2,
         squares=sum(one.squares for one in found),
         filled=sum(one.filled for one in found),
         void_m2=sum(one.void for one in found) * place_m2,
-        bare_m2=sum(of_cell[pulses.BARE] for of_cell in facts) * cell_m2,
+        bare_m2=sum(of_cell[pulses.BARE] for of_cell in facts) * SQUARE_M2,
     )
 
 

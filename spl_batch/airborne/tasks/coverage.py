@@ -1,6 +1,7 @@
 """What a survey covers and how densely: counted by each ground cell, added up for the report."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -33,10 +34,8 @@ UNSURE_M: Final = 0.5
 """Terrain that may be off by more than this is not known well [m]."""
 
 
-def covered(
-    table: PointTable, core: Bounds, arrays: Mapping[str, NDArray[np.float32]], context: Context
-) -> dict[str, Any]:
-    """Facts of a ground cell: whole numbers, so that sums do not depend on their order.
+def flown_squares(table: PointTable, core: Bounds, context: Context) -> NDArray[np.bool_]:
+    """Squares of a ground cell that returns cover, within the area of interest.
 
     Parameters
     ----------
@@ -44,24 +43,36 @@ def covered(
         Points of the cell and around it that its rasters are made of.
     core : Bounds
         The cell [quanta].
+    context : Context
+        The run.
+    """
+    aoi = context.workflow.aoi
+    within = (
+        None if aoi is None else partial(contains, read_polygons(context.resolve(aoi), context.crs))
+    )
+    return footprint(table, core, context.workflow.products, within)
+
+
+def covered(
+    squares: NDArray[np.bool_], arrays: Mapping[str, NDArray[np.float32]], context: Context
+) -> dict[str, Any]:
+    """Facts of a ground cell: whole numbers, so that sums do not depend on their order.
+
+    Parameters
+    ----------
+    squares : (rows, cols) bool
+        Its squares that returns cover, of :func:`flown_squares`.
     arrays : mapping of str to (rows, cols) float32
         Its rasters; ``dtm``, ``dtm_quality`` and ``density`` are looked at.
     context : Context
         The run.
     """
-    within = None
-    if context.workflow.aoi is not None:
-        polygons = read_polygons(context.resolve(context.workflow.aoi), context.crs)
-
-        def within(east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.bool_]:
-            return contains(polygons, east, north)
-
     products = context.workflow.products
     flown = arrays["density"] != NODATA
     returns = np.rint(arrays["density"][flown].astype(np.float64) * products.cell_m**2)
     values, counts = np.unique(returns.astype(np.int64), return_counts=True)
     return {
-        _SQUARES: footprint(table, core, products, within),
+        _SQUARES: int(np.count_nonzero(squares)),
         _CELLS: dict(zip(map(str, values.tolist()), counts.tolist(), strict=True)),
         _VOIDS: int(np.count_nonzero(arrays["dtm"][flown] == NODATA)),
         _HEIGHTS: int(np.count_nonzero(arrays["dtm"] != NODATA)),

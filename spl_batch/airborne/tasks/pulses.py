@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.products.flown_cells import close
+from spl_batch.airborne.products.footprint import (
+    SQUARE_Q,
+    refused,
+    whole_squares,
+    within_returns,
+)
 from spl_batch.airborne.products.surface_rasters import margin_cells
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, coverage, not_flown, reach_q
 from spl_batch.airborne.pulses.pulse_maps import flightline_of, pulse_maps
@@ -20,13 +25,14 @@ from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
 from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 
 PULSES: Final = "pulses"
-"""Fact of a ground cell: first returns on flown cells with signal around, no water [count]."""
+"""Fact of a ground cell: first returns on flown squares with signal around, no water [count]."""
 
-CELLS: Final = "pulse_cells"
-"""Fact of a ground cell: those cells [count]."""
+FLOWN: Final = "pulse_squares"
+"""Fact of a ground cell: those squares [count]."""
 
 BARE: Final = "pulse_bare"
-"""Fact of a ground cell: flown cells beyond every signal, at the edge or in a wide hole [count]."""
+"""Fact of a ground cell: flown squares beyond every signal, off the edge or in a wide hole
+[count]."""
 
 LEVELS: Final = "pulse_levels"
 """Fact of a ground cell: a :class:`~spl_batch.airborne.pulses.pulse_coverage.Coverage` by
@@ -95,9 +101,12 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
 
 
 def pulse_facts(
-    returns: PulseReturns, core: Bounds, density: NDArray[np.float32], context: Context
+    returns: PulseReturns, core: Bounds, squares: NDArray[np.bool_], context: Context
 ) -> dict[str, Any]:
     """What the report needs to know: whole numbers, so that sums do not depend on their order.
+
+    Nothing here depends on the raster's cells: at the edge of a survey coarse ones would count
+    ground that nobody has flown.
 
     Parameters
     ----------
@@ -105,28 +114,27 @@ def pulse_facts(
         First and last returns.
     core : Bounds
         The cell [quanta].
-    density : (rows, cols) float32
-        Its raster of density, nodata where nothing was flown.
+    squares : (rows, cols) bool
+        Its squares that were flown (:mod:`~spl_batch.airborne.products.footprint`).
     context : Context
         The run.
     """
-    products = context.workflow.products
-    flown = ~not_flown(density)
-    if context.workflow.water is not None:
-        flown &= ~_water(core, flown.shape, context)
     x, y, _ = returns.first.T
-    bare = flown & ~within_signal(x, y, core, products)
-    flown &= ~bare
+    dry = squares
+    if context.workflow.water is not None:
+        polygons = read_polygons(context.resolve(context.workflow.water), context.crs)
+        dry = refused(squares, core, lambda east, north: ~contains(polygons, east, north))
+    signal = within_returns(x, y, core, context.workflow.products)
+    flown, region = dry & signal, whole_squares(core)
     levels: Mapping[str, Any] = {
-        level: coverage(x, y, core, flown, spacing)[0] for level, spacing in SPACINGS.items()
+        level: coverage(x, y, region, flown, spacing)[0] for level, spacing in SPACINGS.items()
     }
-    own = inside(x, y, core)
-    size = (core.xmax - core.xmin) // flown.shape[1]
-    counted = flown[(y[own] - core.ymin) // size, (x[own] - core.xmin) // size]
+    own = inside(x, y, region)
+    counted = flown[(y[own] - region.ymin) // SQUARE_Q, (x[own] - region.xmin) // SQUARE_Q]
     return {
         PULSES: int(np.count_nonzero(counted)),
-        CELLS: int(np.count_nonzero(flown)),
-        BARE: int(np.count_nonzero(bare)),
+        FLOWN: int(np.count_nonzero(flown)),
+        BARE: int(np.count_nonzero(dry & ~signal)),
         LEVELS: {level: list(found) for level, found in levels.items()},
         SMOOTH: {
             level: [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
@@ -162,30 +170,3 @@ def pulse_rasters(
     """
     line = flightline_of(returns.point_source_id, returns.time_s, passes)
     return pulse_maps(returns.first[:, :2], returns.last, line, core, ~not_flown(density))
-
-
-def within_signal(
-    x: NDArray[np.int64], y: NDArray[np.int64], core: Bounds, products: ProductSettings
-) -> NDArray[np.bool_]:
-    """Raster cells that hold a first return or lie in a gap no wider than two voids.
-
-    Off the edge of a swath, and of a lake, there is noise but no signal.
-    """
-    size, margin = quanta(products.cell_m), margin_cells(products)
-    wide = grow(core, margin * size)
-    shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
-    held = np.zeros(shape, np.bool_)
-    near = inside(x, y, wide)
-    held[(y[near] - wide.ymin) // size, (x[near] - wide.xmin) // size] = True
-    closed = close(held, quanta(products.void_max_m) // size)
-    return closed[margin : shape[0] - margin, margin : shape[1] - margin]
-
-
-def _water(core: Bounds, shape: tuple[int, int], context: Context) -> NDArray[np.bool_]:
-    """Raster cells whose centres lie in water polygons, row 0 southernmost."""
-    size = (core.xmax - core.xmin) // shape[1]
-    x = np.arange(core.xmin + size // 2, core.xmax, size, dtype=np.int64)
-    y = np.arange(core.ymin + size // 2, core.ymax, size, dtype=np.int64)
-    east, north = (grid.ravel() for grid in np.meshgrid(x, y))
-    polygons = read_polygons(context.resolve(context.workflow.water or ""), context.crs)
-    return contains(polygons, east, north).reshape(shape)

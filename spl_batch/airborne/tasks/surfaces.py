@@ -28,7 +28,7 @@ from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.store.label_tables import Origin, read_region, write_labels
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import pulses
-from spl_batch.airborne.tasks.coverage import covered
+from spl_batch.airborne.tasks.coverage import covered, flown_squares
 from spl_batch.airborne.tasks.space_domain import label_units, tile_cells
 from spl_batch.constants import (
     CLASS_HIGH_NOISE,
@@ -89,13 +89,14 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
-    counted = covered(shown, core, arrays, context)
+    squares = flown_squares(shown, core, context)
+    counted = covered(squares, arrays, context)
     del shown
     columns = (*pulses.COLUMNS, "flags", "noise_class")
     returns = pulses.pulse_returns(
         cell.read(args["halo"], columns, pulses.usable)[0], core, workflow.products
     )
-    counted |= pulses.pulse_facts(returns, core, arrays["density"], context)
+    counted |= pulses.pulse_facts(returns, core, squares, context)
     if workflow.products.maps:
         arrays |= pulses.pulse_rasters(returns, core, arrays["density"], args["passes"])
     labels, facts, n_points = _classes(cell, arrays, returns)

@@ -71,7 +71,10 @@ def test_density_and_area_do_not_depend_on_the_raster_cell(tmp_path: Path, per_m
     for cell_m in (0.5, 1.0, 2.0):
         report = linear(tmp_path, cell_m, f"out{cell_m}")
         density, area_m2 = report["density"], report["survey"]["area_km2"] * 1e6
-        said.add((density["mean_per_m2"], area_m2))
+        rows = {row["name"]: row["found"] for row in report["requirements"]}
+        judged = [rows[name] for name in rows if "density" in name or "istribution" in name]
+        assert len(judged) == 2
+        said.add((density["mean_per_m2"], area_m2, *judged, rows["Data voids"]))
         assert area_m2 == pytest.approx(SIDE_M**2, rel=0.02)
         assert density["mean_per_m2"] == pytest.approx(n / area_m2, rel=1e-9)
         assert density["mean_per_m2"] == pytest.approx(n / SIDE_M**2, rel=0.02)
@@ -104,6 +107,11 @@ def table(x: NDArray[np.int64], y: NDArray[np.int64]) -> PointTable:
     return PointTable({"x": x, "y": y, "z": np.zeros(n, np.int32), "ground": np.ones(n, np.uint8)})
 
 
+def squares(*args: Any) -> int:
+    """Squares that returns cover [count]."""
+    return int(np.count_nonzero(footprint(*args)))
+
+
 def test_ground_cells_share_the_area_among_them() -> None:
     rng = np.random.default_rng(3)
     points = rng.integers(0, 90_000, (2, 30_000))
@@ -111,14 +119,14 @@ def test_ground_cells_share_the_area_among_them() -> None:
     sparse = points[:, :300]
     for x, y in (points, sparse):
         found = table(x, y)
-        whole = footprint(found, Bounds(-100_000, -100_000, 300_000, 300_000), SETTINGS)
+        whole = squares(found, Bounds(-100_000, -100_000, 300_000, 300_000), SETTINGS)
         cells = [Bounds(i, j, i + 37_100, j + 37_100) for i in range(-111_300, 200_000, 37_100)
                  for j in range(-111_300, 200_000, 37_100)]  # fmt: skip
         # the mean spacing of sparse ones is that around each cell
-        shared = sum(footprint(found, cell, SETTINGS) for cell in cells)
+        shared = sum(squares(found, cell, SETTINGS) for cell in cells)
         assert shared == pytest.approx(whole, rel=0 if len(x) > 1000 else 0.02)
-    assert footprint(table(*points), cells[0], SETTINGS) == 0
-    whole = footprint(table(*points), Bounds(0, 0, 90_000, 90_000), SETTINGS)
+    assert squares(table(*points), cells[0], SETTINGS) == 0
+    whole = squares(table(*points), Bounds(0, 0, 90_000, 90_000), SETTINGS)
     assert whole * SQUARE_M2 == pytest.approx(np.pi * 44.0**2, rel=0.02)
 
 
@@ -128,9 +136,9 @@ def test_what_some_of_the_ground_tells_is_what_all_points_tell(
     rng = np.random.default_rng(4)
     found = table(*rng.integers(-80_000, 180_000, (2, 40_000)))
     cell = Bounds(0, 0, 100_000, 100_000)
-    soon = footprint(found, cell, SETTINGS)
-    monkeypatch.setattr("spl_batch.airborne.products.footprint._covers_all", lambda *_: False)
-    assert footprint(found, cell, SETTINGS) == soon == 100_000**2 // 250**2
+    soon = squares(found, cell, SETTINGS)
+    monkeypatch.setattr("spl_batch.airborne.products.footprint._cover_all", lambda *_: False)
+    assert squares(found, cell, SETTINGS) == soon == 100_000**2 // 250**2
 
 
 def test_a_wide_gap_is_not_covered_and_a_refused_square_not_counted() -> None:
@@ -139,7 +147,7 @@ def test_a_wide_gap_is_not_covered_and_a_refused_square_not_counted() -> None:
     beside = (x < 20_000) | (x >= 70_000)
     found = table(x[beside], y[beside])
     cell = Bounds(0, 0, 100_000, 50_000)
-    assert footprint(found, cell, SETTINGS) * SQUARE_M2 == pytest.approx(50 * 50, rel=0.01)
-    west = footprint(found, cell, SETTINGS, lambda east, north: (east < 20_000) & (north > 25_000))
+    assert squares(found, cell, SETTINGS) * SQUARE_M2 == pytest.approx(50 * 50, rel=0.01)
+    west = squares(found, cell, SETTINGS, lambda east, north: (east < 20_000) & (north > 25_000))
     assert west * SQUARE_M2 == pytest.approx(20 * 25, rel=0.02)
-    assert footprint(table(x[:0], y[:0]), cell, SETTINGS) == 0
+    assert squares(table(x[:0], y[:0]), cell, SETTINGS) == 0
