@@ -92,8 +92,9 @@ def classify(
         is the
         water's surface there, or where there is none; its bottom, as whatever else lies deeper
         or higher, is 1; 6 where the input says building; 14 where ``wire`` is
-        given and 1, at least :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points that
-        nothing assessed keep the input's class, except that class 2 is this project's ground only.
+        given and 1, at least :data:`WIRE_ABOVE_M` above the surface; 1 the rest. Points
+        that are withheld or outside the area of interest keep the input's class. Others that
+        nothing assessed keep it too, but class 2 is only what this project found.
         Of what would be 1, or is vegetation by the input: 6 of a building that was found; 3, 4, 5
         by height above the DTM, where it is not void.
 

@@ -26,7 +26,14 @@ from spl_batch.formats.las.frame import Extent
 from spl_batch.formats.las.header import read_header
 from spl_batch.formats.las.known_records import broken_records
 from spl_batch.formats.las.layers import GIVEN
-from spl_batch.formats.las.writer import Decoded, write_classified, write_points
+from spl_batch.formats.las.writer import (
+    KEEP_BUT_GROUND,
+    KEEP_CLASS,
+    Decoded,
+    kept_classes,
+    write_classified,
+    write_points,
+)
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import windows
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
@@ -39,9 +46,6 @@ PASS_POINTS = 32_000_000
 _DELIVERED = ("noise_class", "classification")
 _DIAGNOSTICS = ("noise_density", "p_value")
 """Labels that are written always, and where they are asked for."""
-
-KEEP_CLASS = 255
-"""Classification of a point that nothing labelled: the input's class stays."""
 
 
 class _FileLabels:
@@ -80,9 +84,7 @@ class _FileLabels:
             at = mine["index"].astype(np.int64) - self.start
             for name in self.names:
                 self.values[name][at] = mine[name]
-        if self.context.workflow.outputs.classes == "noise":
-            signal = self.values["noise_class"] == NOISE_SIGNAL
-            self.values["classification"][signal] = KEEP_CLASS
+        _keep(self.values["classification"], self.values["noise_class"], self.context)
 
     def _tiles(self) -> Iterator[PointTable]:
         store, columns = self.context.store, ("source", "index")
@@ -94,6 +96,19 @@ class _FileLabels:
                 }
                 labels = {name: [(kind, u) for u in units[kind]] for name, kind in holders.items()}
                 yield read_labelled_tile(store, parse_cell(tile), columns, labels, files)
+
+
+def _keep(
+    classification: NDArray[np.uint8], noise_class: NDArray[np.uint8], context: Context
+) -> None:
+    """Mark what keeps the class of its input: signal where only noise was asked for.
+
+    Otherwise what nothing labelled keeps it, but for ground: class 2 is what this project found.
+    """
+    if context.workflow.outputs.classes == "noise":
+        classification[noise_class == NOISE_SIGNAL] = KEEP_CLASS
+    else:
+        classification[classification == KEEP_CLASS] = KEEP_BUT_GROUND
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
@@ -174,12 +189,9 @@ def deliver_tile(args: Mapping[str, Any], context: Context) -> Produced:
         labels["set_flags"] = [("classes", u) for u in units["classes"]]
     columns = ("x", "y", "z", "gps_time", "channel", "return_number", "intensity", "input_class")
     table = read_labelled_tile(context.store, parse_cell(args["tile"]), columns, labels)
-    given = table["classification"] == KEEP_CLASS
-    if context.workflow.outputs.classes == "noise":
-        given |= table["noise_class"] == NOISE_SIGNAL
-    table = table.with_columns(
-        classification=np.where(given, table["input_class"], table["classification"])
-    )
+    labelled = table["classification"].copy()
+    _keep(labelled, table["noise_class"], context)
+    table = table.with_columns(classification=kept_classes(labelled, table["input_class"]))
     copc = context.workflow.outputs.tiles == "copc"
     target = context.output / "tiles" / f"{args['tile']}{'.copc' if copc else ''}.laz"
     extra = {"noise_class": table["noise_class"]}

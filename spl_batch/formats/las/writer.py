@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from spl_batch.constants import FLAG_WITHHELD, QUANTA_PER_M, QUANTUM_M
+from spl_batch.constants import (
+    CLASS_GROUND,
+    CLASS_UNCLASSIFIED,
+    FLAG_WITHHELD,
+    QUANTA_PER_M,
+    QUANTUM_M,
+)
 from spl_batch.errors import WorkflowError
 from spl_batch.formats.crs import WKT_KEY
 from spl_batch.formats.las.chunks import LASZIP_KEY, RecordReader
@@ -47,6 +53,9 @@ Labels = Callable[[int, int], Mapping[str, NDArray[Any]]]
 
 KEEP_CLASS: Final = 255
 """Label ``classification`` of a point that keeps the class of the input."""
+
+KEEP_BUT_GROUND: Final = 254
+"""The same, but ground of the input becomes unclassified: this project has not found it."""
 
 ADDED: Final[Mapping[str, tuple[str, str]]] = {
     "input_classification": ("u1", "class of the input file"),
@@ -114,9 +123,9 @@ def write_classified(
     src, dst : Path
         Input; output, whose folder is made where it is missing.
     labels : callable
-        ``labels(start, stop)`` gives ``classification`` (:data:`KEEP_CLASS` keeps the
-        input's) and ``noise_class`` (uint8) and, with diagnostics, ``noise_density`` and
-        ``p_value`` (float32) of these points.
+        ``labels(start, stop)`` gives ``classification`` (:data:`KEEP_CLASS` and
+        :data:`KEEP_BUT_GROUND` keep the input's) and ``noise_class`` (uint8) and, with
+        diagnostics, ``noise_density`` and ``p_value`` (float32) of these points.
     diagnostics : bool
         Whether to add ``noise_density`` and ``p_value``.
     crs : CRS or None
@@ -188,6 +197,13 @@ def _added(name: str) -> ExtraDimension:
     return new_dimension(name, np.dtype(dtype), text)
 
 
+def kept_classes(label: NDArray[np.uint8], given: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Classes of points by their labels and the classes that the input gave them."""
+    unconfirmed = np.where(given == CLASS_GROUND, np.uint8(CLASS_UNCLASSIFIED), given)
+    kept = np.where(label == KEEP_CLASS, given, unconfirmed)
+    return np.where(label >= KEEP_BUT_GROUND, kept, label)
+
+
 def _label(
     out: NDArray[Any],
     layout: RecordLayout,
@@ -197,7 +213,7 @@ def _label(
 ) -> None:
     field = {d.name: d.field for d in layout.extra}
     given = np.asarray(values["classification"], dtype=np.uint8)
-    out["classification"] = np.where(given == KEEP_CLASS, classes, given)
+    out["classification"] = kept_classes(given, classes)
     if "set_flags" in values:
         out["classification_flags"] |= values["set_flags"]
     for name in names:

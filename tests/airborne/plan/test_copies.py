@@ -71,10 +71,14 @@ def test_points_that_a_file_holds_twice_count_once(
     columns = surveys.flightline(shots=120, psid=1, seed=1)
     size = len(columns["x"])
     assert size == len(surveys.cloud(path)["X"]), "the survey's first line"
+    columns["classification"] = np.full(size, 2, np.uint8)
     some = surveys.take(columns, slice(40, 60))
     surveys.write_cloud(path, surveys.join(columns, *[some] * times))
     result = surveys.run(small)
     name = f"lines/{path.name}"
+    cloud = surveys.delivered(result.output)[name]
+    assert np.all(cloud["input_classification"] == 2)
+    assert np.all(cloud["classification"][size:] == 1), "class 2 is ground that this run found"
     found = assessed(result.output)[name]
     alone = assessed(small_output)[name]
     assert np.array_equal(found[:size], alone)
