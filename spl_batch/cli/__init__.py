@@ -2,11 +2,12 @@
 
 import _thread
 import errno
+import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -25,6 +26,7 @@ _AGAIN_S = 0.05
 """After so long an interrupt that was dropped comes again [s]."""
 
 _LOADING = "loading, and reading the headers of the inputs"
+_STOPPING = b"\nstopping; what is finished is kept\n"
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
 
 
@@ -296,6 +298,10 @@ def _ended_in_order(told: threading.Event) -> Iterator[None]:
         return
 
     def interrupt(*_: object) -> None:
+        if not told.is_set():
+            # Nothing else may write here: the interrupt may have come amid a line of the console.
+            with suppress(OSError):  # of a terminal that is gone
+                os.write(2, _STOPPING)
         told.set()
         raise KeyboardInterrupt
 

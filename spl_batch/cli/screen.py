@@ -99,13 +99,19 @@ def print_plan(summary: "PlanSummary") -> None:
             *_finished(summary.left),
             ("disk", storage(cost.disk_bytes)),
             ("memory", _memory(summary)),
-            ("time", f"{expected(cost.time_s)} ({basis}){_time_left(summary.left)}"),
+            ("time", f"{_expected(cost.time_s)} ({basis}){_time_left(summary.left)}"),
         ]
     )
     for text in summary.warnings:
         _lines(f"warning: {text}", "yellow")
     for text in summary.faults:
         _lines(f"unusable: {text}", "red")
+
+
+def _expected(time_s: float) -> str:
+    """How long the tasks take; of a small survey the rest takes longer."""
+    apart = ", apart from starting workers and drawing the report"
+    return expected(time_s) + apart * (time_s < TOLD_FROM_S)
 
 
 def _memory(summary: "PlanSummary") -> str:

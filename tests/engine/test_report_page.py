@@ -31,6 +31,9 @@ from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report import maps, style
 from spl_batch.engine.report.parameters import changed, without
 from spl_batch.engine.report.parts import Provenance, Statistics
+from spl_batch.engine.tasks.runner import code_version
+from spl_batch.engine.verbs import reporting
+from spl_batch.errors import StoreError
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import read_overview
 from spl_batch.geiger.coincidence.report import model as coincidence
@@ -568,3 +571,22 @@ def drawn_of_others() -> list[tuple[bool, list[Any]]]:
         (True, [*hills.values(), *tank.values(), scene.pop("strip")]),
         (False, [*small, *scene.values()]),
     ]
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_records_of_another_version_are_told(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    same: bool,  # noqa: FBT001
+) -> None:
+    def fails(*_: object) -> None:
+        raise KeyError("a fact")
+
+    code = code_version("imaging") if same else "0.0.9+0123456789abcdef"
+    context = SimpleNamespace(code=code, workflow=SimpleNamespace(kind="imaging"))
+    monkeypatch.setattr(reporting, "no_output", lambda *_: "")
+    monkeypatch.setattr(reporting, "recalled", lambda _: ({}, context, None))
+    monkeypatch.setattr(reporting, "receiver", lambda _: SimpleNamespace(report=fails))
+    # a fault of this version's own is no other's
+    with pytest.raises(KeyError if same else StoreError, match=r"a fact|0\.0\.9.*run the workflow"):
+        reporting.report(tmp_path)

@@ -127,7 +127,7 @@ def _tested(done: Receipts) -> tuple[AtCheckpoints, AtCheckpoints] | tuple[None,
 def _pulses(done: Receipts, spacing: str) -> PulseTotals | None:
     """First returns of all ground cells; None where one was made without counting."""
     facts: list[Mapping[str, Any]] = [r.facts for r in done.get("surface", {}).values()]
-    if not facts or any(pulses.LEVELS not in of_cell for of_cell in facts):
+    if not facts or any(pulses.FLOWN not in of_cell for of_cell in facts):
         return None
     found = [Coverage(*of_cell[pulses.LEVELS][spacing]) for of_cell in facts]
     place_m2 = (SPACINGS[spacing] * QUANTUM_M) ** 2

@@ -10,9 +10,10 @@ from spl_batch.engine.settings.workflow_file import parse_any
 from spl_batch.engine.store.working_store import Store, read_receipt
 from spl_batch.engine.tasks.context import RunContext
 from spl_batch.engine.tasks.receipt_index import Shelf
+from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.verbs.conclusion import RunResult
 from spl_batch.engine.verbs.receiver import Place, Receiver
-from spl_batch.errors import WorkflowError, refuse_without
+from spl_batch.errors import SplBatchError, StoreError, WorkflowError, refuse_without
 from spl_batch.receivers import receiver
 
 
@@ -29,7 +30,7 @@ def report(output: Path | str) -> RunResult:
     WorkflowError
         If it is no output folder.
     StoreError
-        If no run has finished there.
+        If no run has finished there, or one of a version whose records this one cannot read.
     """
     fault = no_output(Path(output), "report")
     if fault:
@@ -38,7 +39,18 @@ def report(output: Path | str) -> RunResult:
     folder = Path(output).resolve()
     done, context, facts = recalled(folder)
     found: Receiver[Any, Any] = receiver(context.workflow.kind)
-    written = found.report(done, context, facts)
+    try:
+        written = found.report(done, context, facts)
+    except SplBatchError:
+        raise
+    except Exception as error:
+        # What tasks record changes with the code: another version's may lack what is looked for.
+        if context.code == code_version(context.workflow.kind):
+            raise
+        raise StoreError(
+            f"{folder}: made by spl-batch {context.code}, whose records this version cannot read; "
+            "run the workflow again, which does anew only what has changed"
+        ) from error
     screen, results = tuple(found.screen(written)), tuple(found.results(folder))
     return RunResult(int(bool(written.failures)), folder, written, screen, results)
 

@@ -227,12 +227,16 @@ def test_degrees_without_a_crs_are_refused(tmp_path: Path, verb: str) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_stated_crs_is_taken_at_its_word(tmp_path: Path) -> None:
-    workflow = degrees(tmp_path)
-    ended = surveys.command("plan", workflow, "--set", f"survey.crs={surveys.CRS_NAME}")
-    assert ended.status == 0, ended.text
-    workflow = degrees(tmp_path / "named", crs=surveys.CRS_NAME)
-    assert surveys.command("plan", workflow).status == 0
+def test_a_stated_crs_is_taken_at_its_word_and_told(tmp_path: Path) -> None:
+    told = "lines/1.laz, lines/2.laz: the coordinates look like degrees, but the CRS is in metres"
+    stated = ("--set", f"survey.crs={surveys.CRS_NAME}")
+    for workflow, further in (
+        (degrees(tmp_path), stated),
+        (degrees(tmp_path / "named", crs=surveys.CRS_NAME), ()),
+    ):
+        ended = surveys.command("plan", workflow, *further)
+        assert ended.status == 0, ended.text
+        assert told in " ".join(ended.text.split())
 
 
 def test_a_file_in_degrees_among_others_is_set_aside(tmp_path: Path) -> None:

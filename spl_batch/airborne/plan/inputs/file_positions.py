@@ -56,6 +56,25 @@ def without_degrees(
     return [facts for facts in files if facts.path not in found], bad
 
 
+def degrees_as_metres(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
+    """A sentence on files whose coordinates look like degrees but are taken as metres.
+
+    Parameters
+    ----------
+    files : sequence of (str, LasFacts)
+        Name and header of each file that the survey takes.
+    """
+    alike = [(n, f) for n, f in files if f.n_points and look_like_degrees(f.mins_m, f.maxs_m)]
+    corners = [corner[:2] for _, facts in alike for corner in (facts.mins_m, facts.maxs_m)]
+    found = [n for n, f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)]
+    if found:
+        yield (
+            f"{named(found, TOLD)}: the coordinates look like degrees, but the CRS is in metres, "
+            "so they are taken as metres: areas and densities are wrong if they are degrees; "
+            "reproject the files then"
+        )
+
+
 def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
     """Sentences on points far from the rest of a survey, the farthest first.
 

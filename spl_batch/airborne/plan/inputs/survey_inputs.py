@@ -10,7 +10,11 @@ from typing import NamedTuple
 
 from pyproj import CRS
 
-from spl_batch.airborne.plan.inputs.file_positions import far_positions, without_degrees
+from spl_batch.airborne.plan.inputs.file_positions import (
+    degrees_as_metres,
+    far_positions,
+    without_degrees,
+)
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import check_keys, expand, name_below, refuse_own, source_key
 from spl_batch.errors import InputError, Said, WorkflowError, named, shared
@@ -149,7 +153,8 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     warnings = [*workflow.remarks()]
     said = (Said(name_below(facts.path, base), text) for facts in good for text in facts.warnings)
     warnings += shared(said, "files")
-    warnings += far_positions([(name_below(facts.path, base), facts) for facts in good])
+    placed = [(name_below(facts.path, base), facts) for facts in good]
+    warnings += [*degrees_as_metres(placed), *far_positions(placed)]
     if crs is None and good:
         warnings.append(
             "no input file carries a CRS and survey.crs is not set: rasters will have none"
