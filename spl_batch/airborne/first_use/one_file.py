@@ -26,6 +26,9 @@ from spl_batch.formats.files.atomic import remove, replacing, write_bytes
 WORK: Final = ".work"
 """How the name of the folder ends that a result is made in, beside it."""
 
+MOSTLY: Final = 0.5
+"""Share of noise from which on a cloud without beamlet numbers may be of another kind of lidar."""
+
 _WORKFLOW: Final = "workflow.yaml"
 _MOVED: Final = "moved.json"
 """Record of the results that were moved out of the folder: size and time of writing."""
@@ -121,6 +124,8 @@ def denoise(
     moves = dict(_moves(found.output, delivered[0], cloud, raster))
     write_json(folder / _MOVED, {str(to.resolve()): _stamp(path) for path, to in moves.items()})
     rows = (*_counts(delivered[0], ground=ground), *_acquisition(store))
+    if "channel_dimension" not in content["survey"]:
+        rows += (*_doubt(delivered[0]),)
     if found.exit_status:
         rows += (("attention", f"a part failed; the same command tries it again in {folder}"),)
     for path, to in moves.items():
@@ -228,6 +233,18 @@ def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
     for name, n in counts:
         if n or name != "not assessed":
             yield name, f"{grouped(n)} ({100 * n / delivered.points:.1f} % of all points)"
+
+
+def _doubt(delivered: Receipt) -> Iterator[tuple[str, str]]:
+    """That a cloud may be none of single photons: it tells no beamlets, and most of it is noise."""
+    share = delivered.facts["noise_class"].get("1", 0) / delivered.points
+    if share > MOSTLY:
+        text = (
+            f"{100 * share:.0f} % of the points were taken for noise, and the file holds no "
+            "beamlet numbers: linear-mode lidar has no such noise, so if it is that do not "
+            "use this result; workflows/linear_mode.yaml makes ground and surfaces of such clouds"
+        )
+        yield "attention", text
 
 
 def _acquisition(store: Store) -> Iterator[tuple[str, str]]:

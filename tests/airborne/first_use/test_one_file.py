@@ -1,5 +1,6 @@
 """One file without a workflow: the labels of a run, and nothing lost on the way."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,15 @@ def test_signal_keeps_its_class_where_ground_is_not_asked_for(tmp_path: Path) ->
     assert 0.5 < signal.mean() < 0.95
     assert np.array_equal(found["classification"][signal], columns["classification"][signal])
     assert set(found["classification"][~signal]) == {7, 18}
+
+
+def test_a_cloud_that_may_be_no_single_photons_is_doubted(tmp_path: Path) -> None:
+    columns = surveys.flightline(shots=100, noise=1.0)
+    source = surveys.write_cloud(tmp_path / "in.laz", columns, channel=False)
+    ended = denoise(source, tmp_path / "out.laz")
+    assert ended.status == 0
+    assert "each shot counts as one beamlet" in ended.err
+    assert re.search(r"attention +\d\d % of the points .* linear-mode lidar", ended.out)
 
 
 def test_nothing_is_replaced_unless_told(line: Path, tmp_path: Path) -> None:
