@@ -11,13 +11,14 @@ from typing import Any, Final, NamedTuple
 
 from spl_batch.airborne.plan.block_layout import ORIGIN, Block, Layout, around, parse_block
 from spl_batch.airborne.plan.halo import halo_m
-from spl_batch.airborne.plan.task_memory import points_within
+from spl_batch.airborne.plan.space_units import parts_of, unit_within
+from spl_batch.airborne.plan.task_memory import LEAST_PART_Q, points_within
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.errors import DamagedError
 from spl_batch.lattice.density import Cut, Piece
-from spl_batch.lattice.tiles import BoxIndex, CellId, cell_bounds, quanta
+from spl_batch.lattice.tiles import Bounds, BoxIndex, CellId, cell_bounds, quanta
 
 LARGEST: Final = (8, 7, 6, 5, 4, 3, 2, 1)
 """Tiles along one side of the squares that blocks begin as, to choose from [count]."""
@@ -205,7 +206,7 @@ def count_blocks(
         layout = layout_of(counts, workflow)
         found = blocks(layout, sizes, workflow, memory_bytes)
         longest = max((max(block.columns, block.rows) for block in found), default=sizes.tiles)
-        read = sum(layout.load(block).held for block in found)
+        read = sum(_read(layout, block, memory_bytes) for block in found)
         return Expected(len(found), longest, read / points)
     shapes = _shapes(sizes.tiles, workflow)
     cuts = _cuts(pieces, workflow, sizes.under(memory_bytes), sizes.tiles)
@@ -214,6 +215,17 @@ def count_blocks(
     reading = max(math.fsum(cut.read for cut in cuts), points)
     longest = max(there, default=sizes.tiles)
     return Expected(sum(cut.units for cut in cuts), longest, reading / points)
+
+
+def _read(layout: Layout, block: Block, memory_bytes: int) -> int:
+    """Points that a block reads, part by part where not all of it fits into memory [count]."""
+
+    def held(part: Bounds) -> int:
+        named = (str(block), CellId(block.i, block.j))
+        return unit_within(part, layout.counts, layout.tile_q, layout.halo_q, named).held
+
+    most = points_within("denoise", memory_bytes)
+    return sum(map(held, parts_of(layout.unit(block), held, most, LEAST_PART_Q)))
 
 
 def _few_tiles(pieces: Sequence[Piece], workflow: Workflow) -> dict[CellId, int] | None:

@@ -380,7 +380,7 @@ def test_one_dense_place_leaves_the_rest_its_large_blocks() -> None:
     more = count_blocks(pieces, workflow(), 3 * 2**30, Sizes(8))
     assert more.blocks in range(5, 12)
     assert more.tiles == 8
-    assert 1.0 < few.read < more.read < 2.0
+    assert 1.0 < few.read < more.read < 3.0, "the dense tile is judged in parts"
 
 
 @pytest.mark.parametrize(("tiles", "side", "gib"), [(24, 6, 3), (24, 8, 2), (30, 8, 2)])

@@ -8,12 +8,15 @@ import pytest
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import phases
+from spl_batch.airborne.plan.block_size import Sizes, count_blocks
 from spl_batch.airborne.plan.space_units import Unit, parts_of
 from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.tasks import space_domain
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import Bounds, CellId
 
 CORE = Bounds(0, 0, 40_000, 100_000)
@@ -92,3 +95,11 @@ def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Co
     assert only_task(dry, "ground").how["bands"] > 1
     assert only_task(dry, "ground").args == wet.args
     assert len(only_task(short, "denoise").how["parts"]) > 1
+
+
+def test_a_plan_counts_what_parts_read() -> None:
+    counts = {CellId(i, j): 1_000_000 for i in range(2) for j in range(2)}
+    pieces = list(from_counts(counts, 100_000))
+    workflow = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
+    reads = [count_blocks(pieces, workflow, memory, Sizes(1)).read for memory in (8 << 30, 1 << 30)]
+    assert reads[1] > 2 * reads[0]
