@@ -84,8 +84,9 @@ def difference_map(context: Context) -> tuple[NDArray[np.float32], tuple[float, 
 
 
 def pairs_of(facts: Mapping[str, Any]) -> list[PairDifference]:
-    """Pairs as the receipt of :func:`strip_pairs` has them."""
-    return [PairDifference(*pair) for pair in facts.get("pairs", ())]
+    """Pairs as the receipt of :func:`strip_pairs` has them; none of one that told other things."""
+    told = len(PairDifference._fields)
+    return [PairDifference(*pair) for pair in facts.get("pairs", ()) if len(pair) == told]
 
 
 def _cells(
