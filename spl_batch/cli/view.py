@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -40,6 +41,10 @@ STEP_S = 2.0
 
 QUIET_S = 1.0
 """How long nothing is heard before a view says so [s]."""
+
+
+BEAT_S = 10.0
+"""Silence after which a log is told what is being done; twice as long after each time [s]."""
 
 
 class View:
@@ -123,6 +128,7 @@ class PlainView(View):
         super().__init__(console)
         self._printed_s = time.monotonic()
         self._told_share = 0.0
+        self._patience_s = BEAT_S
 
     def simulated(self, share: float) -> None:
         """Print a line when a simulation begins, and one for each tenth that took a while."""
@@ -154,8 +160,32 @@ class PlainView(View):
             left = f", {duration(stage.left_s)} left" if stage.left else ""
             self._say(f"{event.stage}: {stage.total - stage.left}/{stage.total}{rate}{left}")
 
+    def beat(self) -> None:
+        """Print what is being done if nothing was printed for a while."""
+        patience_s = self._patience_s
+        if time.monotonic() - self._printed_s <= patience_s:
+            return
+        if text := self._at_work():
+            self._say(text)
+            self._patience_s = 2 * patience_s
+
+    def _at_work(self) -> str:
+        """What is being done now, in words."""
+        with self._lock:
+            busy = Counter(self._status.begun[task] for task in self._status.running)
+            if busy:
+                return "; ".join(
+                    f"{name}: {stage.total - stage.left}/{stage.total}, {busy[name]} at work for "
+                    f"{duration(time.time() - stage.began_s)}"
+                    for name, stage in self._status.stages.items()
+                    if busy[name]
+                )
+            if self._simulated.left and not self._status.kinds:
+                return f"simulate: {self._simulated.done} %, at work on the next"
+            return self._between().plain.strip()
+
     def _say(self, text: str) -> None:
-        self._printed_s = time.monotonic()
+        self._printed_s, self._patience_s = time.monotonic(), BEAT_S
         self._print(text, "")
 
 
@@ -163,7 +193,17 @@ class PlainView(View):
 def watching() -> Iterator[View]:
     """Show on standard error what happens while the block runs."""
     if not _ERR.is_terminal:
-        yield PlainView(_ERR)
+        plain, over = PlainView(_ERR), threading.Event()
+
+        def beat() -> None:
+            while not over.wait(BEAT_S / 10):
+                plain.beat()
+
+        threading.Thread(target=beat, daemon=True).start()
+        try:
+            yield plain
+        finally:
+            over.set()
         return
     view = View(_ERR)
     with Live(

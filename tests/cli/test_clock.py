@@ -12,7 +12,7 @@ from rich.console import Console
 
 from spl_batch.cli import view
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
-from spl_batch.engine.watch.events import Compiling
+from spl_batch.engine.watch.events import Compiling, PhaseStarted, RunStarted, TaskStarted
 from tests import surveys
 
 
@@ -92,6 +92,24 @@ def test_compiling_that_is_piped_says_how_far_it_is_now_and_then(
         plain.on_event(Compiling(k, 70))
         clock[0] += 1.0
     assert lines_of(console) == ["compiling: 31 of 70 kernels", "compiling: 62 of 70 kernels"]
+
+
+def test_a_silence_that_is_piped_is_broken_ever_more_rarely(
+    console: Console, clock: list[float]
+) -> None:
+    plain = view.PlainView(console)
+    plain.on_event(RunStarted("w.yaml", 1, "code", stages=("index", "surfaces"), anew=True))
+    plain.on_event(PhaseStarted("surfaces", "surface", 4, 0, 0))
+    plain.on_event(TaskStarted("surfaces", "surface", "0/0", "w1"))
+    said = []
+    for second in range(100):
+        before = len(lines_of(console))
+        plain.beat()
+        if len(lines_of(console)) > before:
+            said.append(second)
+        clock[0] += 1.0
+    assert said == [11, 32, 73], "after 10, 20 and 40 s of silence"
+    assert lines_of(console)[-1].startswith("surfaces: 0/4, 1 at work for ")
 
 
 def test_compiling_is_drawn_on_a_terminal(console: Console) -> None:

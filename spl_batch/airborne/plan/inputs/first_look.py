@@ -147,7 +147,8 @@ def _few_channels(channels: dict[str, str], workflow: Workflow) -> list[str]:
     return [
         f"survey.channel_dimension: {key} holds only {values} in the first and last points of "
         f"{named(names, 3)}, and {sensor.name} has {sensor.beamlets} beamlets; name the dimension "
-        "that holds their numbers, or leave the key out: a shot is one beamlet then"
+        "that holds their numbers, or leave the key out: a shot is one beamlet then; a run stops "
+        "if all points are like these"
         for values, names in alike.items()
     ]
 
