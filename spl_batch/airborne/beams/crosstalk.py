@@ -44,6 +44,9 @@ FURTHER: Final = 2.3
 LIKELY: Final = 180 / 610
 """Pairs of beamlets side by side over those farther apart, in an array of 10 x 10."""
 
+NEIGHBOURS: Final = 3.6
+"""Channels beside one, on average over such an array [count]."""
+
 CLOSER: Final = 4.0
 """Times more often than by chance that pairs must lie side by side: patches of ground between
 towers have half as many."""
@@ -110,8 +113,7 @@ def told(parts: Sequence[Mapping[str, NDArray[Any]]]) -> tuple[Remark, ...]:
     by_chance = LIKELY * further
     if beside - CLOSER * by_chance <= SURE * np.sqrt(beside + CLOSER**2 * LIKELY * by_chance):
         return ()
-    # A return has four neighbours, and sets off each with the same chance.
-    chance = (beside - by_chance) / (4 * max(returns - beside, 1))
+    chance = (beside - by_chance) / (NEIGHBOURS * max(returns - beside, 1))
     if chance < LEAST:
         return ()
     text = (

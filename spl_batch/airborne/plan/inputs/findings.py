@@ -29,9 +29,9 @@ PAIRS_NAMED: Final = 5
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
 
-MERGED: Final = 0.1
-"""Share of returns of one time and channel off one beam that no flightline has whose times tell its
-shots apart."""
+MERGED: Final = 0.01
+"""Share of returns of one time and channel off one beam that is told; where times tell shots apart
+there is none."""
 
 
 _TIMELESS: Final = (
