@@ -38,7 +38,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "denoise": 150,
         "ground": 215,
         "strip_patches": 80,
-        "surface": 115,
+        "surface": 150,
         "deliver_tile": 280,
         "deliver_copc": 280,
         "accuracy": 300,
