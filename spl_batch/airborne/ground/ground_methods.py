@@ -94,7 +94,8 @@ def ground_mask(
         own = usable
     told = usable if asked is None else usable & asked
     if told.any():
-        evidence, places = _metres(table, own), _metres(table, told)
+        evidence = _metres(table, own)
+        places = evidence if np.array_equal(own, told) else _metres(table, told)
         mask[told] = METHODS[settings.method](evidence, places, settings)
     return mask
 

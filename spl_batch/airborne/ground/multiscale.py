@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from spl_batch.airborne.ground.ground_seeds import sunk, supported
 from spl_batch.airborne.ground.lowest_layers import Nodes, lowest_layers
@@ -24,12 +24,11 @@ from spl_batch.airborne.ground.multiscale_surface import (
     ground_nodes,
     low_outliers,
     points_below,
-    terrain,
 )
 from spl_batch.airborne.ground.point_spacing import Squares, added_up, in_squares, spacing_at_m
 from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
-from spl_batch.numerics.triangulation.tin import Tin, interpolate, triangulate
+from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate, vertex_slopes
 
 _LAYER_M = 0.15
 """Thickness of the layer whose mean is a node: three standard deviations of a range [m]."""
@@ -82,12 +81,11 @@ def _joined(xyz: Float, hard: NDArray[np.bool_], ground: NDArray[np.bool_]) -> N
 
 
 class Surface(NamedTuple):
-    """Ground: a TIN through its nodes, and where that does not reach a grid with its slope."""
+    """Ground: its nodes (n, 3) [m], their slopes to east and north, and a TIN if there is one."""
 
+    nodes: Float
+    slopes: Float
     tin: Tin | None
-    grid: Float
-    steepness: Float
-    corner: Float
 
 
 class Strip(NamedTuple):
@@ -132,9 +130,7 @@ def multiscale_masks(
     xyz, hard = _nodes(map(_evidence, strips()))
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
     ground = _joined(xyz, chosen & hard, ground_nodes(xyz, chosen))
-    grid = terrain(xyz, ground)
-    corner = np.floor(xyz[:, :2].min(axis=0) / CELL_M)
-    surface = Surface(triangulate(xyz[ground]), grid, _steepness(grid), corner)
+    surface = _surface(xyz[ground])
     looked = filter(None, map(partial(_look, surface), strips()))
     depth, number, points = (added_up(some) for some in zip(*looked, strict=True))
     known = _Known(surface, points, Below(depth, number).spread(), depth.first)
@@ -175,19 +171,32 @@ def _told(known: _Known, strip: Strip) -> tuple[Strip, NDArray[np.bool_]]:
     return strip, found
 
 
+def _surface(nodes: Float) -> Surface:
+    """Surface through nodes of the ground, at least one."""
+    tin = triangulate(nodes)
+    slopes = np.zeros((len(nodes), 2)) if tin is None else vertex_slopes(tin)
+    return Surface(nodes, slopes, tin)
+
+
 def _surface_at(surface: Surface, places: Place) -> tuple[Float, Float]:
-    """Height of the surface at places [m], and its slope there [rise/run]."""
+    """Height of the surface at places [m], and its slope there [rise/run].
+
+    Beyond the triangles the nearest node is continued by its slope.
+    """
     x, y, _ = places
     if not len(x):
         return x, y
-    at = [y / CELL_M - surface.corner[1] - 0.5, x / CELL_M - surface.corner[0] - 0.5]
-    height: Float = ndimage.map_coordinates(surface.grid, at, order=1, mode="nearest")
-    slope: Float = ndimage.map_coordinates(surface.steepness, at, order=1, mode="nearest")
+    height, slope = np.full((2, len(x)), np.nan)
     if surface.tin is not None:
         order = group_by_cell(x, y, CELL_M).order
-        exact = np.empty_like(height)
-        exact[order] = interpolate(surface.tin, x[order], y[order])
-        height = np.where(np.isnan(exact), height, exact)
+        height, slope = heights_and_slopes(surface.tin, surface.slopes, order, x, y)
+    beyond = np.flatnonzero(np.isnan(height))
+    if len(beyond):
+        at = np.column_stack([x[beyond], y[beyond]])
+        nearest = cKDTree(surface.nodes[:, :2]).query(at)[1]
+        node, rise = surface.nodes[nearest], surface.slopes[nearest]
+        height[beyond] = node[:, 2] + ((at - node[:, :2]) * rise).sum(axis=1)
+        slope[beyond] = np.hypot(*rise.T)
     return height, slope
 
 
@@ -210,7 +219,8 @@ def _nodes(strips: Iterable[Place]) -> tuple[Float, NDArray[np.bool_]]:
     nodes = nodes._replace(cell=(at[0] - at[0].min()) * columns + at[1] - at[1].min())
     above = ~sunk(nodes, rows, columns, CELL_M)
     # A single return below many others is ground where its neighbours continue it, else noise.
-    above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
+    if nodes.doubtful.any():
+        above &= ~nodes.doubtful | supported(nodes, rows, columns, CELL_M)
     if not above.any():
         above[:] = True
     return nodes.xyz[above], np.concatenate(hard)[above]
@@ -255,12 +265,3 @@ def _hard(x: Float, y: Float, z: Float, cells: Cells) -> NDArray[np.bool_]:
     rest = uu - (nn * eu * eu - 2.0 * en * eu * nu + ee * nu * nu) / scale
     hard[count > 0] = (each >= _HARD_POINTS) & (rest <= _HARD_M**2)
     return hard
-
-
-def _steepness(surface: Float) -> Float:
-    """Steepest rise of a grid [rise/run]; zero along an axis of one cell."""
-    squared = np.zeros_like(surface)
-    for axis in (0, 1):
-        if surface.shape[axis] > 1:
-            squared += np.gradient(surface, CELL_M, axis=axis) ** 2
-    return np.sqrt(squared)

@@ -29,14 +29,15 @@ from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
+from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.ground.point_spacing import Squares
-from spl_batch.airborne.ground.smrf import fill_gaps, object_cells
+from spl_batch.airborne.ground.smrf import object_cells
 
 CELL_M: Final = 1.0
 """Edge of the cells that the opening runs on [m]."""
 
-LEVELS_M: Final = (2.0, 4.0, 8.0)
-"""Coarser cells that nodes may be the lowest of [m]."""
+LEVELS: Final = 3
+"""So often the cell that nodes are the lowest of may double."""
 
 BLOCK_M: Final = 16.0
 """Edge of the blocks that choose their cell [m]."""
@@ -68,42 +69,12 @@ _PIT_RANK = 3
 _PIT_ROUNDS = 8
 """A low outlier lies below the third lowest of the eight cells around by more than this slope."""
 
-_DAMPING_M2 = 0.05
-"""Added to the scatter of places when a plane is fitted, per node [m2]."""
-
 _HALF_NORMAL = 1.2533
 """Standard deviation for each mean distance of a half of a normal distribution."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
-
-
-def lowest_nodes(xyz: Float, chosen: Mask, cell_m: float) -> Index:
-    """Lowest of the chosen nodes in each cell of the absolute grid.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    chosen : (n,) bool
-        Nodes to look at.
-    cell_m : float
-        Edge of a cell [m].
-
-    Returns
-    -------
-    (rows, columns) int64
-        Node of each cell of the box around *all* nodes; -1 where there is none.
-    """
-    column, row, shape = _places(xyz, cell_m)
-    places = np.flatnonzero(chosen)
-    key = row[places] * shape[1] + column[places]
-    order = np.lexsort([xyz[places, 2], key])
-    found = np.full(shape[0] * shape[1], -1, dtype=np.int64)
-    # The first of each cell is written last.
-    found[key[order[::-1]]] = places[order[::-1]]
-    return found.reshape(shape)
 
 
 def _places(xyz: Float, cell_m: float) -> tuple[Index, Index, tuple[int, int]]:
@@ -148,7 +119,7 @@ def _neighbours(grid: Float) -> Float:
     return np.stack([wide[i : i + rows, j : j + columns] for i, j in steps])
 
 
-def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
+def agreeing_nodes(xyz: Float, usable: Mask, cell_m: float = CELL_M) -> Mask:
     """Nodes of the scale that the data have, block by block.
 
     Starting with all nodes, a block goes on to the lowest nodes of cells twice as large while
@@ -157,9 +128,11 @@ def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
     Parameters
     ----------
     xyz : (n, 3) float64
-        Nodes [m], at most a few in a cell of :data:`CELL_M`.
+        Nodes [m], at most a few in a cell.
     usable : (n,) bool
         Nodes that may be chosen.
+    cell_m : float
+        Edge of the smallest cells [m].
 
     Returns
     -------
@@ -167,14 +140,15 @@ def agreeing_nodes(xyz: Float, usable: Mask) -> Mask:
     """
     column, row, shape = _places(xyz, BLOCK_M)
     going = np.ones(shape, dtype=np.bool_)
-    first = lowest_nodes(xyz, usable, CELL_M)
+    first = lowest_nodes(xyz, usable, cell_m)
     current = np.sort(first[first >= 0])
     chosen = np.zeros(len(xyz), dtype=np.bool_)
-    for cell_m in LEVELS_M:
+    for _ in range(LEVELS):
+        cell_m *= 2.0
         grid = lowest_nodes(xyz, usable, cell_m)
         coarse = np.sort(grid[grid >= 0])
         limit = np.clip(_AGREE_SIGMA * scatter_below(xyz, coarse, grid, cell_m), *_AGREE_M)
-        above = xyz[current, 2] - plane_heights(xyz, grid, cell_m)[current]
+        above = xyz[current, 2] - plane_heights(xyz, current, grid, cell_m)
         at = row[current], column[current]
         key = at[0] * shape[1] + at[1]
         high, count = (
@@ -194,51 +168,6 @@ def _around(grid: NDArray[Any]) -> Float:
     """Sum over a cell and the eight around it; whole numbers add up exactly."""
     summed: Float = ndimage.correlate(grid.astype(np.float64), np.ones((3, 3)), mode="constant")
     return summed
-
-
-def plane_heights(xyz: Float, grid: Index, cell_m: float, *, own: bool = True) -> Float:
-    """Height at each node of the plane through the grid's nodes in nine cells.
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    grid : (rows, columns) int64
-        A node for each cell, or -1, as :func:`lowest_nodes` finds them.
-    cell_m : float
-        Edge of a cell [m].
-    own : bool
-        Whether the node of the middle cell takes part.
-
-    Returns
-    -------
-    (n,) float64
-        Height [m]; NaN where none of the cells has a node.
-    """
-    rows, columns = grid.shape
-    wide = np.pad(grid, 1, constant_values=-1)
-    corner = np.floor(xyz[:, :2].min(axis=0) / cell_m)
-    middle = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + corner + 0.5
-    base = float(xyz[:, 2].min())
-    sums = np.zeros((9, rows, columns))
-    for i, j in ((i, j) for i in range(3) for j in range(3) if own or (i, j) != (1, 1)):
-        node = wide[i : i + rows, j : j + columns]
-        x, y = np.moveaxis(xyz[node, :2] - middle * cell_m, 2, 0)
-        z = xyz[node, 2] - base
-        sums += np.where(
-            node >= 0, [np.ones_like(z), x, y, z, x * x, x * y, y * y, x * z, y * z], 0
-        )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x, y, z, xx, xy, yy, xz, yz = sums[1:] / sums[0]
-    xx, yy, xy = xx - x * x + _DAMPING_M2, yy - y * y + _DAMPING_M2, xy - x * y
-    xz, yz = xz - x * z, yz - y * z
-    scale = xx * yy - xy * xy
-    east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-    column, row, _ = _places(xyz, cell_m)
-    dx, dy = (xyz[:, :2] - middle[row, column] * cell_m).T
-    at = row, column
-    found: Float = base + z[at] + east[at] * (dx - x[at]) + north[at] * (dy - y[at])
-    return found
 
 
 class Below(NamedTuple):
@@ -306,7 +235,7 @@ def scatter_below(xyz: Float, nodes: Index, grid: Index, cell_m: float) -> Float
         Standard deviation in each block of :data:`BLOCK_M`, of it and those around [m].
     """
     off = np.zeros(len(xyz))
-    off[nodes] = xyz[nodes, 2] - plane_heights(xyz, grid, cell_m, own=False)[nodes]
+    off[nodes] = xyz[nodes, 2] - plane_heights(xyz, nodes, grid, cell_m, own=False)
     return points_below(off, xyz[:, 0], xyz[:, 1], np.inf).spread()
 
 
@@ -322,28 +251,38 @@ def ground_nodes(xyz: Float, chosen: Mask, cell_m: float = CELL_M) -> Mask:
     cell_m : float
         Edge of the cells that the opening runs on [m].
     """
-    raised = _raised(xyz, xyz[:, 2], chosen, cell_m)
-    level = chosen & ~raised
-    if not level.any():
+    grid = lowest_nodes(xyz, chosen, cell_m)
+    nearest = _nearest_node(grid)
+    raised = _raised(xyz[nearest, 2], cell_m)
+    level = grid[(grid >= 0) & ~raised]
+    if not len(level):
         return chosen
-    x, y = xyz[:, 0], xyz[:, 1]
+    x, y, z = xyz.T
     trend = fit_trend(xyz[level], x, y)
-    above = xyz[:, 2] - trend_at(trend, x, y)
-    raised &= _raised(xyz, above, chosen, cell_m) | ~_steep(trend, x, y)
-    grid = lowest_nodes(xyz, chosen & ~raised, cell_m)
+    row, column = np.nonzero((grid >= 0) & raised)
+    steep = _steep(trend, *xyz[grid[row, column], :2].T)
+    row, column = row[steep], column[steep]
+    if len(row):
+        part = tuple(_reach(places, cell_m) for places in (row, column))
+        used = nearest[part]
+        above = z[used] - trend_at(trend, x[used].ravel(), y[used].ravel()).reshape(used.shape)
+        twice = np.zeros_like(raised)
+        twice[part] = _raised(above, cell_m)
+        raised[row, column] = twice[row, column]
     ground = np.zeros(len(xyz), dtype=np.bool_)
-    ground[grid[grid >= 0]] = True
+    ground[grid[(grid >= 0) & ~raised]] = True
     return ground
 
 
-def _raised(xyz: Float, height: Float, chosen: Mask, cell_m: float) -> Mask:
-    """Nodes in cells that the opening of some heights cuts off."""
-    grid = lowest_nodes(xyz, chosen, cell_m)
-    surface = nearest_filled(_heights(grid, height))
-    objects = object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M)
-    column, row, _ = _places(xyz, cell_m)
-    raised: Mask = objects[row, column]
-    return raised
+def _raised(surface: Float, cell_m: float) -> Mask:
+    """Cells that the opening cuts off."""
+    return object_cells(surface, cell_m, _SLOPE, WINDOW_M, step_m=STEP_M)
+
+
+def _reach(places: Index, cell_m: float) -> slice:
+    """Rows or columns that some cells' openings depend on: two windows to each side."""
+    far = 2 * int(np.ceil(WINDOW_M / cell_m))
+    return slice(max(int(places.min()) - far, 0), int(places.max()) + far + 1)
 
 
 def _steep(trend: Trend, x: Float, y: Float) -> Mask:
@@ -354,31 +293,8 @@ def _steep(trend: Trend, x: Float, y: Float) -> Mask:
     return steep
 
 
-def nearest_filled(surface: Float) -> Float:
-    """Surface whose gaps take the height of the nearest cell: walls stay steep.
-
-    Parameters
-    ----------
-    surface : (rows, columns) float64
-        Heights [m]; NaN in gaps, not everywhere.
-    """
-    nearest = ndimage.distance_transform_edt(
-        np.isnan(surface), return_distances=False, return_indices=True
-    )
-    filled: Float = surface[tuple(nearest)]
-    return filled
-
-
-def terrain(xyz: Float, ground: Mask, cell_m: float = CELL_M) -> Float:
-    """Heights of a grid around all nodes through the ground nodes: (rows, columns) [m].
-
-    Parameters
-    ----------
-    xyz : (n, 3) float64
-        Nodes [m].
-    ground : (n,) bool
-        Those of the ground; at least one.
-    cell_m : float
-        Edge of a cell [m].
-    """
-    return fill_gaps(_heights(lowest_nodes(xyz, ground, cell_m), xyz[:, 2]))
+def _nearest_node(grid: Index) -> Index:
+    """A grid of nodes whose gaps have that of the nearest cell: walls stay steep."""
+    nearest = ndimage.distance_transform_edt(grid < 0, return_distances=False, return_indices=True)
+    found: Index = grid[tuple(nearest)]
+    return found

@@ -53,8 +53,9 @@ def object_cells(
     (rows, columns) bool
     """
     objects = np.zeros(surface.shape, dtype=np.bool_)
-    last = surface
-    for radius in range(1, int(np.ceil(window_m / cell_m)) + 1):
+    largest = int(np.ceil(window_m / cell_m))
+    last = surface.astype(np.float32)
+    for radius in range(1, largest + 1):
         opened = opening(last, radius)
         objects |= last - opened > min(slope * radius * cell_m, step_m)
         last = opened

@@ -218,3 +218,98 @@ def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
     height: NDArray[np.float64] = c + a * (x - x0) + b * (y - y0)
     height[facet < 0] = np.nan
     return height
+
+
+def vertex_slopes(tin: Tin) -> NDArray[np.float64]:
+    """Slopes of a surface at its vertices: mean of the triangles around, by their areas.
+
+    A single triangle is as steep as the noise of its corners makes it.
+
+    Parameters
+    ----------
+    tin : Tin
+        Surface.
+
+    Returns
+    -------
+    (v, 2) float64
+        To the east and to the north [rise/run]; zero at a vertex that no triangle needs.
+    """
+    sums = np.zeros((len(tin.xyz), 3))
+    _add_slopes(tin.xyz, tin.facets, tin.planes, sums)
+    slopes: NDArray[np.float64] = sums[:, 1:] / np.where(sums[:, :1] > 0.0, sums[:, :1], 1.0)
+    return slopes
+
+
+@njit()
+def _add_slopes(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    planes: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Areas, and slopes times areas, of the triangles around each vertex."""
+    for t in range(len(facets)):
+        a, b, c = facets[t]
+        area = _side(xyz[a, 0], xyz[a, 1], xyz[b, 0], xyz[b, 1], xyz[c, 0], xyz[c, 1])
+        for v in (a, b, c):
+            out[v, 0] += area
+            out[v, 1] += area * planes[t, 0]
+            out[v, 2] += area * planes[t, 1]
+
+
+def heights_and_slopes(
+    tin: Tin,
+    slopes: NDArray[np.float64],
+    order: NDArray[np.int64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Height and steepness of a surface.
+
+    Parameters
+    ----------
+    tin : Tin
+        Surface.
+    slopes : (v, 2) float64
+        At its vertices [rise/run].
+    order : (n,) int64
+        The places, near ones following each other.
+    x, y : (n,) float64
+        Places [m].
+
+    Returns
+    -------
+    (2, n) float64
+        Height [m], and slope by the mean of the three vertices around [rise/run]; NaN outside.
+    """
+    out = np.full((2, len(x)), np.nan)
+    _heights_and_slopes(
+        tin.xyz, tin.facets, tin.neighbours, tin.planes, slopes, order, x, y, out[0], out[1]
+    )
+    return out
+
+
+@njit()
+def _heights_and_slopes(
+    xyz: NDArray[np.float64],
+    facets: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    planes: NDArray[np.float64],
+    slopes: NDArray[np.float64],
+    order: NDArray[np.int64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    height: NDArray[np.float64],
+    slope: NDArray[np.float64],
+) -> None:
+    last = 0
+    for i in order:
+        t, last = locate_one(xyz, facets, neighbours, x[i], y[i], last)
+        if t >= 0:
+            a, b, c = facets[t]
+            rise = planes[t, 0] * (x[i] - xyz[a, 0]) + planes[t, 1] * (y[i] - xyz[a, 1])
+            height[i] = planes[t, 2] + rise
+            east = slopes[a, 0] + slopes[b, 0] + slopes[c, 0]
+            north = slopes[a, 1] + slopes[b, 1] + slopes[c, 1]
+            slope[i] = np.sqrt(east * east + north * north) / 3.0

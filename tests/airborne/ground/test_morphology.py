@@ -17,7 +17,7 @@ def footprint(radius: int) -> np.ndarray:
 
 @pytest.mark.parametrize("radius", [1, 2, 3, 5, 8])
 def test_opening_agrees_with_scipy(radius: int) -> None:
-    surface = np.random.default_rng(radius).normal(size=(60, 47))
+    surface = np.random.default_rng(radius).normal(size=(60, 47)).astype(np.float32)
     padded = np.pad(surface, 4 * radius, mode="edge")
     expected = ndimage.grey_opening(padded, footprint=footprint(radius))
     inner = slice(4 * radius, -4 * radius)
@@ -30,12 +30,12 @@ def test_octagon_is_nearly_a_disk() -> None:
 
 
 def test_opening_by_nothing_changes_nothing() -> None:
-    surface = np.random.default_rng(0).normal(size=(9, 9))
+    surface = np.random.default_rng(0).normal(size=(9, 9)).astype(np.float32)
     assert np.array_equal(opening(surface, 0), surface)
 
 
 def test_opening_is_idempotent_and_below() -> None:
-    surface = np.random.default_rng(4).normal(size=(50, 50))
+    surface = np.random.default_rng(4).normal(size=(50, 50)).astype(np.float32)
     once = opening(surface, 3)
     assert np.all(once <= surface)
     inner = slice(12, -12)

@@ -10,10 +10,9 @@ from spl_batch.airborne.ground.ground_methods import METHODS, ground_mask
 from spl_batch.airborne.ground.multiscale_surface import (
     agreeing_nodes,
     low_outliers,
-    lowest_nodes,
-    plane_heights,
     points_below,
 )
+from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 
@@ -56,10 +55,37 @@ def test_lowest_nodes_are_the_lowest_of_their_cells() -> None:
 def test_planes_of_a_plane_are_that_plane(slope: float) -> None:
     x, y = places(4000, 60)
     xyz = np.column_stack([x + 1e5, y - 2e5, 300 + slope * x - 0.3 * y])
-    found = plane_heights(xyz, lowest_nodes(xyz, np.ones(4000, np.bool_), 2.0), 2.0, own=False)
+    grid = lowest_nodes(xyz, np.ones(4000, np.bool_), 2.0)
+    found = plane_heights(xyz, np.arange(4000), grid, 2.0, own=False)
     # A slope is damped a little; at the rim there are few neighbours to tell it.
     off = np.abs(found - xyz[:, 2])[(np.abs(x - 30) < 26) & (np.abs(y - 30) < 26)]
     assert off.max() < 0.05 + 0.1 * slope
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_planes_are_those_of_damped_least_squares(*, own: bool) -> None:
+    rng = np.random.default_rng(8)
+    xyz = rng.uniform(0, 20, (300, 3))
+    grid = lowest_nodes(xyz, np.ones(300, np.bool_), 4.0)
+    cell = np.floor(xyz[:, :2] / 4.0).astype(int)
+    cell -= cell.min(axis=0)
+    asked = np.arange(0, 300, 7)
+    found = plane_heights(xyz, asked, grid, 4.0, own=own)
+    for i, height in zip(asked, found, strict=True):
+        column, row = cell[i]
+        around = [
+            grid[r, c]
+            for r in range(max(row - 1, 0), row + 2)
+            for c in range(max(column - 1, 0), column + 2)
+            if r < grid.shape[0] and c < grid.shape[1] and (own or (r, c) != (row, column))
+        ]
+        near = xyz[[j for j in around if j >= 0]]
+        centre = near.mean(axis=0)
+        off = near - centre
+        normal = off[:, :2].T @ off[:, :2] / len(near) + 0.05 * np.eye(2)
+        gradient = np.linalg.solve(normal, off[:, :2].T @ off[:, 2] / len(near))
+        expected = centre[2] + gradient @ (xyz[i, :2] - centre[:2])
+        assert height == pytest.approx(expected, abs=1e-9)
 
 
 def test_low_outliers_are_found_side_by_side_and_a_ditch_is_not() -> None:

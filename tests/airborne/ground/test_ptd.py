@@ -9,7 +9,14 @@ from scipy.spatial import Delaunay
 from spl_batch.airborne.ground.lowest_layers import count_below, count_support, lowest_layers
 from spl_batch.airborne.ground.ptd import Limits, densify, facet_fit, heights_above
 from spl_batch.numerics.cell_groups import chosen_places, group_by_cell
-from spl_batch.numerics.triangulation.tin import OUTSIDE, interpolate, locate, triangulate
+from spl_batch.numerics.triangulation.tin import (
+    OUTSIDE,
+    heights_and_slopes,
+    interpolate,
+    locate,
+    triangulate,
+    vertex_slopes,
+)
 
 LIMITS = Limits(
     terrain_slope=28.6,
@@ -57,6 +64,27 @@ def test_interpolation_far_from_the_origin() -> None:
     x, y = 5e5 + np.linspace(30, 70, 50), 6e6 + np.linspace(40, 60, 50)
     expected = 0.3 * (x - 5e5) - 0.7 * (y - 6e6)
     np.testing.assert_allclose(interpolate(tin, x, y), expected, atol=1e-6)
+
+
+def test_slopes_are_means_by_area_of_the_triangles_around() -> None:
+    xyz = cloud(60, seed=3)
+    tin = triangulate(xyz)
+    assert tin is not None
+    slopes = vertex_slopes(tin)
+    for v in range(len(xyz)):
+        around = [t for t in tin.facets if v in t]
+        normals = [np.cross(xyz[b] - xyz[a], xyz[c] - xyz[a]) for a, b, c in around]
+        normal = np.sum(normals, axis=0)  # as long as twice the area
+        np.testing.assert_allclose(slopes[v], -normal[:2] / normal[2], atol=1e-9)
+    x, y = np.random.default_rng(4).uniform(-20, 120, (2, 200))
+    height, slope = heights_and_slopes(tin, slopes, np.argsort(x), x, y)
+    np.testing.assert_allclose(height, interpolate(tin, x, y), atol=1e-9)
+    facet = Delaunay(xyz[:, :2]).find_simplex(np.column_stack([x, y]))
+    inside = facet >= 0
+    assert np.array_equal(inside, ~np.isnan(slope))
+    corners = Delaunay(xyz[:, :2]).simplices[facet[inside]]
+    expected = np.hypot(*slopes[corners].mean(axis=1).T)
+    np.testing.assert_allclose(slope[inside], expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(
