@@ -56,7 +56,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.airborne.receiver:RECEIVER",
             "spl_batch.airborne.report.model:Report",
             "spl_batch.airborne.simulate:simulate_file",
-            "spl_batch.airborne.compare.comparison:compare",
+            "spl_batch.airborne.compare.comparison:METHODS",
         ),
         "altimetry": Home(
             "spl_batch.altimetry.settings:TrackWorkflow",
@@ -64,7 +64,7 @@ HOMES: Final[Mapping[str, Home]] = MappingProxyType(
             "spl_batch.altimetry.receiver:RECEIVER",
             "spl_batch.altimetry.report.model:TrackReport",
             "spl_batch.altimetry.simulate:simulate_file",
-            "spl_batch.altimetry.compare.comparison:compare",
+            "spl_batch.altimetry.compare.comparison:METHODS",
             extra="altimetry",
         ),
         "coincidence": Home(
@@ -114,7 +114,7 @@ def simulator(kind: str) -> Any:
 
 
 def comparison(kind: str) -> Any:
-    """What runs several methods of a receiver side by side; None where it has none."""
+    """Methods of a receiver that can be compared; None where it has one."""
     place = HOMES[kind].compare
     return _part(kind, place) if place else None
 

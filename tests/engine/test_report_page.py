@@ -12,18 +12,15 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from spl_batch.airborne.compare.comparison_page import (
-    ComparisonReport,
-    MethodResult,
-    write_comparison,
-)
+from spl_batch.airborne.compare.comparison_page import ComparisonReport, MethodResult
+from spl_batch.airborne.compare.comparison_page import write as write_comparison
 from spl_batch.airborne.report import survey_pieces
 from spl_batch.airborne.report.model import Noise, Piece, Report
 from spl_batch.airborne.report.pictures import PictureInputs, Profile, Raster, make_pictures
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import screen_summary, verdicts
 from spl_batch.altimetry.compare.comparison_page import TrackComparison, TrackMethod
-from spl_batch.altimetry.compare.comparison_page import write_comparison as write_tracks
+from spl_batch.altimetry.compare.comparison_page import write as write_tracks
 from spl_batch.altimetry.report import page as track_page
 from spl_batch.altimetry.report import pictures as track_pictures
 from spl_batch.altimetry.report.model import Beam, TrackCounts, TrackReport

@@ -1,6 +1,5 @@
 """Several filters on one survey: a table and profiles side by side, as JSON and as a page."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -8,26 +7,20 @@ from pydantic import Field
 
 from spl_batch.airborne.report.plots import Profile, draw_methods
 from spl_batch.engine.report import style
-from spl_batch.engine.report.page import environment
-from spl_batch.engine.report.parts import Count, Number, Part
+from spl_batch.engine.report.comparison import Compared, ComparedMethod, write_comparison
+from spl_batch.engine.report.parts import Count, Number
 from spl_batch.engine.report.picture import Picture
-from spl_batch.formats.files.atomic import write_bytes
 
 
-class MethodResult(Part):
+class MethodResult(ComparedMethod):
     """What one filter made of the survey."""
 
-    name: str = Field(description="Method, and its test where it has several.")
-    folder: str = Field(description="Its results, relative to the comparison.")
     points: Count = Field(description="Points in the input files [count].")
-    signal: Count = Field(description="Signal [count].")
     background: Count = Field(description="Removed as solar and dark noise [count].")
     afterpulse: Count = Field(description="Removed as afterpulses [count].")
     removed_share: Number = Field(
         None, description="Background and afterpulses over all points, 0..1."
     )
-    kept_only: Count = Field(description="Signal here, noise by the first method [count].")
-    removed_only: Count = Field(description="Noise here, signal by the first method [count].")
     far_per_m3: Number = Field(None, description="Signal far from where most returns lie [1/m3].")
     far_share: Number = Field(None, description="Of what was recorded there, 0..1.")
     dtm_rmse_m: Number = Field(None, description="DTM against the reference [m].")
@@ -39,14 +32,12 @@ class MethodResult(Part):
     denoise_s_per_million: Number = Field(
         None, description="Stage denoise, where space is [s per 1e6 points]."
     )
-    failures: Count = Field(0, description="Files and tasks that failed [count].")
 
 
-class ComparisonReport(Part):
+class ComparisonReport(Compared):
     """What a comparison writes down."""
 
     survey: str = Field(description="Name of the survey.")
-    version: str = Field(description="Version of the code.")
     far_m: float = Field(description="Far begins at this height difference, at most [m].")
     far_m3: Number = Field(None, description="Volume of the gate that is far [m3].")
     far_recorded_per_m3: Number = Field(None, description="Recorded there, kept or not [1/m3].")
@@ -54,7 +45,7 @@ class ComparisonReport(Part):
     left_out: tuple[str, ...] = Field((), description="Tiles that not all methods finished.")
 
 
-def write_comparison(
+def write(
     out: Path,
     report: ComparisonReport,
     profiles: Sequence[tuple[str, str, Mapping[str, Profile]]],
@@ -70,12 +61,8 @@ def write_comparison(
     profiles : sequence of (str, str, mapping of str to Profile)
         Title, caption and strips by method, of each picture.
     """
-    content = json.dumps(report.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     pictures = [_picture(*shown) for shown in profiles]
-    template = environment(__package__).get_template("compare.html.j2")
-    page = template.render(report=report, pictures=pictures, cards=report.methods)
-    write_bytes(out / "compare.json", content.encode())
-    write_bytes(out / "compare.html", page.encode())
+    write_comparison(out, report, "compare.html.j2", __package__, pictures)
 
 
 def _picture(title: str, caption: str, profiles: Mapping[str, Profile]) -> Picture:

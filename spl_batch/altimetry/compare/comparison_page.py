@@ -1,6 +1,5 @@
 """Several methods on photon profiles: a table and a stretch side by side, as JSON and as a page."""
 
-import json
 from pathlib import Path
 from typing import Final
 
@@ -11,44 +10,36 @@ from pydantic import Field
 from spl_batch.altimetry.compare.contrast import Disputed
 from spl_batch.altimetry.report.model import METHOD_NAMES, Agreement
 from spl_batch.engine.report import style
-from spl_batch.engine.report.page import environment
-from spl_batch.engine.report.parts import Count, Number, Part, Statistics
+from spl_batch.engine.report.comparison import Compared, ComparedMethod, write_comparison
+from spl_batch.engine.report.parts import Count, Number, Statistics
 from spl_batch.engine.report.picture import Picture
-from spl_batch.formats.files.atomic import write_bytes
 
 _QUANTILES: Final = (0.002, 0.998)
 
 
-class TrackMethod(Part):
+class TrackMethod(ComparedMethod):
     """What one method made of the photons."""
 
-    name: str = Field(description="Method.")
     title: str = Field(description="What a reader knows it by.")
-    folder: str = Field(description="Its results, relative to the comparison.")
     photons: Count = Field(description="Photons in the input files [count].")
-    signal: Count = Field(description="Signal [count].")
     false_signal: Number = Field(
         None, description="Noise to be expected among it, where the method tells [count]."
     )
-    kept_only: Count = Field(description="Signal here, noise by the first method [count].")
-    removed_only: Count = Field(description="Noise here, signal by the first method [count].")
     labels: Agreement | None = Field(None, description="Against the reference's labels.")
     ground: Statistics | None = Field(None, description="Ground minus reference, all beams.")
     signal_s_per_million: Number = Field(
         None, description="Stage signal, reading and writing included [s per 1e6 photons]."
     )
-    failures: Count = Field(0, description="Files and tasks that failed [count].")
 
 
-class TrackComparison(Part):
+class TrackComparison(Compared):
     """What a comparison writes down."""
 
     name: str = Field(description="Title of the workflow.")
-    version: str = Field(description="Version of the code.")
     methods: tuple[TrackMethod, ...] = Field(description="In the order asked for.")
 
 
-def write_comparison(out: Path, report: TrackComparison, disputed: Disputed | None) -> None:
+def write(out: Path, report: TrackComparison, disputed: Disputed | None) -> None:
     """Write ``compare.json`` and ``compare.html`` into a folder.
 
     Parameters
@@ -60,18 +51,15 @@ def write_comparison(out: Path, report: TrackComparison, disputed: Disputed | No
     disputed : Disputed or None
         Where the methods disagree about most photons.
     """
-    content = json.dumps(report.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
-    template = environment(__package__).get_template("compare_tracks.html.j2")
-    page = template.render(report=report, shown=_picture(disputed), cards=report.methods)
-    write_bytes(out / "compare.json", content.encode())
-    write_bytes(out / "compare.html", page.encode())
+    pictures = [_picture(disputed)]
+    write_comparison(out, report, "compare_tracks.html.j2", __package__, pictures)
 
 
 def _picture(disputed: Disputed | None) -> Picture:
     title = "Where the methods disagree most"
     if disputed is None:
         return Picture(title, "The methods agree on every photon.")
-    caption = f"{disputed.beam}: blue is signal, grey noise."
+    caption = f"{disputed.beam}."
     with style.type_context():
         png, width, height = style.to_png(_draw(disputed))
     return Picture(title, caption, f"{title}. {caption}", png, width, height)

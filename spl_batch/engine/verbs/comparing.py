@@ -1,17 +1,70 @@
-"""Several methods on the same inputs: the verb, and how it ends.
+"""Several methods on the same inputs, and how they differ.
 
-What methods there are, and what is said of them, is each receiver's own.
+Each method gets a folder of its own, ``OUTPUT/compare/METHOD``, with everything that a run gives.
+What methods have in common is done once, in the store of ``OUTPUT`` itself (or was, by an earlier
+run), and linked into theirs. Receipts decide what is left to do: a comparison that was stopped goes
+on where it was, and one more method costs that method alone.
+
+What methods there are, and what is said of them, is each receiver's own: it fills in
+:class:`Methods`.
 """
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from spl_batch.engine.report.parts import Performance
 from spl_batch.engine.settings.workflow_file import load_any
-from spl_batch.engine.watch.events import Listener, ignore
+from spl_batch.engine.store.links import share_finished
+from spl_batch.engine.store.output_lock import locked
+from spl_batch.engine.store.output_owner import usable
+from spl_batch.engine.store.working_store import Store
+from spl_batch.engine.verbs.preparing import prepare
+from spl_batch.engine.verbs.running import run
+from spl_batch.engine.watch.earlier_runs import share_time
+from spl_batch.engine.watch.events import Listener, Note, ignore
 from spl_batch.errors import WorkflowError
-from spl_batch.receivers import HOMES, comparison
+from spl_batch.receivers import HOMES, comparison, task_kinds
+
+FOLDER: Final = "compare"
+"""Where the methods' results lie, below the output folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Methods:
+    """What a receiver fills in whose methods can be compared.
+
+    Parameters
+    ----------
+    known : str
+        Names of all methods, as a message lists them.
+    keys : callable
+        Of a method's name and the workflow: ``key.path=value`` that make a run one of this method,
+        or None where there is no such method. It raises where something that it needs is missing.
+    until : str
+        Last stage of what the methods share, which is done first.
+    share : callable
+        Of two stores, the workflow and a method's name: the stages that this method can use of the
+        workflow's own run. What is more than finished tasks it hands on itself.
+    write : callable
+        Of the output folder and reports by method: writes ``compare.html`` and ``compare.json`` and
+        returns what they say, with ``methods``.
+    row : callable
+        Of one of these: what the console shows of it.
+    titles : tuple of str
+        Heads of the console's columns.
+    """
+
+    known: str
+    keys: Callable[[str, Any], Sequence[str] | None]
+    until: str
+    share: Callable[[Store, Store, Any, str], Collection[str]]
+    write: Callable[[Path, Mapping[str, Any]], Any]
+    row: Callable[[Any], tuple[str, ...]]
+    titles: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +132,74 @@ def compare(
         If a run had to stop as a whole; the same call continues.
     """
     path = Path(workflow)
-    kind = load_any(path, overrides).kind
-    several = comparison(kind)
-    if several is None:
+    settings = load_any(path, overrides)
+    found: Methods | None = comparison(settings.kind)
+    if found is None:
         known = ", ".join(name for name, home in HOMES.items() if home.compare)
-        raise WorkflowError(f"{path}: kind: {kind} has one method; compare is for {known}")
-    found: ComparisonResult = several(
-        path, methods, workers=workers, memory=memory, overrides=overrides, listener=listener
-    )
-    return found
+        raise WorkflowError(f"{path}: kind: {settings.kind} has one method; compare is for {known}")
+    output = (path.resolve().parent / settings.output).resolve()
+    url = settings.outputs.store
+    keys = {}
+    for name in listed(methods, found.known):
+        own = found.keys(name, settings)
+        if own is None:
+            raise WorkflowError(f"--methods: no method {name!r}; there are {found.known}")
+        store = store_of(output, name, url)
+        keys[name] = [*overrides, f"output={json.dumps(str(store.output))}", *own]
+        if url:
+            keys[name].append(f"outputs.store={json.dumps(store.url)}")
+        load_any(path, keys[name])
+    usable(prepare(path, overrides, memory=memory, workers=workers))  # before the lock's file
+    process = partial(run, path, workers=workers, memory=memory, listener=listener)
+    with locked(output / FOLDER):
+        # What the methods share is finished first, under the workflow's own settings.
+        status = process(until=found.until, overrides=overrides).exit_status
+        reports = {}
+        for count, (name, own) in enumerate(keys.items(), start=1):
+            listener(Note("info", f"{name}, {count} of {len(keys)}"))
+            source, target = Store(output, url), store_of(output, name, url)
+            stages = found.share(source, target, settings, name)
+            tasks = task_kinds(settings.kind).items()
+            share_finished(source, target, [task for task, kind in tasks if kind.stage in stages])
+            share_time(output, target.output, stages)
+            result = process(overrides=own)
+            status = max(status, result.exit_status)
+            if result.report is not None:
+                reports[name] = result.report
+        if not reports:
+            raise WorkflowError(f"{output}: no method has finished; nothing can be compared")
+        report = found.write(output, reports)
+    rows = tuple(found.row(method) for method in report.methods)
+    return ComparisonResult(status, output, report, found.titles, rows)
+
+
+def listed(methods: str | Sequence[str], known: str) -> list[str]:
+    """Names of a list such as ``"bayes,dbscan"``, each once, in the order given.
+
+    Raises
+    ------
+    WorkflowError
+        If fewer than two are given.
+    """
+    names = methods.split(",") if isinstance(methods, str) else methods
+    chosen = list(dict.fromkeys(name.strip() for name in names if name.strip()))
+    if len(chosen) < 2:
+        raise WorkflowError(f"--methods: name two or more of {known}, separated by commas")
+    return chosen
+
+
+def folder_of(name: str) -> str:
+    """Where a method's results lie, below the output folder."""
+    return f"{FOLDER}/{name.replace(':', '-')}"
+
+
+def store_of(output: Path, name: str, url: str | None) -> Store:
+    """Working store of a method: each has one of its own."""
+    place = folder_of(name)
+    return Store(output / place, f"{url.rstrip('/')}/{place}" if url else None)
+
+
+def per_million(cost: Performance, stage: str, count: int) -> float | None:
+    """Seconds of a stage for a million of what was processed."""
+    spent = cost.stages.get(stage)
+    return 1e6 * spent.wall_s / count if spent and spent.wall_s and count else None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from spl_batch import api
-from spl_batch.airborne.compare.comparison import Variant, parse_methods
+from spl_batch.airborne.compare.comparison import METHODS as KNOWN
 from spl_batch.airborne.compare.contrast import Contrast, _far, _fullest_strip
 from spl_batch.airborne.filter.denoise import METHODS as METHODS_KNOWN
 from spl_batch.airborne.report.model import Noise
@@ -18,8 +18,8 @@ from spl_batch.airborne.report.survey_page import HOW, render
 from spl_batch.engine.store.links import share_finished
 from spl_batch.engine.store.working_store import Store, read_receipt, write_receipt
 from spl_batch.engine.tasks.task import Receipt
+from spl_batch.engine.verbs.comparing import folder_of, listed
 from spl_batch.engine.watch.events import TaskEnded
-from spl_batch.errors import WorkflowError
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds
 from tests import surveys
@@ -120,23 +120,20 @@ def test_what_methods_share_is_done_once(compared: Path) -> None:
     assert none.far_share == 1.0
 
 
-def test_methods_are_parsed() -> None:
-    found = parse_methods("vsaes:tail, voxel ,vsaes,voxel,published")
-    assert found == [
-        Variant("vsaes", "tail"), Variant("voxel"), Variant("vsaes"), Variant("published"),
-    ]  # fmt: skip
-    assert [v.folder for v in found] == ["vsaes-tail", "voxel", "vsaes", "published"]
+def test_methods_are_listed_once_and_have_folders() -> None:
+    found = listed("vsaes:tail, voxel ,vsaes,voxel,published", KNOWN.known)
+    assert found == ["vsaes:tail", "voxel", "vsaes", "published"]
+    assert [folder_of(name) for name in found[:2]] == ["compare/vsaes-tail", "compare/voxel"]
 
 
 @pytest.mark.parametrize(
     "methods", ["voxels,aes", "voxel:tail,aes", "published:tail,aes", "vsaes:best,aes", "aes,,aes"]
 )
 def test_a_wrong_list_names_what_there_is(methods: str, small_lines: Path) -> None:
-    with pytest.raises(WorkflowError, match=r"vsaes, aes, dcc, voxel, multilevel, cylinder, none"):
-        parse_methods(methods)
     ended = surveys.command("compare", small_lines, "--methods", methods)
     assert ended.status == 2
     assert ended.err.strip().startswith("spl-batch: --methods: ")
+    assert "vsaes, aes, dcc, voxel, multilevel, cylinder, none" in ended.err
     assert len(ended.err.strip().splitlines()) == 1
     assert not (small_lines.parent / "out").exists()
 
