@@ -75,13 +75,15 @@ class Beam:
             (along, height), photons, self.scale, prior, RATE, likelihoods, settings
         )
         expected = counted(along, height, found, each / chance.SHARE_QUANTA)
+        stray = each / chance.SHARE_QUANTA * rates.far(along, height, self.cells, RATE)
+        strays = counted(along, height, found, stray)
         least = np.empty((2, len(window)), np.int64)
         for z in range(2):
             wanted = np.maximum(counts[z].sum(axis=1) - sums[z], 0.0)
             least[z] = signals.thresholds(counts[z], away[z], wanted, settings.false_share)
             if settings.selection == "f1":
                 least[z] = chance.best_thresholds(
-                    counts[z], expected[z], away[z], wanted, settings.false_share
+                    counts[z], expected[z], away[z], strays[z], wanted, settings.false_share
                 )
             if ground:
                 limits = PROFILE.photons_factor * wanted, PROFILE.false_share

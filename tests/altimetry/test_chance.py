@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from benchmarks.altimetry.photon_beams import Beam
 from spl_batch.altimetry.filter import chance
 from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.filter.likelihood import ratios
@@ -93,25 +94,35 @@ def test_places_tell_how_much_noise_passes(colour: str, canopy: float) -> None:
 COUNTS = arrays(np.int64, (2, 30), elements=st.integers(0, 40))
 
 
-@given(counts=COUNTS, noise=COUNTS, far=COUNTS, wanted=st.floats(0, 900), share=st.floats(0, 0.5))
+@given(
+    counts=COUNTS, noise=COUNTS, far=COUNTS, strays=COUNTS, wanted=st.floats(0, 900),
+    share=st.floats(0, 0.5),
+)  # fmt: skip
 def test_the_threshold_is_that_of_the_largest_f1(
-    counts: np.ndarray, noise: np.ndarray, far: np.ndarray, wanted: float, share: float
-) -> None:
+    counts: np.ndarray, noise: np.ndarray, far: np.ndarray, strays: np.ndarray, wanted: float,
+    share: float,
+) -> None:  # fmt: skip
     noise, far = np.minimum(noise, counts), np.minimum(far, counts)
+    strays = np.minimum(strays // 8, far)
     limits = (np.full(2, wanted), share)
-    least = chance.best_thresholds(*(t.astype(float) for t in (counts, noise, far)), *limits)
+    tables = (t.astype(float) for t in (counts, noise, far, strays))
+    least = chance.best_thresholds(*tables, *limits)
     for i in range(2):
         f1, signal, fine = {}, {}, {}
+        sure = wanted > 3.0 * max(counts[i].sum() - wanted, 1.0) ** 0.5
         for b in range(counts.shape[1] - 1, -1, -1):
             above, below = counts[i, b:].sum(), noise[i, b:].sum()
             signal[b] = min(above - below, wanted)
             f1[b] = 2.0 * signal[b] / max(above + wanted, 1.0)
-            fine[b] = signals.surely(far[i, b:].sum()) <= share * above
+            fine[b] = far[i, b:].sum() <= max(share * above, sure)
         # The first of equals is the one that takes fewest.
         free = max(f1, key=lambda b: f1[b])
         held = max(f1, key=lambda b: f1[b] if fine[b] else 0.0)
         gained = f1[held] if fine[held] else 0.0
-        layered = gained < 0.95 * f1[free] and signal[free] > 3.0 * max(noise[i].sum(), 1.0) ** 0.5
+        layered = sure and gained < 0.95 * f1[free]
+        away, chanced = far[i, free:].sum(), strays[i, free:].sum()
+        each = 8.0 * noise[i].sum() / max(counts[i].sum(), 1)
+        layered &= away > chanced + each + 3.0 * ((1.0 + each) * chanced) ** 0.5
         best, gained = (free, f1[free]) if layered else (held, gained)
         assert least[i] == (max(best, 1) if gained > 0.0 else counts.shape[1])
 
@@ -122,27 +133,12 @@ def test_what_is_taken_under_trees_agrees_better_with_the_truth(colour: str) -> 
     found: dict[str, list[float]] = {"f1": [], "number": [], "mdbscan": []}
     for seed in (21, 22, 23):
         track = simulate_track(scene("flat", colour, seed, length_m=2000.0, canopy=0.4))  # type: ignore[arg-type]
-        along, height = lattice(track)
-        cells, scale, prior = prepared(track)
-        every = np.ones(len(along), np.bool_)
-        bins = signals.score_bins(signals.score(along, height, every, scale, prior, RATE, SIGNAL))
-        *at, noise = chance.places(cells, scale, np.ones(len(cells.index), np.bool_), RATE)
-        score = chance.score_places(
-            (at[0], at[1]), (along, height), scale, prior, RATE, TABLE, SIGNAL
-        )
-        far = rates.far(along, height, cells, RATE) > 0
-        chosen = (bins, 1.0), (bins[far], 1.0), (signals.score_bins(score), noise / 2**20)
-        counts, away, expected = (
-            np.bincount(b, np.broadcast_to(w, b.shape), signals.SCORE_BINS)[None] for b, w in chosen
-        )
-        wanted = np.array([len(along) - scale.noise.sum()])
-        limits = (wanted, SIGNAL.false_share)
-        mean = signals.mean_density(cells, scale, RATE, SIGNAL)
-        kept = {
-            "f1": bins >= chance.best_thresholds(counts, expected, away, *limits)[0],
-            "number": bins >= signals.thresholds(counts, away, *limits)[0],
-            "mdbscan": signals.mdbscan(along, height, scale, mean, RATE, BaselineSettings()),
-        }
+        kept = {}
+        for selection in ("f1", "number"):
+            chosen = SIGNAL.model_copy(update={"selection": selection})
+            beam = Beam(lattice(track), track.background, chosen)
+            kept[selection] = beam.keep(beam.score())
+        kept["mdbscan"] = beam.mdbscan(BaselineSettings())
         for name, mask in kept.items():
             both = np.count_nonzero(mask & (track.truth > 0))
             found[name].append(2 * both / (mask.sum() + np.count_nonzero(track.truth)))

@@ -208,12 +208,36 @@ def test_falling_densities_are_isotonic_regression(seed: int, depths: int) -> No
 
 def test_a_single_stray_photon_does_not_take_a_stretch_away() -> None:
     counts, far = np.zeros((1, 50), np.int64), np.zeros((1, 50), np.int64)
-    counts[0, 40], counts[0, 20:22] = 1000, 500
+    counts[0, 40], counts[0, 20:22] = 100, 50
     far[0, 41] = counts[0, 41] = 1
-    least = signals.thresholds(counts, far, np.array([2100.0]), 0.0005)
+    least = signals.thresholds(counts, far, np.array([210.0]), 0.0005)
     assert least[0] <= 20
-    far[0, 20] = counts[0, 20] = 200
-    assert signals.thresholds(counts, far, np.array([2100.0]), 0.0005)[0] > 20
+    far[0, 20] = counts[0, 20] = 20
+    assert signals.thresholds(counts, far, np.array([210.0]), 0.0005)[0] > 20
+
+
+def test_the_sky_s_noise_varies_below_a_surface_as_it_does_above() -> None:
+    track = water_track(NIGHT, length_m=6000.0)
+    rng = np.random.default_rng(7)
+    x = rng.uniform(0.0, 6000.0, rng.poisson(2 * DAY * 100.0 * 6000.0))
+    # Brighter and darker stretches of 300 m, which a kilometre of track averages.
+    share = np.where((x // 300.0) % 2 == 0, 1.0, 0.2)
+    x = x[rng.uniform(size=len(x)) < share]
+    z = rng.uniform(*GATE_M, len(x))
+    order = np.argsort(np.concatenate([track.x, x]), kind="stable")
+    both = (np.concatenate(v)[order] for v in ((track.x, x), (track.z, z)))
+    cells = rates.observe(*quanta(np.stack(list(both), axis=1)), RATE)
+    scale = rates.scale(cells, rates.density_from_window(cells, RATE), RATE, SIGNAL)
+    deep = scale.column[:, 40:60].mean(axis=1)
+    middle = (cells.index % 15 >= 4) & (cells.index % 15 <= 10)
+    bright = (cells.index // 15) % 2 == 0
+    contrast = [
+        np.median(found[middle & bright]) / np.median(found[middle & ~bright])
+        for found in (scale.density, deep)
+    ]
+    assert contrast[0] > 1.5
+    assert contrast[1] == pytest.approx(contrast[0], rel=0.15)
+    assert deep.mean() == pytest.approx(cells.column[:, 40:60].mean(), rel=0.05)
 
 
 def test_refraction_is_that_of_vectors() -> None:

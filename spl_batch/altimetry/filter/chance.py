@@ -20,12 +20,14 @@ from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.filter.likelihood import Ratios
 from spl_batch.altimetry.filter.signal import (
+    SURE_SD,
     UNIT_QUANTA,
     counted,
     farthest,
+    few_strays,
+    is_sure,
     local_alpha,
     scaled,
-    surely,
 )
 from spl_batch.altimetry.noise.noise_rate import noise_at
 from spl_batch.altimetry.photon_table import Cells, Scale
@@ -45,9 +47,6 @@ _BATCH: Final = 65_536
 
 _MOST_LOST: Final = 0.05
 """Part of the F1 to be expected that the limit on far photons may cost."""
-
-_SURE_SD: Final = 3.0
-"""Standard deviations of the noise expected that a signal exceeds which they may not cost more."""
 
 
 def places(
@@ -150,6 +149,7 @@ def best_thresholds(
     counts: NDArray[np.float64],
     noise: NDArray[np.float64],
     far: NDArray[np.float64],
+    far_noise: NDArray[np.float64],
     wanted: NDArray[np.float64],
     false_share: float,
 ) -> NDArray[np.int64]:
@@ -160,13 +160,13 @@ def best_thresholds(
 
     The limit on far photons is for noise. A cliff, a cloud or a surface that was not followed puts
     signal far from where the surface is looked for, and the limit would take a whole stretch away
-    for it. It is given up where it costs more than a twentieth of F1 and the signal is more than
-    chance makes of the noise.
+    for it. It is given up where it costs more than a twentieth of F1 and more photons are far than
+    noise explains.
 
     Parameters
     ----------
-    counts, noise, far : (w, bins) float64
-        Photons by score bin; noise photons expected; photons far from the surface.
+    counts, noise, far, far_noise : (w, bins) float64
+        Photons by score bin, and noise photons expected; the same far from the surface.
     wanted, false_share
         As of :func:`spl_batch.altimetry.filter.signal.thresholds`.
 
@@ -175,14 +175,18 @@ def best_thresholds(
     (w,) int64
         From 1 to the number of bins, which takes none.
     """
-    above, below, away = (np.cumsum(table[:, ::-1], axis=1) for table in (counts, noise, far))
-    false = surely(away)
+    tables = (counts, noise, far, far_noise)
+    above, below, away, strays = (np.cumsum(table[:, ::-1], axis=1) for table in tables)
     signal = np.clip(above - below, 0.0, wanted[:, None])
     every = 2.0 * signal / np.maximum(above + wanted[:, None], 1.0)
-    gain = np.where(false <= false_share * above, every, 0.0)
-    best = signal[np.arange(len(every)), every.argmax(axis=1)]
-    layered = gain.max(axis=1) < (1.0 - _MOST_LOST) * every.max(axis=1)
-    layered &= best > _SURE_SD * np.sqrt(np.maximum(below[:, -1], 1.0))
+    sure = is_sure(counts, wanted)
+    gain = np.where(few_strays(away, above, sure, false_share), every, 0.0)
+    layered = sure & (gain.max(axis=1) < (1.0 - _MOST_LOST) * every.max(axis=1))
+    best = np.arange(len(every)), every.argmax(axis=1)
+    # Noise is told by places; each stands for so many photons at most.
+    each = _PHOTONS_PER_PLACE * below[:, -1] / np.maximum(above[:, -1], 1.0)
+    chance = SURE_SD * np.sqrt((1.0 + each) * strays[best])
+    layered &= away[best] > strays[best] + each + chance
     gain[layered] = every[layered]
     taken = np.where(gain.max(axis=1) > 0.0, gain.argmax(axis=1) + 1, 0)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)

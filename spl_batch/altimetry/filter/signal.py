@@ -19,7 +19,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.filter.likelihood import ratios
@@ -41,8 +40,8 @@ UNIT_QUANTA: Final = 4096
 """Lattice of the scaled plane [quanta per unit]."""
 
 SCORE_BINS: Final = 1600
-CONFIDENCE: Final = 0.5
-"""Chance that as many far photons, or more, are seen by what is called their mean."""
+SURE_SD: Final = 3.0
+"""Standard deviations of noise that what is more than chance exceeds."""
 
 _BINS_PER_LN: Final = 100.0
 _LN_FIRST: Final = -10.0
@@ -201,23 +200,31 @@ def thresholds(
         From 1 to the number of bins, which takes none.
     """
     above = np.cumsum(counts[:, ::-1], axis=1)
-    false = surely(np.cumsum(far[:, ::-1], axis=1))
-    fine = (above <= np.maximum(wanted, 0.0)[:, None]) & (false <= false_share * above)
+    fine = above <= np.maximum(wanted, 0.0)[:, None]
+    sure = is_sure(counts, wanted)
+    fine &= few_strays(np.cumsum(far[:, ::-1], axis=1), above, sure, false_share)
     # The widest choice that is fine; a count below it may not be, by chance, and need not.
     taken = np.where(fine.any(1), fine.shape[1] - np.argmax(fine[:, ::-1], axis=1), 0)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
     return least
 
 
-def surely(count: NDArray[Any]) -> NDArray[np.float64]:
-    """Mean at which a Poisson count or more is as likely as not, of the shape of ``count``.
+def is_sure(counts: NDArray[Any], wanted: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Windows whose signal is more than chance makes of the noise, (w,) bool."""
+    noise = np.maximum(counts.sum(axis=1) - wanted, 1.0)
+    sure: NDArray[np.bool_] = wanted > SURE_SD * np.sqrt(noise)
+    return sure
 
-    A single stray photon far up tells next to nothing of how much noise passes.
+
+def few_strays(
+    far: NDArray[Any], above: NDArray[Any], sure: NDArray[np.bool_], false_share: float
+) -> NDArray[np.bool_]:
+    """Whether photons far from the surface are few among those taken, (w, bins) bool.
+
+    Where there is signal, a single one tells of no rate: it takes no stretch away.
     """
-    bound: NDArray[np.float64] = np.where(
-        count > 0, special.gammaincinv(np.maximum(count, 1), 1.0 - CONFIDENCE), 0.0
-    )
-    return bound
+    few: NDArray[np.bool_] = far <= np.maximum(false_share * above, sure[:, None])
+    return few
 
 
 def mean_density(

@@ -290,7 +290,8 @@ def scale(
     rate, signal : RateSettings, SignalSettings
         Cells; aspect, reach, and whether to scale at all.
     """
-    noise, below = _expected(cells, density, rate)
+    column = _local_column(cells, density)
+    noise, below = _expected(cells, density, column, rate)
     known = density[density > 0]
     reference = float(np.median(known)) if len(known) else 1e-6
     wet = cells.level != NO_WATER
@@ -320,7 +321,7 @@ def scale(
     lengths = np.concatenate([[0.0], np.cumsum(stretch * rate.cell_m)[:-1]])
     stretched_m = np.cumsum(apart) + lengths[: len(stretch)]
     return Scale(
-        cells.index, start, per_m, cap, alpha, noise, below, density, cells.level, cells.column,
+        cells.index, start, per_m, cap, alpha, noise, below, density, cells.level, column,
         stretch, stretched_m, unit_m, reference,
     )  # fmt: skip
 
@@ -349,8 +350,33 @@ def _least_around(
     return least
 
 
+def _local_column(cells: Cells, density: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Noise by depth of each cell: what a kilometre shows, with the sky's noise of the cell.
+
+    By day the sky's noise reaches below the surface too and varies as fast as above it. What the
+    water adds is counted over a kilometre; what is less than the sky's is a share of it.
+    """
+    wet = np.flatnonzero(cells.level != NO_WATER)
+    column = cells.column.copy()
+    if not len(wet):
+        return column
+    index = cells.index[wet]
+    total = np.concatenate([[0.0], np.cumsum(density[wet])])
+    first = np.searchsorted(index, index - REACH_CELLS)
+    stop = np.searchsorted(index, index + REACH_CELLS, side="right")
+    sky = ((total[stop] - total[first]) / (stop - first))[:, None]
+    here = density[wet][:, None]
+    own = cells.column[wet]
+    share = np.minimum(own / np.maximum(sky, 1e-12), 1.0)
+    column[wet] = np.maximum(own - sky, 0.0) + share * here
+    return column
+
+
 def _expected(
-    cells: Cells, density: NDArray[np.float64], rate: RateSettings
+    cells: Cells,
+    density: NDArray[np.float64],
+    column: NDArray[np.float32],
+    rate: RateSettings,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Noise photons expected in each cell, and those below a water surface: (n,) float64."""
     wet = cells.level != NO_WATER
@@ -360,7 +386,7 @@ def _expected(
     gate_m = np.maximum(surface - cells.low, 0) / QUANTA_PER_M
     length = np.clip(gate_m[:, None] - np.arange(DEPTHS), 0.0, 1.0)
     length[:, -1] = np.maximum(gate_m - (DEPTHS - 1), 0.0)
-    below = (cells.column * length).sum(axis=1)
+    below = (column * length).sum(axis=1)
     below = np.where(wet, below, 0.0) * rate.cell_m
     return density * above * rate.cell_m + below, below
 

@@ -33,18 +33,13 @@ OBSERVE_CELLS: Final = 1024
 SELECT_WINDOWS: Final = 256
 """Windows whose photons are held by score at once: 20 MB [count]."""
 
-COUNTED: Final = ("counts", "far", "noise")
-"""What segments count by window and score: all photons, far ones, noise expected."""
+COUNTED: Final = ("counts", "far", "noise", "far_noise")
+"""What segments count by window and score: photons, those far off, and noise expected of both."""
 
-_Scored = tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8]]
-"""Places along the track, scores there, what each counts, and whether below a water surface."""
-
-_NO_PLACES: Final[_Scored] = (
-    np.empty(0, np.int64),
-    np.empty(0, np.float32),
-    np.empty(0, np.int64),
-    np.empty(0, np.uint8),
-)
+_PLACES: Final = {
+    "along": np.int64, "score": np.float32, "noise": np.int64, "far": np.uint8, "below": np.uint8
+}  # fmt: skip
+"""Places where noise may be: along the track, score, noise that each stands for, where it lies."""
 
 ZONES: Final = 2
 """Below a water surface, and elsewhere: each has its own threshold [count]."""
@@ -183,7 +178,7 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
             table["along"], table["height"], scale, mean, workflow.rate, workflow.signal.mdbscan
         )
         labels["baseline"] = dense[mine].astype(np.uint8)
-    noise = _NO_PLACES
+    noise = {name: np.empty(0, dtype) for name, dtype in _PLACES.items()}
     if workflow.signal.method != "bayes":
         kept = labels["baseline"] > 0
         if workflow.signal.method in PEERS:
@@ -203,7 +198,13 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
                 at, photons, scale, prior, workflow.rate, likelihoods, workflow.signal
             )
             cell = np.searchsorted(cells.index, along // size)
-            noise = (along, found, each, rates.below_surface(cell, height, scale).astype(np.uint8))
+            noise = {
+                "along": along,
+                "score": found,
+                "noise": each,
+                "far": rates.far(along, height, cells, workflow.rate),
+                "below": rates.below_surface(cell, height, scale).astype(np.uint8),
+            }
     outputs = [
         place(context, "scores", args["segment"], ".parquet"),
         place(context, "counts", args["segment"], ".npz"),
@@ -216,28 +217,24 @@ def score(args: Mapping[str, Any], context: Context) -> Produced:
 
 
 def _counted(
-    labels: Mapping[str, NDArray[Any]], noise: _Scored, context: Context
+    labels: Mapping[str, NDArray[Any]], noise: Mapping[str, NDArray[Any]], context: Context
 ) -> dict[str, NDArray[Any]]:
-    """Photons of a segment by zone, window and score: all, far ones, noise expected."""
+    """What :data:`COUNTED` names, of a segment by zone, window and score."""
     window = np.unique(_windows(labels["along"], context))
 
-    def table(
-        along: NDArray[np.int64],
-        score: NDArray[np.float32],
-        value: NDArray[np.int64],
-        below: NDArray[np.uint8],
-    ) -> NDArray[np.int64]:
+    def table(at: Mapping[str, NDArray[Any]], value: NDArray[np.int64]) -> NDArray[np.int64]:
         counts = np.zeros((ZONES, len(window), signals.SCORE_BINS), np.int64)
-        at = np.searchsorted(window, _windows(along, context))
-        np.add.at(counts, (below, at, signals.score_bins(score)), value)
+        row = np.searchsorted(window, _windows(at["along"], context))
+        np.add.at(counts, (at["below"], row, signals.score_bins(at["score"])), value)
         return counts
 
-    along, score, far = labels["along"], labels["score"], labels["far"].astype(np.int64)
+    far = labels["far"].astype(np.int64)
     return {
         "window": window,
-        "counts": table(along, score, np.ones_like(far), labels["below"]),
-        "far": table(along, score, far, labels["below"]),
-        "noise": table(*noise),
+        "counts": table(labels, np.ones_like(far)),
+        "far": table(labels, far),
+        "noise": table(noise, noise["noise"]),
+        "far_noise": table(noise, noise["noise"] * noise["far"]),
     }
 
 
@@ -286,7 +283,7 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
 def _of_segments(
     window: NDArray[np.int64], segments: list[tuple[str, int, int]], context: Context
 ) -> NDArray[np.int64]:
-    """What segments have counted of zones and windows by score: (3, ZONES, w, bins) int64."""
+    """What segments have counted of zones and windows by score: (4, ZONES, w, bins) int64."""
     workflow = context.workflow
     counts = np.zeros((len(COUNTED), ZONES, len(window), signals.SCORE_BINS), np.int64)
     size = quanta(workflow.rate.cell_m)
@@ -312,13 +309,13 @@ def _least(
     workflow = context.workflow
     if workflow.signal.method != "bayes":
         return np.ones((2, len(estimated)), np.int64)
-    counts, far, noise = around
+    counts, far, noise, far_noise = around
     settings, profile = workflow.signal, workflow.profile
     wanted = profile.photons_factor * estimated
     ground = signals.thresholds(counts, far, wanted, profile.false_share)
     if settings.selection == "f1":
-        noise = noise / chance.SHARE_QUANTA
-        label = chance.best_thresholds(counts, noise, far, estimated, settings.false_share)
+        expected = noise / chance.SHARE_QUANTA, far, far_noise / chance.SHARE_QUANTA
+        label = chance.best_thresholds(counts, *expected, estimated, settings.false_share)
     else:
         label = signals.thresholds(counts, far, estimated, settings.false_share)
     return np.stack([label, np.minimum(ground, label)])
