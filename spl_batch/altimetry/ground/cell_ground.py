@@ -130,11 +130,11 @@ def fit_ground(
     layers: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Line through the photons of each cell's layer: bisquare weights, six rounds.
+    """Line through the photons of each cell's layer, or a parabola: bisquare weights, six rounds.
 
-    The line is as long as the layer, three cells, unless the cell's own photons contradict it: a
-    longer one is less noisy, a shorter one follows curved ground. Two windows are chosen between
-    by confidence intervals (A. Goldenshluger and A. Nemirovski, Math. Methods Stat. 6, 1997).
+    A line is less noisy, a parabola follows curved ground. The line is taken unless the parabola
+    contradicts it: their difference has, by chance, the difference of their variances (J. Hausman,
+    Econometrica 46, 1978, 2.1).
 
     Parameters
     ----------
@@ -144,12 +144,13 @@ def fit_ground(
         Half the length of a cell [m].
     layers : (c, 2) float64
         Height at the middle [m] and slope [m/m] of the layer.
-    out : (c, 4) float64
-        Receives height at the middle [m], slope [m/m], standard error of the height [m] and
-        photons in the layer [count]; NaN where these are too few.
+    out : (c, 5) float64
+        Receives height at the middle [m], slope [m/m], standard error of the height [m], photons in
+        the layer [count], and by how much more than chance the cell's own photons are off it,
+        squared [m2], of either sign; NaN where photons are too few.
     """
     for c in range(len(first)):
-        out[c, 0] = out[c, 1] = out[c, 2] = out[c, 3] = np.nan
+        out[c] = np.nan
         if np.isnan(layers[c, 0]):
             continue
         x, z = np.empty(stop[c] - first[c]), np.empty(stop[c] - first[c])
@@ -160,67 +161,85 @@ def fit_ground(
                 x[n], z[n] = dx, height_m[row]
                 n += 1
         if n >= photons_min:
-            _fit(x[:n], z[:n], layers[c, 0], layers[c, 1], out[c])
+            _fit(x[:n], z[:n], layers[c, 0], layers[c, 1], 1, out[c])
             out[c, 3] = n
-            _nearer(x[:n], z[:n], half_m, photons_min, out[c])
+            if n >= 3 * photons_min:
+                _bend(x[:n], z[:n], out[c])
+            own = np.abs(x[:n]) <= half_m
+            if 2 * photons_min <= np.count_nonzero(own) < n:
+                near = np.empty(3)
+                _fit(x[:n][own], z[:n][own], out[c, 0], out[c, 1], 1, near)
+                chance2 = max(near[2] ** 2 - out[c, 2] ** 2, 0.0)
+                out[c, 4] = (near[0] - out[c, 0]) ** 2 - chance2
 
 
 @njit()
-def _nearer(x, z, half_m, photons_min, out):  # type: ignore[no-untyped-def]
-    """The line of the cell's own photons, where it contradicts the long one: curved ground."""
-    own = np.abs(x) <= half_m
-    n = np.count_nonzero(own)
-    if n < 2 * photons_min or n == len(x):
-        return
-    near = np.empty(4)
-    _fit(x[own], z[own], out[0], out[1], near)
-    off = abs(near[0] - out[0])
-    if off > _CONTRADICTS * near[2]:
-        out[:3] = near[:3]
-        out[3] = n
-    else:
-        # What chance does not explain of the difference is the long line's bias.
-        out[2] = np.sqrt(out[2] ** 2 + max(off**2 - near[2] ** 2, 0.0))
+def _bend(x, z, out):  # type: ignore[no-untyped-def]
+    """The parabola where it contradicts the line."""
+    bent = np.empty(3)
+    _fit(x, z, out[0], out[1], 2, bent)
+    chance2 = max(bent[2] ** 2 - out[2] ** 2, 0.0)
+    if (bent[0] - out[0]) ** 2 > _CONTRADICTS**2 * chance2:
+        out[:3] = bent
 
 
 @njit()
-def _fit(x, z, level, slope, out):  # type: ignore[no-untyped-def]
-    """Bisquare line through points: level at zero, slope, standard error of the level."""
+def _fit(x, z, level, slope, degree, out):  # type: ignore[no-untyped-def]
+    """Bisquare line or parabola through points: level and slope at zero, error of the level."""
     weight, off = np.empty(len(x)), np.empty(len(x))
-    spread = _spread(x, z, level, slope, off)
+    bend = 0.0
+    spread = _spread(x, z, level, slope, bend, off)
     total = lever = 0.0
     for _ in range(_ROUNDS):
-        total = sx = sz = 0.0
+        total = sx = sz = sq = 0.0
         for i in range(len(x)):
-            r = (z[i] - level - slope * x[i]) / (_TUKEY * spread)
+            r = (z[i] - level - slope * x[i] - bend * x[i] ** 2) / (_TUKEY * spread)
             weight[i] = (1.0 - r * r) ** 2 if abs(r) < 1.0 else 0.0
             total += weight[i]
             sx += weight[i] * x[i]
             sz += weight[i] * z[i]
+            sq += weight[i] * x[i] ** 2
         if total <= 0.0:
             break
-        mx, mz = sx / total, sz / total
-        sxx = sxz = 0.0
+        mx, mz, mq = sx / total, sz / total, sq / total
+        sxx = sxz = sxq = 0.0
         for i in range(len(x)):
             sxx += weight[i] * (x[i] - mx) ** 2
             sxz += weight[i] * (x[i] - mx) * (z[i] - mz)
+            sxq += weight[i] * (x[i] - mx) * (x[i] ** 2 - mq)
         # Photons within about a metre of each other tell no slope.
-        slope = sxz / sxx if sxx > total else slope
+        known = sxx > total
+        slope = sxz / sxx if known else slope
+        lever = mx * mx / sxx if known else 0.0
         level = mz - slope * mx
-        lever = mx * mx / sxx if sxx > total else 0.0
-        spread = _spread(x, z, level, slope, off)
+        bend = 0.0
+        if degree == 2 and known:
+            # x^2 less its part along a line: what is left of it is a parabola's own.
+            turn = sxq / sxx
+            sqq = sqz = 0.0
+            for i in range(len(x)):
+                own = x[i] ** 2 - mq - turn * (x[i] - mx)
+                sqq += weight[i] * own**2
+                sqz += weight[i] * own * z[i]
+            if sqq > total:
+                bend = sqz / sqq
+                here = turn * mx - mq
+                level += bend * here
+                slope -= bend * turn
+                lever += here * here / sqq
+        spread = _spread(x, z, level, slope, bend, off)
     out[0], out[1] = level, slope
-    # Two numbers are fitted; away from the middle of its photons a line is less sure.
-    fitted = len(x) / max(len(x) - 2, 1)
+    # Two or three numbers are fitted; away from the middle of its photons a line is less sure.
+    fitted = len(x) / max(len(x) - degree - 1, 1)
     out[2] = spread * np.sqrt(fitted * (1.0 / max(total, 1.0) + lever))
 
 
 @njit()
-def _spread(x, z, level, slope, off):  # type: ignore[no-untyped-def]
-    """Normalised median of the absolute distances from a line [m]."""
+def _spread(x, z, level, slope, bend, off):  # type: ignore[no-untyped-def]
+    """Normalised median of the absolute distances from a line or parabola [m]."""
     n = len(x)
     for i in range(n):
-        off[i] = abs(z[i] - level - slope * x[i])
+        off[i] = abs(z[i] - level - slope * x[i] - bend * x[i] ** 2)
     # Shell's sort: nothing to compile but loops, and a layer holds hundreds of photons.
     gap = 1
     while gap < n // 3:

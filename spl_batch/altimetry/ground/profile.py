@@ -68,7 +68,7 @@ def for_layout(settings: ProfileSettings, layout: str) -> ProfileSettings:
 
 def reach_cells(settings: ProfileSettings) -> int:
     """Cells to each side that decide a cell's heights [count]."""
-    return settings.reach_cells + 1
+    return 2 * settings.reach_cells + 1
 
 
 def profile(
@@ -98,7 +98,7 @@ def profile(
     centre = index * size + size // 2
     first = np.searchsorted(along, (index - 1) * size)
     stop = np.searchsorted(along, (index + 2) * size)
-    found, fit = np.empty((len(index), 2)), np.empty((len(index), 4))
+    found, fit = np.empty((len(index), 2)), np.empty((len(index), 5))
     lowest_layers(
         along, z, first, stop, centre,
         thickness_m(settings), settings.slope_max, settings.photons_min, found,
@@ -126,7 +126,7 @@ def profile(
             "along_track": (index[mine] * size + size // 2) / QUANTA_PER_M,
             "ground": ground,
             "slope": fit[mine, 1],
-            "ground_error": fit[mine, 2],
+            "ground_error": np.sqrt(fit[:, 2] ** 2 + _misfit2(index, fit[:, 4], settings))[mine],
             "ground_photons": np.nan_to_num(fit[mine, 3]).astype(np.int64),
             "canopy_top": np.where(photons > 0, top, ground),
             "canopy_height": np.where(photons > 0, top - ground, bare),
@@ -177,6 +177,24 @@ def agree(
     wrong = np.abs(found[:, 0] - middle) > 2.0 * thickness_m(settings)
     out[wrong, 0] = np.where(asked[wrong] >= 2, middle[wrong], np.nan)
     return out, asked
+
+
+def _misfit2(
+    index: NDArray[np.int64], off2: NDArray[np.float64], settings: ProfileSettings
+) -> NDArray[np.float64]:
+    """Squared error that the ground's shape leaves, from the cells around each, (c,) float64 [m2].
+
+    In one cell what its photons tell is mostly chance; over several that averages out.
+    """
+    known = np.isfinite(off2)
+    # Whole numbers: their sums have no order.
+    whole = np.rint(np.where(known, off2, 0.0) * 1e9).astype(np.int64)
+    total, count = (np.concatenate([[0], np.cumsum(v)]) for v in (whole, known))
+    first = np.searchsorted(index, index - settings.reach_cells)
+    stop = np.searchsorted(index, index + settings.reach_cells, side="right")
+    mean = (total[stop] - total[first]) / np.maximum(count[stop] - count[first], 1) * 1e-9
+    misfit2: NDArray[np.float64] = np.maximum(mean, 0.0)
+    return misfit2
 
 
 def _canopy(

@@ -30,6 +30,7 @@ from spl_batch.altimetry.water.level_water import (
     REACH_CELLS,
     SURFACE_M,
     find_water,
+    local_column,
 )
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
@@ -290,7 +291,7 @@ def scale(
     rate, signal : RateSettings, SignalSettings
         Cells; aspect, reach, and whether to scale at all.
     """
-    column = _local_column(cells, density)
+    column = local_column(cells.index, cells.level, cells.column, density)
     noise, below = _expected(cells, density, column, rate)
     known = density[density > 0]
     reference = float(np.median(known)) if len(known) else 1e-6
@@ -348,28 +349,6 @@ def _least_around(
     cells = int(np.ceil(signal.reach_m / rate.cell_m)) + 1
     least: NDArray[np.float64] = ndimage.minimum_filter1d(values, 2 * cells + 1, mode="nearest")
     return least
-
-
-def _local_column(cells: Cells, density: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Noise by depth of each cell: what a kilometre shows, with the sky's noise of the cell.
-
-    By day the sky's noise reaches below the surface too and varies as fast as above it. What the
-    water adds is counted over a kilometre; what is less than the sky's is a share of it.
-    """
-    wet = np.flatnonzero(cells.level != NO_WATER)
-    column = cells.column.copy()
-    if not len(wet):
-        return column
-    index = cells.index[wet]
-    total = np.concatenate([[0.0], np.cumsum(density[wet])])
-    first = np.searchsorted(index, index - REACH_CELLS)
-    stop = np.searchsorted(index, index + REACH_CELLS, side="right")
-    sky = ((total[stop] - total[first]) / (stop - first))[:, None]
-    here = density[wet][:, None]
-    own = cells.column[wet]
-    share = np.minimum(own / np.maximum(sky, 1e-12), 1.0)
-    column[wet] = np.maximum(own - sky, 0.0) + share * here
-    return column
 
 
 def _expected(

@@ -72,6 +72,9 @@ class Beam(Part):
     far_per_km2: Number = Field(
         None, description="Signal photons far from any surface, per km2 of gate [1/km2]."
     )
+    water: Number = Field(None, description="Share of the track that shows level water, 0..1.")
+    surface: Count = Field(0, description="Signal at its surface [count].")
+    floor: Count = Field(0, description="Signal below it [count].")
     ground_cells: Count = Field(0, description="Cells of the profile with a ground [count].")
     canopy_cells: Count = Field(0, description="Cells with canopy [count].")
     cells: Count = Field(0, description="Cells of the profile [count].")

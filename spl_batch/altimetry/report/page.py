@@ -106,6 +106,11 @@ def screen_summary(report: TrackReport) -> list[tuple[str, str]]:
     ]
     if counts.not_assessed:
         rows.append(("not assessed", _with_share(counts.not_assessed, counts.points_in)))
+    surface, floor = (sum(getattr(b, part) for b in report.beams) for part in ("surface", "floor"))
+    if surface:
+        rows.append(
+            ("level water", f"{text.number(surface)} of surface, {text.number(floor)} below")
+        )
     rows.append(("ground accuracy", _accuracy(report.ground)))
     if report.baseline_ground is not None:
         rows.append(("by mDBSCAN", _accuracy(report.baseline_ground)))

@@ -51,13 +51,14 @@ _DATASETS: Final[Mapping[str, tuple[type, float, str]]] = {
 def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     """Write a beam's photons in the order of the file, and its profile."""
     photons = context.output / "photons" / f"{args['delivered']}.parquet"
-    counts = np.zeros(256, np.int64)
+    counts, water = np.zeros(256, np.int64), np.zeros(COLUMN + 1, np.int64)
     columns_of = dict(DELIVERED)
     if context.workflow.outputs.refraction:
         columns_of[REFRACTED] = np.float64
     with writing(photons, columns_of, durable=True) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
+            water += np.bincount(part["water"], minlength=COLUMN + 1)
             for start in range(0, len(part["signal"]), GROUP_PHOTONS):
                 rows = slice(start, start + GROUP_PHOTONS)
                 writer.write({name: part[name][rows] for name in columns_of})
@@ -67,6 +68,8 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     facts = {
         "points": int(counts.sum()),
         "labels": {str(k): int(v) for k, v in enumerate(counts) if v},
+        "surface": int(water[SURFACE]),
+        "floor": int(water[FLOOR]),
     }
     return Produced([photons, profile], facts, int(counts.sum()))
 

@@ -251,6 +251,35 @@ def _columns(
     return out
 
 
+def local_column(
+    index: NDArray[np.int64],
+    level: NDArray[np.int32],
+    column: NDArray[np.float32],
+    density: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Noise by depth of each cell: what a kilometre shows, with the sky's noise of the cell.
+
+    By day the sky's noise reaches below the surface too and varies as fast as above it. What the
+    water adds is counted over a kilometre; what is less than the sky's is a share of it.
+
+    Parameters
+    ----------
+    index, level, column : (n,) int64, (n,) int32, (n, DEPTHS) float32
+        Cells, and their water as of :class:`Water`.
+    density : (n,) float64
+        Noise above the surface [1/m2].
+    """
+    wet = np.flatnonzero(level != NO_WATER)
+    local = column.copy()
+    total = np.concatenate([[0.0], np.cumsum(density[wet])])
+    first = np.searchsorted(index[wet], index[wet] - REACH_CELLS)
+    stop = np.searchsorted(index[wet], index[wet] + REACH_CELLS, side="right")
+    sky = ((total[stop] - total[first]) / (stop - first))[:, None]
+    share = np.minimum(column[wet] / np.maximum(sky, 1e-12), 1.0)
+    local[wet] = np.maximum(column[wet] - sky, 0.0) + share * density[wet][:, None]
+    return local
+
+
 def _sums(index: NDArray[np.int64], values: NDArray[Any], reach: int) -> NDArray[np.float64]:
     """Sums over the cells of an absolute grid within ``reach`` of each."""
     # Whole parts of a square metre: sums of whole numbers have no order.
