@@ -11,7 +11,8 @@ the noise that the filter itself expects among the photons that it takes, over t
 Other filters run as published, by scikit-learn (``pip install 'spl-batch[peers]'``); mDBSCAN is
 this project's. "ours, no land" leaves out what lies within 10 m of a photon of land: labels with
 one signal photon per shot call the others of the land, and its trees, noise. How much they call
-noise there is printed beside what it would be at the density elsewhere.
+noise there is printed beside what it would be at the density elsewhere, and so is the noise beside
+labelled signal, which no label can tell from it.
 
 ``--vary`` measures ours on what is made of each track: half and a quarter of the photons, the
 other way round, noise added, a gate of 40 m, pieces of 2 km. ``--picture FOLDER`` draws labels and
@@ -29,6 +30,7 @@ import h5py
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from benchmarks.altimetry.photon_beams import PROFILE, SIGNAL, Beam, Mask, Photons, lattice
 from spl_batch.altimetry.filter.peer_filters import PEERS
@@ -43,6 +45,9 @@ from spl_batch.constants import QUANTA_PER_M
 NOISE, SURFACE, FLOOR, LAND = 1, 2, 3, 4
 LAND_M, BAND_M = 10.0, 2.0
 """Reach of a photon of land along the track; half-height of what is looked at around it [m]."""
+
+BESIDE_M = (10.0, 0.5)
+"""Along the track and in height: noise so near to labelled signal is hardly labelled noise [m]."""
 
 HEADS = ("photons", "kept", "F1", "balanced", "floor", "precision", "recall", "told", "s/M")
 
@@ -62,7 +67,7 @@ class Found(NamedTuple):
     kept: Mask
     told: float
     seconds: float
-    told_at: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
+    told_at: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]] | None = None
 
 
 def read_csv(path: Path) -> Labelled:
@@ -146,13 +151,33 @@ def over_land(track: Labelled, along: NDArray[np.int64]) -> Mask:
     return near
 
 
+def beside_signal(track: Labelled, found: Found) -> None:
+    """Noise told and labelled among what is taken, beside labelled signal and off it."""
+    if found.told_at is None:
+        return
+    false = found.kept & (track.label == NOISE)
+    photons = [values[false & ~over_land(track, track.photons[0])] for values in track.photons]
+    *at, told = (v[~over_land(track, found.told_at[0])] for v in found.told_at)
+    size = np.array([BESIDE_M[0], BESIDE_M[1]]) * QUANTA_PER_M
+    signal = track.label > NOISE
+    tree = cKDTree(np.stack([values[signal] for values in track.photons], axis=1) / size)
+    told_near, labelled_near = (
+        tree.query(np.stack(places, axis=1) / size)[0] <= 1.0 for places in (at, photons)
+    )
+    print(
+        f"  noise away from land within {BESIDE_M[0]:g} x {BESIDE_M[1]:g} m of labelled signal: "
+        f"told {told[told_near].sum():.0f}, labelled {np.count_nonzero(labelled_near)}; off it: "
+        f"told {told[~told_near].sum():.0f}, labelled {np.count_nonzero(~labelled_near)}"
+    )
+
+
 def without_land(track: Labelled, found: Found) -> None:
     """A line of the table without what lies over land, and how dense its noise is said to be."""
     along, height = track.photons
     away = ~over_land(track, along)
     if found.told_at is None or away.all():
         return
-    told = float(found.told_at[1][~over_land(track, found.told_at[0])].sum())
+    told = float(found.told_at[2][~over_land(track, found.told_at[0])].sum())
     row("ours, no land", Found(found.kept[away], told, found.seconds), track.label[away])
     noise, land = track.label == NOISE, track.label == LAND
     order = np.argsort(along[land], kind="stable")
@@ -308,6 +333,7 @@ def measure(
             row(name, found, track.label)
             if name == "ours":
                 without_land(track, found)
+                beside_signal(track, found)
                 if picture is not None:
                     draw(track, found, picture)
     if len(tracks) > 1:

@@ -90,7 +90,7 @@ class Beam:
                 least[z] = np.minimum(least[z], signals.thresholds(counts[z], away[z], *limits))
         passed = signals.score_bins(found) >= least[self._zone(along, height, window)]
         self.told = float(each[passed].sum() / chance.SHARE_QUANTA)
-        self.told_at = along[passed], each[passed] / chance.SHARE_QUANTA
+        self.told_at = along[passed], height[passed], each[passed] / chance.SHARE_QUANTA
         kept: Mask = signals.score_bins(score) >= least[self._zone(*photons, window)]
         return kept
 
@@ -144,8 +144,14 @@ def fixed(contrast: float) -> Ratios:
     return Ratios(within, beyond, float(first), (columns - 1) / float(last - first))
 
 
+MEASURES = (
+    "precision", "recall", "F1", "photons RMSE", "profile RMSE", "cells", "in 1 sigma", "in 2 sigma"
+)  # fmt: skip
+"""RMSE [m]; share of cells with a ground, and of those whose error is as small as is told."""
+
+
 def measures(track: Track, kept: Mask, some: Mask | None = None) -> list[float]:
-    """Precision, recall, F1; RMSE of photons and of the profile [m]; cells with a ground."""
+    """As :data:`MEASURES` names them."""
     signal = track.truth > 0
     both = np.count_nonzero(kept & signal)
     precision = both / max(np.count_nonzero(kept), 1)
@@ -165,4 +171,5 @@ def measures(track: Track, kept: Mask, some: Mask | None = None) -> list[float]:
         float(np.sqrt(np.mean(off**2))) if len(off) else np.nan,
         float(np.sqrt(np.mean(error[known] ** 2))) if known.any() else np.nan,
         np.count_nonzero(known) / cells,
+        *((np.abs(error) < n * columns["ground_error"])[known].mean() for n in (1.0, 2.0)),
     ]

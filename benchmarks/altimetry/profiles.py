@@ -2,9 +2,10 @@
 
 filters  simulated mountain and flat ground, green and infrared, bare and 40 % wooded, four
          seeds each of 3 km: precision, recall and F1 of signal, RMSE of the kept photons
-         against the ground below them, RMSE of the ground profile and the share of cells that
-         have one. Ours, ours without scaling, mDBSCAN with and without scaling, and mDBSCAN
-         with whichever of six ellipses gives the least RMSE of photons on that scene.
+         against the ground below them, RMSE of the ground profile, the share of cells that have
+         one, and of those whose error is within ground_error and twice that.
+         Ours, ours without scaling, mDBSCAN with and without scaling, and mDBSCAN with whichever
+         of six ellipses gives the least RMSE of photons on that scene.
 pdf      the same photons by the choices that the source leaves open: density of the signal
          unknown, or fixed contrasts; neighbourhoods as long as high, or longer; as many photons
          as the noise rate leaves over, or up to the best F1 to be expected.
@@ -26,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.altimetry.photon_beams import SIGNAL, Beam, Mask, fixed, lattice, measures
+from benchmarks.altimetry.photon_beams import MEASURES, SIGNAL, Beam, Mask, fixed, lattice, measures
 from spl_batch import api
 from spl_batch.altimetry.filter.likelihood import Ratios
 from spl_batch.altimetry.formats.atl08 import find_labels
@@ -54,8 +55,7 @@ SCENES = tuple(
 
 def show(rows: Mapping[str, Sequence[Sequence[float]]]) -> None:
     """Means over seeds."""
-    heads = ("precision", "recall", "F1", "photons RMSE", "profile RMSE", "cells")
-    print(f"  {'':34}" + "".join(f"{h:>14}" for h in heads))
+    print(f"  {'':34}" + "".join(f"{h:>14}" for h in MEASURES))
     for name, values in rows.items():
         mean = np.nanmean(np.array(values), axis=0)
         print(f"  {name:34}" + "".join(f"{v:14.3f}" for v in mean))

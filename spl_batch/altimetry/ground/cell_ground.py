@@ -24,6 +24,7 @@ _ROUNDS: int = 6
 _TUKEY: float = 4.685
 _MAD: float = 1.4826
 _CONTRADICTS: float = 2.5  # standard errors
+_TWICE: float = 2.0  # spread evenly, photons make it 1.5
 _LEAST_SPREAD_M: float = 0.05
 _QUANTA_PER_M: float = 1000.0
 
@@ -179,7 +180,8 @@ def _bend(x, z, out):  # type: ignore[no-untyped-def]
     bent = np.empty(3)
     _fit(x, z, out[0], out[1], 2, bent)
     chance2 = max(bent[2] ** 2 - out[2] ** 2, 0.0)
-    if (bent[0] - out[0]) ** 2 > _CONTRADICTS**2 * chance2:
+    # Where few photons lie near the middle a parabola swings: twice the error is not worth it.
+    if bent[2] < _TWICE * out[2] and (bent[0] - out[0]) ** 2 > _CONTRADICTS**2 * chance2:
         out[:3] = bent
 
 
