@@ -23,7 +23,7 @@ from spl_batch.airborne.ground.ground_seeds import (
     supported,
 )
 from spl_batch.airborne.ground.lowest_layers import lowest_layers
-from spl_batch.airborne.ground.multiscale import Strip, multiscale_masks
+from spl_batch.airborne.ground.multiscale import SIGMA_M, Strip, multiscale_masks
 from spl_batch.airborne.ground.point_spacing import spacing_around_m, spacing_m
 from spl_batch.airborne.ground.ptd import Limits, densify, heights_above
 from spl_batch.airborne.ground.smrf import provisional_terrain
@@ -34,7 +34,7 @@ from spl_batch.numerics.cell_groups import chosen_places, group_by_cell
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z")
-"""And ``afterpulse`` where the time domain ran."""
+"""And ``afterpulse`` and ``range_sigma`` where the time domain ran."""
 
 COLUMNS_ADDED: Final = ("ground",)
 
@@ -96,7 +96,9 @@ def ground_mask(
     if told.any():
         evidence = _metres(table, own)
         places = evidence if np.array_equal(own, told) else _metres(table, told)
-        mask[told] = METHODS[settings.method](evidence, places, settings)
+        mask[told] = METHODS[settings.method](
+            evidence, places, settings, _range_sigma_m(table, own)
+        )
     return mask
 
 
@@ -139,7 +141,9 @@ def ground_in_bands(
     plain = not any(map(_has_evidence, bands()))
     if plain and not any(map(_has_usable, bands())):
         return ((band, np.zeros(len(band.table), np.bool_)) for band in bands())
-    return map(_of_table, multiscale_masks(lambda: map(partial(_strip, plain), bands())))
+    sigma_m = max(_range_sigma_m(band.table, _evidence(plain, band)) for band in bands())
+    strips = partial(map, partial(_strip, plain))
+    return map(_of_table, multiscale_masks(lambda: strips(bands()), sigma_m))
 
 
 def _has_usable(band: Band) -> bool:
@@ -152,9 +156,21 @@ def _has_evidence(band: Band) -> bool:
 
 def _strip(plain: bool, band: Band) -> Strip:  # noqa: FBT001 - the first of a partial
     """Places of a band's points; it remembers the band, and which points are asked."""
-    own = band.usable if plain else band.usable & ~dependents(band.table)
+    own = _evidence(plain, band)
     told = band.usable & band.asked
     return Strip(_metres(band.table, own), _metres(band.table, told), (band, told))
+
+
+def _evidence(plain: bool, band: Band) -> NDArray[np.bool_]:  # noqa: FBT001 - as above
+    return band.usable if plain else band.usable & ~dependents(band.table)
+
+
+def _range_sigma_m(table: PointTable, own: NDArray[np.bool_]) -> float:
+    """Largest ranging spread of the flightlines that some points are of [m]."""
+    if "range_sigma" not in table:
+        return SIGMA_M
+    # A tenth of a millimetre: what single precision makes of the sensor's own is that again.
+    return max(round(float(table["range_sigma"][own].max(initial=0.0)), 4), SIGMA_M)
 
 
 def _of_table(told: tuple[Strip, NDArray[np.bool_]]) -> tuple[Band, NDArray[np.bool_]]:
@@ -285,14 +301,17 @@ def _steepness(terrain: Float, cell_m: float) -> Float:
     return np.sqrt(squared)
 
 
-def _multiscale(own: Points, asked: Points, _: GroundSettings) -> NDArray[np.bool_]:
+def _multiscale(own: Points, asked: Points, _: GroundSettings, sigma_m: float) -> NDArray[np.bool_]:
     """By a surface whose scale follows the data."""
-    return next(multiscale_masks(lambda: (Strip(own, asked),)))[1]
+    return next(multiscale_masks(lambda: (Strip(own, asked),), sigma_m))[1]
 
 
-METHODS: Final[Mapping[str, Callable[[Points, Points, GroundSettings], NDArray[np.bool_]]]] = {
+Method = Callable[[Points, Points, GroundSettings, float], NDArray[np.bool_]]
+
+METHODS: Final[Mapping[str, Method]] = {
     "multiscale": _multiscale,
-    "ptd": lambda own, asked, settings: ptd_mask(own, asked, settings.ptd),
-    "smrf": lambda own, asked, settings: smrf_mask(own, asked, settings.smrf),
+    "ptd": lambda own, asked, settings, _: ptd_mask(own, asked, settings.ptd),
+    "smrf": lambda own, asked, settings, _: smrf_mask(own, asked, settings.smrf),
 }
-"""Methods by their names in the settings: what is evidence, what is asked, settings -> ground."""
+"""Methods by their names in the settings: what is evidence, what is asked, settings, ranging
+spread [m] -> ground."""

@@ -30,8 +30,11 @@ from spl_batch.airborne.ground.ptd import Limits, densify
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate, vertex_slopes
 
-_LAYER_M = 0.15
-"""Thickness of the layer whose mean is a node: three standard deviations of a range [m]."""
+SIGMA_M: Final = 0.05
+"""Least standard deviation of a range that is reckoned with [m]."""
+
+_LAYER_SIGMA = 3.0
+"""Thickness of the layer whose mean is a node [standard deviations of a range]."""
 
 _BAND_M: Final = (0.1, 0.5)
 """Least and largest distance from the surface of a ground point, where that is level [m]."""
@@ -57,9 +60,9 @@ _LIMITS: Final = Limits(
 """Iteration parameters of [Axelsson 2000] for what the opening cuts off."""
 
 _HARD_POINTS = 6
-_HARD_M = 0.08
-"""Cells of so many points that lie on a plane by less than this are hard: 1.6 standard deviations
-of a range [m]."""
+_HARD_SIGMA = 1.6
+"""Cells of so many points that lie on a plane by less than so many standard deviations of a range
+are hard."""
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -107,7 +110,7 @@ class Strip(NamedTuple):
 
 
 def multiscale_masks(
-    strips: Callable[[], Iterable[Strip]],
+    strips: Callable[[], Iterable[Strip]], sigma_m: float = SIGMA_M
 ) -> Iterator[tuple[Strip, NDArray[np.bool_]]]:
     """Ground points by a surface whose scale follows the data, strip by strip.
 
@@ -119,6 +122,8 @@ def multiscale_masks(
     strips : callable
         Gives all strips from the south, and is called three times, so that none need be held; one
         point at least is evidence.
+    sigma_m : float
+        Standard deviation of a range [m].
 
     Yields
     ------
@@ -127,7 +132,7 @@ def multiscale_masks(
     mask : (m,) bool
         Which of those asked in it are ground.
     """
-    xyz, hard = _nodes(map(_evidence, strips()))
+    xyz, hard = _nodes(map(_evidence, strips()), sigma_m)
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
     ground = _joined(xyz, chosen & hard, ground_nodes(xyz, chosen))
     surface = _surface(xyz[ground])
@@ -209,9 +214,9 @@ def _of_block(known: _Known, x: Float, y: Float) -> Float:
     return found
 
 
-def _nodes(strips: Iterable[Place]) -> tuple[Float, NDArray[np.bool_]]:
+def _nodes(strips: Iterable[Place], sigma_m: float) -> tuple[Float, NDArray[np.bool_]]:
     """Lowest layers of cells that are no low noise: (n, 3) [m]; and which are of hard cells."""
-    parts = [part for part in map(_layers, strips) if part is not None]
+    parts = [part for part in map(partial(_layers, sigma_m), strips) if part is not None]
     found, hard, row, column = zip(*parts, strict=True)
     nodes = Nodes(*(np.concatenate(some) for some in zip(*found, strict=True)))
     at = [np.concatenate(some) for some in (row, column)]
@@ -226,23 +231,23 @@ def _nodes(strips: Iterable[Place]) -> tuple[Float, NDArray[np.bool_]]:
     return nodes.xyz[above], np.concatenate(hard)[above]
 
 
-def _layers(own: Place) -> tuple[Nodes, NDArray[np.bool_], Index, Index] | None:
+def _layers(sigma_m: float, own: Place) -> tuple[Nodes, NDArray[np.bool_], Index, Index] | None:
     """Lowest layers of a strip; which are of hard cells; row and column of each; None without."""
     x, y, z = own
     if not len(x):
         return None
     cells = group_by_cell(x, y, CELL_M)
-    nodes = lowest_layers(x, y, z, cells, _LAYER_M)
+    nodes = lowest_layers(x, y, z, cells, _LAYER_SIGMA * sigma_m)
     row, column = np.divmod(nodes.cell, cells.columns)
     south, west = (int(np.floor(v.min() / CELL_M)) for v in (y, x))
-    hard = _hard(x, y, z, cells)[nodes.cell]
+    hard = _hard(x, y, z, cells, _HARD_SIGMA * sigma_m)[nodes.cell]
     # Room for two layers of every cell is not held.
     xyz, cell, points, doubtful, buried = nodes
     kept = xyz.copy(), cell.copy(), points.copy(), doubtful.copy(), buried.copy()
     return Nodes(*kept), hard, row + south, column + west
 
 
-def _hard(x: Float, y: Float, z: Float, cells: Cells) -> NDArray[np.bool_]:
+def _hard(x: Float, y: Float, z: Float, cells: Cells, most_m: float) -> NDArray[np.bool_]:
     """Cells all of whose points lie on a plane, as those of bare ground and roofs do."""
     count = np.diff(cells.start)
     hard = np.zeros(len(count), dtype=np.bool_)
@@ -263,5 +268,5 @@ def _hard(x: Float, y: Float, z: Float, cells: Cells) -> NDArray[np.bool_]:
     eu, nu, uu = mean(east * up) - e * u, mean(north * up) - n * u, mean(up**2) - u * u
     scale = np.maximum(ee * nn - en * en, 1e-6)
     rest = uu - (nn * eu * eu - 2.0 * en * eu * nu + ee * nu * nu) / scale
-    hard[count > 0] = (each >= _HARD_POINTS) & (rest <= _HARD_M**2)
+    hard[count > 0] = (each >= _HARD_POINTS) & (rest <= most_m**2)
     return hard

@@ -31,7 +31,7 @@ from spl_batch.lattice.tiles import (
 
 Units = dict[CellId, list[tuple[str, str]]]
 
-_GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse")
+_GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse", "range_sigma")
 
 
 def denoise(args: Mapping[str, Any], context: Context) -> Produced:

@@ -125,6 +125,20 @@ def test_ground_is_not_biased_low() -> None:
     assert residual[kept].std() == pytest.approx(RANGING_SD_M, rel=0.03)
 
 
+def test_ground_of_coarse_ranges_is_not_biased() -> None:
+    """Ranges that scatter by 15 cm, as their flightline has shown: the layer is as thick."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, 40, (2, 12 * 40 * 40))
+    z = 0.1 * x + rng.normal(0, 0.15, len(x))
+    columns = {a: np.rint(v * 1000).astype(np.int64) for a, v in zip("xyz", (x, y, z), strict=True)}
+    sigma = {"range_sigma": np.full(len(x), 0.15, dtype=np.float32)}
+    usable, settings = np.ones(len(x), np.bool_), GroundSettings()
+    found = ground_mask(PointTable(columns | sigma), usable, settings)
+    assert found.mean() > 0.985
+    assert abs((z - 0.1 * x)[found].mean()) < 0.01
+    assert ground_mask(PointTable(columns), usable, settings).mean() < 0.97
+
+
 def test_cells_agree_where_their_buffers_overlap() -> None:
     """Two overlapping windows of the scene give the same ground away from their edges."""
     found = scene()
