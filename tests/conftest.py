@@ -7,12 +7,17 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from spl_batch.airborne.report import summarise
 from spl_batch.airborne.simulate import preset_scene, simulate
+from spl_batch.engine.report.picture import Picture
 from tests import clusters, surveys
 
 # A machine that does other work as well is slow to draw examples, which says nothing of the code.
 settings.register_profile("busy", suppress_health_check=[HealthCheck.too_slow], deadline=None)
 settings.load_profile("busy")
+
+PICTURES = ("dtm", "dsm", "chm", "difference", "histogram", "profile", "noise_density",
+            "dtm_quality", "density", "strips")  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -40,6 +45,19 @@ def _no_waiting_for_the_disk() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda _: None)
         yield
+
+
+@pytest.fixture(autouse=True)
+def _pictures_where_they_are_looked_at(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Draw pictures of a report only in tests marked so: they take half of a small run.
+
+    What tests share is made before this and has all of them.
+    """
+    if request.node.get_closest_marker("pictures") is None:
+        none = {name: Picture(name, "Not drawn in this test.") for name in PICTURES}
+        monkeypatch.setattr(summarise, "make_pictures", lambda *_: none)
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import datetime as dt
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, Protocol
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
@@ -122,6 +123,7 @@ def render_page(
     )
 
 
+@cache
 def environment(package: str = HOME) -> Environment:
     """Templates of a package and those that all share, with the numbers' formats as filters.
 

@@ -9,8 +9,6 @@ from spl_batch.airborne.report.coverage import unsure_terrain
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.coverage import covered
 from spl_batch.constants import NODATA
-from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds
 
 
 def done(*cells: tuple[int, int]) -> Any:
@@ -39,10 +37,6 @@ def test_a_ground_cell_counts_heights_and_those_that_may_be_off() -> None:
     sigma = np.where(dtm == NODATA, np.float32(NODATA), np.float32(0.1))
     sigma[2, 1:3] = 0.7
     arrays = {"dtm": dtm, "dtm_quality": sigma, "density": np.ones((4, 4), np.float32)}
-    place = np.array([500], np.int64)
-    table = PointTable(
-        {"x": place, "y": place, "z": np.zeros(1, np.int32), "ground": np.ones(1, np.uint8)}
-    )
     context: Any = SimpleNamespace(workflow=Workflow.model_construct())
-    found: dict[str, Any] = covered(table, Bounds(0, 0, 4000, 4000), arrays, context)
+    found: dict[str, Any] = covered(np.ones((16, 16), np.bool_), arrays, context)
     assert (found["heights"], found["unsure"]) == (12, 2)
