@@ -248,6 +248,18 @@ def test_a_time_that_can_be_none(survey: Path, time_s: float) -> None:
     assert '"no_beam": 2' in (survey.parent / "out/report.json").read_text()
 
 
+def test_two_seasons_in_a_tile_are_both_filtered(survey: Path) -> None:
+    first = surveys.flightline(shots=2 * TINY, psid=2, seed=4)
+    second = surveys.flightline(shots=TINY, psid=3, seed=5)
+    second["gps_time"] += 3 * 365.25 * 86_400
+    surveys.write_cloud(survey.parent / "lines/tile.laz", surveys.join(first, second))
+    ended = run(survey)
+    assert ended.status == 0, ended.text
+    assert "no usable gps_time" not in ended.text
+    columns = surveys.delivered(survey.parent / "out")["lines/tile.laz"]
+    assert not (columns["noise_class"] == 255).any()
+
+
 def test_a_file_of_nan_times(survey: Path) -> None:
     line = line_without_time()
     line["gps_time"][:] = np.nan

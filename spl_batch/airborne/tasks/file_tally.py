@@ -23,7 +23,13 @@ Track = dict[str, NDArray[np.int64]]
 _COUNTED: Final = ("points", "timeless", "withheld", "vendor_noise", "excluded")
 
 YEAR_S: Final = 365.25 * 86_400
-"""A time that is farther from the middle of a file's times is none of them [s]."""
+"""A few times that are farther from the middle of a file's times are none of them [s]."""
+
+SEASON_POINTS: Final = 100
+"""From so many points within a gap on they are another season's of the same tile [count]."""
+
+FLOWN_S: Final = 50 * YEAR_S
+"""Nobody has flown so long before or after the middle of a file's times, with any points [s]."""
 
 _TIMED: Final = ("gps_time", "point_source_id", "x", "y", "scan_angle")
 """Columns that say when and whereto a flightline was flown."""
@@ -96,7 +102,7 @@ class Tally:
         return time_standard(np.array([span[:2] for spans in near.values() for span in spans]))
 
     def _near_and_astray(self) -> tuple[dict[int, list[list[float]]], list[list[float]]]:
-        """Time spans of each flightline, and those that lie more than a year from the others."""
+        """Time spans of each flightline, and those of times that none of them can have."""
         merged = {k: merge_spans(v, self.gap_s) for k, v in sorted(self._spans.items())}
         spans = np.array([span for listed in merged.values() for span in listed]).reshape(-1, 3)
         if not len(spans):
@@ -108,7 +114,9 @@ class Tally:
         astray: list[list[float]] = []
         for psid, listed in merged.items():
             for span in listed:
-                far = max(span[0] - middle, middle - span[1]) > YEAR_S
+                apart_s = max(span[0] - middle, middle - span[1])
+                few = span[2] < SEASON_POINTS
+                far = apart_s > FLOWN_S or (few and apart_s > YEAR_S)
                 (astray if far else near.setdefault(psid, [])).append(span)
         return near, astray
 
