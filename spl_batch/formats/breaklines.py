@@ -85,8 +85,8 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
     Raises
     ------
     InputError
-        With all faults of the file: none of its polygons, no CRS, heights of another vertical
-        datum, a polygon without one height and without a line.
+        With all faults of the file: none of its polygons, no CRS, units other than metres, heights
+        of another vertical datum, a polygon without one height and without a line.
     """
     if not path.exists():
         raise InputError(str(path), "no such file; check the path")
@@ -95,6 +95,7 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
     fields: list[Heights] = []
     try:
         for layer, shapes, heights, own in _layers(path):
+            _in_metres(path, own)
             _same_datum(path, own, crs)
             names += [f"{layer} {k}" for k in range(1, len(shapes) + 1)]
             parts.append(in_crs(path, shapes, own, crs, heights=True))
@@ -137,6 +138,18 @@ def _layers(path: Path) -> Iterator[tuple[str, Geometries, Heights, str | None]]
             yield name, shapes[chosen], heights[chosen], meta["crs"]
 
 
+def _in_metres(path: Path, own: str | None) -> None:
+    """Refuse a CRS in feet: heights are taken as they are, and may be in feet as well."""
+    if own is None:
+        return
+    crs = CRS.from_user_input(own)
+    axes = crs.axis_info[2:] if crs.is_geographic else crs.axis_info
+    units = {axis.unit_name for axis in axes if axis.unit_conversion_factor != 1.0}
+    if units:
+        text = f"its CRS {crs_name(crs)} is in {' and '.join(sorted(units))}, not in metres"
+        raise InputError(str(path), f"{text}: transform it, its heights as well")
+
+
 def _same_datum(path: Path, own: str | None, crs: CRS | None) -> None:
     """Refuse heights that refer to another vertical datum than the survey's."""
     theirs = None if own is None else vertical(CRS.from_user_input(own))
@@ -166,6 +179,12 @@ def _water(shape: shapely.Geometry, height: float, lines: list[shapely.LineStrin
         z = np.array([height])
     if not np.isfinite(z).all():
         raise ValueError("has no height: give its vertices one, or a field z")
+    # A comparison with NaN, of a feature without the field, is false.
+    if max(z.max() - height, height - z.min()) > LEVEL_M:
+        raise ValueError(
+            f"its vertices lie at {z.min():.2f} to {z.max():.2f} m, its field of heights says "
+            f"{height:.2f} m: correct one, or leave the field out"
+        )
     if np.ptp(z) > LEVEL_M:
         raise ValueError(
             f"its vertices differ by {np.ptp(z):.2f} m and no line lies in it: a lake has one "

@@ -1,16 +1,17 @@
 """Heights of a geoid above the ellipsoid, from a grid that PROJ reads."""
 
+import os
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
-from pyproj.datadir import get_data_dir
+from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 from pyproj.exceptions import ProjError
 
 from spl_batch.errors import WorkflowError
-from spl_batch.formats.crs import horizontal, with_vertical
+from spl_batch.formats.crs import crs_name, horizontal, vertical, with_vertical
 
 KEY: Final = "outputs.geoid.grid"
 
@@ -19,6 +20,13 @@ _STEPS: Final = (
     '+step +proj=vgridshift +grids="{}" +multiplier=1 '
     "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
 )
+
+
+def grid_file(grid: str, file: Path) -> Path | None:
+    """The file of a grid: the one named, else the one in PROJ's data folders; None without one."""
+    folders = [*get_data_dir().split(os.pathsep), get_user_data_dir()]
+    places = (file, *(Path(folder) / grid for folder in folders))
+    return next((place for place in places if place.is_file()), None)
 
 
 class Geoid:
@@ -36,12 +44,19 @@ class Geoid:
     Raises
     ------
     WorkflowError
-        If PROJ does not have the grid or cannot read it, or the survey has no CRS.
+        If PROJ does not have the grid or cannot read it, the survey has no CRS, or its heights
+        are not above the ellipsoid.
     """
 
     def __init__(self, grid: str, file: Path, crs: CRS | None) -> None:
         if crs is None or crs.geodetic_crs is None:
             raise WorkflowError(f"{KEY}: the survey has no CRS on earth to look it up by")
+        datum = vertical(crs)
+        if datum is not None and "ellipsoid" not in datum.name.lower():
+            raise WorkflowError(
+                f"{KEY}: heights are already {crs_name(datum)}, not above the ellipsoid: leave "
+                "outputs.geoid out"
+            )
         # PROJ takes a list, and passes over what is marked as optional.
         if set(grid) & set('@,"'):
             raise WorkflowError(f"{KEY}: {grid} is no name of one grid that must be there")

@@ -7,7 +7,8 @@ their centre line, and nowhere rise downstream; where a line rises, the water st
 Terrain outside is not touched: no hydro-enforcement, single lines do nothing.
 
 A cell belongs to a water where its centre lies inside; of several the lowest counts. Its height
-depends on its centre alone, so no tiling changes it.
+depends on its centre alone, so no tiling changes it. Where nobody flew, which is where density has
+no value, nothing is filled.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -113,12 +114,14 @@ def flatten(rasters: dict[str, Raster], water: Raster) -> Banks:
     Parameters
     ----------
     rasters : dict of str to (rows, cols) float32
-        ``dtm, dsm, chm, dtm_quality`` of a ground cell; are changed. A surface lies nowhere below
-        the water; how well a breakline is known nobody says, so that ``dtm_quality`` is void.
+        ``dtm, dsm, chm, dtm_quality`` of a ground cell; are changed where its ``density`` tells
+        that it was flown. A surface lies nowhere below the water; how well a breakline is known
+        nobody says, so that ``dtm_quality`` is void.
     water : (rows, cols) float32
         From :func:`water_heights`.
     """
-    wet = water != np.float32(NODATA)
+    flown = rasters["density"] != np.float32(NODATA)
+    wet = (water != np.float32(NODATA)) & flown
     dry = (rasters["dtm"] != np.float32(NODATA)) & ~wet
     banks = dry & binary_dilation(wet, np.ones((3, 3), np.bool_))
     beside = _highest_beside(water, wet)

@@ -272,6 +272,7 @@ def geoid(survey: Survey) -> Iterator[Task]:
                     "target": f"{made}.tif",
                     "meaning": product.meaning,
                     "unit": product.unit,
+                    "grid": [*survey.inputs.geoid],
                 }
                 yield Task("deliver_geoid", made, args, (("mosaic", name),))
 

@@ -51,6 +51,7 @@ from spl_batch.engine.report.run_record import (
     remember,
 )
 from spl_batch.errors import Said, grouped, shared
+from spl_batch.formats.geoid import grid_file
 from spl_batch.formats.rasters.parts import Part, read_overview
 
 
@@ -300,10 +301,14 @@ def _provenance(done: Receipts, context: Context, reference: Iterable[str]) -> P
     inputs.extend(
         input_file(Path(path), "checkpoints" if path == own else "reference") for path in reference
     )
-    for role in ("aoi", "water"):
+    for role in ("aoi", "water", "breaklines"):
         name = getattr(context.workflow, role)
         if name is not None:
             inputs.append(input_file(context.resolve(name), role))
+    geoid = context.workflow.outputs.geoid
+    grid = None if geoid is None else grid_file(geoid.grid, context.resolve(geoid.grid))
+    if grid is not None:
+        inputs.append(input_file(grid, "geoid"))
     return provenance(context, inputs)
 
 

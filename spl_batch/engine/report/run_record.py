@@ -31,7 +31,7 @@ from spl_batch.receivers import HOMES
 REPORT_FILES: Final = ("report.json", "report.html")
 """Files of a report, below the output."""
 
-_POLYGONS: Final = ("aoi", "water")
+_POLYGONS: Final = ("aoi", "water", "breaklines")
 """Keys of a workflow that name files whose hash a report gives."""
 
 Receipts = Mapping[str, Mapping[str, Receipt]]

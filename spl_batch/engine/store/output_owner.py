@@ -22,6 +22,9 @@ from spl_batch.errors import WorkflowError, named
 _HEAD_BYTES: Final = 1 << 16
 """Bytes at the beginning of an input that tell it from others of its size [byte]."""
 
+_NO_DATA: Final = frozenset({"reference", "aoi", "water", "breaklines", "geoid", "trajectory"})
+"""Roles of files that several surveys may share."""
+
 Input = tuple[str, int, str]
 """Path of an input, its size [byte] and a hash of its first bytes; -1 and empty if unknown."""
 
@@ -170,8 +173,7 @@ def _reported(output: Path) -> dict[str, Any] | None:
     try:
         report = json.loads((output / REPORT_FILES[0]).read_bytes())
         inputs = report["provenance"]["inputs"]
-        # A reference may serve several surveys.
-        data = [f for f in inputs if f["role"] not in {"reference", "aoi", "water", "trajectory"}]
+        data = [f for f in inputs if f["role"] not in _NO_DATA]
         content = report["provenance"]["parameters"]
         name = next(v["name"] for v in content.values() if isinstance(v, dict) and "name" in v)
         return {"name": name, "inputs": [(f["path"], f["size"], "") for f in data]}

@@ -108,6 +108,8 @@ def test_models_come_above_the_geoid_in_a_crs_that_says_so(output: Path) -> None
         np.testing.assert_allclose(plain[known] - above[known], by_hand(*place), atol=2e-4)
         assert "NAVD88" in items[f"{model}_geoid"]["properties"]["proj:wkt2"]
         assert "NAVD88" not in items[model]["properties"]["proj:wkt2"]
+    files = read(output / "report.json")["provenance"]["inputs"]
+    assert [file["path"] for file in files if file["role"] == "geoid"] == ["a.gtx"]
 
 
 def test_every_link_of_stac_leads_somewhere(output: Path) -> None:

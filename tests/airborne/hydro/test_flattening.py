@@ -103,6 +103,7 @@ def test_what_rests_on_water_is_no_lower_and_banks_are_counted() -> None:
     dsm = dtm + 2
     dsm[1, 1], dsm[2, 2] = NODATA, 9.0
     rasters = {"dtm": dtm, "dsm": dsm, "chm": dsm - dtm, "dtm_quality": np.full_like(dtm, 0.1)}
+    rasters["density"] = np.zeros_like(dtm)
     banks = flatten(rasters, water)
     assert banks == (6, 13, 2)
     wet = water == 10.0
@@ -118,6 +119,15 @@ def test_what_rests_on_water_is_no_lower_and_banks_are_counted() -> None:
     assert not [*bank_warnings([])]
 
 
+def test_water_that_nobody_flew_stays_void() -> None:
+    rasters = {k: np.full((3, 4), NODATA, np.float32) for k in ("dtm", "dsm", "chm", "dtm_quality")}
+    rasters["density"] = np.zeros((3, 4), np.float32)
+    rasters["density"][:, 2:] = NODATA
+    assert flatten(rasters, np.full((3, 4), 10, np.float32)) == (6, 0, 0)
+    for name in ("dtm", "dsm", "chm"):
+        assert ((rasters[name] == NODATA) == (rasters["density"] == NODATA)).all()
+
+
 @pytest.mark.parametrize(
     ("layers", "crs", "said"),
     [
@@ -127,6 +137,8 @@ def test_what_rests_on_water_is_no_lower_and_banks_are_counted() -> None:
         ({"b": [COURSE]}, UTM, "lines alone"),
         ({"a": [shapely.Point(1, 2, 3)]}, UTM, "holds no polygons"),
         ({"a": [LAKE]}, "EPSG:32615+5773", "its heights are 'EGM96 height'"),
+        ({"a": [LAKE]}, "EPSG:32615+6360", "is in US survey foot, not in metres"),
+        ({"a": [LAKE]}, "EPSG:2277", "is in US survey foot, not in metres"),
     ],
 )
 def test_faults_are_told_in_one_line(tmp_path: Path, layers, crs, said: str) -> None:
@@ -148,6 +160,20 @@ def test_a_field_gives_the_height_and_another_crs_is_transformed(tmp_path: Path)
     assert shapely.get_coordinates(lake.area)[0] == pytest.approx((500_000, 4_982_950), abs=1)
 
 
+@pytest.mark.parametrize(("field", "clash"), [(211.5, True), (0.01, False), (np.nan, False)])
+def test_a_field_does_not_contradict_the_vertices(tmp_path: Path, field, clash) -> None:
+    path = tmp_path / "lakes.gpkg"
+    lake = shapely.to_wkb(np.array([shapely.force_3d(shapely.box(0, 0, 9, 9), 0.0)], object))
+    pyogrio.raw.write(
+        path, lake, [np.array([field])], ["z"], geometry_type="Polygon Z", crs=UTM.to_wkt()
+    )
+    if clash:
+        with pytest.raises(InputError, match=r"lie at 0\.00 to 0\.00 m, its field .* 211\.50 m"):
+            read_breaklines(path, UTM)
+    else:
+        assert read_breaklines(path, UTM)[0].level_m == 0.0
+
+
 def test_a_run_is_flattened(tmp_path: Path) -> None:
     x, y = surveys.ORIGIN_M
     lake = shapely.box(x + 2, y - 3, x + 7, y + 4)
@@ -163,6 +189,7 @@ def test_a_run_is_flattened(tmp_path: Path) -> None:
     assert set(dtm[wet].tolist()) == {31.25}
     assert 31.25 not in dtm[~wet]
     assert any("water stands more than 0.25 m above" in text for text in result.report.warnings)
+    assert "breaklines" in {item.role for item in result.report.provenance.inputs}
 
 
 def test_breaklines_without_heights_start_nothing(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan import space_tasks
+from spl_batch.airborne.plan.inputs.survey_inputs import gather_inputs
 from spl_batch.airborne.products.product_table import (
     NAMES,
     PRODUCTS,
@@ -19,6 +20,7 @@ from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.lattice.tiles import Bounds, grow
 from tests import surveys
+from tests.formats.test_geoid import write_grid
 
 CORE = Bounds(0, 0, 100_000, 100_000)
 
@@ -78,3 +80,20 @@ def test_a_new_raster_is_not_taken_for_another(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("spl_batch.airborne.products.product_table.PRODUCTS", (*PRODUCTS, quality))
     args = mosaics(monkeypatch, reflectance=True)["quality"]
     assert (args["meaning"], args["unit"], args["delivered"]) == quality[1:4]
+
+
+def test_another_grid_of_the_same_name_makes_heights_above_it_again(tmp_path: Path) -> None:
+    grid = tmp_path / "a.gtx"
+    geoid = {"grid": write_grid(grid)}
+    workflow = load_workflow(surveys.small_survey(tmp_path, outputs={"geoid": geoid}))
+
+    def planned() -> list[dict[str, Any]]:
+        inputs = gather_inputs(workflow, tmp_path, tmp_path / "out")
+        survey: Any = SimpleNamespace(workflow=workflow, inputs=inputs, of=lambda _: ["dsm", "dtm"])
+        return [dict(task.args) for task in space_tasks.geoid(survey)]
+
+    before = planned()
+    assert len(before) == 2
+    assert planned() == before
+    grid.write_bytes(grid.read_bytes()[:-4] + bytes(4))
+    assert all(old != new for old, new in zip(before, planned(), strict=True))

@@ -29,7 +29,7 @@ from spl_batch.formats.crs import (
     with_vertical,
 )
 from spl_batch.formats.files.atomic import checksum
-from spl_batch.formats.geoid import Geoid
+from spl_batch.formats.geoid import Geoid, grid_file
 from spl_batch.formats.las.reader import LasFacts, inspect
 
 MAX_POINTS = 2**32 - 1
@@ -93,6 +93,8 @@ class Inputs:
         Checkpoints of a field survey.
     breaklines : tuple of (str, str)
         As ``polygons``, of the file of breaklines.
+    geoid : tuple of (str, str)
+        As ``polygons``, of the grid of the geoid.
     """
 
     sources: tuple[Source, ...]
@@ -104,6 +106,7 @@ class Inputs:
     polygons: tuple[tuple[str, str], ...] = ()
     checkpoints: CheckpointFile | None = None
     breaklines: tuple[tuple[str, str], ...] = ()
+    geoid: tuple[tuple[str, str], ...] = ()
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
@@ -175,6 +178,7 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
         tuple(_checksums(base, {"aoi": workflow.aoi, "water": workflow.water})),
         _checkpoint_file(checkpoints, base),
         tuple(_checksums(base, {"breaklines": workflow.breaklines})),
+        _geoid_checksum(workflow, base),
     )
 
 
@@ -183,6 +187,12 @@ def _checkpoint_file(name: str | None, base: Path) -> CheckpointFile | None:
         return None
     path = (base / name).resolve()
     return CheckpointFile(path, name_below(path, base))
+
+
+def _geoid_checksum(workflow: Workflow, base: Path) -> tuple[tuple[str, str], ...]:
+    geoid = workflow.outputs.geoid
+    file = None if geoid is None else grid_file(geoid.grid, base / geoid.grid)
+    return () if file is None else (("outputs.geoid.grid", checksum(file)),)
 
 
 def _checksums(base: Path, files: Mapping[str, str | None]) -> Iterable[tuple[str, str]]:
