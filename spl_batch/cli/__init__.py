@@ -259,6 +259,9 @@ def main(arguments: list[str] | None = None) -> None:
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
         error.show()
+        given = sys.argv[1:] if arguments is None else arguments
+        if document.ASKED.get() or "--json" in given:  # options may not have been read that far
+            document.print_error(error.format_message(), 2)
         sys.exit(2)
     except click.Abort:
         _end("interrupted; the same command continues", 3)

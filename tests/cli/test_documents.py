@@ -43,7 +43,9 @@ def test_faults_and_errors_are_in_the_document(small: Path, tmp_path: Path) -> N
     assert error.keys() == {"exit_status", "error"}
     assert "no.yaml" in error["error"]
     assert surveys.command("run", tmp_path / "no.yaml").out == ""  # no document unless asked for
-    assert surveys.command("status", tmp_path, "--watch", "--json").status == 2
+    usage = document("status", tmp_path, "--watch", status=2)["error"]
+    assert usage == "--json prints one document: leave out --watch"
+    assert "No such option" in document("run", tmp_path, "--wrong", status=2)["error"]
 
 
 def test_in_a_pipe_each_pair_is_one_line(small: Path) -> None:

@@ -35,7 +35,13 @@ def twice(src: Path, folder: Path, *, diagnostics: bool = True) -> tuple[Path, P
     known, copied = decoded(src)
     pair = folder / "copied.laz", folder / "whole.laz"
     for path, found in zip(pair, (known, None), strict=True):
-        write_classified(src, path, labels=labels, diagnostics=diagnostics, crs=None, decoded=found)
+        classes = np.zeros(256, np.int64)
+        write_classified(
+            src, path, labels=labels, diagnostics=diagnostics, crs=None, decoded=found,
+            classes=classes,
+        )  # fmt: skip
+        written = np.asarray(laspy.read(path).classification)
+        assert np.array_equal(classes, np.bincount(written, minlength=256))
     return *pair, copied
 
 

@@ -199,6 +199,7 @@ def _left_out(folder: Folder) -> Iterator[str]:
         yield str(error)
     for paths, why in (
         (_paths(folder.others), "no times or beamlet numbers like the others', no ground"),
+        (folder.results, "delivered by a run"),
         (folder.elsewhen, "times of another flight"),
         (folder.foreign, "files of another receiver"),
     ):

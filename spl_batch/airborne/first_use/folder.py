@@ -29,6 +29,9 @@ OTHERS: Final = {".h5": "altimetry", ".hdf5": "altimetry"}
 TIMES_ALIKE_S: Final = 2.0
 """Trajectories whose ends differ by less are one flight in two formats [s]."""
 
+DELIVERED: Final = frozenset({"input_classification", "noise_class"})
+"""Dimensions that a run adds to each cloud."""
+
 LOOKED_INTO: Final = 200
 """Clouds whose points are looked at, evenly among more of them [count]."""
 
@@ -49,6 +52,8 @@ class Folder:
         Other clouds that hold a ground class.
     others : list of CloudLook
         Clouds that are neither.
+    results : list of Path
+        Clouds that a run delivered.
     bad : list of InputError
         Clouds that cannot be read.
     trajectories : dict of Path to (float, float)
@@ -67,6 +72,7 @@ class Folder:
     lines: list[CloudLook] = field(default_factory=list)
     references: list[CloudLook] = field(default_factory=list)
     others: list[CloudLook] = field(default_factory=list)
+    results: list[Path] = field(default_factory=list)
     bad: list[InputError] = field(default_factory=list)
     trajectories: dict[Path, Span] = field(default_factory=dict)
     doubles: list[Path] = field(default_factory=list)
@@ -141,13 +147,16 @@ def _sort_clouds(files: Sequence[Path], sensor: Sensor, found: Folder) -> None:
         except InputError as error:
             found.bad.append(error)
             continue
-        looks.append(look)
+        if set(look.facts.dimensions) >= DELIVERED:
+            found.results.append(file)
+        else:
+            looks.append(look)
     rank = {look.facts.path: _rank(look, looks, sensor) for look in looks}
     best = max(rank.values(), default=0)
     for look in looks:
         if rank[look.facts.path] == best:
             found.lines.append(look)
-        elif CLASS_GROUND in look.ends.classes:
+        elif _holds_ground(look, looks):
             found.references.append(look)
         else:
             found.others.append(look)
@@ -158,14 +167,27 @@ def _rank(look: CloudLook, looks: Sequence[CloudLook], sensor: Sensor) -> int:
     if not look.facts.n_points:
         return -1
     if not len(look.ends.gps_time):
-        peers = [
-            one
-            for one in looks
-            if len(one.ends.gps_time) and one.facts.dimensions == look.facts.dimensions
-        ]
+        peers = _peers(look, looks)
         return _rank(peers[0], looks, sensor) if peers else 0
     numbered = channel_guess([look], sensor).value is not None
     return 2 * numbered + (look.span_s is not None)
+
+
+def _peers(look: CloudLook, looks: Sequence[CloudLook]) -> list[CloudLook]:
+    """Clouds of the same dimensions that were looked into."""
+    return [
+        one
+        for one in looks
+        if len(one.ends.gps_time) and one.facts.dimensions == look.facts.dimensions
+    ]
+
+
+def _holds_ground(look: CloudLook, looks: Sequence[CloudLook]) -> bool:
+    """Whether a cloud has ground; one that was not looked into has it where a peer does."""
+    if not look.facts.n_points:
+        return False
+    seen = [look] if len(look.ends.gps_time) else _peers(look, looks)
+    return any(CLASS_GROUND in one.ends.classes for one in seen)
 
 
 def _sort_table(file: Path, found: Folder) -> None:
@@ -216,6 +238,11 @@ def _nothing(found: Folder) -> str:
     """Why a folder holds no survey, and what helps."""
     if found.bad:
         return f"{found.path}: no cloud can be used: {found.bad[0]}"
+    if found.results:
+        return (
+            f"{found.path}: holds clouds that a run delivered alone, such as "
+            f"{found.named(found.results[0])}; name the folder of the raw flightlines"
+        )
     if found.foreign:
         page = OTHERS[found.foreign[0].suffix.lower()]
         return (

@@ -67,7 +67,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     facts : RunFacts
         What the receipts do not say.
     """
-    found, counts = compared(done, context), _counts(done, facts)
+    found, counts = compared(done, context), _counts(done, context, facts)
     noise = _noise(done, context, counts.background)
     report = Report(
         survey=_survey(done, context),
@@ -158,12 +158,14 @@ def _shots(span_s: Sequence[float], prf_hz: float | None) -> int | None:
     return None if prf_hz is None else round((span_s[1] - span_s[0]) * prf_hz) + 1
 
 
-def _counts(done: Receipts, facts: RunFacts) -> Counts:
+def _counts(done: Receipts, context: Context, facts: RunFacts) -> Counts:
     index = [r.facts for r in done["index_file"].values()]
     tiles = [r.facts for r in done.get("build_tile", {}).values()]
     delivered = [r.facts for r in done.get("deliver_file", {}).values()]
     noise = {k: sum(f["noise_class"].get(k, 0) for f in delivered) for k in ("0", "1", "2", "255")}
     classes = {k: sum(f["classes"].get(k, 0) for f in delivered) for k in ("2", "6", "9")}
+    if context.workflow.outputs.classes == "noise":  # class 2 is the input's there
+        classes["2"] = sum(r.facts["ground"] for r in done.get("ground", {}).values())
     return Counts(
         points_in=sum(f["points"] for f in index),
         points_out=sum(f["points"] for f in delivered),

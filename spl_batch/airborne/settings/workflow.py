@@ -87,7 +87,7 @@ class Workflow(BaseWorkflow):
             )
 
     def remarks(self) -> Iterator[str]:
-        """What has no effect with the filter that was chosen."""
+        """What has no effect, or an unexpected one, beside other settings."""
         method = self.filter.method
         chosen = f"filter.method: {method}" + (
             f" with test: {self.filter.test}" if method == "vsaes" else ""
@@ -95,7 +95,14 @@ class Workflow(BaseWorkflow):
         if self.filter.wires.classify and not self._scans_lines:
             off = "filter.wires.enabled: false" if not self.filter.wires.enabled else chosen
             yield f"filter.wires.classify: no point gets class 14, as {off} looks for no conductors"
-        if self.classes.vegetation is not None and not self.classes.building:
+        asked = [name for name in ("building", "vegetation") if getattr(self.classes, name)]
+        if asked and self.outputs.classes == "noise":
+            names = " and ".join(f"classes.{name}" for name in asked)
+            yield (
+                f"{names}: without effect, as outputs.classes: noise lets signal points keep "
+                "the class of the input; write outputs.classes: all"
+            )
+        elif asked == ["vegetation"]:
             yield (
                 "classes.vegetation: roofs become high vegetation where the input has no class 6; "
                 "write classes.building: true"

@@ -58,7 +58,6 @@ class _FileLabels:
         self.start = self.stop = 0
         self.values: dict[str, NDArray[Any]] = {}
         self.counts = np.zeros(256, np.int64)
-        self.classes = np.zeros(256, np.int64)
 
     def __call__(self, start: int, stop: int) -> Mapping[str, NDArray[Any]]:
         """Labels of points ``[start, stop)``."""
@@ -66,7 +65,6 @@ class _FileLabels:
             self._load(start, max(stop, start + PASS_POINTS))
         part = {k: v[start - self.start : stop - self.start] for k, v in self.values.items()}
         self.counts += np.bincount(part["noise_class"], minlength=256)
-        self.classes += np.bincount(part["classification"], minlength=256)
         return part
 
     def _load(self, start: int, stop: int) -> None:
@@ -116,7 +114,7 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
     diagnostics = context.workflow.outputs.diagnostics
     flags = context.workflow.classes.flags
     names = (*_DELIVERED, *_DIAGNOSTICS * diagnostics, *("set_flags",) * flags)
-    labels = _FileLabels(args, context, names)
+    labels, classes = _FileLabels(args, context, names), np.zeros(256, np.int64)
     target = context.output / "laz" / args["delivered"]
     source = Path(args["path"])
     stamp = as_indexed(args, context)
@@ -129,13 +127,14 @@ def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
             flags=flags,
             crs=context.crs,
             decoded=_decoded(args, context),
+            classes=classes,
         )
     broken = broken_records(read_header(source))
     facts = {
         "name": args["delivered"],
         "points": written,
         "noise_class": _nonzero(labels.counts),
-        "classes": _nonzero(labels.classes),
+        "classes": _nonzero(classes),
         "warnings": [Remark(f"{text}; left out of the delivered copy") for text in broken],
     }
     return Produced([target], facts, written)

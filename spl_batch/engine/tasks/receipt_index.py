@@ -14,7 +14,6 @@ from spl_batch.engine.tasks.task import Receipt
 UNREAD_FACTS: Final[Mapping[str, frozenset[str]]] = {
     "build_tile": frozenset({"z"}),
     "denoise": frozenset({"noise_class"}),
-    "ground": frozenset({"ground"}),
     "surface": frozenset({"rasters"}),
 }
 """Facts that only the receipts on disk have, by kind of task."""

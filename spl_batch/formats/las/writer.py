@@ -107,6 +107,7 @@ def write_classified(
     crs: CRS | None,
     flags: bool = False,
     decoded: Decoded | None = None,
+    classes: NDArray[np.int64] | None = None,
 ) -> int:
     """Copy a file with new classes and the extra bytes of :data:`ADDED`.
 
@@ -136,6 +137,8 @@ def write_classified(
     decoded : Decoded, optional
         Spares decoding a file of which :func:`~spl_batch.formats.las.layers.can_be_copied` holds:
         what is not changed is copied as it is compressed.
+    classes : (256,) int64 ndarray, optional
+        The points of each class that is written are added to it [count].
 
     Returns
     -------
@@ -155,6 +158,7 @@ def write_classified(
         raise WorkflowError(f"{dst}: is an input; choose another output folder")
     header = read_header(src)
     names = [n for n in ADDED if diagnostics or n not in _DIAGNOSTICS]
+    written = np.zeros(256, np.int64) if classes is None else classes
     with RecordReader(header) as reader:
         convert = conversion(reader.layout, [_added(n) for n in names])
 
@@ -163,17 +167,19 @@ def write_classified(
                 stop = min(start + _CHUNK, header.n_points)
                 given = reader.read(start, stop)
                 out = convert.records(given)
-                classes = dimension(given, reader.layout, "classification")
-                _label(out, convert.layout, classes, labels(start, stop), names)
+                before = dimension(given, reader.layout, "classification")
+                _label(out, convert.layout, before, labels(start, stop), names)
+                written[:] += np.bincount(out["classification"], minlength=256)
                 yield out
 
         def packed(known: Decoded, copy: LayerCopy) -> Iterator[tuple[int, bytes]]:
             for start, stop, chunk in reader.packed_chunks():
                 own, first = copy.records(known.given(start, stop)), copy.first(chunk)
-                classes, values = own["classification"].copy(), labels(start, stop)
-                _label(own, copy.own, classes, values, names)
+                before, values = own["classification"].copy(), labels(start, stop)
+                _label(own, copy.own, before, values, names)
+                written[:] += np.bincount(own["classification"], minlength=256)
                 of_first = {name: v[:1] for name, v in values.items()}
-                _label(first, convert.layout, classes[:1], of_first, names)
+                _label(first, convert.layout, before[:1], of_first, names)
                 yield stop - start, copy.chunk(chunk, first, own)
 
         vlrs, wkt = _vlrs(header, crs)

@@ -108,3 +108,19 @@ def test_heights_that_do_not_rise_are_refused(tmp_path: Path) -> None:
     workflow = surveys.small_survey(tmp_path, classes={"vegetation": {"low": 1.0}})
     with pytest.raises(WorkflowError, match=r"classes\.vegetation.* do not rise"):
         load_workflow(workflow)
+
+
+def test_counts_are_of_the_classes_that_are_delivered(small: Path) -> None:
+    for path in sorted((small.parent / "lines").glob("*.laz")):
+        given = laspy.read(path)
+        given.classification = np.full(len(given), 12, np.uint8)
+        given.write(path)
+    result = surveys.run(small, "outputs.classes=noise")
+    report, kinds = result.report, [p["classification"] for p in delivered(result.output).values()]
+    overlap = np.count_nonzero(np.concatenate(kinds) == 12)
+    assert overlap == report.counts.signal > 0
+    (row,) = [one for one in report.requirements if one.name == "Overlap by flag"]
+    assert row.verdict == "fail"
+    assert "".join(filter(str.isdigit, row.found)) == str(overlap)
+    ground = surveys.run(small, "outputs.classes=all").report.counts.ground
+    assert report.counts.ground == ground > 0

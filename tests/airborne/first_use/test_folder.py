@@ -9,23 +9,25 @@ import pytest
 import yaml
 
 from spl_batch import api
+from spl_batch.airborne.first_use import folder
 from spl_batch.airborne.settings.workflow import load_workflow
 from spl_batch.errors import WorkflowError
+from spl_batch.formats.las.writer import write_classified
 from tests import surveys
 
 
-def begun(folder: Path, **options: Any) -> tuple[api.Beginning, dict[str, Any]]:
+def begun(place: Path, **options: Any) -> tuple[api.Beginning, dict[str, Any]]:
     """The verb's result, and the workflow as a run reads it."""
-    found = api.init(folder, **options)
+    found = api.init(place, **options)
     load_workflow(found.workflow)
     return found, yaml.safe_load(found.workflow.read_text(encoding="utf-8"))
 
 
 def test_a_simulated_survey_is_found_whole(tiny_survey: Path, tmp_path: Path) -> None:
     shutil.copytree(tiny_survey.parent, tmp_path / "t", ignore=shutil.ignore_patterns("out"))
-    folder = tmp_path / "t"
-    given = yaml.safe_load((folder / "workflow.yaml").read_text(encoding="utf-8"))
-    found, content = begun(folder, force=True)
+    survey = tmp_path / "t"
+    given = yaml.safe_load((survey / "workflow.yaml").read_text(encoding="utf-8"))
+    found, content = begun(survey, force=True)
     for key in ("flightlines", "trajectory", "channel_dimension"):
         assert content["survey"][key] == given["survey"][key], key
     assert content["reference"]["points"] == given["reference"]["points"]
@@ -80,6 +82,38 @@ def test_files_of_other_kinds_are_told_apart(tmp_path: Path) -> None:
     assert any("broken.laz" in text for text in left)
     assert any(text.startswith("old.las: ") for text in left)
     assert "other.csv: times of another flight" in left
+
+
+def test_a_delivered_cloud_is_no_flightline(tmp_path: Path) -> None:
+    line = surveys.flightline(shots=100)
+    raw = surveys.write_cloud(tmp_path / "a.laz", line)
+
+    def labels(start: int, stop: int) -> dict[str, Any]:
+        return dict.fromkeys(("classification", "noise_class"), np.ones(stop - start, np.uint8))
+
+    write_classified(raw, tmp_path / "b.laz", labels=labels, diagnostics=False, crs=None)
+    found, content = begun(tmp_path)
+    assert content["survey"]["flightlines"] == "a.laz"
+    assert ("left out", "b.laz: delivered by a run") in found.unknown
+    raw.unlink()
+    with pytest.raises(WorkflowError, match=r"run delivered alone, such as b\.laz"):
+        api.init(tmp_path, force=True)
+
+
+def test_references_that_are_not_looked_into_are_like_their_peers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder, "LOOKED_INTO", 4)
+    line = surveys.flightline(shots=100)
+    for name in "ab":
+        surveys.write_cloud(tmp_path / "raw" / f"{name}.laz", line)
+    bare = {k: v for k, v in line.items() if k != "channel"}
+    ground = {**bare, "classification": np.full(len(line["x"]), 2, np.uint8)}
+    for name in "abcdef":
+        surveys.write_cloud(tmp_path / "lidar" / f"{name}.laz", ground, channel=False)
+    _, content = begun(tmp_path)
+    assert content["survey"]["flightlines"] == "raw/*.laz"
+    assert content["reference"]["points"] == "lidar/*.laz"
 
 
 def test_without_times_only_ground_and_surfaces_are_proposed(tmp_path: Path) -> None:

@@ -295,6 +295,14 @@ def test_what_has_no_effect_is_said(filtering: dict[str, Any], said: list[str]) 
     assert not list(parse_workflow(merged(filter=filtering), "w").remarks())
 
 
+def test_classes_that_are_not_delivered_are_said() -> None:
+    content = merged(classes={"building": True, "vegetation": {}}, outputs={"classes": "noise"})
+    (remark,) = parse_workflow(content, "w").remarks()
+    assert remark.startswith("classes.building and classes.vegetation: without effect")
+    content["outputs"] = {"classes": "all"}
+    assert not list(parse_workflow(content, "w").remarks())
+
+
 def _sensor_fault(name: str) -> str:
     with pytest.raises(WorkflowError) as caught:
         parse_workflow(merged(survey={"flightlines": "a", "sensor": name}), "w")
