@@ -29,6 +29,7 @@ def write(path: Path, line: Returns, *, timed: bool) -> None:
     surveys.write_cloud(path, columns)
 
 
+@pytest.mark.pictures
 def test_an_offset_is_in_warnings_report_and_page(tmp_path: Path) -> None:
     result = surveys.run(survey(tmp_path, Shift(0.3, -0.2, 0.2)))
     (pair,) = json.loads((result.output / "report.json").read_text())["strips"]
@@ -65,6 +66,7 @@ def test_flightlines_without_times_are_told_by_their_ids(tmp_path: Path) -> None
     assert pair.up_m == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.pictures
 def test_a_flightline_alone_is_compared_with_nothing(tmp_path: Path) -> None:
     workflow = survey(tmp_path, Shift())
     (tmp_path / "lines" / "2.laz").unlink()

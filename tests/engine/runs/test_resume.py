@@ -13,7 +13,7 @@ import shapely
 import shapely.geometry
 
 from spl_batch import api
-from spl_batch.airborne.tasks import index, space_domain
+from spl_batch.airborne.tasks import index, surfaces
 from spl_batch.airborne.tasks import reference as reference_squares
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.verbs import planning
@@ -45,11 +45,14 @@ def test_a_task_killed_half_way_leaves_no_receipt_that_speaks_for_it(
     class Killed(BaseException):
         pass
 
-    def write_labels(*_args: object) -> None:
+    write_cell = surfaces.write_cell
+
+    def killed(*args: Any) -> None:
+        write_cell(*args)
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(space_domain, "write_labels", write_labels)
+        patch.setattr(surfaces, "write_cell", killed)
         with pytest.raises(Killed):
             api.run(survey, workers=0, until="deliver", overrides=["products.void_max_m=1"])
     left = set((output / "store" / "receipts" / "surface").glob("*.json"))
