@@ -106,7 +106,10 @@ def told(parts: Sequence[Mapping[str, NDArray[Any]]]) -> tuple[Remark, ...]:
     """
     known = [part["crosstalk"] for part in parts if "crosstalk" in part]
     rows = np.concatenate([np.empty((0, 4), np.int64), *known])
-    ordered = rows[np.argsort(rows[:, 0], kind="stable"), 1:]
+    # An interval may lie in two stretches: added up first, it counts alike however these are cut.
+    interval, row = np.unique(rows[:, 0], return_inverse=True)
+    ordered = np.zeros((len(interval), 3), np.int64)
+    np.add.at(ordered, row, rows[:, 1:])
     sums = np.array([part.sum(axis=0) for part in np.array_split(ordered, PARTS)])
     fewest = np.argsort(sums[:, 1] / np.maximum(sums[:, 0], 1), kind="stable")[: PARTS // 2]
     returns, beside, further = sums[fewest].sum(axis=0).tolist()

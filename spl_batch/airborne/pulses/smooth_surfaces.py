@@ -93,14 +93,19 @@ def smooth_sums(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds)
     columns, rows = core.xmax // square - west, core.ymax // square - south
     whole = Bounds(*(k * square for k in (west, south, west + columns, south + rows)))
     mine = inside(first[:, 0], first[:, 1], whole)
-    if not mine.any():
-        return {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
-    x, y, z = (first[mine] - (whole.xmin, whole.ymin, int(first[mine, 2].min()))).T
-    lines, of_line = np.unique(line[mine], return_inverse=True)
-    place = (of_line * rows + y // square) * columns + x // square
+    line = np.unique(line[mine], return_inverse=True)[1]
+    xyz = first[mine]
     parts = square // edge
+    at = (line * rows + (xyz[:, 1] - whole.ymin) // square) * columns
+    at += (xyz[:, 0] - whole.xmin) // square
+    # Only places with enough returns for all of their cells can count, and there are few of these.
+    enough, place = _held_by(at, FEWEST * parts**2)
+    if not len(place):
+        return {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
+    xyz = xyz[enough]
+    x, y, z = (xyz - (whole.xmin, whole.ymin, int(xyz[:, 2].min()))).T
     number = (place * parts + y % square // edge) * parts + x % square // edge
-    shape = (len(lines) * rows * columns, parts, parts)
+    shape = (int(place.max()) + 1, parts, parts)
     highest, lowest = np.full(np.prod(shape), -1), np.full(np.prod(shape), int(z.max()) + 1)
     np.maximum.at(highest, number, z)
     np.minimum.at(lowest, number, z)
@@ -113,6 +118,13 @@ def smooth_sums(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds)
         name: _by_thickness(heights, times, step[good].astype(np.int64))
         for name, times in CELLS.items()
     }
+
+
+def _held_by(at: NDArray[np.int64], fewest: int) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Returns whose place holds at least so many, and the numbers of their places from 0."""
+    _, place, count = np.unique(at, return_inverse=True, return_counts=True)
+    enough: NDArray[np.bool_] = (count >= fewest)[place]
+    return enough, np.unique(place[enough], return_inverse=True)[1]
 
 
 class _Heights(NamedTuple):
