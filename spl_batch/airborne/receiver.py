@@ -48,7 +48,7 @@ from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import WorkflowError, grouped
 from spl_batch.formats.las.reader import promised_points
 from spl_batch.lattice.tiles import quanta
@@ -149,13 +149,12 @@ class Imaging(Receiver[Survey, Context]):
             ("halo", halo),
         ]
 
-    def first_look(
-        self, prepared: Prepared[Survey, Context]
-    ) -> tuple[Sequence[str], Sequence[str]]:
+    def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
         """What both ends of the files tell of their times and channels, and of the trajectory's."""
         survey = prepared.ledger
-        faults, odd = first_look(survey.inputs, survey.workflow, prepared.context.base)
-        return faults, (*odd, *stretches_anew(survey), *blocks_anew(survey, prepared.context))
+        faults, odd, refused = first_look(survey.inputs, survey.workflow, prepared.context.base)
+        odd = (*odd, *stretches_anew(survey), *blocks_anew(survey, prepared.context))
+        return FirstLook(faults, odd, refused)
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
         """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.

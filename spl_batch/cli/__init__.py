@@ -97,7 +97,7 @@ def plan(
         document.print_document(document.of_plan(summary))
     else:
         screen.print_plan(summary)
-    return int(bool(summary.faults))
+    return summary.exit_status
 
 
 @cli.command()

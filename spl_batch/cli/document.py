@@ -44,7 +44,7 @@ def of_plan(summary: "PlanSummary") -> dict[str, Any]:
     """What a run would do."""
     cost = asdict(summary.cost) | {"time_s": summary.cost.time_s}
     return {
-        "exit_status": int(bool(summary.faults)),
+        "exit_status": summary.exit_status,
         "files": summary.files,
         "cost": cost,
         "limit_bytes": summary.limit_bytes,

@@ -69,6 +69,8 @@ class PlanSummary:
         What is wrong with the inputs and the output; what is odd about them.
     left : Left or None
         What is left to do; None where nothing of this work is finished.
+    refused : bool
+        Whether a run would stop at the faults.
     """
 
     files: int
@@ -79,6 +81,12 @@ class PlanSummary:
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
     left: Left | None = None
+    refused: bool = False
+
+    @property
+    def exit_status(self) -> int:
+        """What the command ends with: 2 where a run would not start, 1 where files are left out."""
+        return 2 if self.refused else int(bool(self.faults))
 
     @property
     def points(self) -> int:
@@ -117,7 +125,7 @@ def plan(
     cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
     deliveries = usable(prepared)
     output, left = prepared.context.output, _left(prepared, cost)
-    faults, warnings = prepared.receiver.first_look(prepared)
+    look = prepared.receiver.first_look(prepared)
     whole = left is None and prepared.context.store.url is None
     return PlanSummary(
         len(inputs.sources),
@@ -125,15 +133,16 @@ def plan(
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
         tuple(prepared.receiver.plan_rows(prepared, cost)),
-        (*told_together(inputs.bad), *faults),
+        (*told_together(inputs.bad), *look.faults),
         (
             *prepared.ledger.remarks,
             *inputs.warnings,
             *gone_inputs(prepared, deliveries),
-            *warnings,
+            *look.warnings,
             *_too_full(output, cost.disk_bytes if whole else 0),
         ),
         left,
+        refused=look.refused,
     )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from spl_batch.engine.flow.executor import Work
 from spl_batch.engine.plan.budget import Cost
@@ -67,6 +67,22 @@ class Place:
     workflow: Path
     base: Path
     output: Path
+
+
+class FirstLook(NamedTuple):
+    """What a plan finds in the inputs.
+
+    Parameters
+    ----------
+    faults, warnings : tuple of str
+        What is wrong; what is odd.
+    refused : bool
+        Whether a run would stop at the faults, and not only leave some files out.
+    """
+
+    faults: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    refused: bool = False
 
 
 class Receiver(ABC, Generic[L, C]):
@@ -135,10 +151,10 @@ class Receiver(ABC, Generic[L, C]):
     def plan_rows(self, prepared: Prepared[L, C], cost: Any) -> list[tuple[str, str]]:
         """Label and value of what a plan tells beside disk, memory and time."""
 
-    def first_look(self, prepared: Prepared[L, C]) -> tuple[Sequence[str], Sequence[str]]:
+    def first_look(self, prepared: Prepared[L, C]) -> FirstLook:
         """Faults and oddities that a plan tells of its inputs by reading a little of them."""
         del prepared
-        return (), ()
+        return FirstLook()
 
     def before(self, phase: Phase, prepared: Prepared[L, C]) -> None:
         """Get ready for the tasks of a phase."""

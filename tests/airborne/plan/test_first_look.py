@@ -37,7 +37,8 @@ def test_a_trajectory_of_another_day_is_a_fault(survey: Path) -> None:
     assert fault.startswith("lines/line_1.laz, lines/line_2.laz: gps_time ")
     assert "86396.9 s or more outside trajectory.csv" in fault
     assert fault.endswith("name the trajectory of this flight, or none")
-    assert surveys.command("plan", survey).status == 1
+    assert surveys.command("plan", survey).status == 2
+    assert surveys.command("run", survey, "--workers", 0).status == 2
 
 
 def test_a_file_beside_the_trajectory_is_a_warning(survey: Path) -> None:

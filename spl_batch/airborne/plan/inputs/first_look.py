@@ -46,7 +46,7 @@ class _Seen:
 
 def first_look(
     inputs: Inputs, workflow: Workflow, base: Path
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
     """What is wrong with inputs, and what is odd, as far as their ends tell.
 
     Parameters
@@ -62,9 +62,11 @@ def first_look(
     -------
     faults, warnings : tuple of str
         One sentence for all files that share it: file, value, remedy.
+    refused : bool
+        Whether a run stops at them: it has no times, or no trajectory, to filter by.
     """
     if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
-        return (), ()
+        return (), (), False
     formats = [s for s in inputs.sources if s.facts.n_points and not s.facts.has_gps_time]
     timed = [s for s in inputs.sources if s.facts.n_points and s.facts.has_gps_time]
     some = np.unique(np.linspace(0, len(timed) - 1, min(len(timed), SAMPLE_FILES)).astype(int))
@@ -75,7 +77,8 @@ def first_look(
     warnings += _few_channels(seen.channels, workflow)
     warnings += unnamed_channels(seen.numbers, workflow.sensor)
     apart, missed = _apart(seen.spans, inputs.trajectory, base)
-    return (*seen.faults, *faults, *apart), (*warnings, *missed)
+    refused = bool(faults or apart)
+    return (*seen.faults, *faults, *apart), (*warnings, *missed), refused
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
