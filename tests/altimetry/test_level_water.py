@@ -284,7 +284,7 @@ def test_a_rate_that_is_not_seen_is_said(tmp_path: Path) -> None:
     assert surveys.command("run", workflow, "--workers", 0).status == 0
     said = " ".join(json.loads((tmp_path / "out/report.json").read_text())["warnings"])
     assert "no noise is seen" in said
-    assert "photons are kept as signal" in said
+    assert "photons are signal; nothing is told apart" in said
 
 
 def test_a_second_surface_among_the_signal_is_said(tmp_path: Path) -> None:

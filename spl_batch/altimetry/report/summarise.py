@@ -26,6 +26,7 @@ from spl_batch.engine.report.run_record import (
 )
 from spl_batch.engine.report.write import write_both
 from spl_batch.engine.tasks.task import Receipt
+from spl_batch.errors import Said, grouped, shared
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns, read_groups, reading
 from spl_batch.numerics.error_statistics import statistics
 
@@ -75,33 +76,35 @@ _FAR_LEAST: Final = 10
 
 
 def _warnings(done: Receipts, limit: float) -> list[str]:
-    """What a reader has to know of each beam's labels, in sentences."""
-    found = []
+    """What a reader has to know of each beam's labels, in sentences; alike ones once."""
+    found: list[Said] = []
     for key, delivered in done["deliver_beam"].items():
         source, _, name = key.partition("/")
         beam = f"{done['index_file'][source].facts['name']}: {name}"
         rate, chosen = done["rate"][key].facts, done["select"][key].facts
         kept, noise = (delivered.facts["labels"].get(k, 0) for k in ("1", "0"))
         if rate["basis"] != "product" and rate["unseen"] > UNSEEN_SHARE:
-            found.append(
-                f"{beam}: no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
-                "is an upper bound"
-            )
+            text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
+            found.append(Said(beam, f"{text}is an upper bound"))
         far = chosen["far_signal"]
         if far > _FAR_TIMES * limit * max(kept, 1) and far >= _FAR_LEAST:
-            found.append(
-                f"{beam}: {far} of the {kept} photons kept lie farther than rate.buffer_m from the "
-                "surface, more than signal.false_share allows of noise; a cloud, a cliff or a "
-                "second surface is among the signal"
+            text = (
+                f"{grouped(far)} of the {grouped(kept)} signal photons lie farther than "
+                "rate.buffer_m from the surface, more than signal.false_share allows of noise; a "
+                "cloud, a cliff or a second surface is among the signal"
             )
+            found.append(Said(beam, text))
         if kept and not noise:
-            found.append(f"{beam}: all {kept} photons are kept as signal; nothing is told apart")
+            text = f"all {grouped(kept)} photons are signal; nothing is told apart"
+            found.append(Said(beam, text))
         if noise and not kept and chosen["estimated"] >= 1.0:
-            found.append(
-                f"{beam}: no photon is kept, though the noise rate leaves {chosen['estimated']:.0f}"
-                " of signal; a larger rate.buffer_m or signal.false_share may help"
+            text = (
+                "no photon is signal, though the noise rate leaves "
+                f"{grouped(chosen['estimated'])}; a larger rate.buffer_m or signal.false_share may "
+                "help"
             )
-    return found
+            found.append(Said(beam, text))
+    return list(shared(found, "beams"))
 
 
 def _counts(done: Receipts) -> TrackCounts:
