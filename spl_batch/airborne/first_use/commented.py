@@ -105,7 +105,7 @@ def _clouds(looks: Sequence[CloudLook]) -> str:
     """How much there is."""
     points = sum(look.facts.n_points for look in looks)
     area_m2 = sum(look.area_m2 for look in looks)
-    density = f", {points / area_m2:.1f} points per m2 of them" if area_m2 else ""
+    density = f", {points / area_m2:.1f} points per m2 of them" if area_m2 >= 1.0 else ""
     files = f"{len(looks)} file{'s' * (len(looks) != 1)}"
     km2 = grouped(area_m2 / 1e6, 3)
     return f"{files}, {grouped(points)} points, boxes of {km2} km2 in all{density}"
