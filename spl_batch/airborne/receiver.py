@@ -34,6 +34,7 @@ from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import REMEDIES
 from spl_batch.airborne.precompile import compile_share
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
+from spl_batch.airborne.report import CLIP_PAGE
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
@@ -70,9 +71,6 @@ _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 
-
-CLIP_PAGE: Final = "report_3d.html"
-"""The page beside the report on which a square can be turned."""
 
 _CELL_KINDS: Final = frozenset({"ground", "surface", "strip_patches"})
 """Kinds of task that work on a ground cell."""

@@ -77,4 +77,4 @@ def init(folder: Path, force: bool) -> int:  # noqa: FBT001 - click passes flags
     screen.print_beginning(begun)
     summary = api.plan(begun.workflow)
     screen.print_plan(summary)
-    return int(bool(summary.faults))
+    return summary.exit_status

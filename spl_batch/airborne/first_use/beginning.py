@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from spl_batch.airborne.first_use.commented import SENSOR, propose
+from spl_batch.airborne.first_use.clouds import SENSOR
+from spl_batch.airborne.first_use.commented import propose
 from spl_batch.airborne.first_use.folder import look_through
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.errors import WorkflowError

@@ -16,6 +16,9 @@ from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.formats.gps_clock import TimeStandard, time_standard, usable_times
 from spl_batch.formats.las.reader import SAMPLE_POINTS, Ends, LasFacts, inspect, read_ends
 
+SENSOR: Final = "spl100"
+"""What is supposed: no file tells the instrument."""
+
 CHANNEL_NAMES: Final = ("channel", "beamlet", "channel_number", "beamlet_number", "detector")
 """Names of dimensions of its own that a file holds beamlet numbers in, as they are written."""
 

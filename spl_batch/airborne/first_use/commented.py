@@ -11,6 +11,7 @@ from typing import Any, Final
 import yaml
 
 from spl_batch.airborne.first_use.clouds import (
+    SENSOR,
     STANDARDS,
     CloudLook,
     Guess,
@@ -20,9 +21,6 @@ from spl_batch.airborne.first_use.clouds import (
 from spl_batch.airborne.first_use.folder import Folder
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.errors import grouped, named, plain
-
-SENSOR: Final = "spl100"
-"""What is supposed: no file tells the instrument."""
 
 _PLAIN: Final = re.compile(r"[A-Za-z][\w./*:-]*")
 

@@ -12,7 +12,13 @@ from typing import Any, Final
 
 import yaml
 
-from spl_batch.airborne.first_use.clouds import CloudLook, channel_guess, crs_guess, look_at
+from spl_batch.airborne.first_use.clouds import (
+    SENSOR,
+    CloudLook,
+    channel_guess,
+    crs_guess,
+    look_at,
+)
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
@@ -32,8 +38,6 @@ MOSTLY: Final = 0.5
 _WORKFLOW: Final = "workflow.yaml"
 _MOVED: Final = "moved.json"
 """Record of the results that were moved out of the folder: size and time of writing."""
-
-_SENSOR: Final = "spl100"
 
 
 def denoise(
@@ -183,7 +187,7 @@ def _proposal(
             "noise by; give the file its times, or use spl_batch.filter_points of Python, which "
             "measures noise where the cloud is empty",
         )
-    instrument = sensor or _SENSOR
+    instrument = sensor or SENSOR
     channel = channel_guess([look], load_preset(instrument))
     survey: dict[str, Any] = {
         "name": path.stem,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.report.profile_strips import label_holders, tallest_strip
-from spl_batch.airborne.store.label_tables import read_region
+from spl_batch.airborne.report import CLIP_PAGE
+from spl_batch.airborne.report.profile_strips import labelled_points, tallest_strip
 from spl_batch.constants import (
     CLASS_GROUND,
     NOISE_AFTERPULSE,
@@ -28,10 +28,7 @@ from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.rasters.parts import Part
-from spl_batch.lattice.tiles import Bounds, cells_touching, quanta
-
-NAME: Final = "report_3d.html"
-"""Name of the page, below the output."""
+from spl_batch.lattice.tiles import Bounds, quanta
 
 EDGE_M: Final = 100.0
 """Edge of the square [m]."""
@@ -93,14 +90,7 @@ def cut_clip(
     strip = tallest_strip(height)
     south = (strip.ymin + strip.ymax - quanta(EDGE_M)) // 2
     square = Bounds(strip.xmin, south, strip.xmin + quanta(EDGE_M), south + quanta(EDGE_M))
-    tile_q = quanta(context.workflow.tiling.tile_m)
-    built = done.get("build_tile", {})
-    tiles = [t for t in cells_touching(square, tile_q) if str(t) in built]
-    labels = {
-        "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
-        "classification": label_holders(tiles, tile_q, "classes", done.get("surface", {})),
-    }
-    table, _ = read_region(context.store, tiles, square, ("x", "y", "z"), labels, ordered=False)
+    table = labelled_points(square, ("x", "y", "z"), done, context, ordered=False)
     signal = table["noise_class"] == NOISE_SIGNAL
     if not len(table):
         return None
@@ -164,4 +154,4 @@ def render_clip(title: str, clip: Clip, still: Picture) -> str:
 def write_clip(out: Path, title: str, clip: Clip | None, still: Picture) -> None:
     """Write the page into an output folder, if there is anything to show."""
     if clip is not None:
-        write_bytes(out / NAME, render_clip(title, clip, still).encode())
+        write_bytes(out / CLIP_PAGE, render_clip(title, clip, still).encode())

@@ -1,6 +1,6 @@
 """Vertical strips that a report shows: where they lie, and their points."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from spl_batch.airborne.store.label_tables import read_region
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.tasks.task import Receipt
 from spl_batch.formats.rasters.parts import Part
-from spl_batch.lattice.tables import TILE_COLUMNS
+from spl_batch.lattice.tables import TILE_COLUMNS, PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cell_bounds, cells_touching, overlap, quanta
 
 LENGTH_M = 100.0
@@ -56,14 +56,7 @@ def read_strip(
     context : Context
         The run.
     """
-    tile_q = quanta(context.workflow.tiling.tile_m)
-    built = done.get("build_tile", {})
-    tiles = [t for t in cells_touching(strip, tile_q) if str(t) in built]
-    labels = {
-        "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
-        "classification": label_holders(tiles, tile_q, "classes", done.get("surface", {})),
-    }
-    table, _ = read_region(context.store, tiles, strip, TILE_COLUMNS, labels)
+    table = labelled_points(strip, TILE_COLUMNS, done, context)
     if not len(table):
         return None
     middle_m = (strip.ymin + strip.ymax) / 2 * QUANTUM_M
@@ -75,6 +68,39 @@ def read_strip(
         (strip.ymax - strip.ymin) * QUANTUM_M,
         (strip.xmin * QUANTUM_M, middle_m, strip.xmax * QUANTUM_M, middle_m),
     )
+
+
+def labelled_points(
+    region: Bounds,
+    columns: Sequence[str],
+    done: Mapping[str, Mapping[str, Receipt]],
+    context: Context,
+    *,
+    ordered: bool = True,
+) -> PointTable:
+    """Points of a region with ``noise_class`` and ``classification``, as far as it is finished.
+
+    Parameters
+    ----------
+    region : Bounds
+        Where [quanta].
+    columns : sequence of str
+        What else of them is read.
+    done : mapping of str to mapping of str to Receipt
+        Finished tasks by kind and name.
+    context : Context
+        The run.
+    ordered : bool
+        Whether they come in canonical order.
+    """
+    tile_q = quanta(context.workflow.tiling.tile_m)
+    built = done.get("build_tile", {})
+    tiles = [t for t in cells_touching(region, tile_q) if str(t) in built]
+    labels = {
+        "noise_class": label_holders(tiles, tile_q, "noise", done.get("denoise", {})),
+        "classification": label_holders(tiles, tile_q, "classes", done.get("surface", {})),
+    }
+    return read_region(context.store, tiles, region, columns, labels, ordered=ordered)[0]
 
 
 def tallest_strip(height: Part) -> Bounds:

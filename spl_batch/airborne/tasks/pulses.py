@@ -83,7 +83,7 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
     Parameters
     ----------
     table : PointTable
-        Points of the cell and around it, with :data:`COLUMNS`, ``noise_class`` and ``flags``.
+        Points of the cell and around it that are :func:`usable`, with :data:`COLUMNS`.
     core : Bounds
         The cell [quanta].
     products : ProductSettings
@@ -91,8 +91,8 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
     """
     # Returns of one pulse lie side by side: what leans across the margin counts on its own side.
     margin = max(margin_cells(products) * quanta(products.cell_m), reach_q())
-    chosen = usable(table) & inside(table["x"], table["y"], grow(core, margin))
-    signal = table.select(COLUMNS).take(rows_of(chosen))
+    near = inside(table["x"], table["y"], grow(core, margin))
+    signal = table.select(COLUMNS).take(rows_of(near))
     first, last = pulse_ends(signal)
     xyz = np.column_stack([signal[axis][first] for axis in "xyz"]).astype(np.int64)
     xy = np.column_stack([signal[axis][last] for axis in "xy"])

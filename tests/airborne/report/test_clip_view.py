@@ -10,7 +10,8 @@ import laspy
 import numpy as np
 import pytest
 
-from spl_batch.airborne.report.clip_view import KINDS, MOST, NAME, Clip, render_clip
+from spl_batch.airborne.report import CLIP_PAGE
+from spl_batch.airborne.report.clip_view import KINDS, MOST, Clip, render_clip
 from spl_batch.engine.report.picture import Picture
 
 STILL = Picture("profile", "caption", "what it shows", b"\x89PNG", 10, 10)
@@ -32,7 +33,7 @@ def data(page: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_the_page_holds_the_delivered_points_of_its_square(tiny_output: Path) -> None:
-    page = (tiny_output / NAME).read_text(encoding="utf-8")
+    page = (tiny_output / CLIP_PAGE).read_text(encoding="utf-8")
     assert len(page) < 2e6
     places, kind, extent = data(page)
     west, south = map(int, re.search(r"from (\d+) E, (-?\d+) N", page).groups())  # type: ignore[union-attr]
@@ -88,7 +89,7 @@ def test_a_browser_draws_it_or_shows_the_profile(
     found = subprocess.run(  # noqa: S603
         [
             *(str(BROWSER), "--headless", "--no-sandbox", f"--user-data-dir={tmp_path}", *switches),
-            *("--virtual-time-budget=3000", "--dump-dom", f"file://{tiny_output / NAME}"),
+            *("--virtual-time-budget=3000", "--dump-dom", f"file://{tiny_output / CLIP_PAGE}"),
         ],
         capture_output=True,
         text=True,
