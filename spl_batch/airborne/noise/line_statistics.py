@@ -7,7 +7,9 @@ Deviations: the peak is sought in pieces of an interval as short as its returns 
 (relief), in a sliding window instead of the source's 1 m bins; several buffers are
 counted side by side, because how much the gate leaves is known only at the end; a
 return that follows another of its own beamlet within :data:`FOLLOWER_M` may be its
-afterpulse and is not counted (the length that returns blind is taken off the exposure).
+afterpulse and is not counted (the length that returns blind is taken off the exposure),
+unless returns lie so close together that this would leave less than half of the gate to count
+in, as where no channel numbers tell the returns of a shot apart in much noise.
 """
 
 from collections.abc import Sequence
@@ -28,6 +30,10 @@ BUFFER_LADDER: Final = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 
 FOLLOWER_M: Final = 5.0
 """Reach of afterpulses; [W17] ch. 7 finds nearly all within 2-3 m [m]."""
+
+BLIND_MOST: Final = 0.5
+"""Share of an interval's gate from which on, blinded, the followers count as noise as well: the
+little that is left to count in is the difference of two large lengths, and may be nothing."""
 
 PROFILE_BINS: Final = 2048
 """1 m bins of the histogram of heights below the signal."""
@@ -80,6 +86,8 @@ def observe(
     blind = np.empty(len(table), dtype=np.float64)
     lag_behind(beamlet, range_m, 0.0, FOLLOWER_M, lag)
     blind_behind(beamlet, range_m, FOLLOWER_M, blind)
+    crowded = _crowded(beamlet, starts, range_m, blind)
+    lag[crowded], blind[crowded] = 0.0, 0.0
     out: dict[str, NDArray[Any]] = {
         "interval": interval[starts[:-1]],
         "summary": np.zeros((m, len(SUMMARY))),
@@ -103,6 +111,23 @@ def observe(
         out["profile"],
     )  # fmt: skip
     return out
+
+
+def _crowded(
+    beamlet: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    range_m: NDArray[np.float64],
+    blind_m: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Returns of intervals whose returns would blind too much of their own gate: (n,) bool."""
+    if len(starts) < 2:
+        return np.zeros(len(range_m), dtype=np.bool_)
+    first = starts[:-1]
+    gate_m = np.maximum.reduceat(range_m, first) - np.minimum.reduceat(range_m, first)
+    heard_m = gate_m * _runs_per_interval(beamlet, starts)
+    crowded = np.add.reduceat(blind_m, first) > BLIND_MOST * heard_m
+    found: NDArray[np.bool_] = np.repeat(crowded, np.diff(starts))
+    return found
 
 
 def _runs_per_interval(runs: NDArray[np.int64], starts: NDArray[np.int64]) -> NDArray[np.int64]:
