@@ -1,9 +1,10 @@
 """What a contract asks for and what a run knows of it: limits by quality level, evidence.
 
-Source: USGS Lidar Base Specification 2024 rev. A, Table 1 (aggregate nominal pulse spacing and
-density), Table 2 (relative vertical accuracy), Table 4 (absolute vertical accuracy). The limits of
-relative accuracy are those of a vertical accuracy class of the ASPRS standards of 2023, section
-7.4: of its RMSE_V the 0.6fold within a swath, 0.8fold (RMSDz) and 1.6fold (largest) between two.
+Source: USGS Lidar Base Specification 2025 rev. A, Table 1 (aggregate nominal pulse spacing and
+density), Table 2 (relative vertical accuracy), Table 4 (absolute vertical accuracy). The largest
+difference between swaths is in none of its tables: it is that of a vertical accuracy class of the
+ASPRS standards of 2023, section 7.4, the 1.6fold of RMSE_V. Its other two factors, 0.6 within a
+swath and 0.8 (RMSDz) between two, give the numbers of Table 2.
 """
 
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from spl_batch.airborne.pulses.smooth_surfaces import Repeatability
 
 
 class Level(NamedTuple):
-    """Limits of a quality level [m, 1/m2]; USGS Lidar Base Specification, tables.
+    """Limits of a quality level [m, 1/m2]; USGS Lidar Base Specification, Tables 1, 2 and 4.
 
     Parameters
     ----------
@@ -29,9 +30,9 @@ class Level(NamedTuple):
     spacing_m : float
         That spacing.
     repeatability_m : float
-        Smooth surface repeatability, RMSDz.
+        Smooth surface precision (repeatability, until 2024), RMSDz.
     overlap_rmsd_m, overlap_max_m : float
-        Swath overlap difference, RMSDz and largest.
+        Swath overlap difference, RMSDz; the largest one, of the ASPRS standards.
     """
 
     rmse_v_m: float

@@ -1,7 +1,7 @@
 """Is it good enough? Each requirement of a contract, what was found, and whether that will do.
 
 Sources: ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, Version 1.0
-(2023), by section; USGS Lidar Base Specification 2024 rev. A, by the headings of its sections. The
+(2023), by section; USGS Lidar Base Specification 2025 rev. A, by the headings of its sections. The
 limits of a quality level are in :data:`~spl_batch.airborne.accuracy.evidence.LEVELS`. Nothing
 passes for want of evidence: what nobody measured is "cannot tell", with what would tell it.
 """
@@ -19,10 +19,10 @@ from spl_batch.errors import named
 
 Answer = Literal["pass", "fail", "cannot tell"]
 
-LBS: Final = "USGS Lidar Base Specification 2024 rev. A"
+LBS: Final = "USGS Lidar Base Specification 2025 rev. A"
 
 COLLECTION: Final = "Collection Requirements"
-PROCESSING: Final = "Data Processing and Handling Requirements"
+PROCESSING: Final = "Data Processing and Handling"
 
 NEVER_CLASSIFIED: Final = 0
 OVERLAP_CLASS: Final = 12
@@ -82,7 +82,8 @@ def _accuracy(known: Evidence) -> Requirement:
     required = f"RMSE_V at most {centimetres(limit)} at {ENOUGH} open checkpoints or more"
     place = ("Absolute vertical accuracy, NVA", required)
     section = (
-        f"{EDITION}, sections 7.4, 7.12 and 7.13; {LBS}, {PROCESSING}, Absolute Vertical Accuracy"
+        f"{EDITION}, sections 7.4, 7.12 and 7.13; {LBS}, {PROCESSING}, Absolute Vertical Accuracy; "
+        "Table 4"
     )
     if nva is None or not nva.n:
         why = (
@@ -143,7 +144,7 @@ def _mean_error(known: Evidence) -> Requirement:
 def _density(known: Evidence) -> Requirement:
     required = f"at least {significant(known.pulses_per_m2)} first returns per m\N{SUPERSCRIPT TWO}"
     place = ("Aggregate nominal pulse density", required)
-    where = (LBS, f"{COLLECTION}, Nominal Pulse Spacing")
+    where = (LBS, f"{COLLECTION}, Nominal Pulse Spacing; Table 1")
     if known.pulses is None or not known.pulses.area_m2:
         return Requirement(*place, "not counted", "cannot tell", _NOT_COUNTED, *where)
     found = known.pulses.pulses / known.pulses.area_m2
@@ -193,8 +194,10 @@ def _voids(known: Evidence) -> Requirement:
     return Requirement(*place, "none", "pass", "first returns of all flightlines", *where)
 
 
-_OVERLAP: Final = f"{PROCESSING}, Relative Vertical Accuracy, Interswath Consistency"
-_SMOOTH: Final = f"{PROCESSING}, Relative Vertical Accuracy, Intraswath Precision"
+_RELATIVE: Final = f"{PROCESSING}, Positional Accuracy Validation, Relative Vertical Accuracy"
+_OVERLAP: Final = f"{_RELATIVE}, Interswath (Overlap) Consistency; Table 2"
+_LARGEST: Final = f"{EDITION}, section 7.4"
+_SMOOTH: Final = f"{_RELATIVE}, Intraswath Precision (smooth surface precision); Table 2"
 
 SURE: Final = 3.0
 """A difference is larger than a limit if it is by so many of its standard deviations."""
@@ -228,16 +231,16 @@ def _largest_overlap(known: Evidence) -> Requirement:
     swaths = known.swaths
     if swaths is None:
         why = _not_overlapping(known)
-        return Requirement(*place, "not measured", "cannot tell", why, LBS, _OVERLAP)
+        return Requirement(*place, "not measured", "cannot tell", why, STANDARD, _LARGEST)
     found = centimetres(swaths.largest_m)
     why = f"at a smooth place of {swaths.where}; its standard deviation is "
     why += centimetres(swaths.largest_sd_m)
     if swaths.largest_m <= limit:
-        return Requirement(*place, found, "pass", why, LBS, _OVERLAP)
+        return Requirement(*place, found, "pass", why, STANDARD, _LARGEST)
     if swaths.largest_m - SURE * swaths.largest_sd_m > limit:
-        return Requirement(*place, found, "fail", why, LBS, _OVERLAP)
+        return Requirement(*place, found, "fail", why, STANDARD, _LARGEST)
     why += f", and noise alone may do as much at one of {number(swaths.places)} places"
-    return Requirement(*place, found, "cannot tell", why, LBS, _OVERLAP)
+    return Requirement(*place, found, "cannot tell", why, STANDARD, _LARGEST)
 
 
 def _repeatability(known: Evidence) -> Requirement:
@@ -286,7 +289,7 @@ def _no_class_12(known: Evidence) -> Requirement:
     why = "no point is in it" if not held else "the input has them: they are carried along"
     return Requirement(
         "Overlap by flag", "no point in class 12", number(held) if held else "none",
-        "fail" if held else "pass", why, LBS, f"{PROCESSING}, Use of the LAS Overlap Bit Flag",
+        "fail" if held else "pass", why, LBS, f"{PROCESSING}, Point Classification",
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 from pyproj import CRS
 
 from spl_batch.airborne.catalogue.delivered_files import RasterFile
+from spl_batch.airborne.products.product_table import SWATHS, is_piece
 from spl_batch.formats.files.atomic import write_bytes
 
 NAME: Final = "survey.qlr"
@@ -29,8 +30,11 @@ HEIGHTS: Final[Ramp] = ((0.0, "#f7fcf5"), (0.15, "#c7e9c0"), (0.5, "#41ab5d"), (
 COUNTS: Final[Ramp] = ((0.0, "#fde0dd"), (0.1, "#fa9fb5"), (0.4, "#c51b8a"), (1.0, "#49006a"))
 GREY: Final[Ramp] = ((0.0, "#000000"), (1.0, "#ffffff"))
 
+MULTIPLY: Final = "6"
+"""QGIS's number of the mixing that darkens terrain by its relief."""
+
 RAMPS: Final = {"dtm": TERRAIN, "dsm": TERRAIN, "chm": HEIGHTS, "density": COUNTS,
-         "first": COUNTS, "last": COUNTS, "voids": COUNTS, "swaths": COUNTS}  # fmt: skip
+         "first": COUNTS, "last": COUNTS, "voids": COUNTS}  # fmt: skip
 """Colours by product; others are grey."""
 
 CLASSES: Final = (
@@ -63,6 +67,8 @@ class LayerFile(NamedTuple):
         How it is drawn.
     shown : bool
         Whether it is switched on.
+    blend : str
+        How it is mixed with what lies below, by QGIS's number; empty for not at all.
     """
 
     id: str
@@ -72,6 +78,7 @@ class LayerFile(NamedTuple):
     kind: str
     style: list[ET.Element]
     shown: bool
+    blend: str = ""
 
 
 def style_name(raster: str) -> str:
@@ -83,7 +90,7 @@ def write_styles(output: Path, rasters: Sequence[RasterFile]) -> Iterator[Path]:
     """Write a style beside each raster."""
     for raster in rasters:
         root = ET.Element("qgis", version=VERSION, hasScaleBasedVisibilityFlag="0")
-        root.append(_pipe(_pseudocolour(raster)))
+        root.append(_pipe(_coloured(raster)))
         path = output / style_name(raster.href)
         write_bytes(path, _text(root, "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"))
         yield path
@@ -130,17 +137,18 @@ def _layers(
     for name in layers:
         source = f"./{index}|layername={name}"
         yield LayerFile(f"index_{name}", f"index: {name}", source, "ogr", "vector", [],
-                        name == "checkpoints")  # fmt: skip
+                        name in {"checkpoints", "failures"})  # fmt: skip
     if vpc is not None:
         style = [_classes()]
         yield LayerFile("clouds", "clouds by class", f"./{vpc}", "vpc", "point-cloud", style,
                         shown=False)  # fmt: skip
     named = {raster.name: raster for raster in rasters}
     if "dtm" in named:
-        style = [_pipe(_hillshade(), blend="6")]
-        yield LayerFile("relief", "relief", "./dtm.tif", "gdal", "raster", style, shown=True)
+        style = [_pipe(_hillshade())]
+        yield LayerFile("relief", "relief", "./dtm.tif", "gdal", "raster", style, shown=True,
+                        blend=MULTIPLY)  # fmt: skip
     for name, raster in named.items():
-        style = [_pipe(_pseudocolour(raster))]
+        style = [_pipe(_coloured(raster))]
         title = f"{name}: {raster.meaning}"
         yield LayerFile(name, title, f"./{raster.href}", "gdal", "raster", style, name == "dtm")
 
@@ -164,16 +172,17 @@ def _layer(layer: LayerFile, crs: CRS | None) -> ET.Element:
         if authority:
             ET.SubElement(place, "authid").text = ":".join(authority)
     element.extend(layer.style)
+    if layer.blend:  # QGIS looks for it here, not in the pipe
+        ET.SubElement(element, "blendMode").text = layer.blend
     return element
 
 
-def _pipe(renderer: ET.Element, blend: str = "0") -> ET.Element:
+def _pipe(renderer: ET.Element) -> ET.Element:
     pipe = ET.Element("pipe")
     pipe.append(renderer)
     ET.SubElement(pipe, "brightnesscontrast", brightness="0", contrast="0", gamma="1")
-    ET.SubElement(pipe, "rasterresampler", zoomedInResampler="bilinear", maxOversampling="2")
-    if blend != "0":
-        ET.SubElement(pipe, "blendMode").text = blend
+    if renderer.get("type") != "paletted":  # there is nothing between two counts
+        ET.SubElement(pipe, "rasterresampler", zoomedInResampler="bilinear", maxOversampling="2")
     return pipe
 
 
@@ -182,6 +191,23 @@ def _hillshade() -> ET.Element:
         "rasterrenderer", type="hillshade", band="1", azimuth="315", angle="45", zfactor="1",
         multidirection="1", opacity="0.6", alphaBand="-1",
     )  # fmt: skip
+
+
+def _coloured(raster: RasterFile) -> ET.Element:
+    """Colours of a raster: those of its own table where it has one."""
+    return _palette() if is_piece(raster.name, "swaths") else _pseudocolour(raster)
+
+
+def _palette() -> ET.Element:
+    renderer = ET.Element("rasterrenderer", type="paletted", band="1", opacity="1", alphaBand="-1")
+    entries = ET.SubElement(renderer, "colorPalette")
+    for flightlines, colour in enumerate(SWATHS):
+        more = " or more" if flightlines == len(SWATHS) - 1 else ""
+        ET.SubElement(
+            entries, "paletteEntry", value=str(flightlines), color=colour, alpha="255",
+            label=f"{flightlines}{more} flightlines",
+        )  # fmt: skip
+    return renderer
 
 
 def _pseudocolour(raster: RasterFile) -> ET.Element:

@@ -13,7 +13,8 @@ class Product(NamedTuple):
     meaning : str
         What it holds, as its band is called.
     unit : str
-        Unit of its values, as GDAL's unit type; empty where they have none.
+        Unit of its values, as GDAL's unit type; 1 where they have none: an empty one is read as
+        metres where the CRS has a vertical part.
     delivered : bool
         Whether it goes into the output; else it serves the report alone.
     is_map : bool
@@ -39,7 +40,7 @@ PRODUCTS: Final = (
     Product("dsm", "height of the surface", "m"),
     Product("chm", "height of the surface above the terrain", "m"),
     Product("density", "signal returns per m2", "1/m2"),
-    Product("intensity", "mean LAS intensity of first returns", ""),
+    Product("intensity", "mean LAS intensity of first returns", "1"),
     Product("first_returns", "first returns of pulses per m2", "1/m2", is_map=True),
     Product("last_returns", "last returns of pulses per m2", "1/m2", is_map=True),
     Product("voids", "edge of the largest empty square of four spacings", "m", is_map=True),
@@ -55,7 +56,7 @@ NAMES: Final = tuple(product.name for product in PRODUCTS)
 """Names of all rasters."""
 
 
-HILLSHADE: Final = Product("hillshade", "shaded relief of the terrain", "", is_map=True)
+HILLSHADE: Final = Product("hillshade", "shaded relief of the terrain", "1", is_map=True)
 """Made of the finished terrain model, not of ground cells."""
 
 ABOVE_GEOID: Final = (

@@ -225,6 +225,7 @@ def deliver_hillshade(args: Mapping[str, Any], context: Context) -> Produced:
             cell_m=terrain.cell_m,
             crs=context.crs_wkt or None,
             description=HILLSHADE.meaning,
+            unit=HILLSHADE.unit,
         )
     return Produced([target], {"rows": terrain.shape[0], "columns": terrain.shape[1]})
 

@@ -22,7 +22,9 @@ from spl_batch.errors import WorkflowError, named
 _HEAD_BYTES: Final = 1 << 16
 """Bytes at the beginning of an input that tell it from others of its size [byte]."""
 
-_NO_DATA: Final = frozenset({"reference", "aoi", "water", "breaklines", "geoid", "trajectory"})
+_NO_DATA: Final = frozenset(
+    {"reference", "checkpoints", "aoi", "water", "breaklines", "geoid", "trajectory"}
+)
 """Roles of files that several surveys may share."""
 
 Input = tuple[str, int, str]

@@ -235,6 +235,16 @@ def test_layers_and_styles_are_xml_whose_sources_exist(output: Path) -> None:
     ids = [layer.findtext("id") for layer in root.iter("maplayer")]
     assert ids == [layer.get("id") for layer in root.iter("layer-tree-layer")]
     assert len(set(ids)) == len(ids)
+    # QgsRasterLayer::readSymbology looks for the blend mode beside the pipe
+    relief = next(layer for layer in root.iter("maplayer") if layer.findtext("id") == "relief")
+    assert relief.findtext("blendMode") == "6"
+    with rasterio.open(output / "swaths.tif") as swaths:
+        table = swaths.colormap(1)
+    entries = xml(output / "swaths.qml").findall("pipe/rasterrenderer/colorPalette/paletteEntry")
+    assert entries
+    for entry in entries:
+        red, green, blue, _ = table[int(entry.get("value"))]
+        assert entry.get("color") == f"#{red:02x}{green:02x}{blue:02x}"
     for raster in output.glob("*.tif"):
         style = xml(raster.with_suffix(".qml"))
         shades = [float(item.get("value")) for item in style.iter("item")]
