@@ -1,6 +1,7 @@
 """Stage ``deliver``: labels back to the input files, mosaics, points by tile."""
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.hillshade import BLOCK
 from spl_batch.airborne.products.product_table import HILLSHADE
+from spl_batch.airborne.products.wide_voids import Void, void_sentence, wide_voids
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
 from spl_batch.airborne.tasks import index
@@ -34,6 +36,7 @@ from spl_batch.formats.las.writer import (
     write_classified,
     write_points,
 )
+from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.formats.rasters.geotiff import write_cog
 from spl_batch.formats.rasters.parts import windows
 from spl_batch.formats.verified.parquet_npz import read_arrays, read_columns
@@ -279,15 +282,11 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
     shape, origin_xy_m = frame(bounds, pixel)
     folder = context.output if args["delivered"] else context.store.local
     target = folder / f"{args['name']}.tif"
+    cells = list(cells_of_runs(args["cells"]))
+    stored = partial(stored_blocks, context.rasters, bounds=bounds, cells=cells, ground_cell=edge)
     write_cog(
         target,
-        stored_blocks(
-            context.rasters,
-            args["product"],
-            bounds,
-            cells_of_runs(args["cells"]),
-            ground_cell=edge,
-        ),
+        stored(args["product"]),
         shape=shape,
         origin_xy_m=origin_xy_m,
         cell_m=products.cell_m,
@@ -296,4 +295,19 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
         unit=args["unit"],
         colours=args["colours"],
     )
-    return Produced([target], {"rows": shape[0], "columns": shape[1]})
+    facts = {"name": target.name, "rows": shape[0], "columns": shape[1]}
+    if args["product"] == "dtm":
+        found = wide_voids(stored("dtm"), stored("density"), shape, origin_xy_m, products.cell_m)
+        facts["warnings"] = _told(found, context)
+    return Produced([target], facts)
+
+
+def _told(found: list[Void], context: Context) -> list[Remark]:
+    """A warning of voids in the terrain; holes of the area of interest are none."""
+    if context.workflow.aoi is not None:
+        area = read_polygons(context.resolve(context.workflow.aoi), context.crs)
+        east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
+        inside = contains(area, east, north)
+        found = [one for one, there in zip(found, inside, strict=True) if there]
+    void_max_m = context.workflow.products.void_max_m
+    return [Remark(void_sentence(found, void_max_m))] if found else []

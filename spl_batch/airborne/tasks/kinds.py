@@ -101,7 +101,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "mosaic": Kind(
             "deliver",
             "spl_batch.airborne.tasks.delivery:mosaic",
-            ("ground.cell_m", "products.cell_m"),
+            ("ground.cell_m", "products.cell_m", "products.void_max_m", "aoi"),
         ),
         "reference": Kind("report", "spl_batch.airborne.tasks.reference:reference", ()),
         "accuracy": Kind(
