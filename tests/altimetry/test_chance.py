@@ -119,12 +119,22 @@ def test_the_threshold_is_that_of_the_largest_f1(
         free = max(f1, key=lambda b: f1[b])
         held = max(f1, key=lambda b: f1[b] if fine[b] else 0.0)
         gained = f1[held] if fine[held] else 0.0
-        layered = sure and gained < 0.95 * f1[free]
+        costly = sure and gained < 0.95 * f1[free]
         away, chanced = far[i, free:].sum(), strays[i, free:].sum()
         each = 8.0 * noise[i].sum() / max(counts[i].sum(), 1)
-        layered &= away > chanced + each + 3.0 * ((1.0 + each) * chanced) ** 0.5
-        best, gained = (free, f1[free]) if layered else (held, gained)
+        layered = away > chanced + each + 3.0 * ((1.0 + each) * chanced) ** 0.5
+        fewest = next(b for b in f1 if f1[b] >= 0.95 * f1[free])
+        best = free if costly and layered else fewest if costly else held
+        gained = f1[best] if costly else gained
         assert least[i] == (max(best, 1) if gained > 0.0 else counts.shape[1])
+
+
+def test_far_noise_costs_a_twentieth_of_f1_at_most() -> None:
+    counts, far = np.zeros((1, 50)), np.zeros((1, 50))
+    counts[0, 40], counts[0, 30], counts[0, 0] = 50.0, 50.0, 900.0
+    far[0, 35] = counts[0, 35] = 5.0
+    least = chance.best_thresholds(counts, far, far, far, np.array([105.0]), 0.0005)
+    assert least[0] == 30
 
 
 @pytest.mark.parametrize("colour", ["green", "infrared"])

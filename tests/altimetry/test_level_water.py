@@ -94,6 +94,14 @@ def test_water_is_seen_where_the_gate_ends_low_above_it(noise: float) -> None:
     assert (cells.level != NO_WATER).mean() > 0.95
 
 
+def test_noise_is_seen_in_a_gate_of_a_few_bins() -> None:
+    track = water_track(DAY)
+    near = (track.z > -22.0) & (track.z < 8.0)
+    cells = rates.observe(*quanta(np.stack([track.x[near], track.z[near]], axis=1)), RATE)
+    found = rates.density_from_window(cells, RATE)
+    assert np.median(found) == pytest.approx(DAY, rel=0.2)
+
+
 def test_water_over_a_brighter_floor_is_seen() -> None:
     track = water_track(DAY, surface_per_m=0.5)
     cells = rates.observe(*photons(track), RATE)

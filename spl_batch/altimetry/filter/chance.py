@@ -158,10 +158,10 @@ def best_thresholds(
     Of ``above`` photons taken, those are signal that are not expected to be noise, so F1, the
     harmonic mean of precision and recall, is 2 (above - noise) / (above + n_s).
 
-    The limit on far photons is for noise. A cliff, a cloud or a surface that was not followed puts
-    signal far from where the surface is looked for, and the limit would take a whole stretch away
-    for it. It is given up where it costs more than a twentieth of F1 and more photons are far than
-    noise explains.
+    The limit on far photons may cost a twentieth of that F1: where it would cost more, the fewest
+    photons are taken that keep the rest. A cliff, a cloud or a surface that was not followed puts
+    signal far from where the surface is looked for. So where noise does not explain the far
+    photons, the limit does not count at all.
 
     Parameters
     ----------
@@ -181,13 +181,16 @@ def best_thresholds(
     every = 2.0 * signal / np.maximum(above + wanted[:, None], 1.0)
     sure = is_sure(counts, wanted)
     gain = np.where(few_strays(away, above, sure, false_share), every, 0.0)
-    layered = sure & (gain.max(axis=1) < (1.0 - _MOST_LOST) * every.max(axis=1))
+    least_f1 = (1.0 - _MOST_LOST) * every.max(axis=1)
+    costly = sure & (gain.max(axis=1) < least_f1)
     best = np.arange(len(every)), every.argmax(axis=1)
     # Noise is told by places; each stands for so many photons at most.
     each = _PHOTONS_PER_PLACE * below[:, -1] / np.maximum(above[:, -1], 1.0)
     chance = SURE_SD * np.sqrt((1.0 + each) * strays[best])
-    layered &= away[best] > strays[best] + each + chance
+    layered = costly & (away[best] > strays[best] + each + chance)
     gain[layered] = every[layered]
     taken = np.where(gain.max(axis=1) > 0.0, gain.argmax(axis=1) + 1, 0)
+    fewest = np.argmax(every >= least_f1[:, None], axis=1) + 1
+    taken = np.where(costly & ~layered, fewest, taken)
     least: NDArray[np.int64] = np.maximum(counts.shape[1] - taken, 1)
     return least

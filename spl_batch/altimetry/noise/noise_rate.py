@@ -29,6 +29,7 @@ from spl_batch.altimetry.water.level_water import (
     NO_WATER,
     REACH_CELLS,
     SURFACE_M,
+    Water,
     find_water,
     local_column,
 )
@@ -49,6 +50,12 @@ ALPHA_MIN: Final = 1e-4
 """Least noise in a unit [1/unit2]."""
 
 _CLIP_SD: Final = 4.0
+
+_FEW_BINS: Final = 0.1
+"""Empty bins over what is away from the surface, where the gate is too narrow for bins."""
+
+_BELOW_M: Final = 4
+"""What is nearer to the surface is never empty, whatever the gate [m]."""
 
 
 def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateSettings) -> Cells:
@@ -93,18 +100,56 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         fits = away.sum(axis=1) * 4 >= whole.sum(axis=1)
         empty = np.where((fits | ~empty.any(axis=1))[:, None], away, empty)
     empty = _without_clumps(table, empty)
+    counted, length = np.where(empty, table, 0).sum(1), empty.sum(1) * bin_q
+    seen, seen_length = _in_a_narrow_gate(cell, height, (low, high), water)
+    narrow = _around(index, length) < _FEW_BINS * _around(index, seen_length)
     return Cells(
         index=index,
         count=table.sum(1),
         low=low,
         high=high,
         peak=((peak + base) * bin_q + bin_q // 2).astype(np.int32),
-        empty_count=np.where(empty, table, 0).sum(1),
-        empty_length=empty.sum(1) * bin_q,
+        empty_count=np.where(narrow, seen, counted),
+        empty_length=np.where(narrow, seen_length, length),
         level=water.level,
         column=water.column,
         slope=water.slope,
     )
+
+
+def _in_a_narrow_gate(
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
+    water: Water,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Photons and length of gate away from the surface, of cells whose bins are all near it.
+
+    Above water it is the upper half of the gate that is left, elsewhere the half below: trees stand
+    above the ground.
+    """
+    low, high = (end.astype(np.int64) for end in gate)
+    up = water.level != NO_WATER
+    surface = np.where(up, water.level, water.fullest)
+    least = _BELOW_M * QUANTA_PER_M
+    up |= surface - low < least
+    middle = np.where(
+        up,
+        np.maximum((surface + high) // 2, surface + least),
+        np.minimum((surface + low) // 2, surface - least),
+    )
+    away = np.where(up[cell], height > middle[cell], height < middle[cell])
+    length = np.where(up, high - middle, middle - low)
+    return np.bincount(cell[away], minlength=len(low)), np.maximum(length, 0)
+
+
+def _around(index: NDArray[np.int64], values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sums over the longest stretch around each cell, (n,) int64."""
+    total = np.concatenate([[0], np.cumsum(values)])
+    first = np.searchsorted(index, index - STRETCH_CELLS)
+    stop = np.searchsorted(index, index + STRETCH_CELLS, side="right")
+    sums: NDArray[np.int64] = total[stop] - total[first]
+    return sums
 
 
 def _surface(index: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.int64]:

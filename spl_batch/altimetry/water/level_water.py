@@ -67,11 +67,14 @@ class Water(NamedTuple):
     slope : (n,) float32
         Steps between the densest layers of cells next to each other, their median [m/m]; 1 where
         too few are.
+    fullest : (n,) int64
+        Middle of the densest metre [quanta].
     """
 
     level: NDArray[np.int32]
     column: NDArray[np.float32]
     slope: NDArray[np.float32]
+    fullest: NDArray[np.int64]
 
 
 def find_water(
@@ -101,11 +104,14 @@ def find_water(
         np.full(n, NO_WATER, np.int32),
         np.zeros((n, DEPTHS), np.float32),
         np.ones(n, np.float32),
+        np.zeros(n, np.int64),
     )
     if not n:
         return water
     mode = _fullest(cell, height, n)
     level = _level(index, mode, cell, height)
+    half = QUANTA_PER_M // 2
+    water.fullest[:] = mode * half + half // 2
     water.slope[:] = _slope(index, mode, cell_m)
     level = _refined(cell, height, level)
     level[_grown_over(index, cell, height, gate[1], level)] = NO_WATER
