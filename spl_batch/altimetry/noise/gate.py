@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.altimetry.settings import RateSettings
+from spl_batch.altimetry.water.level_water import NO_WATER, Water
+from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
 STRETCH_CELLS: Final = 50
@@ -18,6 +20,12 @@ STRETCH_CELLS: Final = 50
 
 STRETCH_PHOTONS: Final = 30
 """Noise photons that gate and rate are read from, where a stretch has as many [count]."""
+
+_FEW_BINS: Final = 0.1
+"""Empty bins over what is away from the surface, where the gate is too narrow for bins."""
+
+_BELOW_M: Final = 4
+"""What is nearer to the surface is never empty, whatever the gate [m]."""
 
 
 def gates(
@@ -89,3 +97,60 @@ def stretches(
         if wider <= least:
             return reach, seen
         wider = max(wider // 2, least)
+
+
+def narrow_gate(
+    index: NDArray[np.int64],
+    cell: NDArray[np.intp],
+    height: NDArray[np.int32],
+    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
+    water: Water,
+    empty: NDArray[np.int64],
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+    """Where a gate is too narrow for empty bins, and what shows its noise instead.
+
+    That is the half of the gate above water, elsewhere the half below the surface: trees stand
+    above the ground.
+
+    Parameters
+    ----------
+    index, cell, height
+        As in :func:`gates`.
+    gate : ((n,) int32, (n,) int32)
+        Lower and upper end [quanta].
+    water : Water
+        Of the cells.
+    empty : (n,) int64
+        Length of the empty bins [quanta].
+
+    Returns
+    -------
+    narrow : (n,) bool
+        Cells with hardly an empty bin in the stretch around.
+    count, length : (n,) int64
+        Photons in the half of the gate, and its length [quanta].
+    """
+    low, high = (end.astype(np.int64) for end in gate)
+    up = water.level != NO_WATER
+    surface = np.where(up, water.level, water.fullest)
+    least = _BELOW_M * QUANTA_PER_M
+    up |= surface - low < least
+    middle = np.where(
+        up,
+        np.maximum((surface + high) // 2, surface + least),
+        np.minimum((surface + low) // 2, surface - least),
+    )
+    away = np.where(up[cell], height > middle[cell], height < middle[cell])
+    length = np.where(up, high - middle, middle - low)
+    length = np.maximum(length, 0)
+    narrow = _around(index, empty) < _FEW_BINS * _around(index, length)
+    return narrow, np.bincount(cell[away], minlength=len(low)), length
+
+
+def _around(index: NDArray[np.int64], values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sums over the longest stretch around each cell, (n,) int64."""
+    total = np.concatenate([[0], np.cumsum(values)])
+    first = np.searchsorted(index, index - STRETCH_CELLS)
+    stop = np.searchsorted(index, index + STRETCH_CELLS, side="right")
+    sums: NDArray[np.int64] = total[stop] - total[first]
+    return sums

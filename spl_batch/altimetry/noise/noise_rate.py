@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, stretches
+from spl_batch.altimetry.noise.gate import STRETCH_CELLS, gates, narrow_gate, stretches
 from spl_batch.altimetry.photon_table import Background, Cells, Scale
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.water.level_water import (
@@ -29,7 +29,6 @@ from spl_batch.altimetry.water.level_water import (
     NO_WATER,
     REACH_CELLS,
     SURFACE_M,
-    Water,
     find_water,
     local_column,
 )
@@ -50,12 +49,6 @@ ALPHA_MIN: Final = 1e-4
 """Least noise in a unit [1/unit2]."""
 
 _CLIP_SD: Final = 4.0
-
-_FEW_BINS: Final = 0.1
-"""Empty bins over what is away from the surface, where the gate is too narrow for bins."""
-
-_BELOW_M: Final = 4
-"""What is nearer to the surface is never empty, whatever the gate [m]."""
 
 
 def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateSettings) -> Cells:
@@ -101,8 +94,7 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         empty = np.where((fits | ~empty.any(axis=1))[:, None], away, empty)
     empty = _without_clumps(table, empty)
     counted, length = np.where(empty, table, 0).sum(1), empty.sum(1) * bin_q
-    seen, seen_length = _in_a_narrow_gate(cell, height, (low, high), water)
-    narrow = _around(index, length) < _FEW_BINS * _around(index, seen_length)
+    narrow, seen, seen_length = narrow_gate(index, cell, height, (low, high), water, length)
     return Cells(
         index=index,
         count=table.sum(1),
@@ -115,41 +107,6 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         column=water.column,
         slope=water.slope,
     )
-
-
-def _in_a_narrow_gate(
-    cell: NDArray[np.intp],
-    height: NDArray[np.int32],
-    gate: tuple[NDArray[np.int32], NDArray[np.int32]],
-    water: Water,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Photons and length of gate away from the surface, of cells whose bins are all near it.
-
-    Above water it is the upper half of the gate that is left, elsewhere the half below: trees stand
-    above the ground.
-    """
-    low, high = (end.astype(np.int64) for end in gate)
-    up = water.level != NO_WATER
-    surface = np.where(up, water.level, water.fullest)
-    least = _BELOW_M * QUANTA_PER_M
-    up |= surface - low < least
-    middle = np.where(
-        up,
-        np.maximum((surface + high) // 2, surface + least),
-        np.minimum((surface + low) // 2, surface - least),
-    )
-    away = np.where(up[cell], height > middle[cell], height < middle[cell])
-    length = np.where(up, high - middle, middle - low)
-    return np.bincount(cell[away], minlength=len(low)), np.maximum(length, 0)
-
-
-def _around(index: NDArray[np.int64], values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sums over the longest stretch around each cell, (n,) int64."""
-    total = np.concatenate([[0], np.cumsum(values)])
-    first = np.searchsorted(index, index - STRETCH_CELLS)
-    stop = np.searchsorted(index, index + STRETCH_CELLS, side="right")
-    sums: NDArray[np.int64] = total[stop] - total[first]
-    return sums
 
 
 def _surface(index: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.int64]:
