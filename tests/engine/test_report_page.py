@@ -70,7 +70,7 @@ class Outline(html.parser.HTMLParser):
             self.parents.append(str(self.open[-1][1].get("class")))
         if tag == "img":
             self.images.append(given)
-        elif tag != "meta":
+        elif tag not in {"meta", "input", "hr"}:
             self.open.append((tag, given))
 
     def handle_endtag(self, tag: str) -> None:

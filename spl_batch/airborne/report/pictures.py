@@ -19,7 +19,15 @@ from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile, draw_histogram, draw_profile
 from spl_batch.airborne.report.verdicts import photon_counting, terrain_statistics
 from spl_batch.engine.report import style
-from spl_batch.engine.report.maps import Raster, draw_ramp, draw_relief, nice, reduce_raster, spread
+from spl_batch.engine.report.maps import (
+    Raster,
+    draw_ramp,
+    draw_relief,
+    map_place,
+    nice,
+    reduce_raster,
+    spread,
+)
 from spl_batch.engine.report.number_format import centimetres
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
@@ -136,9 +144,11 @@ def _locator(extents: Sequence[Extent]) -> Picture:
     )
 
 
-def _finished(drawn: Figure, title: str, caption: str) -> Picture:
+def _finished(drawn: Figure, title: str, caption: str, shown: Raster | None = None) -> Picture:
+    """Picture of a figure, which is a map where a raster is shown."""
     png, width, height = style.to_png(drawn)
-    return Picture(title, caption, f"{title}. {caption}", png, width, height)
+    place = None if shown is None else map_place(shown)
+    return Picture(title, caption, f"{title}. {caption}", png, width, height, place)
 
 
 def _or_missing(
@@ -187,7 +197,9 @@ def _relief(inputs: PictureInputs, key: str, *, photons: bool, piece: int = 1) -
         getattr(inputs, key),
         title,
         "This raster was not made.",
-        lambda raster: _finished(draw_relief(raster, title, "height [m]", limits), title, caption),
+        lambda raster: _finished(
+            draw_relief(raster, title, "height [m]", limits), title, caption, raster
+        ),
     )
 
 
@@ -272,7 +284,7 @@ def _amount(raster: Raster | None, of: Amount) -> Picture:
         shown = given if of.scale == 1.0 else Raster(of.scale * given.masked(), given.extent_m)
         top = max(spread(reduce_raster(shown).values, 1, of.percent)[1], of.least)
         drawn = draw_ramp(shown, of.title, of.legend, ramp=of.ramp, limits=(0.0, top))
-        return _finished(drawn, of.title, of.caption)
+        return _finished(drawn, of.title, of.caption, shown)
 
     return _or_missing(raster, of.title, of.missing, draw)
 
@@ -298,6 +310,7 @@ def _difference(raster: Raster | None, statistics: Statistics | None) -> Picture
             "Blue is too low, red too high, white is right. Patches that follow buildings or "
             "trees point to the ground filter, stripes that follow the flight to the alignment "
             "of flightlines, an even tint to a bias between the two sensors.",
+            scaled,
         )
 
     return _or_missing(raster, title, NO_REFERENCE, draw)

@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Final
 
 from spl_batch.airborne.accuracy.requirements import answers
+from spl_batch.airborne.report import CLIP_PAGE
 from spl_batch.airborne.report.model import Counts, Report, Survey
 from spl_batch.airborne.report.verdicts import (
     noise_removed,
@@ -14,19 +15,32 @@ from spl_batch.airborne.report.verdicts import (
 )
 from spl_batch.airborne.settings import FilterSettings
 from spl_batch.engine.report import number_format as text
+from spl_batch.engine.report.layers import layers
 from spl_batch.engine.report.page import Front, render_page
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.verdict import speed_remark
 
 SECTIONS: Final = (
     ("good-enough", "Is it good enough?"),
+    ("map", "Map and profile"),
     ("accuracy", "Accuracy"),
-    ("surfaces", "Surfaces"),
     ("strips", "Between flightlines"),
     ("noise", "Noise"),
     ("survey", "Survey"),
 )
 """Anchor and name of each section of its own."""
+
+LAYERS: Final = (
+    "dtm",
+    "dsm",
+    "chm",
+    "dtm_quality",
+    "density",
+    "noise_density",
+    "difference",
+    "strips",
+)
+"""Maps that a reader switches between."""
 
 OF_PHOTONS: Final = ("noise", "survey")
 """Sections that linear-mode lidar has nothing to say in."""
@@ -105,6 +119,12 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         pictures=pictures,
         photons=photons,
         pieces=_shown_pieces(pictures),
+        layers=[
+            layer
+            for layer in layers(_layer_keys(report, photons=photons), pictures, report.failures)
+            if layer.picture.png or layer.key != "strips"  # the section on flightlines says why
+        ],
+        clip_page=CLIP_PAGE,
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
         kept_noise_share=_kept_noise_share(report),
@@ -121,6 +141,16 @@ def _sections(report: Report, *, photons: bool) -> Iterator[tuple[str, str]]:
             continue
         if photons or key not in OF_PHOTONS:
             yield key, name
+
+
+def _layer_keys(report: Report, *, photons: bool) -> Iterator[str]:
+    """Keys of the maps that this report has something to say of."""
+    for key in LAYERS:
+        if key == "noise_density" and not photons:
+            continue
+        if key == "difference" and report.accuracy is None:
+            continue
+        yield key
 
 
 def _asked_level(report: Report) -> str:

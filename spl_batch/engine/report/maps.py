@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from spl_batch.constants import NODATA
 from spl_batch.engine.report import style
 from spl_batch.engine.report.number_format import number
+from spl_batch.engine.report.picture import Extent, MapPlace
 
 WIDTH_IN: Final = 5.1
 TALLEST_IN: Final = 5.6
@@ -41,7 +42,7 @@ class Raster:
     """
 
     values: NDArray[Any]
-    extent_m: tuple[float, float, float, float]
+    extent_m: Extent
     line_m: tuple[float, float, float, float] | None = None
 
     @property
@@ -70,7 +71,7 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
         The same values where they fit, else block means; the extent grows to whole blocks.
     """
     rows, columns = raster.values.shape
-    step = math.ceil(max(rows, columns) / largest)
+    step = _step(raster, largest)
     if step <= 1:
         return Raster(raster.masked(), raster.extent_m, raster.line_m)
     down, across = -(-rows // step), -(-columns // step)
@@ -84,10 +85,22 @@ def reduce_raster(raster: Raster, largest: int = LARGEST_PX) -> Raster:
         counts = there.sum(axis=(0, 2))
         sums = np.where(there, blocks, 0.0).sum(axis=(0, 2))
         np.divide(sums, counts, out=means[row], where=counts > 0)
+    return Raster(means, _whole_blocks(raster, step), raster.line_m)
+
+
+def _step(raster: Raster, largest: int = LARGEST_PX) -> int:
+    """Cells along the edge of the blocks that a picture shows [count]."""
+    rows, columns = raster.values.shape
+    return -(-int(max(rows, columns)) // largest)
+
+
+def _whole_blocks(raster: Raster, step: int) -> Extent:
+    """Extent of a raster that is filled up to blocks of ``step`` x ``step`` cells [m]."""
+    rows, columns = raster.values.shape
     west, east, south, north = raster.extent_m
-    wide = (east - west) / columns * across * step
-    high = (north - south) / rows * down * step
-    return Raster(means, (west, west + wide, north - high, north), raster.line_m)
+    wide = (east - west) / columns * (-(-columns // step) * step)
+    high = (north - south) / rows * (-(-rows // step) * step)
+    return (west, west + wide, north - high, north)
 
 
 def hillshade(
@@ -218,6 +231,14 @@ class _Layout:
         """Left, bottom, width, height as shares of the picture."""
         left, bottom, wide, high = box
         return left / self.width, bottom / self.height, wide / self.width, high / self.height
+
+
+def map_place(raster: Raster) -> MapPlace:
+    """Where the map of a raster lies on the picture that is drawn of it."""
+    extent = _whole_blocks(raster, _step(raster))
+    layout = _layout(extent)
+    left, bottom, wide, high = layout.share(layout.map_box)
+    return MapPlace((left, 1.0 - bottom - high, wide, high), extent)
 
 
 def _layout(extent_m: tuple[float, float, float, float]) -> _Layout:

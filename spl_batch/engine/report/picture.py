@@ -3,6 +3,25 @@
 import base64
 from dataclasses import dataclass
 
+Extent = tuple[float, float, float, float]
+"""West, east, south, north edges [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapPlace:
+    """Where a map lies on its picture, and in the world.
+
+    Parameters
+    ----------
+    box : tuple of float
+        Left and upper edge, width and height, as shares of the picture.
+    extent_m : Extent
+        What it shows [m].
+    """
+
+    box: tuple[float, float, float, float]
+    extent_m: Extent
+
 
 @dataclass(frozen=True, slots=True)
 class Picture:
@@ -18,6 +37,8 @@ class Picture:
         Empty where there is no picture.
     width_px, height_px : int
         Size that the page lays out.
+    place : MapPlace, optional
+        Where a map lies on it, so that a page can mark places.
     """
 
     title: str
@@ -26,6 +47,7 @@ class Picture:
     png: bytes = b""
     width_px: int = 0
     height_px: int = 0
+    place: MapPlace | None = None
 
     @property
     def data_uri(self) -> str:

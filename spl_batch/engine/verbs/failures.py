@@ -10,6 +10,7 @@ from spl_batch.engine.flow.executor import OUT_OF_MEMORY
 from spl_batch.engine.report.parts import Failure
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import Prepared
+from spl_batch.engine.watch.tile_map import extent_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +92,14 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
     names = {str(s.key): s.name for s in ledger.inputs.sources}
     for one in failed:
         task = one.task
+        edge_m = receiver.edge_m(task.kind, ledger)
         yield Failure(
             stage=one.stage,
             place=names.get(task.name) or str(task.args.get("path", task.name)),
             reason=one.receipt.reason,
             remedy=_remedy(one, receiver.remedies),
             task=f"{task.kind} {task.name}",
+            extent_m=extent_m(task.name, edge_m) if edge_m else None,
             inputs=tuple(inputs(task, names, receiver.words)),
             command=one.command,
         )

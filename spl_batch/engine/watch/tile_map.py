@@ -134,6 +134,12 @@ class TileMap:
         counts[rows, columns] += change
 
 
+def extent_m(name: str, edge_m: float) -> tuple[float, float, float, float]:
+    """West, east, south and north edges of a unit of squares with an edge of ``edge_m`` [m]."""
+    column, row, wide, high = (int(v) * edge_m for v in _parse([name])[0])
+    return (column, column + wide, row, row + high)
+
+
 def _parse(names: Iterable[str]) -> NDArray[np.int64]:
     """Column, row and sides of units such as ``"-3_12"``, a square, or ``"-4_12_2_3"``."""
     parts = ([*name.split("_"), "1", "1"] for name in names)

@@ -2,7 +2,6 @@
 
 import base64
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -13,9 +12,9 @@ import pytest
 from spl_batch.airborne.report import CLIP_PAGE
 from spl_batch.airborne.report.clip_view import KINDS, MOST, Clip, render_clip
 from spl_batch.engine.report.picture import Picture
+from tests.browser import CHROMIUM, needs_chromium
 
 STILL = Picture("profile", "caption", "what it shows", b"\x89PNG", 10, 10)
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 GPU = ("--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader")
 
 
@@ -81,14 +80,20 @@ def test_texts_of_files_are_only_shown() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+@needs_chromium
 @pytest.mark.parametrize(("switches", "turns"), [(GPU, "live"), (("--disable-3d-apis",), "")])
 def test_a_browser_draws_it_or_shows_the_profile(
     switches: tuple[str, ...], turns: str, tiny_output: Path, tmp_path: Path
 ) -> None:
     found = subprocess.run(  # noqa: S603
         [
-            *(str(BROWSER), "--headless", "--no-sandbox", f"--user-data-dir={tmp_path}", *switches),
+            *(
+                str(CHROMIUM),
+                "--headless",
+                "--no-sandbox",
+                f"--user-data-dir={tmp_path}",
+                *switches,
+            ),
             *("--virtual-time-budget=3000", "--dump-dom", f"file://{tiny_output / CLIP_PAGE}"),
         ],
         capture_output=True,
