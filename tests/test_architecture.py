@@ -43,7 +43,7 @@ FLOW: Mapping[str, tuple[str, ...]] = {
         *("tasks", "plan", "report", "receiver", "compare"),
     ),
     "geiger.coincidence": (
-        *("settings", "tables", "formats", "surface", "simulate", "accuracy"),
+        *("settings", "tables", "formats", "surface", "simulate"),
         *("tasks", "plan", "report", "receiver"),
     ),
     "geiger.water": (

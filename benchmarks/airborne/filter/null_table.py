@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.airborne.filter.ellipsoid import null_distribution as null
 from spl_batch.airborne.filter.wires import wire_null
@@ -25,6 +26,12 @@ from spl_batch.airborne.settings import FilterSettings
 
 USUAL = (0.01, 2.0)
 """Noise densities where more is drawn [1/m3]."""
+
+STRICTER = 0.1
+"""Part of the scan's alpha at which a second share is drawn, for the power of alpha."""
+
+ALIKE = 2.0
+"""Shares of the scan that differ by more have a step between them [ratio]."""
 
 
 def tell(density: float) -> None:
@@ -61,15 +68,24 @@ def scores(points: int) -> None:
     write(null.__spec__.parent, null.FILE, content)
 
 
+def smoothed_between_steps(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of each share and of those beside it, up to two, that are :data:`ALIKE`."""
+    padded = np.pad(share, 2, constant_values=np.nan)
+    near = np.lib.stride_tricks.sliding_window_view(padded, 5)
+    alike = (near <= ALIKE * share[:, None]) & (ALIKE * near >= share[:, None])
+    smooth: NDArray[np.float64] = np.where(alike, near, 0.0).sum(axis=1) / alike.sum(axis=1)
+    return smooth
+
+
 def wires(points: int) -> None:
     """Table of the scan for conductors."""
     settings = FilterSettings().wires
-    stricter = settings.model_copy(update={"alpha": settings.alpha * wire_null.STRICTER})
+    stricter = settings.model_copy(update={"alpha": settings.alpha * STRICTER})
     share = wire_null.draw_shares(settings, points, tell=tell, workers=2).round(6)
     # for one number, all densities together
     less = wire_null.draw_shares(stricter, points // 8, tell=tell, workers=2)
-    power = float(np.log(share.sum() / less.sum()) / -np.log(wire_null.STRICTER))
-    smooth = wire_null.smoothed_between_steps(share)
+    power = float(np.log(share.sum() / less.sum()) / -np.log(STRICTER))
+    smooth = smoothed_between_steps(share)
     print(
         f"the scan keeps of pure noise, at its alpha of {settings.alpha:g} and {stricter.alpha:g}"
     )

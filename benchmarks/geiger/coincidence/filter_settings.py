@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.geiger.coincidence import accuracy
+from benchmarks.geiger.coincidence import accuracy
 from spl_batch.geiger.coincidence.settings import CoincidenceSettings
 from spl_batch.geiger.coincidence.simulate.flight import fly
 from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build

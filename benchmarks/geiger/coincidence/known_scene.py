@@ -34,10 +34,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from benchmarks.geiger.coincidence import accuracy
 from spl_batch import api
 from spl_batch.engine.report import style
 from spl_batch.formats.files.atomic import write_bytes
-from spl_batch.geiger.coincidence import accuracy
 from spl_batch.geiger.coincidence.formats import l1_files
 from spl_batch.geiger.coincidence.simulate import simulate
 from spl_batch.geiger.coincidence.simulate.scene import (
@@ -160,8 +160,9 @@ def _from_above(panel: Axes, cloud: Cloud, view: tuple[float, float, float, floa
 
 def _detections(folder: Path, scene: SceneSettings) -> Cloud:
     parts = [
-        l1_files.read_detections(path, scene.array).xyz / 1000
+        part.xyz / 1000
         for path in sorted((folder / "l1").glob("*_detections.parquet"))
+        for part in l1_files.detections_in_order(path, scene.array)
     ]
     return _inside(np.concatenate(parts) - np.array(scene.origin_m), None, scene)
 

@@ -26,9 +26,6 @@ RINGS: Final = (1, 2, 4, 8)
 AROUND: Final = 12
 """Cells on each side whose differences are averaged [cells]."""
 
-REACH: Final = 2 * RINGS[-1] + AROUND
-"""Cells around a cell that decide on its value, but for the nearest ground [cells]."""
-
 _ENOUGH = 6
 """Cells with ground that a ring must hold [count]."""
 

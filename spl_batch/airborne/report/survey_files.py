@@ -1,4 +1,4 @@
-"""Report of an airborne survey on disk: written as JSON and page, read back from JSON."""
+"""Report of an airborne survey on disk: JSON and page."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,19 +9,6 @@ from spl_batch.airborne.report.model import Report
 if TYPE_CHECKING:  # matplotlib is loaded only where one draws
     from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.write import write_both
-
-
-def read_report(path: Path) -> Report:
-    """Report from ``report.json``.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    pydantic.ValidationError
-        If it is no report of this version.
-    """
-    return Report.model_validate_json(path.read_text(encoding="utf-8"))
 
 
 def write_report(out: Path, report: Report, pictures: Mapping[str, "Picture"]) -> None:

@@ -279,35 +279,3 @@ def _stopped(path: Path, shape: tuple[int, int], error: Exception) -> StoppedErr
     if _free_bytes(path.parent) < needed:
         return StoppedError(f"{path}: disk full; free {needed // 10**6 + 1} MB and run again")
     return StoppedError(f"{path}: cannot be written: {' '.join(str(error).split())}")
-
-
-def read_raster(path: Path) -> tuple[NDArray[np.float32], Affine, str | None]:
-    """First band of a raster file.
-
-    Parameters
-    ----------
-    path : Path
-        Any raster that GDAL reads.
-
-    Returns
-    -------
-    values : (rows, cols) float32
-        The band; its nodata value becomes :data:`~spl_batch.constants.NODATA`.
-    transform : Affine
-        Cell (col, row) to easting and northing [m].
-    crs : str or None
-        WKT.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    try:
-        with rasterio.open(path) as source:
-            values: NDArray[np.float32] = source.read(1).astype(np.float32)
-            if source.nodata is not None:
-                values[values == np.float32(source.nodata)] = NODATA
-            return values, source.transform, source.crs.to_wkt() if source.crs else None
-    except RasterioError as error:
-        raise InputError(str(path), " ".join(str(error).split())) from None

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.airborne.filter.null_table import smoothed_between_steps
 from spl_batch.airborne.filter.wires import wire_null
 from spl_batch.airborne.filter.wires.wire_null import DENSITIES, WireNull, fitted, spent
 from spl_batch.airborne.settings import FilterSettings, WireSettings
@@ -75,7 +76,7 @@ def test_smoothing_keeps_what_is_even() -> None:
 
 def test_smoothing_between_steps_leaves_the_steps() -> None:
     share = np.array([1, 1.2, 1.4, 1.5, 0.3, 0.36, 0, 0.5, 0.9])
-    found = wire_null.smoothed_between_steps(share)
+    found = smoothed_between_steps(share)
     np.testing.assert_allclose(
         found, [1.2, 1.275, 1.275, 4.1 / 3, 0.33, 1.16 / 3, 0, 0.43 + 0.47 / 3, 0.7], atol=0.01
     )

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from spl_batch.airborne.products.product_table import is_piece
 from spl_batch.airborne.products.terrain_quality import (
-    REACH,
+    AROUND,
     RINGS,
     _box,
     _moments,
@@ -15,6 +15,9 @@ from spl_batch.airborne.products.terrain_quality import (
     terrain_sigma,
 )
 from spl_batch.numerics.triangulation.tin_raster import tin_raster
+
+REACH = 2 * RINGS[-1] + AROUND
+"""Cells around a cell that decide on its value."""
 
 Float = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from spl_batch.geiger.coincidence import accuracy
+from benchmarks.geiger.coincidence import accuracy
 from spl_batch.geiger.coincidence.simulate.scene import (
     BAR_WIDTHS_M,
     PLACES_M,

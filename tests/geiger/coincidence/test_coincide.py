@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from spl_batch.geiger.coincidence import accuracy
+from benchmarks.geiger.coincidence import accuracy
 from spl_batch.geiger.coincidence.settings import ArraySettings, CoincidenceSettings
 from spl_batch.geiger.coincidence.simulate.scene import PLACES_M, SceneSettings, build
 from spl_batch.geiger.coincidence.simulate.scene_rays import _leaves, opaque

@@ -221,7 +221,7 @@ def test_faults_of_a_detections_file(tmp_path: Path, columns: dict[str, Any], sa
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table(columns), path)
     with pytest.raises(InputError, match=said) as caught:
-        l1_files.read_detections(path, ArraySettings(rows=16, columns=32))
+        list(l1_files.detections_in_order(path, ArraySettings(rows=16, columns=32)))
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -229,7 +229,7 @@ def test_faults_of_a_detections_file(tmp_path: Path, columns: dict[str, Any], sa
 def test_detections_come_in_order(tmp_path: Path) -> None:
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table({k: v[::-1] for k, v in GOOD.items()}), path)
-    found = l1_files.read_detections(path, ArraySettings())
+    (found,) = l1_files.detections_in_order(path, ArraySettings())
     assert found.frame.tolist() == [7, 7, 8]
     assert found.detector.tolist() == [1, 3, 2]
     assert found.xyz[:, 2].tolist() == [100_000, 100_100, 100_200]
@@ -240,7 +240,7 @@ def test_a_frame_twice_is_a_fault(tmp_path: Path) -> None:
     columns = {name: [0.0, 0.0] for name in l1_files.FRAME_COLUMNS[1:]}
     pq.write_table(pa.table({"frame": [4, 4], **columns}), path)
     with pytest.raises(InputError, match="1 frames are there twice, the first is 4"):
-        l1_files.read_frames(path)
+        list(l1_files.frames_in_order(path))
 
 
 @pytest.mark.parametrize(

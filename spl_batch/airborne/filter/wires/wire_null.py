@@ -56,14 +56,8 @@ HEIGHT_M: Final = 120.0
 SLACK_M: Final = 4.0
 """Images of the noise beyond two tubes [m]."""
 
-STRICTER: Final = 0.1
-"""Part of the scan's alpha at which a second share is drawn, for the power of alpha."""
-
 SMOOTH: Final = (1 / 9, 2 / 9, 3 / 9, 2 / 9, 1 / 9)
 """Weights of neighbouring densities, where these are few."""
-
-ALIKE: Final = 2.0
-"""Shares of the shipped table that differ by more have a step between them [ratio]."""
 
 MOST: Final = 0.5
 """Largest part of the filter's alpha that the scan gets."""
@@ -155,15 +149,6 @@ def smoothed(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     padded = np.pad(share, len(SMOOTH) // 2, mode="edge")
     smooth: NDArray[np.float64] = np.convolve(padded, SMOOTH, mode="valid")
-    return smooth
-
-
-def smoothed_between_steps(share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean of each share and of those beside it, up to two, that are :data:`ALIKE`."""
-    padded = np.pad(share, 2, constant_values=np.nan)
-    near = np.lib.stride_tricks.sliding_window_view(padded, 5)
-    alike = (near <= ALIKE * share[:, None]) & (ALIKE * near >= share[:, None])
-    smooth: NDArray[np.float64] = np.where(alike, near, 0.0).sum(axis=1) / alike.sum(axis=1)
     return smooth
 
 

@@ -212,16 +212,6 @@ def frames_in_order(
         )
 
 
-def read_frames(path: Path) -> Attitudes:
-    """All frames of a file; see :func:`frames_in_order`."""
-    parts = list(frames_in_order(path))
-    return Attitudes(
-        np.concatenate([np.empty(0, np.int64), *(p.number for p in parts)]),
-        np.concatenate([np.empty((0, 3)), *(p.origin_m for p in parts)]),
-        np.concatenate([np.empty((0, 3)), *(p.attitude_rad for p in parts)]),
-    )
-
-
 _SORTED: Final = {"frame": np.int64, "detector": np.int32, **dict.fromkeys("xyz", np.int64)}
 
 
@@ -287,11 +277,6 @@ def _once_a_frame(path: Path, sorter: Sorter) -> Iterator[Detections]:
             f"{twice} times a detector fires again in its frame, first detector "
             f"{first[0]} of frame {first[1]}; only the first detection counts",
         )
-
-
-def read_detections(path: Path, array: ArraySettings) -> Detections:
-    """All detections of a file; see :func:`detections_in_order`."""
-    return Detections.joined(list(detections_in_order(path, array)))
 
 
 def write_frames(path: Path, frames: Attitudes) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks.geiger.coincidence.scene_distances import heights_below, surface_distance
 from spl_batch.geiger.coincidence.simulate.scene import (
     PLACES_M,
     SPOKE_RADIUS_M,
     TARGET_HEIGHT_M,
     bars,
 )
-from spl_batch.geiger.coincidence.simulate.scene_distances import heights_below, surface_distance
 from spl_batch.geiger.coincidence.simulate.scene_rays import Targets
 
 BAND_M = 0.3
@@ -94,7 +94,7 @@ def completeness(
 
 def spoke_heights(xyz_m: NDArray[np.float64], name: str = "spokes") -> NDArray[np.float64]:
     """Heights of the points on a spoke target, from its true height [m]."""
-    x, y = PLACES_M[name]  # type: ignore[index]
+    x, y = PLACES_M[name]
     near = np.hypot(xyz_m[:, 0] - x, xyz_m[:, 1] - y) < SPOKE_RADIUS_M
     height = xyz_m[near, 2] - TARGET_HEIGHT_M
     near_level: NDArray[np.float64] = height[np.abs(height) < BAND_M]
