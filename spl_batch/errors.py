@@ -70,31 +70,18 @@ def brief(text: str, most: int) -> str:
 
 
 class Remark(NamedTuple):
-    """A warning, and how bad it is.
-
-    Parameters
-    ----------
-    text : str
-        One sentence.
-    badness : float or None
-        Orders warnings that differ only in their numbers, the highest first; a user is given them
-        as one. None where only equal warnings are given as one.
-    """
+    """A warning, and how bad it is."""
 
     text: str
+    #: Orders warnings that differ only in their numbers, the highest first; a user is given them as
+    #: one. None where only equal warnings are given as one.
     badness: float | None = None
 
 
 class Said(NamedTuple):
-    """A warning about one of many; text and badness are those of a :class:`Remark`.
+    """A warning about one of many; text and badness are those of a :class:`Remark`."""
 
-    Parameters
-    ----------
-    name : str
-        Whom it concerns: a file, a flightline.
-    """
-
-    name: str
+    name: str  #: Whom it concerns: a file, a flightline.
     text: str
     badness: float | None = None
 
@@ -213,14 +200,7 @@ class MissingPackageError(SplBatchError, ImportError):
 def needed(module: str, what: str, extra: str) -> Any:
     """Import a module that only some of the work needs.
 
-    Parameters
-    ----------
-    module : str
-        Dotted name of the module.
-    what : str
-        What needs it, in the plural.
-    extra : str
-        Extra of this project that installs it, and what it needs.
+    ``extra``: extra of this project that installs it, and what it needs.
 
     Raises
     ------
@@ -266,8 +246,6 @@ class DamagedError(StoreError):
     ----------
     path : str
         The file, or the directory that it is part of.
-    reason : str
-        How that shows.
     """
 
     def __init__(self, path: object, reason: object) -> None:

@@ -28,16 +28,7 @@ def imported(path: Path, package: Path = _PACKAGE) -> frozenset[Path]:
     Imports inside functions count. So do the ``__init__.py`` of the folders above an imported
     module, since Python runs them first.
 
-    Parameters
-    ----------
-    path : Path
-        A module.
-    package : Path
-        Folder of the package; this project by default.
-
-    Returns
-    -------
-    frozenset of Path
+    ``package``: folder of the package; this project by default.
     """
     found, waiting = {path}, [path]
     while waiting:

@@ -17,34 +17,19 @@ IMAGING: Final = "imaging"
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where the parts of a receiver lie, as ``module:name``.
+    """Where the parts of a receiver lie, as ``module:name``."""
 
-    Parameters
-    ----------
-    workflow : str
-        Model of its workflow file, a :class:`~spl_batch.engine.settings.base.BaseWorkflow`.
-    kinds : str
-        What its tasks do: a mapping of :class:`~spl_batch.engine.tasks.runner.Kind`.
-    receiver : str
-        What the verbs need: a :class:`~spl_batch.engine.verbs.receiver.Receiver`.
-    report : str
-        Model of its ``report.json``.
-    simulate : str
-        Makes synthetic data: a function of a scene file, an output folder and, by name, of
-        ``progress``, which is told the share that is done; what it gives back has ``rows``, label
-        and value of what a user is told. It leaves a ``workflow.yaml`` in the folder.
-    compare : str
-        Runs several methods side by side; empty where it has one.
-    extra : str
-        Extra of this project that installs what it needs beside an airborne survey.
-    """
-
+    #: Model of its workflow file, a :class:`~spl_batch.engine.settings.base.BaseWorkflow`.
     workflow: str
-    kinds: str
-    receiver: str
+    kinds: str  #: What its tasks do: a mapping of :class:`~spl_batch.engine.tasks.runner.Kind`.
+    receiver: str  #: What the verbs need: a :class:`~spl_batch.engine.verbs.receiver.Receiver`.
     report: str
+    #: Makes synthetic data: a function of a scene file, an output folder and, by name, of
+    #: ``progress``, which is told the share that is done; what it gives back has ``rows``, label
+    #: and value of what a user is told. It leaves a ``workflow.yaml`` in the folder.
     simulate: str
-    compare: str = ""
+    compare: str = ""  #: Runs several methods side by side; empty where it has one.
+    #: Extra of this project that installs what it needs beside an airborne survey.
     extra: str = "report"
 
 

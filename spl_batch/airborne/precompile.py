@@ -65,15 +65,7 @@ def compile_share(share: int, shares: int, tell: Callable[[int, int], None] = _t
 
 
 def divided(names: Mapping[str, Any], shares: int) -> list[list[str]]:
-    """Kernels in shares of about equal cost; those that call the same ones are kept together.
-
-    Parameters
-    ----------
-    names : mapping of str
-        Kernels by module and name.
-    shares : int
-        Their number.
-    """
+    """Kernels in shares of about equal cost; those that call the same ones are kept together."""
     called = {name: frozenset(_called(find(name))) for name in names}
     loads: list[set[str]] = [set() for _ in range(shares)]
     found: list[list[str]] = [[] for _ in range(shares)]
@@ -95,12 +87,7 @@ def find(name: str) -> Dispatcher:
 def parse(text: str, kernel: Dispatcher) -> Iterator[types.Type]:
     """Types as numba writes them, separated by ``"; "``.
 
-    Parameters
-    ----------
-    text : str
-        The types.
-    kernel : Dispatcher
-        Whose arguments they are: its module knows the named tuples.
+    ``kernel``: whose arguments they are: its module knows the named tuples.
     """
     return (_parse(part, kernel.py_func.__globals__) for part in text.split("; "))
 

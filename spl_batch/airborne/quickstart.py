@@ -25,14 +25,10 @@ def quickstart(
     ----------
     output : Path or str
         Folder; the survey that an earlier quickstart made there is used again.
-    workers : int
-        Worker processes [count].
     memory : str or int, optional
         Memory limit of a worker [byte]; a share of the machine's unless told.
     progress : callable, optional
         Told the share of the simulation that is done, 0..1.
-    listener : callable
-        Told what happens in the run.
 
     Raises
     ------

@@ -37,12 +37,7 @@ _OUT = PlainConsole()
 def print_result(result: "RunResult", took_s: float | None = None) -> None:
     """Print how a run ended.
 
-    Parameters
-    ----------
-    result : RunResult
-        How it ended.
-    took_s : float, optional
-        Time of the whole command [s]; a report that is written again has none.
+    ``took_s``: time of the whole command [s]; a report that is written again has none.
     """
     if result.report is None and not result.screen:
         _lines(f"stopped as asked; run again to continue in {result.output}")

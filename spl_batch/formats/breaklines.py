@@ -36,51 +36,26 @@ Heights = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class CentreLine:
-    """A line along which water runs, from its upper end.
+    """A line along which water runs, from its upper end."""
 
-    Parameters
-    ----------
-    line : shapely.LineString
-        Its course, in the survey's CRS [m].
-    along : (k,) float64
-        Distance of each vertex from the upper end, rising [m].
-    z : (k,) float64
-        Height of the water there, nowhere rising [m].
-    """
-
-    line: shapely.LineString
-    along: Heights
-    z: Heights
+    line: shapely.LineString  #: Its course, in the survey's CRS [m].
+    along: Heights  #: (k,) float64: distance of each vertex from the upper end, rising [m].
+    z: Heights  #: (k,) float64: height of the water there, nowhere rising [m].
 
 
 @dataclass(frozen=True, slots=True)
 class Water:
-    """A lake or a river.
+    """A lake or a river."""
 
-    Parameters
-    ----------
-    area : shapely.Polygon or MultiPolygon
-        What it covers, in the survey's CRS; islands are holes.
-    level_m : float or None
-        Height of a lake; None for a river [m].
-    lines : tuple of CentreLine
-        Of a river.
-    """
-
-    area: shapely.Geometry
-    level_m: float | None
-    lines: tuple[CentreLine, ...] = ()
+    area: shapely.Geometry  #: What it covers, in the survey's CRS; islands are holes.
+    level_m: float | None  #: Height of a lake; None for a river [m].
+    lines: tuple[CentreLine, ...] = ()  #: Of a river.
 
 
 def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
     """Lakes and rivers of a file, in the order of its layers and features.
 
-    Parameters
-    ----------
-    path : Path
-        A GeoPackage or another vector file; every layer is taken.
-    crs : CRS or None
-        CRS of the survey.
+    ``path``: a GeoPackage or another vector file; every layer is taken.
 
     Raises
     ------

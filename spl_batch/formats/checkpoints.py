@@ -46,25 +46,15 @@ SAME_PLACE_M: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A place of known height.
+    """A place of known height."""
 
-    Parameters
-    ----------
-    id : str
-        Its name in the field survey.
-    x_m, y_m, z_m : float
-        Easting, northing and height in the survey's CRS [m].
-    surface : "open" or "vegetated"
-        What grows there.
-    accuracy_m : float or None
-        Its own vertical accuracy, one standard deviation [m]; None where nothing tells it.
-    """
-
-    id: str
+    id: str  #: Its name in the field survey.
+    #: x_m, y_m, z_m: easting, northing and height in the survey's CRS [m].
     x_m: float
     y_m: float
     z_m: float
     surface: Surface
+    #: Its own vertical accuracy, one standard deviation [m]; None where nothing tells it.
     accuracy_m: float | None
 
 
@@ -81,8 +71,6 @@ def read_checkpoints(
     path : Path
         CSV with the columns :data:`COLUMNS`, or points of any vector format that GDAL reads with
         the same fields; there ``x``, ``y`` and, if the points are 3D, ``z`` come from the geometry.
-    crs : CRS or None
-        The survey's.
     own : CRS, optional
         The file's, where neither a column ``crs`` nor the format tells it; by default the survey's.
     accuracy_m : float, optional

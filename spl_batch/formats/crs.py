@@ -35,12 +35,7 @@ _EARTH_RADII_M: Final = (6.3e6, 6.45e6)
 def parse_crs(text: str, key: str) -> CRS:
     """CRS that a user names.
 
-    Parameters
-    ----------
-    text : str
-        Anything that PROJ takes: ``EPSG:32615``, WKT.
-    key : str
-        The workflow key, for the message.
+    ``text``: anything that PROJ takes: ``EPSG:32615``, WKT.
 
     Raises
     ------
@@ -56,14 +51,7 @@ def parse_crs(text: str, key: str) -> CRS:
 def projected_crs(text: str | None, key: str, faults: list[str]) -> CRS | None:
     """CRS in metres that a user names; none where none is named, or it has a fault.
 
-    Parameters
-    ----------
-    text : str, optional
-        Anything that PROJ takes.
-    key : str
-        The workflow key, for the message.
-    faults : list of str
-        What is wrong with it is added to it.
+    ``faults``: what is wrong with it is added to it.
     """
     if text is None:
         return None
@@ -161,14 +149,7 @@ def vertical(crs: CRS) -> CRS | None:
 def with_vertical(crs: CRS | None, text: str, key: str) -> CRS:
     """A compound CRS of a horizontal one and the vertical one that a user names.
 
-    Parameters
-    ----------
-    crs : CRS or None
-        CRS of the files.
-    text : str
-        Anything that PROJ takes as a vertical CRS: ``EPSG:5703``.
-    key : str
-        The workflow key, for the message.
+    ``text``: anything that PROJ takes as a vertical CRS: ``EPSG:5703``.
 
     Raises
     ------

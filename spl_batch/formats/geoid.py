@@ -38,8 +38,6 @@ class Geoid:
         Name of a grid in PROJ's data folder, or of a file.
     file : Path
         Where it is if it is a file.
-    crs : CRS or None
-        CRS of the survey.
 
     Raises
     ------

@@ -39,17 +39,9 @@ def usable_times(times: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def time_standard(times: NDArray[np.float64]) -> TimeStandard:
-    """Standard that times are in, judged by their values.
+    """Standard that times are in, judged by their values: see :data:`TimeStandard`.
 
-    Parameters
-    ----------
-    times : (n,) float64
-        Times [s]; non-finite ones are not looked at.
-
-    Returns
-    -------
-    str
-        See :data:`TimeStandard`.
+    ``times``: (n,) float64, times [s]; non-finite ones are not looked at.
     """
     finite = times[np.isfinite(times)]
     if not len(finite) or not np.any(finite):
@@ -101,14 +93,10 @@ def clock(
 
     Parameters
     ----------
-    given : str
-        Standard of the trajectory.
     span_s : (float, float)
         Its first and last time [s].
     point_span_s : (float, float)
         First and last time of the points [s].
-    wanted : str
-        Standard of the points.
 
     Raises
     ------

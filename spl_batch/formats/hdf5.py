@@ -37,12 +37,7 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
 def told_as_damage(path: Path, format_name: str) -> Iterator[None]:
     """Turn what a library raises over a file that is open into one line about that file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    format_name : str
-        What it is called, ``HDF5`` or ``Zarr``.
+    ``format_name``: what it is called, ``HDF5`` or ``Zarr``.
 
     Raises
     ------

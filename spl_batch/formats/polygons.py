@@ -21,7 +21,7 @@ _POLYGONAL: Final = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOL
 
 
 def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
-    """All polygons of a file as one valid geometry.
+    """All polygons of a file as one valid geometry: prepared for :func:`contains`.
 
     Parameters
     ----------
@@ -29,11 +29,6 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
         Any vector format that GDAL reads; every layer is taken.
     crs : CRS or None
         CRS of the result; none is only good for a file without a CRS.
-
-    Returns
-    -------
-    Polygon or MultiPolygon
-        Prepared for :func:`contains`.
 
     Raises
     ------
@@ -76,12 +71,8 @@ def in_crs(
 
     Parameters
     ----------
-    path : Path
-        The file.
     shapes : (n,) ndarray of Geometry
         What it holds.
-    own, crs : str or None, CRS or None
-        Its CRS, and the wanted one.
     heights : bool
         Whether heights are kept, as they are.
 
@@ -122,7 +113,7 @@ def in_crs(
 def contains(
     geometry: shapely.Geometry, x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Which points lie inside a geometry.
+    """Which points lie inside a geometry: (n,) bool, points on the boundary are outside.
 
     Parameters
     ----------
@@ -130,11 +121,6 @@ def contains(
         From :func:`read_polygons`.
     x, y : (n,) int64
         Coordinates [quanta].
-
-    Returns
-    -------
-    (n,) bool
-        Points on the boundary are outside.
     """
     west, south, east, north = shapely.bounds(geometry) * QUANTA_PER_M
     # Most points lie far from a small lake; this says so quickly.

@@ -37,55 +37,27 @@ class Box(NamedTuple):
 
 
 class Peak(NamedTuple):
-    """The unit that reads most points.
+    """The unit that reads most points."""
 
-    Parameters
-    ----------
-    points : float
-        Points in its core and halo [count].
-    core : Bounds
-        What it owns.
-    """
-
-    points: float
+    points: float  #: Points in its core and halo [count].
     core: Bounds
 
 
 class Cut(NamedTuple):
-    """Units of one size.
-
-    Parameters
-    ----------
-    units : int
-        Their number [count].
-    read : float
-        Points in their cores and halos, added up [count].
-    """
+    """Units of one size."""
 
     units: int
-    read: float
+    read: float  #: Points in their cores and halos, added up [count].
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Points in squares of an absolute grid over one rectangle.
+    """Points in squares of an absolute grid over one rectangle."""
 
-    Parameters
-    ----------
-    edge : int
-        Edge of a square [quanta].
-    first : CellId
-        Column and row of the first square.
-    points : (rows, columns) float64
-        Points of each square [count].
-    touched : (rows, columns) bool
-        Squares that belong to the survey.
-    """
-
-    edge: int
-    first: CellId
-    points: NDArray[np.float64]
-    touched: NDArray[np.bool_]
+    edge: int  #: Edge of a square [quanta].
+    first: CellId  #: Column and row of the first square.
+    points: NDArray[np.float64]  #: (rows, columns): points of each square [count].
+    touched: NDArray[np.bool_]  #: (rows, columns): squares that belong to the survey.
 
     def units(self, unit_q: int) -> int:
         """Units of an absolute grid that own part of a square of the survey [count]."""
@@ -121,8 +93,6 @@ class Piece:
         ----------
         shapes : sequence of (int, int)
             Width and height of units, the largest first; each divides the one before [quanta].
-        halo_q : int
-            Their halo [quanta].
         most : float
             Points beyond which a unit is cut, unless it is of the last shape [count].
         """
@@ -210,12 +180,7 @@ def from_boxes(boxes: Iterable[Box], edge: int) -> Iterator[Piece]:
 def from_counts(counts: Mapping[CellId, int], edge: int) -> Iterator[Piece]:
     """Pieces of a survey whose points are counted by tile.
 
-    Parameters
-    ----------
-    counts : mapping of CellId to int
-        Points by tile.
-    edge : int
-        Edge of a tile [quanta].
+    ``edge``: edge of a tile [quanta].
     """
     cells = np.fromiter((v for cell in counts for v in cell), np.int64, 2 * len(counts))
     cells = cells.reshape(-1, 2)

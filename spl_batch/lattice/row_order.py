@@ -68,10 +68,7 @@ def lexicographic_order(keys: Sequence[NDArray[Any]]) -> NDArray[np.intp]:
 def in_order(keys: Sequence[NDArray[Any]]) -> bool:
     """Whether rows are in the order of their keys already; what cannot be compared is not.
 
-    Parameters
-    ----------
-    keys : sequence of (n,) arrays
-        At least one, the first one decides first.
+    ``keys``: sequence of (n,) arrays, at least one, the first one decides first.
     """
     n = len(keys[0])
     # Rows in no order show it early.

@@ -109,17 +109,13 @@ UNFILTERED: Final = EXCLUDED | PointFlag.NO_BEAM | PointFlag.OUTSIDE_AOI
 class PointTable:
     """Equally long columns of points.
 
-    Parameters
-    ----------
-    columns : mapping of str to ndarray
-        One-dimensional arrays; names and dtypes as in :data:`COLUMNS`.
-
     Raises
     ------
     ValueError
         If the columns differ in length or a name is unknown.
     """
 
+    #: mapping of str to ndarray: one-dimensional arrays; names and dtypes as in :data:`COLUMNS`.
     columns: Mapping[str, NDArray[Any]]
 
     def __post_init__(self) -> None:
@@ -194,21 +190,12 @@ def canonical_order(table: PointTable) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Positions of the sensor in the survey's CRS and the point clouds' time.
+    """Positions of the sensor in the survey's CRS and the point clouds' time."""
 
-    Parameters
-    ----------
-    time_s : (m,) float64
-        Strictly increasing times, in the same standard as the points' ``gps_time`` [s].
-    xyz_m : (m, 3) float64
-        Easting, northing, height [m].
-    max_gap_s : float
-        Longest step that is interpolated over [s].
-    """
-
+    #: (m,): strictly increasing times, in the same standard as the points' ``gps_time`` [s].
     time_s: NDArray[np.float64]
-    xyz_m: NDArray[np.float64]
-    max_gap_s: float = 2.0
+    xyz_m: NDArray[np.float64]  #: (m, 3): easting, northing, height [m].
+    max_gap_s: float = 2.0  #: Longest step that is interpolated over [s].
 
     def position(
         self, time_s: NDArray[np.float64]
@@ -249,17 +236,9 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class ShotClock:
-    """Absolute shot grid of one flightline: shot = round((t - t0) PRF).
+    """Absolute shot grid of one flightline: shot = round((t - t0) PRF)."""
 
-    Parameters
-    ----------
-    t0_s : float
-        Time of shot 0 [s]; a whole second.
-    prf_hz : float
-        Pulse repetition frequency [Hz].
-    """
-
-    t0_s: float
+    t0_s: float  #: Time of shot 0 [s]; a whole second.
     prf_hz: float
 
     def shot(self, time_s: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -270,24 +249,14 @@ class ShotClock:
 
 @dataclass(frozen=True, slots=True)
 class BeamTable:
-    """Geometry of the beamlet that each point lies on.
+    """Geometry of the beamlet that each point lies on."""
 
-    Parameters
-    ----------
-    origin_m : (n, 3) float64
-        Sensor position at the shot's time [m]; NaN where the beam is not known.
-    direction : (n, 3) float64
-        Unit vector from the sensor to the point.
-    range_m : (n,) float64
-        Slant range from the sensor (or, without a trajectory, from a stand-in) [m].
-    known : (n,) bool
-        Whether the beam is known.
-    """
-
+    #: (n, 3): sensor position at the shot's time [m]; NaN where the beam is not known.
     origin_m: NDArray[np.float64]
-    direction: NDArray[np.float64]
+    direction: NDArray[np.float64]  #: (n, 3): unit vector from the sensor to the point.
+    #: (n,): slant range from the sensor (or, without a trajectory, from a stand-in) [m].
     range_m: NDArray[np.float64]
-    known: NDArray[np.bool_]
+    known: NDArray[np.bool_]  #: (n,): whether the beam is known.
 
     def take(self, selection: NDArray[Any] | slice) -> "BeamTable":
         """Rows by mask, index array or slice; a slice copies nothing."""
@@ -310,26 +279,17 @@ class BeamTable:
 
 @dataclass(frozen=True, slots=True)
 class VoxelPart:
-    """One stretch's share of the voxel-spherical noise model.
+    """One stretch's share of the voxel-spherical noise model."""
 
-    Parameters
-    ----------
-    corner : (3,) int
-        Absolute index of the first voxel along x, y, z.
-    amount : (nx, ny, nz) int64
-        Expected noise points per sphere, fixed point, in 2**-32 points; parts add up.
-    shots, beamlets : (nx, ny, nz) int64, optional
-        Shots and beamlets that touch each sphere, for the published correction; they
-        add up as well.
-    squares : (nx, ny, nz, 16) uint16, optional
-        Seen beamlets that cross each square of a quarter of a voxel's edge half-way up the
-        voxel, at x * 4 + y; they add up as well.
-    """
-
-    corner: tuple[int, int, int]
+    corner: tuple[int, int, int]  #: Absolute index of the first voxel along x, y, z.
+    #: (nx, ny, nz): expected noise points per sphere, fixed point, in 2**-32 points; parts add up.
     amount: NDArray[np.int64]
+    #: (nx, ny, nz): shots and beamlets that touch each sphere, for the published correction; they
+    #: add up as well.
     shots: NDArray[np.int64] | None = None
     beamlets: NDArray[np.int64] | None = None
+    #: (nx, ny, nz, 16): seen beamlets that cross each square of a quarter of a voxel's edge
+    #: half-way up the voxel, at x * 4 + y; they add up as well.
     squares: NDArray[np.uint16] | None = None
 
     def box(self) -> list[int]:

@@ -46,25 +46,14 @@ def parse_cell(name: str) -> CellId:
 
 
 def quanta(length_m: float) -> int:
-    """Length on the lattice, rounded to the nearest quantum [quanta].
-
-    Parameters
-    ----------
-    length_m : float
-        Length [m].
-    """
+    """Length on the lattice, rounded to the nearest quantum [quanta]."""
     return round(length_m * QUANTA_PER_M)
 
 
 def cell_bounds(cell: CellId, size: int) -> Bounds:
     """Region that a cell of an absolute grid owns.
 
-    Parameters
-    ----------
-    cell : CellId
-        Column and row.
-    size : int
-        Edge of the grid's squares [quanta], > 0.
+    ``size``: edge of the grid's squares [quanta], > 0.
     """
     return Bounds(cell.i * size, cell.j * size, (cell.i + 1) * size, (cell.j + 1) * size)
 
@@ -89,12 +78,7 @@ def cells_touching(bounds: Bounds, size: int) -> Iterator[CellId]:
 def grow(bounds: Bounds, halo: int) -> Bounds:
     """Region with a halo around it.
 
-    Parameters
-    ----------
-    bounds : Bounds
-        Core region.
-    halo : int
-        Width of the halo [quanta], >= 0.
+    ``halo``: width of the halo [quanta], >= 0.
     """
     return Bounds(bounds.xmin - halo, bounds.ymin - halo, bounds.xmax + halo, bounds.ymax + halo)
 
@@ -111,18 +95,12 @@ def shared(a: Bounds, b: Bounds) -> Bounds:
 
 
 def inside(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArray[np.bool_]:
-    """Which points a region owns.
+    """Which points a region owns: (n,) bool.
 
     Parameters
     ----------
     x, y : (n,) int64
         Coordinates [quanta].
-    bounds : Bounds
-        Half-open region.
-
-    Returns
-    -------
-    (n,) bool
     """
     owned: NDArray[np.bool_] = (
         (x >= bounds.xmin) & (x < bounds.xmax) & (y >= bounds.ymin) & (y < bounds.ymax)
@@ -131,7 +109,7 @@ def inside(x: NDArray[np.int64], y: NDArray[np.int64], bounds: Bounds) -> NDArra
 
 
 def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
-    """Column (or row) of each coordinate on an absolute grid; exact for negative ones.
+    """Column (or row) of each coordinate on an absolute grid; exact for negative ones: (n,) int64.
 
     Parameters
     ----------
@@ -139,10 +117,6 @@ def cell_index(coordinate: NDArray[np.int64], size: int) -> NDArray[np.int64]:
         Coordinates [quanta].
     size : int
         Edge of the grid's squares [quanta], > 0.
-
-    Returns
-    -------
-    (n,) int64
     """
     index: NDArray[np.int64] = np.floor_divide(coordinate, size)
     return index

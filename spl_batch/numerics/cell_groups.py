@@ -9,20 +9,10 @@ from spl_batch.numerics.compiled import njit
 
 
 class Cells(NamedTuple):
-    """Points grouped by the cells of a grid, row by row.
+    """Points grouped by the cells of a grid, row by row."""
 
-    Parameters
-    ----------
-    order : (n,) int64
-        Points, cell after cell.
-    start : (rows * columns + 1,) int64
-        Where each cell begins in ``order``.
-    rows, columns : int
-        Shape of the grid.
-    """
-
-    order: NDArray[np.int64]
-    start: NDArray[np.int64]
+    order: NDArray[np.int64]  #: (n,): points, cell after cell.
+    start: NDArray[np.int64]  #: (rows * columns + 1,): where each cell begins in ``order``.
     rows: int
     columns: int
 
@@ -85,8 +75,6 @@ def chosen_places(
         Easting, northing and height of all [steps].
     chosen : (n,) bool
         Which are wanted; m of them.
-    step_m : float
-        A step [m].
     x, y, z : (m + 1,) float64
         Filled, but for the last of each, which may be anything [m].
     """

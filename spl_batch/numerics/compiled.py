@@ -91,12 +91,7 @@ class KeptCode(caching.IndexDataCacheFile):
     def save(self, key: Any, data: Any) -> None:
         """Keep code: under a lock, the code before the index that names it.
 
-        Parameters
-        ----------
-        key : tuple
-            The types, the processor and hashes of the function.
-        data : object
-            The code.
+        ``key``: the types, the processor and hashes of the function.
         """
         with _locked(Path(self._cache_path) / _LOCK):
             overloads = self._load_index()

@@ -267,8 +267,6 @@ def middles(pairs: Sequence[tuple[int, int]], size: int) -> Any:
     ----------
     pairs : sequence of (int, int)
         Comparisons, in order: where the lesser and where the greater value is to stand.
-    size : int
-        Number of values, even.
 
     Returns
     -------

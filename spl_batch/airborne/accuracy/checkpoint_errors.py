@@ -37,17 +37,7 @@ LEAST_OUTLIER_M: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class CheckpointError:
-    """What the DTM says at a checkpoint.
-
-    Parameters
-    ----------
-    id : str
-        The checkpoint.
-    error_m : float
-        DTM minus checkpoint [m].
-    accuracy_m : float or None
-        Its own accuracy [m].
-    """
+    """What the DTM says at a checkpoint."""
 
     id: str
     error_m: float
@@ -56,31 +46,16 @@ class CheckpointError:
 
 @dataclass(frozen=True, slots=True)
 class AtCheckpoints:
-    """Accuracy at checkpoints of one kind.
-
-    Parameters
-    ----------
-    n : int
-        Checkpoints [count].
-    mean_m, sd_m : float or None
-        Mean error; standard deviation, None for fewer than two [m].
-    rmse_v1_m : float or None
-        Fit of the product to the checkpoints [m].
-    rmse_v2_m : float or None
-        Accuracy of the checkpoints; None where one states none [m].
-    rmse_v_m : float or None
-        Both together; None where one is not known [m].
-    outliers : tuple of str
-        Checkpoints to look at; they count nevertheless.
-    """
+    """Accuracy at checkpoints of one kind."""
 
     n: int
+    #: Mean error; standard deviation, None for fewer than two [m].
     mean_m: float | None
     sd_m: float | None
-    rmse_v1_m: float | None
-    rmse_v2_m: float | None
-    rmse_v_m: float | None
-    outliers: tuple[str, ...]
+    rmse_v1_m: float | None  #: Fit of the product to the checkpoints [m].
+    rmse_v2_m: float | None  #: Accuracy of the checkpoints; None where one states none [m].
+    rmse_v_m: float | None  #: Both together; None where one is not known [m].
+    outliers: tuple[str, ...]  #: Checkpoints to look at; they count nevertheless.
 
     @property
     def enough(self) -> bool:
@@ -91,10 +66,7 @@ class AtCheckpoints:
 def at_checkpoints(found: Sequence[CheckpointError]) -> AtCheckpoints:
     """Accuracy at checkpoints.
 
-    Parameters
-    ----------
-    found : sequence of CheckpointError
-        Of one kind; may be empty.
+    ``found``: of one kind; may be empty.
     """
     if not found:
         return AtCheckpoints(0, None, None, None, None, None, ())
@@ -118,12 +90,7 @@ def at_checkpoints(found: Sequence[CheckpointError]) -> AtCheckpoints:
 def statement(nva: AtCheckpoints, vva: AtCheckpoints, class_m: float) -> str:
     """What may be said of a product, in the standard's words.
 
-    Parameters
-    ----------
-    nva, vva : AtCheckpoints
-        At open and at vegetated checkpoints.
-    class_m : float
-        Vertical accuracy class that was asked for: the largest RMSE_V [m].
+    ``class_m``: vertical accuracy class that was asked for: the largest RMSE_V [m].
     """
     source = f"{STANDARD}, Edition 2 (2023)"
     found = [

@@ -243,8 +243,6 @@ def difference_sums(
         DTM minus reference at each ground point, by :func:`ground_differences`.
     reference : Reference
         The points; only ground that counts is added up.
-    grid : Grid
-        Cells of the map.
 
     Returns
     -------

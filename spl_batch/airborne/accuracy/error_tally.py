@@ -17,17 +17,11 @@ STEPS_PER_M: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """How often errors of each size occur.
+    """How often errors of each size occur."""
 
-    Parameters
-    ----------
-    steps : (n,) int64
-        Sizes that occur, increasing [0.1 mm].
-    counts : (n,) int64
-        How often.
-    """
-
+    #: (n,): sizes that occur, increasing [0.1 mm].
     steps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    #: (n,): how often.
     counts: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     @classmethod

@@ -17,29 +17,14 @@ from spl_batch.airborne.pulses.smooth_surfaces import Repeatability
 
 
 class Level(NamedTuple):
-    """Limits of a quality level [m, 1/m2]; USGS Lidar Base Specification, Tables 1, 2 and 4.
-
-    Parameters
-    ----------
-    rmse_v_m : float
-        Absolute vertical accuracy, non-vegetated.
-    pulses_per_m2 : float
-        Aggregate nominal pulse density.
-    spacing : str
-        Key of its nominal pulse spacing.
-    spacing_m : float
-        That spacing.
-    repeatability_m : float
-        Smooth surface precision (repeatability, until 2024), RMSDz.
-    overlap_rmsd_m, overlap_max_m : float
-        Swath overlap difference, RMSDz; the largest one, of the ASPRS standards.
-    """
+    """Limits of a quality level [m, 1/m2]; USGS Lidar Base Specification, Tables 1, 2 and 4."""
 
     rmse_v_m: float
     pulses_per_m2: float
-    spacing: str
+    spacing: str  #: Key of its nominal pulse spacing.
     spacing_m: float
-    repeatability_m: float
+    repeatability_m: float  #: Smooth surface precision (repeatability, until 2024), RMSDz.
+    #: Swath overlap difference, RMSDz; the largest one, of the ASPRS standards.
     overlap_rmsd_m: float
     overlap_max_m: float
 
@@ -57,98 +42,52 @@ LEVELS: Final[Mapping[str, Level]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class PulseTotals:
-    """First returns of a whole survey, water excepted.
-
-    Parameters
-    ----------
-    pulses : int
-        First returns [count].
-    area_m2 : float
-        Area that was flown [m2].
-    squares, filled : int
-        Squares of twice the nominal spacing, and those that hold a first return [count].
-    void_m2 : float
-        Area in data voids [m2].
-    bare_m2 : float
-        Area that was flown and lies beyond every signal: off the edge, or in holes wider than
-        products.void_max_m can fill. It is in no other number [m2].
-    """
+    """First returns of a whole survey, water excepted."""
 
     pulses: int
     area_m2: float
+    #: squares, filled: squares of twice the nominal spacing, and those that hold a first return
+    #: [count].
     squares: int
     filled: int
     void_m2: float
+    #: Area that was flown and lies beyond every signal: off the edge, or in holes wider than
+    #: products.void_max_m can fill. It is in no other number [m2].
     bare_m2: float
 
 
 @dataclass(frozen=True, slots=True)
 class SwathDifferences:
-    """Heights of flightlines against each other where they overlap.
+    """Heights of flightlines against each other where they overlap."""
 
-    Parameters
-    ----------
-    rmsd_m : float
-        RMSDz over all pairs, at smooth places of up to 10 degrees [m].
-    largest_m, largest_sd_m : float
-        Largest difference at one of these places, and its standard deviation [m].
-    pairs, places : int
-        Pairs of flightlines; places that both of a pair have [count].
-    where : str
-        The pair with the largest difference, and the place.
-    """
-
-    rmsd_m: float
+    rmsd_m: float  #: RMSDz over all pairs, at smooth places of up to 10 degrees [m].
+    #: Largest difference at one of these places, and its standard deviation [m].
     largest_m: float
     largest_sd_m: float
+    #: Pairs of flightlines; places that both of a pair have [count].
     pairs: int
     places: int
-    where: str
+    where: str  #: The pair with the largest difference, and the place.
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a run knows of what is required.
-
-    Parameters
-    ----------
-    level : str
-        Quality level asked for.
-    rmse_v_m, pulses_per_m2 : float
-        Limits asked for, the level's unless the contract has others [m, 1/m2].
-    nva, vva : AtCheckpoints or None
-        Accuracy at checkpoints; None where none were given.
-    pulses : PulseTotals or None
-        First returns, by the level's spacing; None where nobody counted.
-    water_known : bool
-        Whether polygons say where water is.
-    swaths : SwathDifferences or None
-        None where no flightlines were compared.
-    smooth : Repeatability or None
-        Smooth places of single flightlines; None where there are none, or nobody looked.
-    flightlines : int
-        Flightlines [count].
-    classes : mapping of int to int
-        Delivered points by class [count].
-    filtered : bool
-        Whether a noise filter ran.
-    vertical_datum : str or None
-        Name of the vertical datum of the CRS.
-    time_standard : str or None
-        GPS time of the points, in words.
-    """
+    """What a run knows of what is required."""
 
     level: str
+    #: Limits asked for, the level's unless the contract has others [m, 1/m2].
     rmse_v_m: float
     pulses_per_m2: float
+    #: Accuracy at checkpoints; None where none were given.
     nva: AtCheckpoints | None
     vva: AtCheckpoints | None
-    pulses: PulseTotals | None
-    water_known: bool
-    swaths: SwathDifferences | None
+    pulses: PulseTotals | None  #: First returns, by the level's spacing; None where nobody counted.
+    water_known: bool  #: Whether polygons say where water is.
+    swaths: SwathDifferences | None  #: None where no flightlines were compared.
+    #: Smooth places of single flightlines; None where there are none, or nobody looked.
     smooth: Repeatability | None
     flightlines: int
     classes: Mapping[int, int]
-    filtered: bool
-    vertical_datum: str | None
-    time_standard: str | None
+    filtered: bool  #: Whether a noise filter ran.
+    vertical_datum: str | None  #: Name of the vertical datum of the CRS.
+    time_standard: str | None  #: GPS time of the points, in words.

@@ -10,20 +10,11 @@ from spl_batch.constants import CLASS_HIGH_NOISE, CLASS_LOW_NOISE, NODATA
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Cells of a raster where they lie.
-
-    Parameters
-    ----------
-    rows, columns : int
-        Cells along each side [count].
-    left_m, top_m : float
-        Easting and northing of the upper left corner [m].
-    cell_m : float
-        Edge of a cell [m].
-    """
+    """Cells of a raster where they lie."""
 
     rows: int
     columns: int
+    #: left_m, top_m: easting and northing of the upper left corner [m].
     left_m: float
     top_m: float
     cell_m: float
@@ -40,19 +31,11 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """A raster where it lies.
+    """A raster where it lies."""
 
-    Parameters
-    ----------
-    values : (rows, cols) float32
-        Row 0 northernmost; nodata :data:`~spl_batch.constants.NODATA`.
-    left_m, top_m : float
-        Easting and northing of the upper left corner [m].
-    cell_m : float
-        Edge of a cell [m].
-    """
-
+    #: (rows, cols): row 0 northernmost; nodata :data:`~spl_batch.constants.NODATA`.
     values: NDArray[np.float32]
+    #: left_m, top_m: easting and northing of the upper left corner [m].
     left_m: float
     top_m: float
     cell_m: float
@@ -118,22 +101,14 @@ class Raster:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Reference points.
+    """Reference points."""
 
-    Parameters
-    ----------
-    xyz_m : (n, 3) float64
-        Easting, northing, height [m].
-    classification : (n,) uint8
-        ASPRS classes: 2 ground, 6 building, 9 water, 7 and 18 noise; all else counts as
-        vegetation.
-    counted : (n,) bool, optional
-        Points that enter the statistics. The others, from a margin around a chunk, only
-        tell what stands nearby. By default all.
-    """
-
-    xyz_m: NDArray[np.float64]
+    xyz_m: NDArray[np.float64]  #: (n, 3): easting, northing, height [m].
+    #: (n,): ASPRS classes: 2 ground, 6 building, 9 water, 7 and 18 noise; all else counts as
+    #: vegetation.
     classification: NDArray[np.uint8]
+    #: (n,): points that enter the statistics. The others, from a margin around a chunk, only tell
+    #: what stands nearby. By default all.
     counted: NDArray[np.bool_] | None = None
 
     def without_noise(self) -> "Reference":

@@ -44,27 +44,15 @@ MEAN_SHARE: Final = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """One line of the page.
-
-    Parameters
-    ----------
-    name : str
-        What is required of.
-    required, found : str
-        In words and numbers with units.
-    verdict : "pass", "fail" or "cannot tell"
-        Whether it is met.
-    why : str
-        One sentence: what it rests on, or what would tell.
-    standard, section : str
-        Who requires it, and where.
-    """
+    """One line of the page."""
 
     name: str
+    #: required, found: in words and numbers with units.
     required: str
     found: str
     verdict: Answer
-    why: str
+    why: str  #: One sentence: what it rests on, or what would tell.
+    #: Who requires it, and where.
     standard: str
     section: str
 

@@ -1,42 +1,32 @@
-r"""Which afterpulse candidates are afterpulses: the neighbourhood disposes.
+r"""Which afterpulse candidates are afterpulses, by the returns around them.
 
-Domain: space. The source gives up on vegetation and takes the bottom of water away [W17 7.6].
-There a true second return has the same signature as an afterpulse: an earlier return of its
-beamlet, a short way in front. What differs is what *other* beamlets see at the place. For a
-candidate at lag :math:`l` behind its parents, two rates per metre of beamlet compete:
+Domain: space. The source gives up on vegetation and takes the bottom of water away [W17 7.6]: a
+true second return has the same signature as an afterpulse. What differs is what *other* beamlets
+see there. For a candidate at lag :math:`l` two rates per metre of beamlet compete:
 
-- :math:`\lambda_a = p \sum f(l)`, column ``afterpulse_rate``, from the law that was fitted to the
-  flightline (:mod:`~spl_batch.airborne.afterpulse.afterpulse_law`);
-- :math:`\lambda_t = \rho\, r / n`, true returns: :math:`\rho` is the density of returns around it,
-  those in front in its own beamlet among them [1/m3], and :math:`n / r`, expected noise
-  density over the beamlet's own noise rate [m/m3], is the length of beamlets per volume that
-  listened, silent ones included.
+- :math:`\lambda_a = p \sum f(l)`, column ``afterpulse_rate``, by the flightline's fitted law
+  (:mod:`~spl_batch.airborne.afterpulse.afterpulse_law`);
+- :math:`\lambda_t = \rho\, r / n`, true returns: :math:`\rho` is the density of returns around it
+  [1/m3], and :math:`n / r`, expected noise density over the beamlet's noise rate, is the length of
+  beamlets per volume that listened, silent ones included [m/m3].
 
 The probability is :math:`\lambda_a / (\lambda_a + \lambda_t)`. Returns count in :math:`\rho` by
-their own probability of being true, which takes a second round (expectation maximisation).
+their own probability of being true, in a second round (expectation maximisation).
+:mod:`~spl_batch.airborne.afterpulse.foliage` gives :math:`\rho`.
 
-:math:`\rho` comes from counts in spheres, from one wide enough for crowns to one that tells clumps
-of leaves from the gaps between them, weighed by how much the leaves around hang in clumps
-(:mod:`~spl_batch.airborne.afterpulse.foliage`).
+Behind a hard surface, a plane of parentless returns of all flightlines with next to nothing at the
+candidate's depth, a candidate is an afterpulse unless other beamlets' returns fill a flat
+ellipsoid, tilted as the plane is: they make a surface there, such as the bottom of water (within
+polygons fewer do).
 
-A candidate whose parent lies on a plane of parentless returns, of all flightlines, with next to
-nothing at the candidate's depth, is behind a hard surface as one that the time domain is sure of.
-Behind hard surfaces a candidate is an afterpulse unless a flat ellipsoid says that other
-beamlets' returns make a surface there: the bottom of water, within polygons more readily. It is
-tilted as the hard surface is: behind a steep roof a level one would hold the roof.
+A budget :math:`B` is the share of true returns that may go. At constant rates odds of at least
+:math:`\theta` mean lags up to :math:`s \ln(p / (s \theta \lambda_t))`; the share of true returns as
+near is largest, :math:`p / (e \theta)`, where :math:`s \lambda_t / p = 1 / (e \theta)`. So
+:math:`\theta = p / (e B)` keeps the budget in any foliage. In clumps smaller odds keep it.
 
-How much is believed is a budget, the share :math:`B` of true returns that may go. Where rates
-are constant, odds of at least :math:`\theta` mean lags up to
-:math:`s \ln(p / (s \theta \lambda_t))`, and true returns as near are a share
-:math:`\lambda_t` times that. The share is largest where
-:math:`s \lambda_t / p = 1 / (e \theta)`, and is :math:`p / (e \theta)` there, whatever the
-scale. So :math:`\theta = p / (e B)` keeps the budget in any foliage, by the fitted law alone.
-In clumps rates are far from constant, and few places have the one at which most is lost: smaller
-odds keep it there.
-
-What can be had is bounded: in crowns the two rates are of one size.
-``benchmarks/airborne/afterpulse/afterpulses.py``
-prints the curve of removed against lost beside the best that the simulation's laws allow.
+In crowns the two rates are of one size, which bounds what can be had:
+``benchmarks/airborne/afterpulse/afterpulses.py`` prints removed against lost beside the best that
+the simulation's laws allow.
 """
 
 import math
@@ -122,27 +112,17 @@ STRIP_M: Final = 12 * REACH_M
 
 
 class Chances(NamedTuple):
-    """What the neighbourhood says of the time domain's candidates.
+    """What the neighbourhood says of the time domain's candidates."""
 
-    Parameters
-    ----------
-    rows : (m,) intp
-        Candidates about which something can be said: those where noise is expected, so
-        that the beamlets that listened are known; in no particular order.
-    chance : (m,) float64
-        Probability that each is an afterpulse.
-    hard : (m,) bool
-        Whether it lies behind a hard surface, of its shot or of all flightlines.
-    clumped : (m,) float64
-        Whether the leaves around it hang evenly, 0, or in clumps, towards 1.
-    far : (m,) bool
-        Whether its parent is too far in front for it to share the parent's label.
-    """
-
+    #: (m,): candidates about which something can be said: those where noise is expected, so that
+    #: the beamlets that listened are known; in no particular order.
     rows: NDArray[np.intp]
-    chance: NDArray[np.float64]
+    chance: NDArray[np.float64]  #: (m,): probability that each is an afterpulse.
+    #: (m,): whether it lies behind a hard surface, of its shot or of all flightlines.
     hard: NDArray[np.bool_]
+    #: (m,): whether the leaves around it hang evenly, 0, or in clumps, towards 1.
     clumped: NDArray[np.float64]
+    #: (m,): whether its parent is too far in front for it to share the parent's label.
     far: NDArray[np.bool_]
 
 
@@ -165,8 +145,6 @@ def resolve(
         candidates; without ``afterpulse_rate`` the time domain decides alone.
     density : (n,) float64
         Expected noise at each point [1/m3].
-    settings : AfterpulseSettings
-        ``vegetation_loss``.
     """
     found = believed(table)
     if "afterpulse" not in table:

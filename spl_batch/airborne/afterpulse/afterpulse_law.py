@@ -1,23 +1,18 @@
 r"""How many afterpulses follow a detection, and how far behind it, flightline by flightline.
 
 Domain: time. [W17] 7.5 finds 10-20 afterpulses for 80-100 signal returns of a shot, in a band of
-2-3 m; a law is not given there. Here it is a table, :math:`p f(l)`, afterpulses per detection and
-metre at lag l: what is counted behind hard planes that are alone in their shot, as far as it shows
-itself. Whatever follows a return there can be an afterpulse only, or background. One shot in
-:data:`EVERY` is enough.
+2-3 m, and gives no law. Here it is a table, :math:`p f(l)`, afterpulses per detection and metre at
+lag l: what follows returns of hard planes that are alone in their shot, less the background. One
+shot in :data:`EVERY` is counted.
 
-A lag counts as the next return of the beamlet, so what is counted is a hazard, as of lifetimes:
-returns that are followed sooner cannot be followed later. Of :math:`A` returns that have no
-follower before a bin of width w, n have one in it, and background b A w of them. Then
+A lag is that of the *next* return of the beamlet, so the counts give a hazard: of :math:`A` returns
+without a follower before a bin of width w, n have one in it, and b A w of them are background:
 
 .. math:: h = \max(n - b A w, 0) / (A w), \quad p f = h\, e^{-\int h}
 
-The sensor's own law, an exponential from the dead time to its longest lag, counts as
-:data:`PRIOR` afterpulses that were seen, so a flightline without hard surfaces has that of its
-sensor. Beyond the sensor's longest lag the table goes on to where more follow than chance and the
-background explain, if more than the background do right behind that lag, and enough in all.
-
-The same planes tell the ranging spread
+The sensor's own law, an exponential from the dead time to its longest lag, counts as :data:`PRIOR`
+afterpulses. Beyond the longest lag the table goes on where more follow than chance and background
+explain, also right behind that lag, and enough in all. The same planes tell the ranging spread
 (:mod:`~spl_batch.airborne.afterpulse.ranging_spread`).
 """
 
@@ -83,32 +78,19 @@ ends, more where the noise model falls short."""
 
 
 class AfterpulseLaw(NamedTuple):
-    """Afterpulses of a flightline.
-
-    Parameters
-    ----------
-    probability : float
-        Afterpulses per detection.
-    scale_m : float
-        Scale of the exponential lag behind the dead time that has the same mean [m].
-    dead_m, longest_m : float
-        Dead time as range, and the longest lag [m].
-    sigma_m : float
-        Ranging spread [m].
-    parents, seen : float
-        Returns that were observed, and the afterpulses among what followed them [count].
-    density : (k,) float64
-        Afterpulses per detection and metre, from the dead time on, every
-        :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
-    """
+    """Afterpulses of a flightline."""
 
     probability: float
-    scale_m: float
+    scale_m: float  #: Scale of the exponential lag behind the dead time that has the same mean [m].
+    #: dead_m, longest_m: dead time as range, and the longest lag [m].
     dead_m: float
     longest_m: float
     sigma_m: float
+    #: Returns that were observed, and the afterpulses among what followed them [count].
     parents: float
     seen: float
+    #: (k,): afterpulses per detection and metre, from the dead time on, every
+    #: :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
     density: NDArray[np.float64]
 
     @property
@@ -165,10 +147,6 @@ def observe(
         Rows of one stretch, sorted by (gps_time, channel, ...), with ``shot``.
     beams : BeamTable
         Their beams; rows without a known one take no part.
-    rules : Rules
-        What a hard surface is.
-    least_m : float
-        Shortest lag [m].
 
     Returns
     -------
@@ -365,8 +343,6 @@ def rate(table: PointTable, beams: BeamTable, law: AfterpulseLaw) -> NDArray[np.
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam get 0.
-    law : AfterpulseLaw
-        Of the flightline.
 
     Returns
     -------

@@ -2,20 +2,13 @@
 
 Source: [W17] ch. 7 (DCC, robust regression, 68th percentile, 0.3 m), Eq. 3.3.
 
-Deviations. The published rule flags whatever lies below the plane. Here a return also
-needs a parent: an earlier return of its own beamlet, on that surface, at most
-``lag_max_m`` in front. So the ground beside a roof, a car or a wall is not taken for the
-roof's afterpulse. Returns that follow another one of their beamlet do not take part in
-the fit. Where one plane does not do, a shot may hold up to three surfaces. Distances to
-the threshold are taken along the beam, as an afterpulse lags along it. Away from hard
-surfaces the lag, by the flightline's own law
-(:mod:`~spl_batch.airborne.afterpulse.afterpulse_law`), gives
-a probability below one half: the space domain decides
-(:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`).
-A parent may lie in front of the hard surface, too, as leaves over ground: nothing passes that.
-Where a shot knows no channels, nor tells its beamlets apart by their directions
-(:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, but not deeper than
-``lag_max_m``.
+Deviations. The published rule flags whatever lies below the plane. Here a return also needs a
+parent: an earlier return of its beamlet on that surface, or in front of it, at most ``lag_max_m``
+away; so the ground beside a roof stays. Returns behind another one of their beamlet take no part in
+the fit. A shot may hold up to three surfaces. Distances to the threshold are along the beam. Away
+from hard surfaces the lag gives a probability below one half, and the space domain decides
+(:mod:`~spl_batch.airborne.afterpulse.afterpulse_decision`). Where beamlets cannot be told apart
+(:mod:`~spl_batch.airborne.beams.told_apart`), the published rule stands, down to ``lag_max_m``.
 """
 
 from typing import Final
@@ -69,10 +62,6 @@ def probability(
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam get 0.
-    settings : AfterpulseSettings
-        Numbers of the method.
-    sensor : Sensor
-        Dead time, ranging spread, afterpulse statistics.
     gate_m : float, optional
         Slant length of the gate as the flightline's noise model found it [m].
     law : AfterpulseLaw, optional

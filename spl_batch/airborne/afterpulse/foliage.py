@@ -1,34 +1,23 @@
 r"""How many returns per m3 a beamlet would have where one of its returns lies among leaves.
 
-Domain: space. Returns of a scene are a Poisson process whose rate varies with the leaves. A place
-is told by counts :math:`N_k` of true returns around it, in ever smaller spheres of volumes
-:math:`V_k`. The rate in each is taken as gamma distributed about that in the one before:
+Domain: space. Returns are a Poisson process whose rate varies with the leaves. A place has counts
+:math:`N_k` of true returns in ever smaller spheres of volumes :math:`V_k`; the rate in each is
+gamma distributed about that in the one before:
 
-.. math:: \rho_k = \frac{N_k + \nu_k}{V_k + \nu_k / \rho_{k-1}}
+.. math:: \rho_k = \frac{N_k + \nu_k}{V_k + \nu_k / \rho_{k-1}}, \quad \nu_k = \frac{c}{(g_k - 1)^2}
 
-What the count in a small sphere is worth against the wide one, :math:`\nu`, depends on how leaves
-hang. Spread evenly, a small count is mostly chance and :math:`\nu` is large; where they hang in
-clumps the wide one says little. The returns tell which: :math:`g_k` is the density in sphere k
-around *parents*, places where there are leaves, over that in the widest, summed over the parents
-near by. It is 1 where leaves are spread evenly within the widest sphere, and grows as clumps get
-smaller and rarer (the pair correlation of the returns). Where light is weak few pairs of returns
-are as near as that, and their number is mostly chance; so a few pairs are added as evenly spread
-leaves have them. Then
+:math:`g_k` is the density in sphere k around *parents*, places with leaves, over that in the
+widest, summed over the parents near by (the pair correlation of the returns). It is 1 where leaves
+are spread evenly, and a small count is then mostly chance; it grows as clumps get smaller and
+rarer. A few pairs are added as evenly spread leaves have them, for weak light. A gamma law of that
+variance would have :math:`1 / (g - 1)`; but clumps are there or not, and crowns end.
 
-.. math:: \nu_k = \frac{c}{(g_k - 1)^2}
-
-where it is above 1. A gamma law of that variance would have :math:`1 / (g - 1)`; but clumps are
-there or not, which is more than their variance says, and crowns end, which is less.
-
-Where parents lie on a surface (water over its bed, brushwood), a flat ellipsoid around them is far
-denser than the widest sphere. There it takes its place, and :math:`g` of the spheres is against it.
-
-The returns in front in the beamlet itself are evidence as those of others are, and a bit more:
-they say that light came so far. The leaves in front take of it, the more the denser they hang:
+Around parents on a surface (water, brushwood) a flat ellipsoid takes the place of the widest
+sphere. Returns in front in the beamlet itself say that light came so far, but leaves take of it:
 :math:`\rho` times a factor between two, by :math:`g` in the smallest sphere, is the rate.
 
 Constants were chosen on simulated clumps 0.4, 0.8 and 1.5 m across and on evenly turbid crowns, at
-all of the light and at a half, a quarter and an eighth of it, of other seeds than those of
+1, 1/2, 1/4 and 1/8 of the light, with other seeds than
 ``benchmarks/airborne/afterpulse/afterpulses.py``.
 """
 
@@ -86,7 +75,7 @@ parent [m]."""
 
 
 def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArray[np.float64]:
-    """True returns per m3 where a beamlet has returned something in front.
+    """True returns per m3 where a beamlet has returned something in front: (m,) float64 [1/m3].
 
     Parameters
     ----------
@@ -94,11 +83,6 @@ def density(counts: NDArray[np.float64], clumping: NDArray[np.float64]) -> NDArr
         Kernel sums of the true returns in :data:`KERNELS_M` [count].
     clumping : (m, k - 1) float64
         From :func:`clumping`.
-
-    Returns
-    -------
-    (m,) float64
-        [1/m3].
     """
     found = (counts[:, 0] + LEAST) / volume_m3(*KERNELS_M[0])
     near = _against(clumping)

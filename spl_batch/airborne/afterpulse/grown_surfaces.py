@@ -25,43 +25,24 @@ GROWN: Final = 2
 
 
 class Left(NamedTuple):
-    """Candidates of some shots that no surface holds yet: those of a shot from its first row on.
+    """Candidates of some shots that no surface holds yet: those of a shot from its first row on."""
 
-    Parameters
-    ----------
-    row : (n + 8,) uint64
-        Their rows.
-    u, v, w : (n + 8,) float64
-        Their coordinates across and along the beam [m].
-    size : (s,) int64
-        How many a shot has.
-    """
-
-    row: NDArray[np.uint64]
+    row: NDArray[np.uint64]  #: (n + 8,): their rows.
+    #: (n + 8,): their coordinates across and along the beam [m].
     u: NDArray[np.float64]
     v: NDArray[np.float64]
     w: NDArray[np.float64]
-    size: NDArray[np.int64]
+    size: NDArray[np.int64]  #: (s,): how many a shot has.
 
 
 class Sets(NamedTuple):
-    """Sets of candidates that planes are fitted to, and these.
+    """Sets of candidates that planes are fitted to, and these."""
 
-    Parameters
-    ----------
-    first : (k + 1,) int64
-        Where the rows of each start in ``member``, then where the last ones end.
-    member : (m,) uint64
-        Their rows; there is room for eight more.
-    owner : (k,) int64
-        Shot of each.
-    plane, trusted, spread
-        What :func:`fit_surfaces` fills.
-    """
-
+    #: (k + 1,): where the rows of each start in ``member``, then where the last ones end.
     first: NDArray[np.int64]
-    member: NDArray[np.uint64]
-    owner: NDArray[np.int64]
+    member: NDArray[np.uint64]  #: (m,): their rows; there is room for eight more.
+    owner: NDArray[np.int64]  #: (k,): shot of each.
+    #: What :func:`fit_surfaces` fills.
     plane: NDArray[np.float64]
     trusted: NDArray[np.bool_]
     spread: NDArray[np.float64]
@@ -95,15 +76,8 @@ def seed(shot: int, begin: int, left: Left, rules: Rules, count: int, sets: Sets
         The shot and its first row; it has at least one candidate.
     left, rules
         Candidates that no surface holds yet, and the numbers of the method.
-    count : int
-        Sets there are.
     sets : Sets
         Added to: at most four corners, then the fullest range window.
-
-    Returns
-    -------
-    int
-        Sets there are now.
     """
     low, high = np.uint64(begin), np.uint64(begin + left.size[shot])
     rows, u, v, w = left.row, left.u, left.v, left.w
@@ -193,8 +167,6 @@ def find_surfaces(
         Returns of the shots across and along the beam [m].
     candidate : (n,) bool
         Returns that may be of a surface.
-    rules : Rules
-        Numbers of the method.
     spread_max : (s,) float64
         Most that the residuals of a surface spread [m]; infinite as published, where the
         68th percentile alone decides. Those of a crown spread more than a roof's.

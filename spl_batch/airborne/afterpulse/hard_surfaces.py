@@ -36,42 +36,26 @@ BESIDE_MIN = 4
 
 
 class Rules(NamedTuple):
-    """Numbers of the method; lengths in metres along the beam.
-
-    Parameters
-    ----------
-    gate_m, coarse_m, fine_m : float
-        DCC.
-    weight_min, p68_max_m : float
-        Hard surface and trust.
-    below_m, lag_max_m, dead_m : float
-        Threshold behind the plane, how far behind a surface others are looked for, dead time.
-    chain_m : float
-        How far behind a surface its afterpulses go, those of afterpulses among them.
-    sigma_m, apart : float
-        Ranging spread; how many of it behind a surface a return is none of it.
-    longest_m : float
-        The longest lag of an afterpulse.
-    beamlets : float
-        Beamlets fired per shot.
-    law : (k,) float64
-        Afterpulses per detection and metre, from the dead time on, every
-        :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
-    """
+    """Numbers of the method; lengths in metres along the beam."""
 
     gate_m: float
     coarse_m: float
     fine_m: float
     weight_min: float
     p68_max_m: float
+    #: below_m, lag_max_m, dead_m: threshold behind the plane, how far behind a surface others are
+    #: looked for, dead time.
     below_m: float
     lag_max_m: float
-    chain_m: float
+    chain_m: float  #: How far behind a surface its afterpulses go, those of afterpulses among them.
     dead_m: float
+    #: Ranging spread; how many of it behind a surface a return is none of it.
     sigma_m: float
     apart: float
-    longest_m: float
+    longest_m: float  #: The longest lag of an afterpulse.
     beamlets: float
+    #: (k,): afterpulses per detection and metre, from the dead time on, every
+    #: :data:`~spl_batch.airborne.afterpulse.lag_counts.STEP_M` [1/m].
     law: NDArray[np.float64]
 
 
@@ -95,8 +79,6 @@ def fit_surfaces(
         As :func:`~spl_batch.numerics.planes.robust_planes_simd.fit_planes` takes them; each set
         holds at least
         :data:`RETURNS_MIN`.
-    rules : Rules
-        Numbers of the method.
     trusted : (sets or more,) bool
         Filled: 68th percentile of the distances small, and hard returns enough.
     spreads : (sets or more,) float64

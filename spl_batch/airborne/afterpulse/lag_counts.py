@@ -89,20 +89,14 @@ class Counts(NamedTuple):
 
     Lags are counted for planes that spread alike, as what is a hard surface depends on the ranging
     noise, which is known when all are counted.
-
-    Parameters
-    ----------
-    planes : (s,) int64
-        Planes by the spread of the returns on them, in steps of :data:`SPREAD_STEP_M`.
-    entries : (s, b) int64
-        Returns on them, by the shortest lag at which a follower would be seen to be none of the
-        surface itself; bins as in :data:`LAG_EDGES_M`.
-    followers : (s, b) int64
-        The next return of the beamlet, by its lag, where it is no shorter than that.
     """
 
+    #: (s,): planes by the spread of the returns on them, in steps of :data:`SPREAD_STEP_M`.
     planes: NDArray[np.int64]
+    #: (s, b): returns on them, by the shortest lag at which a follower would be seen to be none of
+    #: the surface itself; bins as in :data:`LAG_EDGES_M`.
     entries: NDArray[np.int64]
+    #: (s, b): the next return of the beamlet, by its lag, where it is no shorter than that.
     followers: NDArray[np.int64]
 
 
@@ -138,8 +132,6 @@ def observe_lags(
         the last edge.
     edges : (b + 1,) float64
         :data:`LAG_EDGES_M`.
-    counts : Counts
-        Added to.
     """
     n = len(range_m)
     u, v = np.empty(n), np.empty(n)
@@ -281,10 +273,6 @@ def rate_behind(
         Rows where beamlets start, then n.
     range_m : (n,) float64
         Slant ranges [m], in any order within a beamlet.
-    least_m, reach_m : float
-        Lags that count [m].
-    dead_m : float
-        Dead time as range [m].
     law : (k,) float64
         As :func:`law_at` takes it, up to ``reach_m`` [1/m].
     rate : (n,) float32

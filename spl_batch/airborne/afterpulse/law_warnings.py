@@ -31,8 +31,6 @@ def expected_and_seen(
         Result of :func:`~spl_batch.airborne.afterpulse.afterpulse_law.observe`.
     law, noise_per_m
         Of the flightline; background per metre of beamlet [1/m].
-    within_m : float
-        Lags that count [m].
     """
     _, followers, left = of_hard_planes(added([part]), law.sigma_m)
     low, high = LAG_EDGES_M[:-1], LAG_EDGES_M[1:]
@@ -87,15 +85,7 @@ def uneven(
 
 
 def disagreements(law: AfterpulseLaw, sensor: Sensor) -> tuple[Remark, ...]:
-    """What to tell of a flightline's law and ranging spread.
-
-    Parameters
-    ----------
-    law : AfterpulseLaw
-        As it was fitted.
-    sensor : Sensor
-        What is stated.
-    """
+    """What to tell of a flightline's law and ranging spread."""
     return (*_late(law, sensor), *_spread(law, sensor))
 
 

@@ -1,8 +1,7 @@
 """Ranging spread of a flightline, from the planes that its shots see.
 
-Domain: time. A plane in one shot is rough, curved or overgrown, or hard; the returns on a hard one
-spread by the ranging noise alone, and no plane spreads less. So the least that planes spread tells
-it, where there are many: the sensor's own figure counts as :data:`PRIOR` planes.
+Domain: time. Returns on a hard plane spread by the ranging noise alone, and on others by more: the
+least that planes spread tells it. The sensor's own figure counts as :data:`PRIOR` planes.
 """
 
 from typing import Final
@@ -37,8 +36,6 @@ def ranging_spread(planes: NDArray[np.int64], sensor: Sensor) -> float:
     planes : (s,) int64
         Planes by their spread, in steps of
         :data:`~spl_batch.airborne.afterpulse.lag_counts.SPREAD_STEP_M` [count].
-    sensor : Sensor
-        Its ranging spread.
     """
     stated = sensor.range_sigma_m
     counts = planes.astype(np.float64)

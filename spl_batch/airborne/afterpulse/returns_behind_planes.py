@@ -181,8 +181,6 @@ def behind_plane(
         Half-thickness of a plane [quanta].
     share : float
         Least share of the returns in the cylinder that lie on the plane.
-    least : int
-        Least number of returns in it.
     out : (m,) bool
         Filled. The parent lies on the plane, the point behind it by more than ``thick``, and
         of the cylinder's returns at most one in twenty lies at its depth.

@@ -80,11 +80,9 @@ def follows_surface(
     """Whether a return lies on no surface and behind one that its own beamlet hit, or must have.
 
     ``own`` is :func:`beamlet_of` it; ``depths`` (found,) holds what :func:`returns_behind` gives,
-    NaN for penetrable surfaces. A beamlet's second return cannot be of the surface that gave the
-    first, unless ranging noise is large: the dead time is longer than a hard surface is thick. So
-    half of it is distance enough. What lies behind a hard surface with a parent in front of it,
-    as the leaves of a tree, has come from there no more than what follows the surface itself, if
-    others have hit the surface close by.
+    NaN for penetrable surfaces. Unless ranging noise is large, the dead time is longer than a hard
+    surface is thick, so half of it is distance enough. What lies behind a hard surface, with a
+    parent in front of it, follows the surface only if others have hit that close by.
     """
     for s in range(len(behind)):
         if abs(behind[s, i]) <= max(0.5 * rules.dead_m, rules.apart * spreads[s]):
@@ -216,8 +214,6 @@ def shot_probabilities(
         Beamlet of each return; those of one beamlet follow each other.
     lag : (n,) float32
         Distance behind the nearest earlier return of the beamlet [m]; 0 for none.
-    rules : Rules
-        Numbers of the method.
     out : (n,) float32
         Filled.
     """

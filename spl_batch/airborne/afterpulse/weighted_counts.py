@@ -28,24 +28,12 @@ MASS: Final = 8.0 / 35.0
 
 
 class Columns(NamedTuple):
-    """Points sorted by column, then height.
+    """Points sorted by column, then height."""
 
-    Parameters
-    ----------
-    order : (n,) int32
-        Rows in that order.
-    starts : (nx * ny + 1,) int64
-        Where columns start in ``order``, then n.
-    shape : tuple of int
-        nx, ny.
-    edge : int
-        Edge of a column [quanta].
-    """
-
-    order: NDArray[np.int32]
-    starts: NDArray[np.int64]
-    shape: tuple[int, int]
-    edge: int
+    order: NDArray[np.int32]  #: (n,): rows in that order.
+    starts: NDArray[np.int64]  #: (nx * ny + 1,): where columns start in ``order``, then n.
+    shape: tuple[int, int]  #: nx, ny.
+    edge: int  #: Edge of a column [quanta].
 
 
 def columns(

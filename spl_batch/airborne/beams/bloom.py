@@ -1,18 +1,16 @@
 """Bloom: one bright point that lights the whole array, so that all channels see it at its range.
 
-Domain: time. A retro-reflector sends back so much light that it reaches every channel. Its returns
-lie on a sphere around the sensor, as wide as the array, and look like a surface. Two things tell
-them, and both are asked for in each shot:
+Domain: time. The returns of a retro-reflector lie on a sphere around the sensor, as wide as the
+array, and look like a surface. In a shot of bloom
 
-- *Nearly all channels* have a return within :data:`WINDOW_M` of range. Level ground does not: beams
-  lean, and its ranges spread over the array. Single-photon surfaces seldom fill so many.
-- *Light goes on.* Many of these channels have another return close behind: the surface that is
-  really there. Behind ground and roofs there are afterpulses only, which are fewer. What lies
-  before says nothing: leaves stand before the ground, too.
+- *nearly all channels* have a return within :data:`WINDOW_M` of range. On level ground beams lean,
+  and ranges spread over the array;
+- *light goes on*: many of these channels see the true surface close behind. Behind ground and roofs
+  there are afterpulses only, which are fewer. Returns before say nothing: leaves.
 
-A surface that lets light pass and sends back enough of it for every channel, square to the beam, as
-water below the sensor may be, has both. So these returns are counted and told; they become noise
-only where the settings ask for it. No source has a rule for it.
+A bright surface that lets light pass, square to the beam, as water below the sensor, has both. So
+these returns are counted and told; they become noise only where the settings ask for it. No source
+has a rule for it.
 """
 
 from typing import Final, NamedTuple
@@ -42,18 +40,10 @@ LEAST: Final = 20
 
 
 class Bloom(NamedTuple):
-    """Returns of bloom.
+    """Returns of bloom."""
 
-    Parameters
-    ----------
-    returns : (n,) bool
-        Which returns.
-    shots : int
-        How many shots they are of [count].
-    """
-
-    returns: NDArray[np.bool_]
-    shots: int
+    returns: NDArray[np.bool_]  #: (n,): which returns.
+    shots: int  #: How many shots they are of [count].
 
 
 def find_bloom(
@@ -65,8 +55,6 @@ def find_bloom(
     ----------
     table : PointTable
         Points in time order, with ``channel``.
-    beams : BeamTable
-        Their beams.
     starts : (s + 1,) int64
         Where each shot begins, and the end.
     channels : int

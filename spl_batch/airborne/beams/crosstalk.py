@@ -1,15 +1,13 @@
 """Crosstalk: a detection in one channel sets off the channels beside it at the same moment.
 
-Domain: time. Of noise crosstalk makes pairs, which look like a signal that two beamlets have seen.
-Far from the surface chance does not know neighbours. So pairs of returns of one shot are counted
-that differ in range by less than :data:`SAME_M`, of beamlets one pitch apart and of those somewhat
-farther apart. Where beamlets point tells their neighbours, whatever the numbers of the channels
-are. Wires, towers and ground below them have returns side by side, too, but not everywhere:
-a flightline is cut into :data:`PARTS`, and the half of them with fewest pairs must show it.
+Domain: time. Crosstalk makes pairs of noise, which look like a signal of two beamlets. Far from the
+surface, pairs of one shot within :data:`SAME_M` of range are counted: of beamlets one pitch apart,
+by their directions, and of those somewhat farther apart. Chance makes as many of both. Wires and
+towers make pairs, too, but not everywhere: a flightline is cut into :data:`PARTS`, and the half
+with fewest pairs must show it. One shot in :data:`EVERY` is counted.
 
-Counted is one shot in :data:`EVERY`. What is found is told, and nothing is removed: which of a pair
-set the other off is not to be known, and on surfaces neighbours see one range anyway. No source
-has a rule for it.
+It is told and nothing is removed: which of a pair set the other off is not known. No source has a
+rule for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -72,10 +70,6 @@ def observe(
         Rows of one stretch, sorted by ``gps_time``, with ``shot``.
     beams : BeamTable
         Their beams; rows without a known one take no part.
-    sensor : Sensor
-        The pitch of its array.
-    interval_shots : int
-        Shots that are counted together.
 
     Returns
     -------
@@ -99,10 +93,7 @@ def observe(
 def told(parts: Sequence[Mapping[str, NDArray[Any]]]) -> tuple[Remark, ...]:
     """What to tell of a flightline's crosstalk; nothing where there is none.
 
-    Parameters
-    ----------
-    parts : sequence of dict
-        Results of :func:`observe`, where beams are known.
+    ``parts``: results of :func:`observe`, where beams are known.
     """
     known = [part["crosstalk"] for part in parts if "crosstalk" in part]
     rows = np.concatenate([np.empty((0, 4), np.int64), *known])

@@ -1,11 +1,9 @@
 """Returns that depend on another one: no evidence of their own, and judged with it.
 
-Domain: space. An afterpulse follows *any* detection, one of background noise too. Such a
-pair is two returns where the null hypothesis of [W18] Eq. 6-8, independent points, expects
-one: left in, pairs of pairs pass the test high up in the gate. The time domain gives each
-follower the probability that it is an afterpulse; from :data:`DEPENDENT_MIN` on it does not
-count as a neighbour, and it shares the label of the return in front of it in its beamlet:
-the echo of noise goes with the noise, a second return of a tree stays with the tree.
+Domain: space. An afterpulse follows *any* detection, noise too: two returns where the null
+hypothesis of [W18] Eq. 6-8 expects one, so that pairs of pairs pass the test. A follower whose
+probability of being an afterpulse is :data:`DEPENDENT_MIN` or more does not count as a neighbour,
+and shares the label of the return in front of it in its beamlet.
 
 Deviation: the sources count every return.
 """

@@ -68,10 +68,6 @@ def dcc_keep(
     ----------
     range_m : (n,) float64
         Slant ranges of the shot's returns [m], in any order.
-    gate_m : float
-        Length of the range gate [m].
-    coarse_m, fine_m : float
-        Bins, anchored at range zero [m].
     keep : (n,) bool
         Filled.
     """

@@ -1,12 +1,11 @@
 """Beam geometry of each point, and what is estimated where the survey does not say it.
 
-Sources: [W17] 6.2.2 and [W18] 2.2.2 (the line of sight joins the return with the
-trajectory interpolated at the shot's time).
+Sources: [W17] 6.2.2 and [W18] 2.2.2: the line of sight joins the return with the trajectory at the
+shot's time.
 
-Deviations: without a trajectory the beam is taken from the scan angle across the
-flight direction, or is vertical; its origin is then a stand-in where the beam crosses
-the absolute height :data:`STAND_IN_HEIGHT_M`, so that ranges still order the returns of
-a beam and a gate cut at a height stays one. Nothing depends on how a flightline is cut.
+Deviations: without a trajectory the scan angle gives the beam, across the flight direction, or it
+is vertical. Its origin is then where it crosses the height :data:`STAND_IN_HEIGHT_M`: ranges still
+order the returns of a beam. Nothing depends on how a flightline is cut.
 """
 
 from collections.abc import Sequence
@@ -66,10 +65,6 @@ def beams(
     heading_rad : float, optional
         Flight direction, clockwise from north [rad], used without a trajectory: beams
         then lean by the scan angle to starboard. None gives vertical beams.
-
-    Returns
-    -------
-    BeamTable
     """
     if trajectory is not None:
         return _from_trajectory(table, trajectory)
@@ -158,11 +153,6 @@ def observe_track_empty() -> dict[str, NDArray[np.int64]]:
 def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
     """Flight direction from the drift of the points' centroid.
 
-    Parameters
-    ----------
-    track : dict
-        Merged statistics of one flightline.
-
     Returns
     -------
     float or None
@@ -188,21 +178,11 @@ def heading_from_track(track: dict[str, NDArray[np.int64]]) -> float | None:
 
 
 class Ahead(NamedTuple):
-    """How far ahead of the sensor, or astern, its returns lie on average.
+    """How far ahead of the sensor, or astern, its returns lie on average."""
 
-    Parameters
-    ----------
-    ahead_m : float
-        Along the direction of flight [m].
-    height_m : float
-        Of the sensor above them [m].
-    speed_m_s : float
-        Of the sensor over ground [m/s].
-    """
-
-    ahead_m: float
-    height_m: float
-    speed_m_s: float
+    ahead_m: float  #: Along the direction of flight [m].
+    height_m: float  #: Of the sensor above them [m].
+    speed_m_s: float  #: Of the sensor over ground [m/s].
 
     @property
     def is_above(self) -> bool:

@@ -46,8 +46,6 @@ def signal_constant(
         Transmitted energy of one beamlet [J].
     wavelength_nm : float
         Laser wavelength [nm].
-    aperture_m : float
-        Diameter of the receiver [m].
 
     Returns
     -------

@@ -28,8 +28,6 @@ def look(
         Sensor at each shot [m]; NaN where it is not known.
     place : three (n,) integer arrays
         Easting, northing and height of each return [steps].
-    step_m : float
-        A step [m].
     origin, direction : (n, 3) float64
         Filled with the sensor's place [m] and the unit vector from it to the return; the vector
         is not finite where there is none.
@@ -62,8 +60,6 @@ def reach(
     ----------
     place : three (n,) integer arrays
         Point of each line [steps].
-    step_m : float
-        A step [m].
     direction : (n, 3) float64
         Unit vectors along the lines.
     near, far : (n,) float64
@@ -98,8 +94,6 @@ def in_voxels(
         Edge of a voxel [steps].
     corner : (3,) int64
         Voxel that others are counted from.
-    half_step_m : float
-        Half a step [m].
     voxel : (n, 3) int64
         Filled.
     point : (n, 3) float64
@@ -131,8 +125,6 @@ def meet_planes(
         First row of each block, none empty, and the number of rows.
     z : (n,) int32
         Heights of the returns [steps].
-    step_m : float
-        A step [m].
     origin, direction : (n, 3) float64
         Beams; none is horizontal.
     place : (n, 2) float64

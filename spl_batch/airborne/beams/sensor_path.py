@@ -69,27 +69,13 @@ _HALF_BAND: Final = 6
 
 
 class Lines(NamedTuple):
-    """Lines of sight, in time order.
+    """Lines of sight, in time order."""
 
-    Parameters
-    ----------
-    time_s : (n,) float64
-        When they were looked along [s].
-    across : (n, 2) float64
-        Mean easting and northing of the returns [m].
-    height : (n,) float64
-        Their mean height [m].
-    slope : (n, 2) float64
-        Easting and northing per metre of height.
-    spread : (n,) float64
-        Sum of the squared heights about the mean [m2].
-    """
-
-    time_s: NDArray[np.float64]
-    across: NDArray[np.float64]
-    height: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    spread: NDArray[np.float64]
+    time_s: NDArray[np.float64]  #: (n,): when they were looked along [s].
+    across: NDArray[np.float64]  #: (n, 2): mean easting and northing of the returns [m].
+    height: NDArray[np.float64]  #: (n,): their mean height [m].
+    slope: NDArray[np.float64]  #: (n, 2): easting and northing per metre of height.
+    spread: NDArray[np.float64]  #: (n,): sum of the squared heights about the mean [m2].
 
     def take(self, rows: NDArray[Any]) -> "Lines":
         """Some of the lines."""
@@ -97,25 +83,16 @@ class Lines(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Where the sensor was.
+    """Where the sensor was."""
 
-    Parameters
-    ----------
-    trajectory : Trajectory or None
-        None where the lines do not tell.
-    lines : int
-        Lines of sight that took part [count].
-    error_rad : float or None
-        Half the angle between beams from two halves of the lines, 90th percentile [rad].
-    """
-
-    trajectory: Trajectory | None
-    lines: int
+    trajectory: Trajectory | None  #: None where the lines do not tell.
+    lines: int  #: Lines of sight that took part [count].
+    #: Half the angle between beams from two halves of the lines, 90th percentile [rad].
     error_rad: float | None
 
 
 def collect(table: PointTable, beamlets: int, interval_shots: int) -> dict[str, NDArray[Any]]:
-    """Best lines of sight of each interval of a stretch.
+    """Best lines of sight of each interval of a stretch: fields of :class:`Lines`.
 
     Parameters
     ----------
@@ -125,11 +102,6 @@ def collect(table: PointTable, beamlets: int, interval_shots: int) -> dict[str, 
         Beamlets of a shot; with one, a shot's returns make one line.
     interval_shots : int
         Shots of an interval; stretches begin at multiples of it.
-
-    Returns
-    -------
-    dict
-        Fields of :class:`Lines`.
     """
     starts = run_starts(table["gps_time"], table["channel"])
     first, size = starts[:-1], np.diff(starts)
@@ -184,16 +156,7 @@ def merge(parts: Sequence[dict[str, NDArray[Any]]]) -> Lines:
 def find_path(lines: Lines, span_s: tuple[float, float]) -> Path:
     """Path of the sensor over a flightline.
 
-    Parameters
-    ----------
-    lines : Lines
-        From :func:`merge`.
-    span_s : tuple of float
-        First and last time of the flightline's points [s].
-
-    Returns
-    -------
-    Path
+    ``lines``: from :func:`merge`. ``span_s``: first and last time of the flightline's points [s].
     """
     if len(lines.time_s) < LINES_MIN:
         return Path(None, len(lines.time_s), None)
@@ -226,7 +189,7 @@ def _at(
 
 
 def intersect(lines: Lines, seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Robust path through which the lines pass.
+    """Robust path through which the lines pass: (k, 3) float64, positions at the seconds [m].
 
     Parameters
     ----------
@@ -234,11 +197,6 @@ def intersect(lines: Lines, seconds: NDArray[np.float64]) -> NDArray[np.float64]
         Lines of sight within the seconds, any number.
     seconds : (k,) float64
         Whole seconds, one after the other, k >= 2 [s].
-
-    Returns
-    -------
-    (k, 3) float64
-        Positions at the seconds [m].
     """
     anchor = np.zeros(3)
     if len(lines.time_s):

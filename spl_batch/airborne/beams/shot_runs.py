@@ -55,8 +55,6 @@ def lag_behind(
         Slant ranges [m], in any order within a beamlet.
     dead_m : float
         No return can follow another closer than this; such ones are not parents [m].
-    reach_m : float
-        Longest lag that counts [m].
     lag_m : (n,) float32
         Filled with the lag [m]; 0 where no return of the beamlet lies within
         ``[dead_m, reach_m]`` in front.
@@ -87,8 +85,6 @@ def offsets(
         Rows where shots start, then n.
     place : three (n,) integer arrays
         Easting, northing and height of each return [steps].
-    step_m : float
-        A step [m].
     offset : (n, 3) float64
         Filled [m].
     """
@@ -118,8 +114,6 @@ def blind_behind(
         Rows where beamlets start, then n.
     range_m : (n,) float64
         Slant ranges [m], in any order within a beamlet.
-    reach_m : float
-        Longest length [m].
     blind_m : (n,) float64
         Filled [m].
     """
@@ -144,8 +138,6 @@ def interval_rows(
     ----------
     shot : (n,) int64
         Shot numbers, in any order; quick where neighbours are of one shot.
-    length : int
-        Shots per interval.
     interval : (m,) int64
         Numbers of the intervals, increasing, at least one.
     row : (n,) int64

@@ -33,8 +33,6 @@ def told_apart(
         Rows of one stretch, sorted by time.
     beams : BeamTable
         Their beams; rows without a known one are beamlets by themselves, of number 0.
-    sensor : Sensor
-        The pitch of its array.
 
     Returns
     -------

@@ -36,12 +36,6 @@ def write_catalogues(
 
     Parameters
     ----------
-    output : Path
-        Folder of the results.
-    name : str
-        Title of the survey.
-    crs : CRS or None
-        Of everything.
     args : mapping
         ``clouds`` (``href``, ``span_s``), ``rasters``, ``flightlines`` (``id, points, first_s,
         last_s, files``), ``blocks`` (name, core, whether it is finished), ``tiles`` (points by

@@ -46,26 +46,14 @@ UNKNOWN_SPAN: Final = Span(GPS_EPOCH, GPS_EPOCH)
 
 @dataclass(frozen=True)
 class Cloud:
-    """A delivered cloud.
+    """A delivered cloud."""
 
-    Parameters
-    ----------
-    href : str
-        Its path below the output.
-    bounds_m : (6,) float
-        West, south, lowest, east, north, highest, in the survey's CRS [m].
-    points : int
-        Points [count].
-    span : Span
-        When it was flown.
-    dimensions : tuple of (str, int, str)
-        Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
-    """
-
-    href: str
+    href: str  #: Its path below the output.
+    #: West, south, lowest, east, north, highest, in the survey's CRS [m].
     bounds_m: tuple[float, float, float, float, float, float]
     points: int
     span: Span
+    #: Name, bytes and kind (``floating``, ``unsigned``, ``signed``) of each dimension.
     dimensions: tuple[tuple[str, int, str], ...]
 
     @property
@@ -106,32 +94,15 @@ def _dimension(one: Any) -> tuple[str, int, str]:
 
 @dataclass(frozen=True)
 class RasterFile:
-    """A delivered raster.
+    """A delivered raster."""
 
-    Parameters
-    ----------
-    href : str
-        Its path below the output.
-    box_m : (4,) float
-        West, south, east, north [m].
-    shape : (int, int)
-        Rows and columns.
-    cell_m : float
-        Edge of a cell [m].
-    meaning, unit : str
-        What its band holds.
-    range : (float, float) or None
-        Smallest and largest value of its overview; None where all is nodata.
-    crs : CRS or None
-        Its own.
-    """
-
-    href: str
-    box_m: tuple[float, float, float, float]
-    shape: tuple[int, int]
+    href: str  #: Its path below the output.
+    box_m: tuple[float, float, float, float]  #: West, south, east, north [m].
+    shape: tuple[int, int]  #: Rows and columns.
     cell_m: float
     meaning: str
     unit: str
+    #: Smallest and largest value of its overview; None where all is nodata.
     range: tuple[float, float] | None
     crs: CRS | None
 
@@ -159,17 +130,7 @@ def read_raster_file(output: Path, href: str) -> RasterFile:
 
 @dataclass(frozen=True)
 class Delivery:
-    """Everything that catalogues list.
-
-    Parameters
-    ----------
-    name : str
-        Title of the survey.
-    crs : CRS
-        Of everything.
-    clouds, rasters : sequence
-        Files.
-    """
+    """Everything that catalogues list."""
 
     name: str
     crs: CRS

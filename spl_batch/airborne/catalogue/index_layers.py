@@ -26,34 +26,17 @@ UNDEFINED: Final = (
 
 
 class Layer(NamedTuple):
-    """Features of one kind.
-
-    Parameters
-    ----------
-    name : str
-        Layer.
-    shapes : sequence of shapely.Geometry
-        Where they are.
-    columns : mapping of str to sequence
-        What is said of them.
-    """
+    """Features of one kind."""
 
     name: str
-    shapes: Sequence[shapely.Geometry]
-    columns: Mapping[str, Sequence[Any]]
+    shapes: Sequence[shapely.Geometry]  #: Where they are.
+    columns: Mapping[str, Sequence[Any]]  #: What is said of them.
 
 
 def write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path:
     """Write ``index.gpkg``; layers without features are left out.
 
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    layers : sequence of Layer
-        What it holds.
-    crs : CRS or None
-        Of the coordinates; :data:`UNDEFINED` where it is None.
+    ``crs``: of the coordinates; :data:`UNDEFINED` where it is None.
     """
     path = output / NAME
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WRITTEN})

@@ -14,15 +14,7 @@ NAME: Final = "metadata.xml"
 
 
 def write_metadata(output: Path, delivery: Delivery) -> Path:
-    """Write ``metadata.xml``.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    delivery : Delivery
-        What it is about.
-    """
+    """Write ``metadata.xml``."""
     boxes = [cloud.box_m for cloud in delivery.clouds]
     boxes += [raster.box_m for raster in delivery.rasters]
     whole = (

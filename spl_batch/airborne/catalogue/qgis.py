@@ -53,31 +53,18 @@ CLASSES: Final = (
 
 
 class LayerFile(NamedTuple):
-    """A layer of the file.
+    """A layer of the file."""
 
-    Parameters
-    ----------
-    id, name : str
-        Unique name; what the list of layers calls it.
-    source, provider : str
-        Path below the output, and what reads it.
-    kind : str
-        ``raster``, ``vector`` or ``point-cloud``.
-    style : list of ET.Element
-        How it is drawn.
-    shown : bool
-        Whether it is switched on.
-    blend : str
-        How it is mixed with what lies below, by QGIS's number; empty for not at all.
-    """
-
+    #: Unique name; what the list of layers calls it.
     id: str
     name: str
+    #: Path below the output, and what reads it.
     source: str
     provider: str
-    kind: str
+    kind: str  #: ``raster``, ``vector`` or ``point-cloud``.
     style: list[ET.Element]
-    shown: bool
+    shown: bool  #: Whether it is switched on.
+    #: How it is mixed with what lies below, by QGIS's number; empty for not at all.
     blend: str = ""
 
 
@@ -98,23 +85,7 @@ def write_styles(output: Path, rasters: Sequence[RasterFile]) -> Iterator[Path]:
 
 def write_layers(output: Path, rasters: Sequence[RasterFile], vpc: str | None, index: str,
                  layers: Sequence[str], crs: CRS | None) -> Path:  # fmt: skip
-    """Write ``survey.qlr``.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    rasters : sequence of RasterFile
-        Delivered rasters.
-    vpc : str or None
-        Virtual point cloud, below the output.
-    index : str
-        GeoPackage, below the output.
-    layers : sequence of str
-        Its layers.
-    crs : CRS or None
-        Of everything.
-    """
+    """Write ``survey.qlr``."""
     root = ET.Element("qlr")
     tree = ET.SubElement(root, "layer-tree-group", name="", expanded="1", checked="Qt::Checked")
     listed = ET.SubElement(root, "maplayers")

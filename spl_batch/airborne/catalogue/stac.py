@@ -39,20 +39,7 @@ def _item_id(href: str) -> str:
 
 
 def write_stac(output: Path, delivery: Delivery) -> list[Path]:
-    """Write ``stac/collection.json``, ``stac/items.json`` and the items.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    delivery : Delivery
-        What is listed.
-
-    Returns
-    -------
-    list of Path
-        What was written.
-    """
+    """Write ``stac/collection.json``, ``stac/items.json`` and the items."""
     import pystac  # noqa: PLC0415 - needed here alone
 
     items = [_cloud_item(one, delivery) for one in delivery.clouds]

@@ -22,15 +22,7 @@ EXTENSIONS: Final = (
 
 
 def write_vpc(output: Path, delivery: Delivery) -> Path:
-    """Write ``survey.vpc``.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    delivery : Delivery
-        Its clouds are listed.
-    """
+    """Write ``survey.vpc``."""
     content = {
         "type": "FeatureCollection",
         "features": [_feature(cloud, delivery) for cloud in delivery.clouds],

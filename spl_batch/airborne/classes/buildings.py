@@ -70,34 +70,22 @@ REACH_M: Final = (AROUND + 2) * max(CELLS_M)
 
 
 class _Planes(NamedTuple):
-    """Plane of the window around each cell: (rows, cols).
+    """Plane of the window around each cell: (rows, cols)."""
 
-    Parameters
-    ----------
-    returns : int64
-        Returns of the window.
-    roof : bool
-        Whether it is a roof's.
-    x, y, z : float64
-        Mean of its returns [quanta].
-    east, north : float64
-        Slope [rise/run].
-    sigma : float64
-        Standard deviation about it [quanta].
-    """
-
-    returns: NDArray[np.int64]
-    roof: NDArray[np.bool_]
+    returns: NDArray[np.int64]  #: Returns of the window.
+    roof: NDArray[np.bool_]  #: Whether it is a roof's.
+    #: Mean of its returns [quanta].
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     z: NDArray[np.float64]
+    #: Slope [rise/run].
     east: NDArray[np.float64]
     north: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    sigma: NDArray[np.float64]  #: Standard deviation about it [quanta].
 
 
 def buildings(table: PointTable, usable: NDArray[np.bool_], region: Bounds) -> NDArray[np.bool_]:
-    """Which returns are of buildings.
+    """Which returns are of buildings: (n,) bool.
 
     Parameters
     ----------
@@ -108,10 +96,6 @@ def buildings(table: PointTable, usable: NDArray[np.bool_], region: Bounds) -> N
     region : Bounds
         What the points lie in; returns nearer to its edge than :data:`REACH_M` lack neighbours
         [quanta].
-
-    Returns
-    -------
-    (n,) bool
     """
     found = np.zeros(len(table), np.bool_)
     ground = usable & (table["ground"] == 1)
@@ -183,8 +167,6 @@ def _of_cells(
     ----------
     xyz : (n, 3) int32
         What stands above the ground, from the corner of the region [quanta].
-    grid : _Grid
-        The cells.
     below : (rows, cols) int64
         Ground returns of each [count].
     """

@@ -19,7 +19,7 @@ EDGE_M: Final = 5.0
 def overlapping(
     first: NDArray[np.int64], line: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Which places lie in squares with first returns of two flightlines or more.
+    """Which places lie in squares with first returns of two flightlines or more: (m,) bool.
 
     Parameters
     ----------
@@ -30,10 +30,6 @@ def overlapping(
         Flightline of each; -1 where none is known.
     x, y : (m,) int64
         The places [quanta].
-
-    Returns
-    -------
-    (m,) bool
     """
     known = line >= 0
     covered = np.unique(np.stack([_square(*first[known].T), line[known]]), axis=1)[0]

@@ -47,17 +47,10 @@ UNDECIDED: Final = (0, CLASS_UNCLASSIFIED, *range(CLASS_LOW_VEGETATION, CLASS_HI
 
 
 class Further(NamedTuple):
-    """Classes that are asked for beyond ground, noise and water.
+    """Classes that are asked for beyond ground, noise and water."""
 
-    Parameters
-    ----------
-    building : (n,) bool, optional
-        Points that are of buildings.
-    vegetation : VegetationSettings, optional
-        Heights from which on the others are vegetation.
-    """
-
-    building: NDArray[np.bool_] | None = None
+    building: NDArray[np.bool_] | None = None  #: (n,): points that are of buildings.
+    #: Heights from which on the others are vegetation.
     vegetation: VegetationSettings | None = None
 
 
@@ -81,8 +74,6 @@ def classify(
         The ground cell [quanta].
     dtm : (rows, cols) float32
         Its DTM, north up [m]; nodata where there is none.
-    further : Further
-        More classes.
 
     Returns
     -------

@@ -54,10 +54,6 @@ def write(
 
     Parameters
     ----------
-    out : Path
-        Folder.
-    report : ComparisonReport
-        The table.
     profiles : sequence of (str, str, mapping of str to Profile)
         Title, caption and strips by method, of each picture.
     """

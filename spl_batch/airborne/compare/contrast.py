@@ -34,61 +34,32 @@ STANDS_OUT: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One finished run.
+    """One finished run."""
 
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
-    holders : callable
-        Finished blocks that hold labels of some tiles, by tile.
-    """
-
-    done: Mapping[str, Mapping[str, Receipt]]
+    done: Mapping[str, Mapping[str, Receipt]]  #: Finished tasks by kind and name.
     context: Context
+    #: Finished blocks that hold labels of some tiles, by tile.
     holders: Callable[[Collection[CellId]], Mapping[CellId, Sequence[str]]]
 
 
 @dataclass
 class Contrast:
-    """Several runs against the first of them.
+    """Several runs against the first of them."""
 
-    Parameters
-    ----------
-    kept_only : (k,) int64
-        Points that each run keeps and the first removes [count].
-    removed_only : (k,) int64
-        Points that each run removes and the first keeps [count].
-    far_kept : (k,) int64
-        Points kept far from the scene [count].
-    far_points : int
-        Points recorded there [count].
-    far_m3 : float
-        Volume of the gate there [m3].
-    disputed : Bounds or None
-        Strip in which the runs disagree about most points.
-    left_out : list of str
-        Tiles that the runs do not all have.
-    """
-
-    kept_only: NDArray[np.int64]
+    kept_only: NDArray[np.int64]  #: (k,): points that each run keeps and the first removes [count].
+    #: (k,): points that each run removes and the first keeps [count].
     removed_only: NDArray[np.int64]
-    far_kept: NDArray[np.int64]
+    far_kept: NDArray[np.int64]  #: (k,): points kept far from the scene [count].
     far_points: int
-    far_m3: float
-    disputed: Bounds | None
-    left_out: list[str]
+    far_m3: float  #: Volume of the gate there [m3].
+    disputed: Bounds | None  #: Strip in which the runs disagree about most points.
+    left_out: list[str]  #: Tiles that the runs do not all have.
 
 
 def contrast(runs: Sequence[Outcome]) -> Contrast:
     """Compare the labels of several runs, tile by tile.
 
-    Parameters
-    ----------
-    runs : sequence of Outcome
-        Runs on the same inputs with the same tiles; the first is what others differ from.
+    ``runs``: runs on the same inputs with the same tiles; the first is what others differ from.
     """
     zeros = np.zeros((3, len(runs)), dtype=np.int64)
     found = Contrast(zeros[0], zeros[1], zeros[2], 0, 0.0, None, [])

@@ -35,21 +35,12 @@ COLUMNS_NEEDED: Final = ("x", "y", "z", "flags", "afterpulse")
 
 
 class Look(NamedTuple):
-    """What a part of a block sees of its noise.
+    """What a part of a block sees of its noise."""
 
-    Parameters
-    ----------
-    core : Bounds
-        The part [quanta].
-    air : Air or None
-        Air that holds more noise than the model expects, in the part and around it.
-    layers : Layers or None
-        How the model fits elsewhere.
-    """
-
-    core: Bounds
+    core: Bounds  #: The part [quanta].
+    #: Air that holds more noise than the model expects, in the part and around it.
     air: Air | None = None
-    layers: Layers | None = None
+    layers: Layers | None = None  #: How the model fits elsewhere.
 
 
 def look_at_air(
@@ -57,16 +48,7 @@ def look_at_air(
 ) -> Look:
     """Air of a block and its halo that holds more noise than the model expects.
 
-    Parameters
-    ----------
-    table : PointTable
-        Points with :data:`COLUMNS_NEEDED`.
-    model : NoiseModel or None
-        What is expected.
-    workflow : Workflow
-        Whether it is looked for.
-    core : Bounds
-        What the block owns.
+    ``table``: points with :data:`COLUMNS_NEEDED`.
     """
     if model is None or not denoising.asks_for_air(workflow.filter, workflow.noise):
         return Look(core)

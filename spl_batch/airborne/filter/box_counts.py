@@ -56,8 +56,6 @@ def cells_held(
 
     Parameters
     ----------
-    xyz, kind, kinds
-        As above.
     corner : (3,) int64
         Lower corner of the lattice's first cell [quanta].
     edge : float
@@ -84,8 +82,6 @@ def count_in_cells(
 
     Parameters
     ----------
-    xyz, kind, kinds, corner, edge
-        As above.
     place : three (cells,) int64
         Number of a cell along each axis, gaps closed.
     first, second : (a, b, c) int64, added to

@@ -62,17 +62,9 @@ METHODS: Final = MappingProxyType(
 
 
 class Independent(NamedTuple):
-    """Returns that are judged by themselves, and what is judged with them.
+    """Returns that are judged by themselves, and what is judged with them."""
 
-    Parameters
-    ----------
-    rows : (m,) int32
-        Where they are in the table, ascending.
-    cloud : Cloud
-        The same returns.
-    """
-
-    rows: NDArray[np.int32]
+    rows: NDArray[np.int32]  #: (m,): where they are in the table, ascending.
     cloud: Cloud
 
 
@@ -127,8 +119,6 @@ def denoise(
         halo too, as far as links reach.
     query : (n,) bool
         Points to decide.
-    settings : FilterSettings
-        Method and its parameters.
     afterpulse : AfterpulseSettings
         From which probability an afterpulse is believed.
     exact : bool
@@ -281,11 +271,6 @@ def resolve(
     ----------
     table, density, settings, afterpulse
         As for :func:`denoise`.
-
-    Returns
-    -------
-    Echoes
-        Two (n,) bool.
     """
     if settings.method == "none":
         return afterpulse_decision.believed(table)

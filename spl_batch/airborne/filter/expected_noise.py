@@ -25,17 +25,10 @@ Adder = Callable[[tuple[int, int, int], Mapping[str, NDArray[Any]]], None]
 
 
 class Expected(NamedTuple):
-    """Noise density at points [1/m3].
+    """Noise density at points [1/m3]."""
 
-    Parameters
-    ----------
-    mean : (m,) float64
-        Of the whole voxel of each point that it was asked for.
-    local : (n,) float64
-        Of the part of it that is listened to: what points are tested with.
-    """
-
-    mean: NDArray[np.float64]
+    mean: NDArray[np.float64]  #: (m,): of the whole voxel of each point that it was asked for.
+    #: (n,): of the part of it that is listened to: what points are tested with.
     local: NDArray[np.float64]
 
 
@@ -69,24 +62,12 @@ class _Box(NamedTuple):
 
 
 class NoiseModel(NamedTuple):
-    """Noise of a region's voxels, ready to be asked at places in it.
-
-    Parameters
-    ----------
-    box : _Box
-        The voxels.
-    density : (i, j, k) float64
-        Mean of each voxel [1/m3].
-    within : (i, j, k) float64
-        The same of the part within the gate, roughly.
-    heard : tuple of Listened
-        What each flightline listens to.
-    """
+    """Noise of a region's voxels, ready to be asked at places in it."""
 
     box: _Box
-    density: NDArray[np.float64]
-    within: NDArray[np.float64]
-    heard: tuple[Listened, ...]
+    density: NDArray[np.float64]  #: (i, j, k): mean of each voxel [1/m3].
+    within: NDArray[np.float64]  #: (i, j, k): the same of the part within the gate, roughly.
+    heard: tuple[Listened, ...]  #: What each flightline listens to.
 
     def local(self, xyz: Sequence[NDArray[np.integer[Any]]]) -> NDArray[np.float64]:
         """Noise at places, of the part of their voxels that is listened to: (n,) [1/m3]."""
@@ -198,10 +179,6 @@ def expected_noise(
         ``LINE/K`` of every stretch with voxels within two voxels of the points'.
     beamlets : int
         Beamlets of a shot, for the published correction.
-    store : Store
-        Holds the parts.
-    settings : NoiseSettings
-        Voxel and correction.
     """
     model = noise_model(xyz, parts, beamlets, store, settings)
     if model is None:

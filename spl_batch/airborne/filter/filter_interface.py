@@ -11,39 +11,23 @@ class Cloud:
     """Independent returns of a block and its halo, in canonical order.
 
     Withheld points, afterpulses and the followers of other returns are not among them.
-
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to ``anchor`` [quanta]; >= 0.
-    anchor : tuple of int
-        Smallest x, y, z on the survey's absolute lattice [quanta].
-    density : (n,) float64
-        Expected background at each point [1/m3]; finite, >= 0. Of the part of its voxel that is
-        listened to, or of the whole voxel for filters that add it up
-        (:func:`~spl_batch.airborne.filter.denoise.asks_for_means`).
-    asked : (n,) bool
-        Points to decide.
-    shot_noise : (n,) bool
-        Points that the filter of single shots (DCC) calls noise; all False where it did
-        not run.
     """
 
-    xyz: NDArray[np.int32]
-    anchor: tuple[int, int, int]
+    xyz: NDArray[np.int32]  #: (n, 3): coordinates relative to ``anchor`` [quanta]; >= 0.
+    anchor: tuple[int, int, int]  #: Smallest x, y, z on the survey's absolute lattice [quanta].
+    #: (n,): expected background at each point [1/m3]; finite, >= 0. Of the part of its voxel that
+    #: is listened to, or of the whole voxel for filters that add it up
+    #: (:func:`~spl_batch.airborne.filter.denoise.asks_for_means`).
     density: NDArray[np.float64]
-    asked: NDArray[np.bool_]
+    asked: NDArray[np.bool_]  #: (n,): points to decide.
+    #: (n,): points that the filter of single shots (DCC) calls noise; all False where it did not
+    #: run.
     shot_noise: NDArray[np.bool_]
 
     def around(self, margin: int, axes: tuple[int, ...]) -> NDArray[np.bool_]:
         """Points within ``margin`` of the box of all that are asked for: (n,) bool.
 
-        Parameters
-        ----------
-        margin : int
-            How much the box grows [quanta].
-        axes : tuple of int
-            Along which axes it has sides.
+        ``margin``: how much the box grows [quanta]. ``axes``: along which axes it has sides.
         """
         if not self.asked.any():
             return self.asked
@@ -59,26 +43,16 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Decision about the m points asked for, in their order.
+    """Decision about the m points asked for, in their order."""
 
-    Parameters
-    ----------
-    signal : (m,) bool
-        True where the point is a signal.
-    p_value : (m,) float32
-        Probability of so much evidence if it is noise; NaN where the method has none.
-    """
-
-    signal: NDArray[np.bool_]
+    signal: NDArray[np.bool_]  #: (m,): true where the point is a signal.
+    #: (m,): probability of so much evidence if it is noise; NaN where the method has none.
     p_value: NDArray[np.float32]
 
 
 def without_p(signal: NDArray[np.bool_]) -> Verdict:
     """Verdict of a method that knows no probabilities.
 
-    Parameters
-    ----------
-    signal : (m,) bool
-        True where the point is a signal.
+    ``signal``: (m,) bool, true where the point is a signal.
     """
     return Verdict(signal, np.full(len(signal), np.nan, dtype=np.float32))

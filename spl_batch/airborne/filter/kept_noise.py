@@ -1,13 +1,11 @@
 """How much noise is kept because it lies within the signal, where nothing tells it apart.
 
-Domain: space. Runs on the points that a ground cell owns, once the filter has judged them.
-
-A source is silent on it. Among the returns of a surface the neighbours of a noise return are
-signal, and any filter by neighbours keeps it. Counted is what noise is expected to put into the
-cubes of :data:`EDGE_M` that hold a kept return: their volume by the density of noise there. They
-are as thick as a surface's neighbourhood in which half of the noise is kept, by our own filter at
-its defaults (``benchmarks.airborne.filter.near_surface``); how near that comes
-``benchmarks.airborne.quality`` prints.
+Domain: space, on the points that a ground cell owns, after the filter. No source has it. Noise
+among the returns of a surface has signal for neighbours, so any filter keeps it. Its number is the
+volume of the cubes of :data:`EDGE_M` that hold a kept return, by the density of noise there. The
+cubes are as thick as the neighbourhood in which our filter keeps half of the noise
+(``benchmarks.airborne.filter.near_surface``); ``benchmarks.airborne.quality`` prints how near that
+comes.
 """
 
 from typing import Final

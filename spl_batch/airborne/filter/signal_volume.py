@@ -34,8 +34,6 @@ def pack_cubes(
         Points [quanta].
     kind : (n,) uint8
         What they are.
-    wanted : int
-        The kind that is looked at.
     density : (n,) float32
         Points without a finite one are left out.
     box : (int, int, int, int)
@@ -47,11 +45,6 @@ def pack_cubes(
         2**:data:`AMOUNT_BITS` - 1.
     out : (n,) int64, written from the front
         ``cube << AMOUNT_BITS | amount``.
-
-    Returns
-    -------
-    int
-        How many there are.
     """
     x, y, z = place
     # No quotient of whole numbers so small rounds up to the next whole one.
@@ -79,10 +72,7 @@ def pack_cubes(
 def sum_of_largest(packed: NDArray[np.int64]) -> int:
     """Sum of the largest amount of each cube.
 
-    Parameters
-    ----------
-    packed : (n,) int64
-        Numbers of :func:`pack_cubes`, cube by cube in any order.
+    ``packed``: (n,) int64, numbers of :func:`pack_cubes`, cube by cube in any order.
     """
     total = most = 0
     for i in range(len(packed)):

@@ -1,19 +1,16 @@
 """Kept returns of places where nothing stands: no surface may rest on them.
 
-The test keeps a stated share of pure noise, and what it keeps comes in clusters. Where the
-survey sees no surface at all, off its edge or over dark water, such a cluster would be the
-only ground for tens of metres. There the returns that were kept are few beside those that
-were refused; where a surface is seen they are not. Our own rule, asked twice:
+The test keeps a stated share of pure noise, in clusters. Off the edge of a survey or over dark
+water such a cluster would be the only ground for tens of metres. There kept returns are few beside
+refused ones. Our own rule asks twice:
 
 - of columns of the whole height: does anything stand in this place?
-- of boxes around the return: does anything stand at this height? Beside a surface the
-  column is full of its returns, and a cluster a hundred metres below it rests on nothing.
-  A true floor of a quarry, shaft or canyon fills its own box, however deep it lies; ground
-  that is seen through few gaps of a canopy continues, and fills a wider one.
+- of boxes around the return: does anything stand at this height? A cluster a hundred metres below a
+  surface rests on nothing. A floor of a quarry or canyon fills its own box; ground that is seen
+  through gaps of a canopy continues, and fills a wider one.
 
-Both count what was refused as well: in clean clouds and at night few returns make a surface.
-How much of pure noise is kept, the cloud itself says, as the filter may be any: there are always
-boxes that hold noise alone, and in them the least of what was delivered was kept.
+In clean clouds few returns make a surface. What share of pure noise is kept the cloud itself says,
+as the filter may be any: in the boxes with noise alone least of what was delivered was kept.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -81,21 +78,11 @@ _KINDS: Final = (NOISE_SIGNAL, NOISE_BACKGROUND)
 
 
 class Bare(NamedTuple):
-    """Cells in which kept returns are too few beside the refused ones around them.
+    """Cells in which kept returns are too few beside the refused ones around them."""
 
-    Parameters
-    ----------
-    corner : (3,) int64
-        Lower corner of the lattice [quanta].
-    place : three (cells,) int64
-        Number of a cell along each axis, gaps closed.
-    marked : (a, b, c) bool
-        The cells.
-    """
-
-    corner: Count
-    place: tuple[Count, Count, Count]
-    marked: NDArray[np.bool_]
+    corner: Count  #: (3,) int64: lower corner of the lattice [quanta].
+    place: tuple[Count, Count, Count]  #: Number of a cell along each axis, gaps closed.
+    marked: NDArray[np.bool_]  #: (a, b, c): the cells.
 
     def holds(self, table: PointTable) -> NDArray[np.bool_]:
         """Which signals lie in such a cell: (n,) bool."""

@@ -17,21 +17,11 @@ NAME: Final = "workflow.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """A workflow that was written, and what it rests on.
-
-    Parameters
-    ----------
-    workflow : Path
-        The file.
-    found : tuple of (str, str)
-        Key or word, and what the files tell of it.
-    unknown : tuple of (str, str)
-        Key, and what they do not tell.
-    """
+    """A workflow that was written, and what it rests on."""
 
     workflow: Path
-    found: tuple[tuple[str, str], ...]
-    unknown: tuple[tuple[str, str], ...]
+    found: tuple[tuple[str, str], ...]  #: Key or word, and what the files tell of it.
+    unknown: tuple[tuple[str, str], ...]  #: Key, and what they do not tell.
 
 
 def init(folder: Path | str, *, force: bool = False) -> Beginning:
@@ -41,12 +31,6 @@ def init(folder: Path | str, *, force: bool = False) -> Beginning:
     ----------
     folder : Path or str
         Folder with LAS, LAZ or COPC below it, and what belongs to them.
-    force : bool
-        Replace a workflow that is there.
-
-    Returns
-    -------
-    Beginning
 
     Raises
     ------

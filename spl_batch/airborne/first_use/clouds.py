@@ -36,34 +36,18 @@ _UNSEEN: Final = Ends(np.empty(0), np.empty(0, np.uint8), {}, ())
 
 
 class Guess(NamedTuple):
-    """A value that nobody has given, and what it is guessed from.
+    """A value that nobody has given, and what it is guessed from."""
 
-    Parameters
-    ----------
-    value : str or None
-        The value; None where there is nothing to guess it from.
-    reason : str
-        What was seen, in words.
-    """
-
-    value: str | None
-    reason: str
+    value: str | None  #: The value; None where there is nothing to guess it from.
+    reason: str  #: What was seen, in words.
 
 
 @dataclass(frozen=True, slots=True)
 class CloudLook:
-    """Header of a file, and some points of both of its ends.
-
-    Parameters
-    ----------
-    facts : LasFacts
-        The header.
-    ends : Ends
-        Times, and dimensions that hold small whole numbers.
-    """
+    """Header of a file, and some points of both of its ends."""
 
     facts: LasFacts
-    ends: Ends
+    ends: Ends  #: Times, and dimensions that hold small whole numbers.
 
     @property
     def span_s(self) -> tuple[float, float] | None:
@@ -105,15 +89,7 @@ def look_at(path: Path, *, points: bool = True) -> CloudLook:
 
 
 def channel_guess(looks: Sequence[CloudLook], sensor: Sensor) -> Guess:
-    """Which dimension holds the beamlet numbers: by what it holds, else by its name.
-
-    Parameters
-    ----------
-    looks : sequence of CloudLook
-        Files of one survey.
-    sensor : Sensor
-        The instrument.
-    """
+    """Which dimension holds the beamlet numbers: by what it holds, else by its name."""
     held = {look.facts.path.name: look.ends.numbers for look in looks}
     found = numbered_dimension(held, sensor)
     if found is not None:

@@ -27,17 +27,10 @@ _PLAIN: Final = re.compile(r"[A-Za-z][\w./*:-]*")
 
 @dataclass
 class Proposal:
-    """A workflow file in the making.
-
-    Parameters
-    ----------
-    lines : list of str
-        Its text.
-    found, unknown : list of (str, str)
-        Key and what was seen; key and what files do not tell.
-    """
+    """A workflow file in the making."""
 
     lines: list[str] = field(default_factory=list)
+    #: Key and what was seen; key and what files do not tell.
     found: list[tuple[str, str]] = field(default_factory=list)
     unknown: list[tuple[str, str]] = field(default_factory=list)
 

@@ -40,43 +40,23 @@ Span = tuple[float, float]
 
 @dataclass
 class Folder:
-    """What was found in a folder; each file below it once.
-
-    Parameters
-    ----------
-    path : Path
-        The folder.
-    lines : list of CloudLook
-        Clouds that seem to be raw flightlines.
-    references : list of CloudLook
-        Other clouds that hold a ground class.
-    others : list of CloudLook
-        Clouds that are neither.
-    results : list of Path
-        Clouds that a run delivered.
-    bad : list of InputError
-        Clouds that cannot be read.
-    trajectories : dict of Path to (float, float)
-        First and last time of each [s], in the clock of the points where that can be told.
-    doubles : list of Path
-        Trajectories of a flight that another file has too.
-    elsewhen : list of Path
-        Trajectories of other times than the flightlines'.
-    checkpoints, polygons : list of Path
-        By their columns; by their names.
-    foreign : list of Path
-        Files of other receivers.
-    """
+    """What was found in a folder; each file below it once."""
 
     path: Path
-    lines: list[CloudLook] = field(default_factory=list)
+    lines: list[CloudLook] = field(default_factory=list)  #: Clouds that seem to be raw flightlines.
+    #: Other clouds that hold a ground class.
     references: list[CloudLook] = field(default_factory=list)
     others: list[CloudLook] = field(default_factory=list)
-    results: list[Path] = field(default_factory=list)
-    bad: list[InputError] = field(default_factory=list)
+    results: list[Path] = field(default_factory=list)  #: Clouds that a run delivered.
+    bad: list[InputError] = field(default_factory=list)  #: Clouds that cannot be read.
+    #: dict of Path to (float, float): first and last time of each [s], in the clock of the points
+    #: where that can be told.
     trajectories: dict[Path, Span] = field(default_factory=dict)
+    #: Trajectories of a flight that another file has too.
     doubles: list[Path] = field(default_factory=list)
+    #: Trajectories of other times than the flightlines'.
     elsewhen: list[Path] = field(default_factory=list)
+    #: checkpoints, polygons: by their columns; by their names.
     checkpoints: list[Path] = field(default_factory=list)
     polygons: list[Path] = field(default_factory=list)
     foreign: list[Path] = field(default_factory=list)
@@ -93,8 +73,6 @@ def look_through(path: Path, sensor: Sensor) -> Folder:
     ----------
     path : Path
         The folder. Results of runs in it, and hidden files, are left out.
-    sensor : Sensor
-        The instrument that is supposed.
 
     Raises
     ------

@@ -69,10 +69,6 @@ def denoise(
     ground : bool
         Whether points of the ground get class 2, and the others the class that a run gives them;
         otherwise signal keeps the class that it has.
-    dtm : Path or str, optional
-        GeoTIFF of the terrain to write.
-    force : bool
-        Replace results that are there.
     workers : int
         Worker processes; 0 works in this process.
     memory : str or int, optional

@@ -36,17 +36,10 @@ Raster = NDArray[np.float32]
 
 
 class Banks(NamedTuple):
-    """Cells beside water; counts of several regions add up.
-
-    Parameters
-    ----------
-    cells : int
-        Cells of water [count].
-    banks, flooded : int
-        Cells of terrain beside water; those lower than it by more than :data:`ABOVE_M` [count].
-    """
+    """Cells beside water; counts of several regions add up."""
 
     cells: int
+    #: Cells of terrain beside water; those lower than it by more than :data:`ABOVE_M` [count].
     banks: int
     flooded: int
 
@@ -56,8 +49,6 @@ def water_heights(waters: Iterable[Water], core: Bounds, shape: tuple[int, int])
 
     Parameters
     ----------
-    waters : iterable of Water
-        Lakes and rivers.
     core : Bounds
         The region [quanta].
     shape : (int, int)
@@ -146,10 +137,7 @@ def _highest_beside(water: Raster, wet: NDArray[np.bool_]) -> Raster:
 def bank_warnings(found: Iterable[Sequence[int]]) -> Iterator[str]:
     """Sentence on breaklines that do not fit the terrain.
 
-    Parameters
-    ----------
-    found : iterable of (int, int, int)
-        :class:`Banks` of each ground cell that was flattened.
+    ``found``: iterable of (int, int, int), :class:`Banks` of each ground cell that was flattened.
     """
     listed = list(found)
     if not listed:

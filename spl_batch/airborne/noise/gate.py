@@ -1,13 +1,10 @@
 """Where the range gate lies along the beams of a flightline.
 
-Source: [W17] 5.2.1 ("data from all the beamlets are truncated with the same range gate");
-how to find it is not said there. Here it is read off the extreme returns of absolute
-windows of intervals, moved out by one mean spacing of the noise (the expected shortfall
-of an extreme of a uniform sample).
-
-A gate may be constant in slant range, may follow the surface (a receiver that tracks the
-ground), or the delivered points may be cut at a height. Each is tried; the one that
-explains the same returns with the shortest gate is taken.
+Source: [W17] 5.2.1 ("data from all the beamlets are truncated with the same range gate") does not
+say how to find it. Here the extreme returns of absolute windows of intervals, moved out by one mean
+spacing of the noise (the expected shortfall of a uniform sample), are its ends. A gate may be
+constant in slant range, follow the surface, or be cut at a height: the shortest one that explains
+the same returns is taken.
 """
 
 import math
@@ -34,28 +31,17 @@ Basis = Literal["stated", "estimated", "assumed"]
 
 
 class Gate(NamedTuple):
-    """Gate of each interval.
+    """Gate of each interval."""
 
-    Parameters
-    ----------
-    kind : str
-        "range": ``near`` and ``far`` are slant ranges; "height": they are the upper and
-        the lower height.
-    near, far : (m,) float64
-        Edges [m].
-    length_m : float
-        Median slant length [m].
-    warnings : tuple of Remark
-        What the report has to say.
-    basis : str
-        Where its length comes from: ``stated``, ``estimated`` from the returns, or ``assumed``.
-    """
-
+    #: "range": ``near`` and ``far`` are slant ranges; "height": they are the upper and the lower
+    #: height.
     kind: Kind
+    #: near, far (m,): edges [m].
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     length_m: float
-    warnings: tuple[Remark, ...]
+    warnings: tuple[Remark, ...]  #: What the report has to say.
+    #: Where its length comes from: ``stated``, ``estimated`` from the returns, or ``assumed``.
     basis: Basis
 
 
@@ -88,8 +74,6 @@ def fit_gate(
         Interval numbers, ascending; m >= 1.
     summary, outside
         As in :func:`~spl_batch.airborne.noise.line_statistics.observe`.
-    buffer_m : float
-        Largest buffer of the ladder [m].
     gate_m : float or None
         Slant length of the gate where it is known [m].
     """

@@ -1,9 +1,8 @@
 """Layers of voxels in which a flightline's gate ends.
 
-Domain: space. Along a beam the noise changes only where its gate ends. So a beamlet stands for
-the same noise in each layer that it crosses, and for less in a layer in which its gate ends. There
-the noise per beamlet of the layer above or below is taken, and the share of the sphere that is
-listened to tells the height of the end.
+Domain: space. A beamlet stands for the same noise in each layer that it crosses, and for less where
+its gate ends. Such a layer takes the noise per beamlet of the layer above or below; the share of
+the sphere that is listened to tells the height of the end.
 """
 
 from typing import Final, NamedTuple
@@ -36,21 +35,12 @@ which the seen ones stand for, are more in one voxel than in the next."""
 
 
 class Gate(NamedTuple):
-    """What beamlets stand for as if the gate ended in no voxel, and its ends.
+    """What beamlets stand for as if the gate ended in no voxel, and its ends."""
 
-    Parameters
-    ----------
-    each : (nx, ny, nz) float64
-        What one beamlet over a square stands for [1/m3].
-    side : (nx, ny, nz) int8
-        1 in voxels that hold the gate's upper end, -1 the lower one, 0 others.
-    end : (nx, ny, nz) float32
-        Height of that end over the voxel's centre [voxels].
-    """
-
-    each: NDArray[np.float64]
+    each: NDArray[np.float64]  #: (nx, ny, nz): what one beamlet over a square stands for [1/m3].
+    #: (nx, ny, nz): 1 in voxels that hold the gate's upper end, -1 the lower one, 0 others.
     side: NDArray[np.int8]
-    end: NDArray[np.float32]
+    end: NDArray[np.float32]  #: (nx, ny, nz): height of that end over the voxel's centre [voxels].
 
 
 def without_ends(amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel_m: float) -> Gate:
@@ -62,8 +52,6 @@ def without_ends(amount: NDArray[np.int64], beamlets: NDArray[np.float32], voxel
         Sum of ``VoxelPart.amount``.
     beamlets : (4 nx, 4 ny, nz) float32
         Beamlets over each square [count].
-    voxel_m : float
-        Edge of a voxel [m].
     """
     mean = amount / (VOXEL_FIXED_POINT * voxel_m**3)
     own = of_spheres(beamlets)

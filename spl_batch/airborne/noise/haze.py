@@ -1,31 +1,25 @@
 r"""Noise that fills the air: haze and cloud between the start of the gate and the surface.
 
-Domain: space. [W17] Eq. 5.1 has the same noise all along a beamlet. Air that sends light back has
-more of it in some heights and places, and a test that does not know takes it for a signal. Four
-things are true of air and of nothing else that a survey sees, and all are asked for, in
-squares of :data:`WINDOW` x :data:`WINDOW` cubes of :data:`CUBE_M`, one layer high:
+Domain: space. Deviation: [W17] Eq. 5.1 has the same noise all along a beamlet. Air that sends light
+back has more in some heights and places, which a test takes for a signal. Squares of :data:`WINDOW`
+x :data:`WINDOW` cubes of :data:`CUBE_M`, one layer high, hold air if they are
 
-- *It is everywhere.* Three quarters of the cubes hold clearly more returns than the model of the
-  noise expects. Wires, towers, trees with gaps and roofs smaller than the square do not fill it.
-- *It is smooth upwards.* Within columns of :data:`CELL_M` the returns of a cube lie evenly. With c
-  returns in a column and n in each of its k cells the pairs that share a cell are, evenly spread,
-  one k-th of the pairs that share the column:
+- *full*: three quarters of the cubes hold clearly more returns than the noise model expects. Wires,
+  towers, trees with gaps and small roofs do not fill a square;
+- *even upwards*: with c returns in a column of :data:`CELL_M` and n in each of its k cells,
 
   .. math:: \kappa = k \sum n (n - 1) / \sum c (c - 1)
 
-  is 1 in air, whatever the pattern of beams is, k on level ground or a flat roof, and well above 1
-  in a canopy, whose leaves hang in layers and clumps. Three layers hold much the same: crowns
-  shade what is below them. What cannot tell its clumping, for want of pairs, is no air.
-- *It is smooth across.* The upper quarter of the cubes holds no more than :data:`SMOOTH` times what
-  the lower one does; crowns and the gaps between them differ by more.
+  is 1 in air, k on level ground or a roof, and well above 1 in a canopy. Three layers hold much
+  the same: crowns shade what is below them. Too few pairs to tell are no air;
+- *even across*: the upper quarter of the cubes holds no more than :data:`SMOOTH` times what the
+  lower one does; crowns and gaps differ by more.
 
-In the cubes of these squares the noise is what is seen: the median of a cube and those beside it,
-which no wire moves, and the largest of these around, as air ends within a few metres and its edges
-are noise, too. The noise of a point is the larger of the model's and this one. Within a cloud weak
-signals are lost that would be found in clear air.
+There the noise is what is seen: the median of a cube and those beside it, which no wire moves, and
+the largest of these around, as the edges of air are noise, too. A point has the larger of the
+model's noise and this one. Signals weaker than the cloud are lost.
 
-All that is counted are whole numbers on absolute lattices. A point's noise depends on points up to
-:data:`REACH_M` away. Deviation: [W17] and [W18] know no noise that varies along the gate.
+Counts are integers on absolute lattices; a point's noise depends on points up to :data:`REACH_M`.
 """
 
 from collections.abc import Callable
@@ -88,67 +82,32 @@ Expected = Callable[[Axes], NDArray[np.float64]]
 
 
 class Air(NamedTuple):
-    """Noise that is seen in cubes.
+    """Noise that is seen in cubes."""
 
-    Parameters
-    ----------
-    cube : (m, 3) int64
-        Index of each cube on the absolute lattice.
-    density : (m,) float64
-        Noise in it [1/m3].
-    held : (m,) bool
-        Cubes found to hold air; the others lie beside one.
-    returns : (m,) int64
-        Returns in the cube.
-    expected : (m,) float64
-        Noise that the model expects at its centre [1/m3].
-    """
-
-    cube: NDArray[np.int64]
-    density: NDArray[np.float64]
-    held: NDArray[np.bool_]
-    returns: NDArray[np.int64]
-    expected: NDArray[np.float64]
+    cube: NDArray[np.int64]  #: (m, 3): index of each cube on the absolute lattice.
+    density: NDArray[np.float64]  #: (m,): noise in it [1/m3].
+    held: NDArray[np.bool_]  #: (m,): cubes found to hold air; the others lie beside one.
+    returns: NDArray[np.int64]  #: (m,): returns in the cube.
+    expected: NDArray[np.float64]  #: (m,): noise that the model expects at its centre [1/m3].
 
 
 class Counts(NamedTuple):
-    """Returns of cubes, and their pairs in columns and cells.
+    """Returns of cubes, and their pairs in columns and cells."""
 
-    Parameters
-    ----------
-    corner : (int, int)
-        Index of the first cube along x and y on the absolute lattice.
-    layer : (l,) int64
-        Index of each layer; those without a return are left out.
-    held : (nx, ny, l) int32
-        Returns [count].
-    columns, cells : (nx, ny, l) int64
-        Ordered pairs of them that share a column, and a cell.
-    """
-
-    corner: tuple[int, int]
-    layer: NDArray[np.int64]
-    held: NDArray[np.int32]
+    corner: tuple[int, int]  #: Index of the first cube along x and y on the absolute lattice.
+    layer: NDArray[np.int64]  #: (l,): index of each layer; those without a return are left out.
+    held: NDArray[np.int32]  #: (nx, ny, l): returns [count].
+    #: (nx, ny, l): ordered pairs of them that share a column, and a cell.
     columns: NDArray[np.int64]
     cells: NDArray[np.int64]
 
 
 class Layers(NamedTuple):
-    """Returns of cubes within noise alone, by layer, beside what the model expects.
+    """Returns of cubes within noise alone, by layer, beside what the model expects."""
 
-    Parameters
-    ----------
-    layer : (l,) int64
-        Index on the absolute lattice.
-    returns : (l,) int64
-        Returns [count].
-    expected : (l,) float64
-        By the model [count].
-    """
-
-    layer: NDArray[np.int64]
-    returns: NDArray[np.int64]
-    expected: NDArray[np.float64]
+    layer: NDArray[np.int64]  #: (l,): index on the absolute lattice.
+    returns: NDArray[np.int64]  #: (l,): returns [count].
+    expected: NDArray[np.float64]  #: (l,): by the model [count].
 
 
 def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
@@ -171,12 +130,7 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
 def find_air(counts: Counts, expected: Expected) -> Air | None:
     """Cubes of air with the noise in them; None where there is none.
 
-    Parameters
-    ----------
-    counts : Counts
-        From :func:`count_cubes`.
-    expected : callable
-        Model of the noise.
+    ``counts``: from :func:`count_cubes`.
     """
     candidate = _even(counts)
     if not candidate.any():
@@ -199,17 +153,14 @@ def find_air(counts: Counts, expected: Expected) -> Air | None:
 def noise_by_layer(
     counts: Counts, air: Air | None, expected: Expected, core: tuple[int, int, int, int]
 ) -> Layers:
-    """Noise that is seen beside noise that is expected, where nothing else and no haze is.
+    """Noise that is seen beside noise that is expected, away from haze and surfaces.
 
-    Squares of an absolute grid are looked at, :data:`WINDOW` cubes wide, none of whose columns is
-    empty; those that are even, as far as chance lets so few pairs tell, hold noise alone.
+    Even squares of the absolute grid, without an empty column, hold noise alone.
 
     Parameters
     ----------
     counts, expected
         As for :func:`find_air`.
-    air : Air or None
-        What is left out.
     core : (int, int, int, int)
         West, south, east, north: squares whose middle lies in it count [quanta].
     """
@@ -260,10 +211,9 @@ def noise_with_air(xyz: Axes, noise: NDArray[np.float64], air: Air | None) -> ND
 
 
 def _count(xyz: Axes) -> Counts:
-    """Count points, strip by strip.
+    """Count points, strip by strip, with half a square of empty cubes around.
 
-    Half a square of empty cubes lies around: so squares at an edge of the points are looked at
-    like those at a ragged edge within, however far other points reach.
+    So edges of the points and ragged edges within them are treated alike.
     """
     edge, half = quanta(CUBE_M), WINDOW // 2
     west, south = (int(axis.min()) // edge - half for axis in xyz[:2])

@@ -13,55 +13,26 @@ from spl_batch.errors import Remark
 
 @dataclass(frozen=True, slots=True)
 class LineModel:
-    """Noise and gate of each interval of a flightline.
+    """Noise and gate of each interval of a flightline."""
 
-    Parameters
-    ----------
-    interval : (m,) int64
-        Interval numbers, ascending.
-    rate : (m,) float64
-        Noise per metre of beamlet, mean over the channels [1/m].
-    first, last : (m,) int64
-        First and last shot that was fired, within the interval.
-    near, far : (m,) float64
-        Gate: slant ranges, or upper and lower height [m].
-    gain : (256,) float64
-        Rate of each channel over the mean; 0 for a dead one.
-    seen_fraction : (m,) float64
-        Beamlets with a return over beamlets fired.
-    kind : str
-        "range" or "height": what ``near`` and ``far`` are.
-    gate_m : float
-        Median slant length of the gate [m].
-    mean_rate : float
-        Mean of ``rate`` over the beamlets fired [1/m].
-    beamlets : int
-        Beamlets per shot.
-    interval_shots : int
-        Shots per interval.
-    seen_shots : int
-        Shots over which beamlets that are seen stand in for silent ones.
-    gate_basis : str
-        "stated", "estimated" or "assumed": where ``gate_m`` comes from.
-    warnings : tuple of Remark
-        What the report has to say; the way to disk keeps their texts only.
-    """
-
-    interval: NDArray[np.int64]
-    rate: NDArray[np.float64]
+    interval: NDArray[np.int64]  #: (m,): interval numbers, ascending.
+    rate: NDArray[np.float64]  #: (m,): noise per metre of beamlet, mean over the channels [1/m].
+    #: (m,): first and last shot that was fired, within the interval.
     first: NDArray[np.int64]
     last: NDArray[np.int64]
+    #: (m,): gate: slant ranges, or upper and lower height [m].
     near: NDArray[np.float64]
     far: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    seen_fraction: NDArray[np.float64]
-    kind: Kind
-    gate_m: float
-    mean_rate: float
+    gain: NDArray[np.float64]  #: (256,): rate of each channel over the mean; 0 for a dead one.
+    seen_fraction: NDArray[np.float64]  #: (m,): beamlets with a return over beamlets fired.
+    kind: Kind  #: "range" or "height": what ``near`` and ``far`` are.
+    gate_m: float  #: Median slant length of the gate [m].
+    mean_rate: float  #: Mean of ``rate`` over the beamlets fired [1/m].
     beamlets: int
     interval_shots: int
-    seen_shots: int
-    gate_basis: Basis
+    seen_shots: int  #: Shots over which beamlets that are seen stand in for silent ones.
+    gate_basis: Basis  #: "stated", "estimated" or "assumed": where ``gate_m`` comes from.
+    #: What the report has to say; the way to disk keeps their texts only.
     warnings: tuple[Remark, ...]
 
     def row(self, shot: NDArray[np.int64]) -> NDArray[np.int64]:

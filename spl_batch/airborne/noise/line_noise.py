@@ -9,12 +9,11 @@ Sources: [W17] Eq. 5.1, [W18] 2.2.1.
 | R | slant length of gate that was counted |
 | rho_l | ``rate`` x ``gain`` of the channel |
 
-Deviations: silent shots count as fired; R is a slant length and what the gate really
-leaves; the buffer shrinks where the gate is short; the rate of an interval is shrunk
-towards that of its neighbours as far as Poisson statistics explain their differences
-(empirical Bayes with a gamma prior), and so are the channels' gains towards one; where the
-buffer has shrunk, intervals that count far more than those around hold signal and are left out,
-if their two sides differ or the signal's height varies as much as the buffer lets it.
+Deviations: silent shots count as fired; R is what the gate really leaves, as a slant length; the
+buffer shrinks where the gate is short; rates of intervals and gains of channels are shrunk towards
+their neighbours and towards one (empirical Bayes, gamma prior). Where the buffer has shrunk,
+intervals far above those around hold signal and are left out, if their two sides differ or the
+signal's height varies as much as the buffer lets it.
 """
 
 from typing import Any, Final
@@ -73,8 +72,6 @@ def fit(
     ----------
     merged : dict
         Statistics of all its stretches, from :func:`merge`.
-    settings : NoiseSettings
-        Interval, smoothing and buffer.
     sensor : Sensor
         Beamlets per shot, and the gate's length where it is known.
     """
@@ -301,13 +298,6 @@ def _seen_window(seen: NDArray[np.int64], fired: NDArray[np.int64], interval_sho
 def line_density(table: PointTable, model: LineModel) -> NDArray[np.float32]:
     """Expected noise of each point's beamlet [W17 Eq. 5.1].
 
-    Parameters
-    ----------
-    table : PointTable
-        Needs ``shot`` and ``channel``.
-    model : LineModel
-        Model of the flightline.
-
     Returns
     -------
     (n,) float32
@@ -322,15 +312,6 @@ def gate_of(
     table: PointTable, beams: BeamTable, model: LineModel
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Slant ranges between which each point's beamlet was listened to.
-
-    Parameters
-    ----------
-    table : PointTable
-        Needs ``shot`` and ``z``.
-    beams : BeamTable
-        Their beams.
-    model : LineModel
-        Model of the flightline.
 
     Returns
     -------

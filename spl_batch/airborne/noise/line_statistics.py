@@ -60,8 +60,6 @@ def observe(
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam take no part.
-    settings : NoiseSettings
-        Interval, buffer and peak window.
 
     Returns
     -------
@@ -141,10 +139,7 @@ def merge(
 ) -> dict[str, NDArray[Any]]:
     """Join the statistics of a flightline's stretches, in any order.
 
-    Parameters
-    ----------
-    parts : sequence of dict
-        At least one result of :func:`observe` or of :func:`merge`; no interval in two.
+    ``parts``: at least one result of :func:`observe` or of :func:`merge`; no interval in two.
 
     Raises
     ------

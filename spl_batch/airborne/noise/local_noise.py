@@ -1,22 +1,19 @@
 """Expected background of the part of a voxel that is listened to, for testing points there.
 
-Domain: space. A deviation from [W18] Eq. 2, whose density is the mean of a whole voxel. A voxel
-that a gate's end, the edge of a flightline or the edge of a delivery cuts is partly silent. Its
-mean is too small for the points in it, which all lie on one side. So the density is found for each
-flightline on squares, 2.5 m wide in voxels of 10 m, and the flightlines add up:
+Domain: space. Deviation: [W18] Eq. 2 takes the mean of a whole voxel. Where a gate's end or the
+edge of a flightline or delivery cuts a voxel, that is too small for its points. So each
+flightline's density is found on squares, 2.5 m wide in voxels of 10 m, and flightlines add up:
 
-- The noise in a sphere over the beamlets that cross it is what one beamlet stands for. Over each
-  square the density is that times the beamlets there (``VoxelPart.squares``).
-- A count is believed as far as its Poisson error allows: first against the squares around it, then
-  against the mean of the voxel's squares that beamlets cross. Gaps of up to two squares between
-  those are closed, since few beamlets leave gaps without an edge.
-- A layer in which the gate ends counts as if it were listened to all through, up to the end
+- One beamlet stands for the noise in a sphere over the beamlets that cross it; a square has that
+  times its beamlets (``VoxelPart.squares``).
+- A count is believed as far as its Poisson error allows, against the squares around and then the
+  mean of the voxel. Gaps of up to two squares are closed.
+- A layer in which the gate ends counts up to the end
   (:mod:`~spl_batch.airborne.noise.gate_ends`).
 
-Between the centres of squares, and of layers in which no gate ends, the density is linear. Beams
-lean, and the edges and ridges of the scan with them; so it follows them from layer to layer.
-``benchmarks/airborne/filter/null_edges.py`` prints the share along edges of surveys,
-``benchmarks/airborne/filter/null_calibration.py`` along sharp ones.
+Between the centres of squares, and of layers without an end, the density is linear, along the lean
+of the beams. ``benchmarks/airborne/filter/null_edges.py`` prints the share of noise that is kept
+along edges of surveys, ``benchmarks/airborne/filter/null_calibration.py`` along sharp ones.
 """
 
 from collections.abc import Sequence
@@ -60,21 +57,13 @@ LEAST: Final = 0.15
 
 
 class Listened(NamedTuple):
-    """What one flightline listens to, ready to be asked at points.
+    """What one flightline listens to, ready to be asked at points."""
 
-    Parameters
-    ----------
-    density : (4 nx, 4 ny, nz) float32
-        Noise over each square, as if the gate ended in no voxel [1/m3].
-    side : (nx, ny, nz) int8
-        1 in voxels that hold the gate's upper end, -1 the lower one, 0 others.
-    end : (nx, ny, nz) float32
-        Height of that end over the voxel's centre [voxels].
-    """
-
+    #: (4 nx, 4 ny, nz): noise over each square, as if the gate ended in no voxel [1/m3].
     density: NDArray[np.float32]
+    #: (nx, ny, nz): 1 in voxels that hold the gate's upper end, -1 the lower one, 0 others.
     side: NDArray[np.int8]
-    end: NDArray[np.float32]
+    end: NDArray[np.float32]  #: (nx, ny, nz): height of that end over the voxel's centre [voxels].
 
 
 def listened(
@@ -89,8 +78,6 @@ def listened(
         side than the voxels that will be asked for.
     counts : (nx, ny, nz, 16) integer
         Sum of ``VoxelPart.squares``.
-    voxel_m : float
-        Edge of a voxel [m].
     """
     if not counts.any():
         return None
@@ -112,8 +99,6 @@ def around(
 
     Parameters
     ----------
-    lines : sequence of Listened
-        All that come near.
     voxel : three of (n,) int64
         Index of each point's voxel.
     square : two of (n,) int64

@@ -27,8 +27,6 @@ def densest_window(sorted_z: NDArray[np.float64], width: float) -> tuple[float, 
     ----------
     sorted_z : (n,) float64
         Ascending heights, n >= 1.
-    width : float
-        Width of the window.
 
     Returns
     -------
@@ -61,7 +59,7 @@ def signal_heights(
     n_groups: int,
     width: float,
 ) -> NDArray[np.float64]:
-    """Height of the signal in each group of one interval.
+    """Height of the signal in each group of one interval: (n_groups,) float64 [m].
 
     The group's own peak where it is beyond chance, else the interval's; where that is
     not either, the median, which unlike a chance peak does not select noise.
@@ -74,15 +72,8 @@ def signal_heights(
         The returns by increasing height.
     group : (n,) int64
         Group of each return, 0..n_groups - 1.
-    n_groups : int
-        Number of groups.
     width : float
         Width of the sliding height window [m].
-
-    Returns
-    -------
-    (n_groups,) float64
-        Heights [m].
     """
     everything = z[order]
     extent = everything[-1] - everything[0]
@@ -132,8 +123,6 @@ def observe_interval(
         The returns by increasing height.
     offset : (n,) int64
         Shot within the interval.
-    interval_shots : int
-        Shots of an interval.
     width : float
         Width of the sliding height window [m].
     summary : (10,) float64

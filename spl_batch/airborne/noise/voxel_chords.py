@@ -32,12 +32,8 @@ def chord_length(
     ----------
     px, py, pz : float
         Point of the line, relative to the sphere's centre.
-    ux, uy, uz : float
-        Unit vector along the line.
     near, far : float
         Ends of the piece, along the line from the point.
-    radius : float
-        Radius of the sphere.
     """
     middle = -(px * ux + py * uy + pz * uz)
     square = radius * radius - (px * px + py * py + pz * pz - middle * middle)
@@ -148,12 +144,8 @@ def deposit_beamlet(
         Unit vector along the beam.
     near, far : float
         Ends of the gate along the beam, from the return [m].
-    weight : float
-        Fixed-point amount per metre of chord.
     edge, radius : float
         Edge of a voxel and radius of its sphere [m].
-    ordinal : int
-        Number of the beamlet's shot.
     amount : (nx, ny, nz) int64
         Added to.
     shots, beamlets, last_shot : (nx, ny, nz) int64, or empty
@@ -222,12 +214,10 @@ def deposit_steep(
 ) -> None:
     """What :func:`deposit_beamlet` adds, to the last bit, for steep beams and with squares.
 
-    Of the spheres of a layer a line this steep can touch the four around it. Two of them that lie
-    across from each other are farther apart, seen along the line, than their radii together: of
-    each such pair it touches one at most, the one that it runs deeper in. Those two are measured
-    in each layer, without a branch, so that the compiler makes vector instructions of the loop;
-    what is nothing is added as zero. The loop goes on to a multiple of :data:`LANES`: layers left
-    over would be reckoned one by one, which took longer than all others together.
+    A steep line can touch the four spheres around it in a layer, and of two that lie across from
+    each other only the one that it runs deeper in. These two are measured in each layer without a
+    branch, so that the loop compiles to vector instructions; it runs to a multiple of
+    :data:`LANES`.
 
     Parameters
     ----------

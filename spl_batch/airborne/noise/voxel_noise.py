@@ -8,12 +8,10 @@ Sources: [W17] Eq. 5.2-5.3, 6.1-6.2; [W18] Eq. 1-2.
 | l_i | chord, :func:`~spl_batch.airborne.noise.voxel_chords.chord_length` |
 | n_u, n | ``VoxelPart.shots``, ``VoxelPart.beamlets`` |
 
-Deviations: silent beamlets are absent from the points; the published gamma counts a shot
-whose footprint merely touches the sphere as a whole one. By default the beamlets that are
-seen stand in for the silent ones of a few shots around them: what those shots listened to
-is shared out equally among them, so that a channel that is seen more often deposits no
-more. A beamlet counts once, however many returns it has; chords end at the gate. Where
-channels are not told apart, each return is a beamlet of its shot.
+Deviations: points do not hold silent beamlets, and the published gamma counts a shot that merely
+touches the sphere as a whole one. By default the seen beamlets of a few shots share out equally
+what these shots listened to. A beamlet counts once, however many returns it has; chords end at the
+gate. Where channels are unknown, each return is a beamlet of its shot.
 """
 
 from typing import Any, Final
@@ -59,10 +57,6 @@ def deposit(
         Rows of one stretch, sorted by (gps_time, channel, ...).
     beams : BeamTable
         Their beams; rows without a known beam deposit nothing.
-    model : LineModel
-        Noise of the flightline.
-    settings : NoiseSettings
-        Voxel and correction.
 
     Returns
     -------
@@ -170,8 +164,6 @@ def seen_density(table: PointTable, model: LineModel) -> NDArray[np.float64]:
     ----------
     table : PointTable
         One row per seen beamlet, in time order; needs ``shot``.
-    model : LineModel
-        Noise of the flightline.
 
     Returns
     -------
@@ -219,8 +211,6 @@ def density(
     ----------
     amount : ndarray of int64
         Sum of ``VoxelPart.amount`` over all stretches of all flightlines.
-    settings : NoiseSettings
-        Voxel and correction.
     shots, beamlets : ndarray of int64, optional
         Sums of the other two; needed where the correction is "published".
     beamlets_per_shot : int
@@ -246,15 +236,11 @@ def density(
 
 
 def within_gate(per_m3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Density of the part of each voxel that is listened to, for testing points in it, roughly.
+    """Density of the part of each voxel that is listened to, roughly, for testing points in it.
 
-    For points that no flightline is known to cover, and for the published correction; others get
-    that of :mod:`~spl_batch.airborne.noise.local_noise`. A voxel that the end of a gate cuts holds
-    noise
-    and silence; its mean is too small for the points, which all lie on one side. Along the beams
-    the density changes nowhere else, so the largest of a voxel and its two vertical neighbours
-    stands for it. Differences below :data:`UNEVEN` are the beams' spread and chance, which are no
-    reason to expect more noise.
+    It serves points that no known flightline covers, and the published correction; others have
+    :mod:`~spl_batch.airborne.noise.local_noise`. A voxel that a gate's end cuts takes the largest
+    of itself and its two vertical neighbours; differences below :data:`UNEVEN` are chance.
 
     Parameters
     ----------

@@ -27,16 +27,9 @@ ORIGIN: Final = CellId(0, 0)
 
 
 class Block(NamedTuple):
-    """Rectangle of tiles.
+    """Rectangle of tiles."""
 
-    Parameters
-    ----------
-    i, j : int
-        Column and row of its south-western tile.
-    columns, rows : int
-        Tiles along its sides [count].
-    """
-
+    #: i, j: column and row of its south-western tile.
     i: int
     j: int
     columns: int
@@ -62,37 +55,19 @@ class Block(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Points of a block.
+    """Points of a block."""
 
-    Parameters
-    ----------
-    points : int
-        In tiles of its own [count].
-    held : int
-        In its core and halo, as if they spread evenly over each tile [count].
-    """
-
-    points: int
-    held: int
+    points: int  #: In tiles of its own [count].
+    held: int  #: In its core and halo, as if they spread evenly over each tile [count].
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How the tiles of a survey are shared among blocks.
+    """How the tiles of a survey are shared among blocks."""
 
-    Parameters
-    ----------
-    counts : mapping of CellId to int
-        Points by tile; only tiles that hold some.
-    tile_q : int
-        Edge of a tile [quanta].
-    halo_q : int
-        Halo that a block reads [quanta].
-    """
-
-    counts: Mapping[CellId, int]
+    counts: Mapping[CellId, int]  #: Points by tile; only tiles that hold some.
     tile_q: int
-    halo_q: int
+    halo_q: int  #: Halo that a block reads [quanta].
     _loads: dict[Block, Load] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def load(self, block: Block) -> Load:
@@ -121,8 +96,6 @@ class Layout:
             Tiles along one side of the squares that they are made of [count].
         most : float
             Points that a block of several tiles may hold with its halo [count].
-        anchor : CellId
-            South-western tile of one of them.
         parts : int
             Parts of about equal cost that each of them is divided into [count].
 
@@ -139,15 +112,7 @@ class Layout:
         return sorted(self.cut(divided, most))
 
     def squares(self, side: int, anchor: CellId = ORIGIN) -> list[Block]:
-        """Squares of a grid, without the rows and columns that hold no points.
-
-        Parameters
-        ----------
-        side : int
-            Tiles along one side [count].
-        anchor : CellId
-            South-western tile of one of them.
-        """
+        """Squares of a grid, without the rows and columns that hold no points."""
         cells: dict[CellId, list[CellId]] = {}
         for tile in self.counts:
             square = CellId((tile.i - anchor.i) // side, (tile.j - anchor.j) // side)
@@ -157,12 +122,7 @@ class Layout:
     def divide(self, block: Block, parts: int) -> list[Block]:
         """A block in parts that cost about the same, as far as columns and rows of tiles let them.
 
-        Parameters
-        ----------
-        block : Block
-            It owns points.
-        parts : int
-            How many, if it has as many tiles [count].
+        ``parts``: how many, if it has as many tiles [count].
         """
         block = around(self._tiles(block))
         if parts == 1 or block.columns * block.rows == 1:
@@ -187,12 +147,7 @@ class Layout:
     def cut(self, blocks: Iterable[Block], most: float) -> Iterator[Block]:
         """Blocks of several tiles that hold too much in halves, and these again.
 
-        Parameters
-        ----------
-        blocks : iterable of Block
-            Blocks that own points.
-        most : float
-            Points that a block may hold with its halo [count].
+        ``most``: points that a block may hold with its halo [count].
         """
         waiting = list(blocks)[::-1]
         while waiting:
@@ -211,11 +166,6 @@ class Layout:
             Blocks that own points and share no tile.
         most : float
             Points that the two may hold together [count].
-
-        Returns
-        -------
-        list of Block
-            Sorted.
         """
         holder = {t: block for block in blocks for t in self._tiles(block)}
         waiting = [self._rank(block) for block in set(holder.values())]

@@ -48,23 +48,12 @@ _STRETCH: Final = "stretches"
 
 
 class Sizes(NamedTuple):
-    """How large blocks are.
+    """How large blocks are."""
 
-    Parameters
-    ----------
-    tiles : int
-        Tiles along one side of the squares that they begin as [count].
-    parts : int
-        Parts of about equal cost that each square is divided into [count].
-    anchor : CellId
-        South-western tile of one of those squares.
-    memory_bytes : int, optional
-        Memory limit of a worker that they were chosen for: with more, blocks are no larger [byte].
-    """
-
-    tiles: int
-    parts: int = 1
-    anchor: CellId = ORIGIN
+    tiles: int  #: Tiles along one side of the squares that they begin as [count].
+    parts: int = 1  #: Parts of about equal cost that each square is divided into [count].
+    anchor: CellId = ORIGIN  #: South-western tile of one of those squares.
+    #: Memory limit of a worker that they were chosen for: with more, blocks are no larger [byte].
     memory_bytes: int | None = None
 
     def under(self, memory_bytes: int) -> int:
@@ -73,21 +62,11 @@ class Sizes(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """Blocks that a survey will have.
-
-    Parameters
-    ----------
-    blocks : int
-        Their number [count].
-    tiles : int
-        Tiles along the longest side of one [count].
-    read : float
-        Points that they read, halos included, over those of the survey.
-    """
+    """Blocks that a survey will have."""
 
     blocks: int
-    tiles: int
-    read: float
+    tiles: int  #: Tiles along the longest side of one [count].
+    read: float  #: Points that they read, halos included, over those of the survey.
 
 
 def choose_sizes(
@@ -98,16 +77,7 @@ def choose_sizes(
     The absolute grid may cut a small survey unevenly. One square around all of it is tried too, in
     several numbers of parts for each worker.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Where the points lie.
-    workflow : Workflow
-        The settings; a size that they give is taken.
-    memory_bytes : int
-        Memory limit of a worker [byte].
-    workers : int
-        Worker processes [count].
+    ``pieces``: where the points lie. ``workflow``: the settings; a size that they give is taken.
     """
     if workflow.tiling.block_tiles is not None:
         return Sizes(workflow.tiling.block_tiles)
@@ -142,8 +112,6 @@ def blocks(layout: Layout, sizes: Sizes, workflow: Workflow, memory_bytes: int) 
         From :func:`choose_sizes`.
     workflow : Workflow
         The settings; blocks of a size that they give are neither cut nor joined.
-    memory_bytes : int
-        Memory limit of a worker [byte].
     """
     if workflow.tiling.block_tiles is not None:
         return layout.squares(sizes.tiles)
@@ -162,15 +130,7 @@ def block_points(memory_bytes: int) -> float:
 
 
 class Holders:
-    """Finished blocks by the tiles that they own.
-
-    Parameters
-    ----------
-    done : mapping of str to Receipt
-        Finished blocks by name.
-    tile_q : int
-        Edge of a tile [quanta].
-    """
+    """Finished blocks by the tiles that they own."""
 
     def __init__(self, done: Mapping[str, Receipt], tile_q: int) -> None:
         self._tile_q = tile_q
@@ -197,8 +157,6 @@ def count_blocks(
     ----------
     pieces, workflow, memory_bytes
         As in :func:`choose_sizes`.
-    sizes : Sizes
-        What it chose.
     """
     points = max(math.fsum(float(piece.points.sum()) for piece in pieces), 1.0)
     counts = _few_tiles(pieces, workflow)
@@ -310,14 +268,7 @@ def remembered_sizes(store: Store, workflow: Workflow) -> Sizes | None:
 def remember_sizes(store: Store, workflow: Workflow, sizes: Sizes) -> None:
     """Keep the sizes of blocks for later runs.
 
-    Parameters
-    ----------
-    store : Store
-        Where.
-    workflow : Workflow
-        The settings.
-    sizes : Sizes
-        What :func:`choose_sizes` chose.
+    ``store``: where. ``sizes``: what :func:`choose_sizes` chose.
     """
     _remember(store, _key(workflow), {**sizes._asdict(), "anchor": [*sizes.anchor]})
 
@@ -329,15 +280,7 @@ def remembered_stretch(store: Store) -> int | None:
 
 
 def remember_stretch(store: Store, points: int) -> None:
-    """Keep the points of a stretch for later runs: with more memory they would be cut anew.
-
-    Parameters
-    ----------
-    store : Store
-        Where.
-    points : int
-        On average [count].
-    """
+    """Keep the points of a stretch for later runs: with more memory they would be cut anew."""
     _remember(store, _STRETCH, {"points": points})
 
 

@@ -53,43 +53,23 @@ two workers, 53 % noise, and a little less."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyCost(Cost):
-    """What a run on an airborne survey will do, and what it is expected to cost.
+    """What a run on an airborne survey will do, and what it is expected to cost."""
 
-    Parameters
-    ----------
-    stretches, tiles, blocks, cells : int
-        Stretches of flightlines, tiles, denoise blocks and ground cells [count].
-    block_tiles : int
-        Tiles along the longest side of a block [count].
-    block_reads : float
-        Points that all blocks read, halos included, over those of the survey.
-    roomier : tuple of (int, float), optional
-        Where blocks read much: a memory limit of twice or four times the bytes with which they
-        read less than :data:`MUCH_READ`, and what they read then.
-    halo_m : float
-        Halo of a block, the sum of the reaches of the filter's steps [m].
-    """
-
+    #: Stretches of flightlines, tiles, denoise blocks and ground cells [count].
     stretches: int
     tiles: int
     blocks: int
     cells: int
-    block_tiles: int
-    block_reads: float
+    block_tiles: int  #: Tiles along the longest side of a block [count].
+    block_reads: float  #: Points that all blocks read, halos included, over those of the survey.
+    #: Where blocks read much: a memory limit of twice or four times the bytes with which they read
+    #: less than :data:`MUCH_READ`, and what they read then.
     roomier: tuple[int, float] | None
-    halo_m: float
+    halo_m: float  #: Halo of a block, the sum of the reaches of the filter's steps [m].
 
 
 def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
-    """Cost of a survey whose files spread their points evenly over their bounding boxes.
-
-    Parameters
-    ----------
-    survey : Survey
-        Inputs and limits.
-    context : Context, optional
-        Where measured rates may lie.
-    """
+    """Cost of a survey whose files spread their points evenly over their bounding boxes."""
     workflow, sources = survey.workflow, survey.inputs.sources
     points = sum(s.facts.n_points for s in sources)
     boxes = point_boxes(sources)

@@ -23,36 +23,17 @@ STEPS = 8
 
 @dataclass(frozen=True, slots=True)
 class Flightline:
-    """One pass: a point source id, between two long pauses.
+    """One pass: a point source id, between two long pauses."""
 
-    Parameters
-    ----------
-    name : str
-        Point source id and the second in which it begins.
-    psid : int
-        Point source id.
-    first_s, last_s : float
-        Times of its first and last return [s].
-    points : int
-        Returns with a valid time [count].
-    clock : ShotClock
-        Its absolute shot grid.
-    prf_basis : str
-        ``given``, ``estimated`` or ``assumed``.
-    sources : tuple of str
-        Keys of the files that hold it.
-    stretch_shots : int
-        Shots of a stretch [count].
-    """
-
-    name: str
+    name: str  #: Point source id and the second in which it begins.
     psid: int
+    #: Times of its first and last return [s].
     first_s: float
     last_s: float
-    points: int
+    points: int  #: Returns with a valid time [count].
     clock: ShotClock
-    prf_basis: str
-    sources: tuple[str, ...]
+    prf_basis: str  #: ``given``, ``estimated`` or ``assumed``.
+    sources: tuple[str, ...]  #: Keys of the files that hold it.
     stretch_shots: int
 
     def stretches(self) -> Iterable[tuple[str, int]]:
@@ -98,10 +79,6 @@ def find_flightlines(
 
     Parameters
     ----------
-    receipts : mapping of str to Receipt
-        Index receipts by source key.
-    workflow : Workflow
-        The settings.
     stretch_points : int
         Points that a stretch should hold on average [count]; none holds more than
         :data:`~spl_batch.airborne.plan.task_memory.UNEVEN` times as many, however unevenly they lie
@@ -178,8 +155,6 @@ def fullest_span(files: Sequence[tuple[float, float, Sequence[int]]], span_s: fl
     files : sequence of (float, float, sequence of int)
         Of each file of a flightline: first and last time [s], and
         :meth:`~spl_batch.airborne.tasks.return_rate.Rate.fullest`.
-    span_s : float
-        Its length [s].
     """
     # Files that follow each other share a span: each is looked at with its own part of it,
     # and that part is known to a step.

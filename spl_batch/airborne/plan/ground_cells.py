@@ -31,22 +31,13 @@ def strip_q(workflow: Workflow) -> int:
 
 
 class GroundCells(NamedTuple):
-    """Ground cells of a survey.
+    """Ground cells of a survey."""
 
-    Parameters
-    ----------
-    edge : int
-        Edge of a square [quanta].
-    low, high : CellId
-        First and last column and row of squares that are cells by themselves.
-    reached : Bounds
-        What all cells own together, whole squares [quanta].
-    """
-
-    edge: int
+    edge: int  #: Edge of a square [quanta].
+    #: First and last column and row of squares that are cells by themselves.
     low: CellId
     high: CellId
-    reached: Bounds
+    reached: Bounds  #: What all cells own together, whole squares [quanta].
 
     @classmethod
     def of_boxes(cls, boxes: Iterable[Sequence[int]], edge: int, strip: int) -> Self:
@@ -145,8 +136,6 @@ class GroundCells(NamedTuple):
 
         Parameters
         ----------
-        counts : mapping of CellId to int
-            Points by tile.
         tile_q, halo_q : int
             Edge of a tile, and what a cell reads around its core [quanta].
         """

@@ -17,8 +17,6 @@ def split_mosaic(
 
     Parameters
     ----------
-    cells : mapping of CellId to int
-        Points of each finished ground cell.
     boxes : sequence of sequence of int
         Bounding boxes of the input files: x, y, z, x, y, z [quanta].
     cell_q, pixel_q : int

@@ -36,20 +36,11 @@ from spl_batch.lattice.tiles import Bounds, CellId, cell_runs, grow, parse_cell,
 
 
 class _Pieces(NamedTuple):
-    """Which row group of which stretch holds points of which tile: p pieces.
+    """Which row group of which stretch holds points of which tile: p pieces."""
 
-    Parameters
-    ----------
-    stretches : list of str
-        Names of the stretches, sorted.
-    tiles : list of CellId
-        The tiles, in the order in which they were met.
-    tile, stretch, group, points : (p,) int32
-        Places in those lists, row group, and its points [count].
-    """
-
-    stretches: list[str]
-    tiles: list[CellId]
+    stretches: list[str]  #: Names of the stretches, sorted.
+    tiles: list[CellId]  #: The tiles, in the order in which they were met.
+    #: (p,): places in those lists, row group, and its points [count].
     tile: NDArray[np.int32]
     stretch: NDArray[np.int32]
     group: NDArray[np.int32]

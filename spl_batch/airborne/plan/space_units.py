@@ -20,31 +20,16 @@ from spl_batch.lattice.tiles import (
 
 
 class Unit(NamedTuple):
-    """A work unit of the space domain.
+    """A work unit of the space domain."""
 
-    Parameters
-    ----------
-    name : str
-        Column and row of a ground cell; of a block, see
-        :class:`~spl_batch.airborne.plan.block_layout.Block`.
-    cell : CellId
-        That column and row; of a block, those of its first tile.
-    core : Bounds
-        What it owns.
-    tiles : tuple of CellId
-        Tiles with points in its core or halo.
-    points : int
-        Points in those tiles that overlap its core [count].
-    held : int
-        Points in its core and halo, as if they spread evenly over each tile [count].
-    """
-
+    #: Column and row of a ground cell; of a block, see
+    #: :class:`~spl_batch.airborne.plan.block_layout.Block`.
     name: str
-    cell: CellId
+    cell: CellId  #: That column and row; of a block, those of its first tile.
     core: Bounds
-    tiles: tuple[CellId, ...]
-    points: int
-    held: int
+    tiles: tuple[CellId, ...]  #: Tiles with points in its core or halo.
+    points: int  #: Points in those tiles that overlap its core [count].
+    held: int  #: Points in its core and halo, as if they spread evenly over each tile [count].
 
 
 def tile_counts(tiles: Mapping[str, Receipt]) -> dict[CellId, int]:
@@ -58,14 +43,7 @@ def occupied(counts: Mapping[CellId, int], region: Bounds, tile_q: int) -> list[
 
     A region that spans far more tiles than hold points costs no more than those do.
 
-    Parameters
-    ----------
-    counts : mapping of CellId to int
-        Points by tile; only tiles that hold some.
-    region : Bounds
-        Where to look [quanta].
-    tile_q : int
-        Edge of a tile [quanta].
+    ``counts``: points by tile; only tiles that hold some. ``region``: where to look [quanta].
     """
     columns = -(-region.xmax // tile_q) - region.xmin // tile_q
     rows = -(-region.ymax // tile_q) - region.ymin // tile_q
@@ -88,8 +66,6 @@ def unit_within(
     ----------
     core : Bounds
         What it owns [quanta].
-    counts : mapping of CellId to int
-        Points by tile.
     tile_q, halo_q : int
         Edge of a tile, and the halo that the unit reads [quanta].
     named : tuple of str and CellId
@@ -109,16 +85,7 @@ def unit_within(
 def parts_of(unit: Unit, held: Callable[[Bounds], int], most: int, least_q: int) -> list[Bounds]:
     """Parts of what a unit owns: halves of it, and of these, while one reads too much.
 
-    Parameters
-    ----------
-    unit : Unit
-        The unit.
-    held : callable
-        Points that a part reads [count].
-    most : int
-        Points that may be held at once [count].
-    least_q : int
-        No side is cut to less [quanta].
+    ``most``: points that may be held at once [count]. ``least_q``: no side is cut to less [quanta].
     """
     whole, waiting = [], [unit.core]
     while waiting:
@@ -143,10 +110,7 @@ def _area(region: Bounds) -> int:
 def fired_index(boxes: Mapping[str, Sequence[int]]) -> BoxIndex:
     """Stretches by the place that they fired at.
 
-    Parameters
-    ----------
-    boxes : mapping of str to sequence of int
-        Rectangle of each stretch near the ground: xmin, ymin, xmax, ymax [m].
+    ``boxes``: rectangle of each stretch near the ground: xmin, ymin, xmax, ymax [m].
     """
     return BoxIndex({name: Bounds(*map(quanta, box)) for name, box in boxes.items()})
 
@@ -154,12 +118,7 @@ def fired_index(boxes: Mapping[str, Sequence[int]]) -> BoxIndex:
 def voxel_index(boxes: Mapping[str, Sequence[int]], voxel_q: int) -> BoxIndex:
     """Stretches by the place of their voxel parts.
 
-    Parameters
-    ----------
-    boxes : mapping of str to sequence of int
-        First and past-the-last voxel index of each part: x, y, z, x, y, z.
-    voxel_q : int
-        Edge of a voxel [quanta].
+    ``boxes``: first and past-the-last voxel index of each part: x, y, z, x, y, z.
     """
     return BoxIndex(
         {

@@ -25,17 +25,10 @@ from spl_batch.lattice.tiles import Bounds, CellId, parse_cell, quanta
 
 
 class Pieces(NamedTuple):
-    """Input files, or parts of large ones, that hold points of a point source id.
+    """Input files, or parts of large ones, that hold points of a point source id."""
 
-    Parameters
-    ----------
-    names : list of str
-        What the files of the store that hold them are called.
-    first_s, last_s : (p,) float64
-        Times of the first and the last of these points [s].
-    """
-
-    names: list[str]
+    names: list[str]  #: What the files of the store that hold them are called.
+    #: (p,): times of the first and the last of these points [s].
     first_s: NDArray[np.float64]
     last_s: NDArray[np.float64]
 

@@ -82,21 +82,11 @@ UNEVEN: Final = 2
 
 
 class Need(NamedTuple):
-    """Memory of a task.
+    """Memory of a task."""
 
-    Parameters
-    ----------
-    task : str
-        What it is, and where.
-    memory_bytes : int
-        Its worker included [byte].
-    remedy : str
-        How to make it lighter, beside more memory.
-    """
-
-    task: str
+    task: str  #: What it is, and where.
     memory_bytes: int
-    remedy: str
+    remedy: str  #: How to make it lighter, beside more memory.
 
 
 def task_bytes(kind: str, points: float) -> int:
@@ -123,8 +113,6 @@ def ground_bands(
     ----------
     points, owned : float
         Points of the cell with its buffer, and of the cell alone [count].
-    side_q : int
-        Its longer side, buffer included [quanta].
     workflow : Workflow
         Only the method that follows the data works in bands, and only without water.
     limit : int
@@ -178,8 +166,6 @@ def needs(
     ----------
     pieces : sequence of Piece
         Where the points lie.
-    workflow : Workflow
-        The settings.
     stretch_points : int
         Points that a stretch holds on average [count].
     files : sequence of int
@@ -188,8 +174,6 @@ def needs(
         Memory limit of a worker: what does not fit is done in parts, where it can be [byte].
     boxes : sequence of Box
         Bounding boxes of its files: ground cells at its edge own what is left over there.
-    trajectory : iterable of Path
-        Trajectory files.
     """
     tile_q = quanta(workflow.tiling.tile_m)
     tiles = largest(piece.peak(tile_q, 0) for piece in pieces)
@@ -266,10 +250,6 @@ def refusal(kind: str, points: float, limit: int, needed: int | None = None) -> 
 
     Parameters
     ----------
-    kind : str
-        Kind of the task.
-    points : float
-        Points in its reach [count].
     limit : int
         Memory limit of a worker [byte].
     needed : int, optional

@@ -25,8 +25,6 @@ def sort_into_cells(
         Cell of each point, in ``[0, cells)``; ``cells`` below 2**31.
     z : (n,) int32
         Heights [quanta].
-    cells : int
-        Number of cells.
 
     Returns
     -------
@@ -99,8 +97,6 @@ def number_cells(
         South-west corner of the raster [quanta].
     size : float
         Edge of a cell, a whole number [quanta].
-    cols : int
-        Cells of a row.
     out : (n,) int64, written
     """
     for i in range(len(x)):
@@ -135,11 +131,6 @@ def flown_over(
         Set where there is a point.
     heights, cells : (n,) int32
         Filled from their start.
-
-    Returns
-    -------
-    int
-        Heights.
     """
     x, y, z = place
     kind, wanted = picked
@@ -209,11 +200,10 @@ def robust_cell_means(
 ) -> None:
     """Mean position of the returns of each cell without its outliers in height.
 
-    A return counts within 3 robust standard deviations (1.4826 times the lower median
-    absolute deviation) of the cell's median height, and always within ``floor``. Both
-    bounds are symmetric and the spread grows with slope, so on a tilted plane nothing is
-    cut on one side. Averaging x and y as well puts the mean on the plane wherever the
-    returns lie in the cell. Sums are integers: exact in any order.
+    A return counts within 3 robust standard deviations (1.4826 times the lower median absolute
+    deviation) of the cell's median height, and always within ``floor``. Both bounds are symmetric,
+    so nothing of a tilted plane is cut on one side; with means of x and y the mean lies on the
+    plane. Sums are integers: exact in any order.
 
     Parameters
     ----------

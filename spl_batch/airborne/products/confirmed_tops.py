@@ -1,24 +1,18 @@
 """Highest return of each raster cell that others confirm: noise must not stand out.
 
-Noise that the filter leaves hangs mostly a few metres above dense surfaces and crowns. A
-count in a sphere cannot tell it from a thin crown: it counts the dense surface. So only
-*peers* confirm a return (:mod:`spl_batch.airborne.filter.ellipsoid.spacing`): neighbours whose own
-spacing is not much smaller. The top of a crown has the twigs around it; noise above a roof has
-only other noise. Spheres of several radii are tried: a roof is confirmed within half a
-metre, whatever its tilt, a thin crown within two.
+Noise that the filter leaves hangs mostly a few metres above surfaces and crowns. A count in a
+sphere takes it for a thin crown. So only *peers* confirm a return
+(:mod:`spl_batch.airborne.filter.ellipsoid.spacing`): a crown's top has its twigs, noise above a
+roof only other noise. Spheres of several radii are tried: a roof is confirmed within half a metre,
+a thin crown within two. Neighbours are looked for cell by cell: few returns ask, and a cell or two
+is far.
 
-Few returns are asked about, and the farthest neighbour that counts is a cell or two away:
-neighbours are looked for cell by cell, from a return's own height in each up and down, and not in
-a tree.
+Ground returns need no confirmation and give none: noise just above sparse ground must not live on
+it.
 
-Ground returns need no confirmation and give none: noise just above sparse ground must not
-live on it.
-
-The tops of the cells around confirm, too: where nearly all of them stand far above a cell's own
-confirmed return, its highest return that is no higher than most of them counts
-(:func:`lift_pits`). At the rim of a crown twigs may be too sparse to be each other's peers.
-A cell with returns of which none is confirmed has no ground return either: something is in the
-way of the ground there, and two of the tops around are enough. One alone may be noise.
+Where nearly all tops around stand far above a cell's own confirmed return, its highest return that
+is no higher than most of them counts (:func:`lift_pits`): at the rim of a crown twigs are sparse.
+In a cell with returns of which none is confirmed, two of the tops around are enough.
 """
 
 from typing import NamedTuple
@@ -36,28 +30,16 @@ RIM_NEIGHBOURS = 2
 
 
 class Support(NamedTuple):
-    """What confirms a return: spheres, the smallest first.
+    """What confirms a return: spheres, the smallest first."""
 
-    Parameters
-    ----------
-    radius : (s,) int64
-        Radii [quanta].
-    needed : (k, s) int64
-        Peers that each must hold, the confirmed one itself not counted, by how much noise there
-        is around [count].
-    noise : (cells,) int64
-        Which row of these is that of a raster cell.
-    neighbours : int
-        Spacing is the distance to this neighbour, at most the largest radius [count].
-    peer_ratio : float
-        A peer's spacing is at least the return's divided by this.
-    """
-
-    radius: NDArray[np.int64]
+    radius: NDArray[np.int64]  #: (s,): radii [quanta].
+    #: (k, s): peers that each must hold, the confirmed one itself not counted, by how much noise
+    #: there is around [count].
     needed: NDArray[np.int64]
-    noise: NDArray[np.int64]
+    noise: NDArray[np.int64]  #: (cells,): which row of these is that of a raster cell.
+    #: Spacing is the distance to this neighbour, at most the largest radius [count].
     neighbours: int
-    peer_ratio: float
+    peer_ratio: float  #: A peer's spacing is at least the return's divided by this.
 
 
 def confirmed_tops(
@@ -81,8 +63,6 @@ def confirmed_tops(
         Where each cell begins.
     grid : (int, int)
         Cells of a row, and edge of a cell [quanta].
-    by : Support
-        What confirms a return.
     tops : (cells,) float64, written
         Heights [quanta]; NaN where no return is confirmed.
     """

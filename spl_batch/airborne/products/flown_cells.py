@@ -25,7 +25,7 @@ by 15 degrees is 3 m off there [m]."""
 def flown(
     table: PointTable, cell: Bounds, settings: ProductSettings, margin: int
 ) -> NDArray[np.bool_]:
-    """Raster cells that were flown, from the south.
+    """Raster cells that were flown, from the south: (rows, cols) bool.
 
     Parameters
     ----------
@@ -33,14 +33,8 @@ def flown(
         Points of the cell and around it, in any order, with ``x, y, z, ground``.
     cell : Bounds
         The ground cell [quanta].
-    settings : ProductSettings
-        Cell size, and the widest void.
     margin : int
         Raster cells around it of which all points are there; at least those of two voids [count].
-
-    Returns
-    -------
-    (rows, cols) bool
     """
     size = quanta(settings.cell_m)
     wide = grow(cell, margin * size)

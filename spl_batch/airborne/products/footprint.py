@@ -1,13 +1,10 @@
 """Area that the returns of a ground cell cover, whatever the raster cells are.
 
-Squares of a fixed absolute grid that hold a return count, and gaps between them no wider than
-twice ``products.void_max_m``: the rule of :mod:`~spl_batch.airborne.products.flown_cells`, which
-says where
-``density.tif`` has a value. A raster cell at the edge of a survey counts as a whole there, so
-that coarse cells would cover more than fine ones. Around sparse returns a rim of half their mean
-spacing counts too.
-
-Each square belongs to one ground cell, so that areas add up.
+Squares of a fixed absolute grid that hold a return count, and gaps between them as in
+:mod:`~spl_batch.airborne.products.flown_cells`, which says where ``density.tif`` has a value. There
+a raster cell at the edge of a survey counts as a whole, so coarse cells would cover more. Around
+sparse returns a rim of half their mean spacing counts too. Each square belongs to one ground cell,
+so that areas add up.
 """
 
 from collections.abc import Callable
@@ -57,8 +54,6 @@ def footprint(
         ``x, y, z, ground``.
     cell : Bounds
         The ground cell [quanta].
-    settings : ProductSettings
-        The widest void.
     within : callable, optional
         Takes the centres of squares; those that it refuses do not count.
 
@@ -92,8 +87,6 @@ def within_returns(
         Returns of the cell and of twice ``settings.void_max_m`` around it, in any order [quanta].
     cell : Bounds
         The ground cell [quanta].
-    settings : ProductSettings
-        The widest void.
 
     Returns
     -------

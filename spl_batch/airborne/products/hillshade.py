@@ -33,8 +33,6 @@ def shade(heights_m: NDArray[np.float32], cell_m: float) -> NDArray[np.float32]:
     ----------
     heights_m : (rows, cols) float32
         Terrain, row 0 northernmost; nodata :data:`~spl_batch.constants.NODATA` [m].
-    cell_m : float
-        Edge of a cell [m].
 
     Returns
     -------
@@ -64,12 +62,8 @@ def blocks(
 
     Parameters
     ----------
-    read : callable
-        Gives heights.
     shape : (int, int)
         Rows and columns.
-    cell_m : float
-        Edge of a cell [m].
 
     Yields
     ------

@@ -1,13 +1,10 @@
 """Returns that fill the air just above the ground everywhere, as fog does.
 
-Domain: space. Fog lies on the ground, is densest there and is everywhere; its returns have
-neighbours enough to pass any test of noise, and the top of it becomes the surface. Places of
-:data:`SQUARE_M` are looked at in steps of height. In a step a place is *filled* where much more
-returns than noise explains, evenly over its cells of 1 m. Bushes, trees and walls leave gaps, and
-roads, meadows and roofs have nothing there at all: that most places are filled is fog, or low
-vegetation without a gap. It is told, and nothing is taken away.
-
-Our own rule; the sources are silent on it.
+Domain: space. Fog has neighbours enough to pass any test of noise, and its top becomes the surface.
+A place of :data:`SQUARE_M` is *filled* in a step of height where much more returns than noise
+explains lie evenly over its cells of 1 m. Bushes, trees and walls leave gaps; roads and roofs have
+nothing there. Most places filled are fog, or low vegetation without a gap. It is told, and nothing
+is taken away. Our own rule; the sources are silent on it.
 """
 
 from typing import Final

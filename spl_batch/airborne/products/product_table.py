@@ -4,30 +4,16 @@ from typing import Final, NamedTuple
 
 
 class Product(NamedTuple):
-    """A raster.
+    """A raster."""
 
-    Parameters
-    ----------
-    name : str
-        Name of its array in the store, and of its file.
-    meaning : str
-        What it holds, as its band is called.
-    unit : str
-        Unit of its values, as GDAL's unit type; 1 where they have none: an empty one is read as
-        metres where the CRS has a vertical part.
-    delivered : bool
-        Whether it goes into the output; else it serves the report alone.
-    is_map : bool
-        Whether it is one of the maps of ``products.maps``.
-    colours : tuple of str
-        Of counts: colours of 0, 1 and so on, the last one for all above.
-    """
-
-    name: str
-    meaning: str
+    name: str  #: Name of its array in the store, and of its file.
+    meaning: str  #: What it holds, as its band is called.
+    #: Unit of its values, as GDAL's unit type; 1 where they have none: an empty one is read as
+    #: metres where the CRS has a vertical part.
     unit: str
-    delivered: bool = True
-    is_map: bool = False
+    delivered: bool = True  #: Whether it goes into the output; else it serves the report alone.
+    is_map: bool = False  #: Whether it is one of the maps of ``products.maps``.
+    #: Of counts: colours of 0, 1 and so on, the last one for all above.
     colours: tuple[str, ...] = ()
 
 
@@ -84,12 +70,7 @@ def products(*, reflectance: bool, maps: bool = False) -> tuple[Product, ...]:
 def is_piece(name: str, product: str) -> bool:
     """Whether a raster is a product's: its own, or ``_2`` and so on of a survey in pieces.
 
-    Parameters
-    ----------
-    name : str
-        Name of a raster, as ``dtm_2`` and ``dtm_quality_2``.
-    product : str
-        Name of a product.
+    ``name``: name of a raster, as ``dtm_2`` and ``dtm_quality_2``.
     """
     return name == product or (
         name.startswith(f"{product}_") and name.removeprefix(f"{product}_").isdigit()

@@ -22,8 +22,6 @@ def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool
 
     Parameters
     ----------
-    table : PointTable
-        ``x, y, z, flags, noise_class``.
     bare : Bare, optional
         Where signals are stray, if these are some of a cell's points only. None of them lie in
         water then, whose level asks for all of it.
@@ -51,12 +49,6 @@ def makes_surfaces(table: PointTable) -> PointTable:
 
 
 def known(table: PointTable) -> NDArray[np.bool_]:
-    """Points of the area that a unit has labelled or that have no beam: (n,) bool, each by itself.
-
-    Parameters
-    ----------
-    table : PointTable
-        ``flags, noise_class``.
-    """
+    """Points of the area that a unit has labelled or that have no beam: (n,) bool."""
     labelled: NDArray[np.bool_] = table["noise_class"] != NOISE_NOT_ASSESSED
     return (labelled | table.has(PointFlag.NO_BEAM)) & ~table.has(PointFlag.OUTSIDE_AOI)

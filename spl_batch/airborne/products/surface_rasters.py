@@ -101,8 +101,6 @@ def surfaces(
         :data:`COLUMNS_NEEDED`; points farther out are ignored.
     cell : Bounds
         The ground cell [quanta]; its edges are whole multiples of the raster cell.
-    settings : ProductSettings
-        Cell size and distances.
 
     Returns
     -------

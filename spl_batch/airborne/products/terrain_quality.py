@@ -45,8 +45,6 @@ def terrain_sigma(means: Grid, cell_m: float) -> Grid:
     ----------
     means : (rows, columns, 3) float64
         Place and height of the ground in each cell [m]; NaN without ground.
-    cell_m : float
-        Edge of a cell [m].
 
     Returns
     -------

@@ -31,18 +31,12 @@ MARGIN: Final = 2 * VOID_SPACINGS
 
 
 class Coverage(NamedTuple):
-    """Squares of a region that were flown, water excepted; counts of several regions add up.
+    """Squares of a region that were flown, water excepted; counts of several regions add up."""
 
-    Parameters
-    ----------
-    squares, filled : int
-        Squares of twice the spacing; those that hold a first return [count].
-    places, void : int
-        Squares of the spacing; those that lie in a data void [count].
-    """
-
+    #: Squares of twice the spacing; those that hold a first return [count].
     squares: int
     filled: int
+    #: Squares of the spacing; those that lie in a data void [count].
     places: int
     void: int
 

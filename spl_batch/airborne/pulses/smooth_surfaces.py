@@ -58,22 +58,13 @@ Sums = NDArray[np.int64]
 
 
 class Repeatability(NamedTuple):
-    """What the smooth places of a survey tell.
-
-    Parameters
-    ----------
-    rmsd_m : float
-        RMSDz [m].
-    places, cells : int
-        Smooth places, and their cells [count].
-    noise_m : float
-        Standard deviation about the planes of the smoothest quarter, at most [m].
-    """
+    """What the smooth places of a survey tell."""
 
     rmsd_m: float
+    #: Smooth places, and their cells [count].
     places: int
     cells: int
-    noise_m: float
+    noise_m: float  #: Standard deviation about the planes of the smoothest quarter, at most [m].
 
 
 def smooth_sums(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds) -> dict[str, Sums]:
@@ -185,10 +176,7 @@ def _planes(
 def repeatability(sums: NDArray[Any]) -> Repeatability | None:
     """What the smooth places tell; None where there are none.
 
-    Parameters
-    ----------
-    sums : (STEPS, 3) int64
-        Of all regions together.
+    ``sums``: (STEPS, 3) int64, of all regions together.
     """
     places = sums[:, 0].cumsum()
     if not places[-1]:

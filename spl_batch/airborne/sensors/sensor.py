@@ -102,10 +102,7 @@ def preset_names() -> list[str]:
 def load_preset(name: str) -> Sensor:
     """Sensor by preset name.
 
-    Parameters
-    ----------
-    name : str
-        One of :func:`preset_names`.
+    ``name``: one of :func:`preset_names`.
 
     Raises
     ------

@@ -33,10 +33,7 @@ def preset_scenes() -> list[str]:
 def preset_scene(name: str) -> "Scene":
     """Scene by preset name.
 
-    Parameters
-    ----------
-    name : str
-        One of :func:`preset_scenes`.
+    ``name``: one of :func:`preset_scenes`.
 
     Raises
     ------

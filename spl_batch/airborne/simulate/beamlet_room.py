@@ -11,32 +11,19 @@ from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 
 
 class Beamlets(NamedTuple):
-    """Room for the events of all beamlets of a shot.
+    """Room for the events of all beamlets of a shot."""
 
-    Parameters
-    ----------
-    axis : (c, 3) float64
-        Unit vectors.
-    ranges, facts : (c, m) float64 and (c, m, 3) int64
-        Events as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
-    held : (c,) int64
-        Number of events.
-    kept, electrons : (m,) int64
-        What one beamlet records.
-    layers : (k, 5) float64
-        Layers of one beam.
-    lit : (r, 2) float64
-        Reflectors that a shot lights.
-    """
-
-    axis: NDArray[np.float64]
+    axis: NDArray[np.float64]  #: (c, 3): unit vectors.
+    #: (c, m) float64 and (c, m, 3) int64: events as in
+    #: :func:`~spl_batch.airborne.simulate.detector.add_event`.
     ranges: NDArray[np.float64]
     facts: NDArray[np.int64]
-    held: NDArray[np.int64]
+    held: NDArray[np.int64]  #: (c,): number of events.
+    #: (m,): what one beamlet records.
     kept: NDArray[np.int64]
     electrons: NDArray[np.int64]
-    layers: NDArray[np.float64]
-    lit: NDArray[np.float64]
+    layers: NDArray[np.float64]  #: (k, 5): layers of one beam.
+    lit: NDArray[np.float64]  #: (r, 2): reflectors that a shot lights.
 
 
 def empty_beamlets(scene: SceneArrays, channels: int, room: int, reflectors: int) -> Beamlets:

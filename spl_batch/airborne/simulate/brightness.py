@@ -120,15 +120,6 @@ def solve_noise(scene: Scene, passes: list[Pass], pieces: list[list[Chunk]]) -> 
 
     A beamlet puts ``rate / cos(off-nadir)`` points into each metre of height; the sum over
     the beamlets that hit the extent, divided by its area, is the density at the ground.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    passes : list of Pass
-        Its flightlines.
-    pieces : list of list of Chunk
-        Their shots.
     """
     noise = physical_noise(scene)
     if scene.sky.background_per_m3 is None:
@@ -156,16 +147,7 @@ def tune_wires(
     over; the reflectance that solves it may exceed 1, which no wire does: it stands for a
     brighter laser.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    layout : Layout
-        Where its wires are.
-    optics : Optics
-        Instrument and air.
-    passes, pieces
-        Flightlines and their shots.
+    ``layout``: where its wires are.
     """
     wire = layout.arrays.wire.copy()
     area = scene.extent_m[0] * scene.extent_m[1]

@@ -75,19 +75,7 @@ INSIDE_M: Final = 5.0
 def deliver(
     scene: Scene, arrays: SceneArrays, layout: Layout, passes: list[Pass], out: Path
 ) -> Path:
-    """Write everything but the flightlines; the workflow's path.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    arrays, layout
-        What it became.
-    passes : list of Pass
-        Its flightlines.
-    out : Path
-        Folder of the survey.
-    """
+    """Write everything but the flightlines; the workflow's path."""
     _trajectory(scene, passes, out)
     _reference(scene, arrays, out)
     _checkpoints(scene, arrays, layout, out / "checkpoints.csv")
@@ -113,17 +101,7 @@ def deliver(
 
 
 def deliver_noise(scene: Scene, grid: NoiseGrid, out: Path) -> None:
-    """Write the expected background per cubic metre on the 10 m lattice.
-
-    Parameters
-    ----------
-    scene : Scene
-        Gives the origin.
-    grid : NoiseGrid
-        Expected background points of each voxel.
-    out : Path
-        Folder of the survey.
-    """
+    """Write the expected background per cubic metre on the 10 m lattice."""
     corner = np.rint((grid.corner + np.array([*scene.origin_m[:2], 0.0])) / grid.voxel_m).astype(
         np.int64
     )

@@ -23,36 +23,17 @@ EVENT_AFTERPULSE: Final = 6
 
 
 class Receiver(NamedTuple):
-    """How a channel detects; lengths are slant range.
-
-    Parameters
-    ----------
-    dead_m : float
-        Dead time as range [m].
-    afterpulse_probability : float
-        Afterpulses started per recorded detection.
-    afterpulse_scale_m : float
-        Scale of the exponential lag behind the dead time [m].
-    afterpulse_max_m : float
-        Longest lag behind the parent [m], > ``dead_m``.
-    tail_share : float
-        Part of the afterpulses whose lag follows the tail, 0..1.
-    tail_scale_m : float
-        Scale of the tail behind the dead time [m].
-    tail_power : float
-        The tail's density falls as (1 + lag / scale) ** -power, > 1; 0 for an exponential.
-    walk_m : float
-        How much nearer than one photo-electron very many are measured [m].
-    """
+    """How a channel detects; lengths are slant range."""
 
     dead_m: float
-    afterpulse_probability: float
-    afterpulse_scale_m: float
-    afterpulse_max_m: float
-    tail_share: float = 0.0
-    tail_scale_m: float = 1.0
+    afterpulse_probability: float  #: Afterpulses started per recorded detection.
+    afterpulse_scale_m: float  #: Scale of the exponential lag behind the dead time [m].
+    afterpulse_max_m: float  #: Longest lag behind the parent [m], > ``dead_m``.
+    tail_share: float = 0.0  #: Part of the afterpulses whose lag follows the tail, 0..1.
+    tail_scale_m: float = 1.0  #: Scale of the tail behind the dead time [m].
+    #: The tail's density falls as (1 + lag / scale) ** -power, > 1; 0 for an exponential.
     tail_power: float = 0.0
-    walk_m: float = 0.0
+    walk_m: float = 0.0  #: How much nearer than one photo-electron very many are measured [m].
 
 
 @njit()
@@ -119,15 +100,6 @@ def add_event(
         Ranges of the events so far, ascending [m].
     facts : (k, 3) int64
         Kind, kind of the surface behind an afterpulse, recorded number of its parent (-1).
-    n : int
-        Number of events so far.
-    at, kind, parent, source
-        The new event.
-
-    Returns
-    -------
-    int
-        Number of events afterwards.
     """
     if n >= len(ranges):
         raise ValueError("more photo-electrons in one beamlet than there is room for")
@@ -158,22 +130,11 @@ def record(
 
     Parameters
     ----------
-    rng : Generator
-        Source of chance.
     ranges, facts, n
         Events as in :func:`add_event`; afterpulses are added in place.
-    stop_m : float
-        End of the range gate [m].
-    receiver : Receiver
-        Dead time and afterpulses.
     kept, electrons : (k,) int64
         Filled with the index of each recorded event and its number of photo-electrons:
         itself and those that fell into its dead time.
-
-    Returns
-    -------
-    int
-        Number of recorded events.
     """
     count, blind_until = 0, -np.inf
     e = 0
@@ -210,21 +171,12 @@ def add_background(
 
     Parameters
     ----------
-    rng : Generator
-        Source of chance.
     ranges, facts
         Events as in :func:`add_event`, none so far.
-    start_m, stop_m : float
-        Range gate [m].
     per_m : float
         Expected background per metre of range [1/m].
     fall : float
         Rate at the start less that at the end, over their sum, -1..1; linear between.
-
-    Returns
-    -------
-    int
-        Number of events.
     """
     n = 0
     if fall != 0.0:

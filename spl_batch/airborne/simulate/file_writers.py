@@ -41,14 +41,10 @@ def las_header(
 
     Parameters
     ----------
-    crs : str
-        CRS of the coordinates.
     origin_m : (3,) float
         Near the points; offsets are whole metres at it.
     time_s : float
         Adjusted standard time that gives the creation date [s].
-    scale_m : float
-        Unit of the coordinates [m].
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales = np.full(3, scale_m)
@@ -123,10 +119,6 @@ class PointFiles:
     ----------
     scene : Scene
         Says how they are handed over.
-    out : Path
-        Folder of the survey.
-    stack : ExitStack
-        Closes them.
     """
 
     def __init__(self, scene: Scene, out: Path, stack: ExitStack) -> None:
@@ -136,14 +128,7 @@ class PointFiles:
     def write(self, run: Pass, columns: Columns, truth: Columns) -> None:
         """Add returns of a flightline.
 
-        Parameters
-        ----------
-        run : Pass
-            The flightline.
-        columns : dict
-            LAS dimensions by name; x, y, z as coordinates [m].
-        truth : dict
-            As :meth:`PointsWriter.write` takes it.
+        ``columns``: LAS dimensions by name; x, y, z as coordinates [m].
         """
         columns = self._handed_over(run, columns)
         for name, rows in self._files(run, columns):
@@ -279,10 +264,6 @@ def raster_rows(
         Where to write.
     shape : (int, int)
         Rows and columns.
-    west_m, north_m : float
-        Corner [m].
-    crs : str
-        CRS of the corner.
 
     Yields
     ------

@@ -26,26 +26,14 @@ def _wave(time_s: NDArray[np.float64], period_s: float, phase: float) -> NDArray
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """One flightline as functions of time.
+    """One flightline as functions of time."""
 
-    Parameters
-    ----------
-    number : int
-        From 1; the ``point_source_id``.
-    middle_s : float
-        When the aircraft is abeam the scene's centre, adjusted standard time [s].
-    half_s : float
-        Half the time during which a shot can meet the scene [s].
-    phases : (6,) float64
-        Of the swings of attitude, height and sky [rad].
-    """
-
-    number: int
+    number: int  #: From 1; the ``point_source_id``.
     flight: Flight
     scene: Scene
-    middle_s: float
-    half_s: float
-    phases: NDArray[np.float64]
+    middle_s: float  #: When the aircraft is abeam the scene's centre, adjusted standard time [s].
+    half_s: float  #: Half the time during which a shot can meet the scene [s].
+    phases: NDArray[np.float64]  #: (6,): of the swings of attitude, height and sky [rad].
 
     def position(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sensor position relative to the scene's origin, height absolute: (n, 3) [m]."""
@@ -97,34 +85,17 @@ class Pass:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Shots of one pass that meet the scene, within one piece of time.
+    """Shots of one pass that meet the scene, within one piece of time."""
 
-    Parameters
-    ----------
-    index : int
-        Which piece; with the pass it keys the random numbers.
-    shot : (n,) int64
-        Shot numbers since the pass's start second.
-    ground_range_m : (n,) float64
-        Slant range to the ground along the array's centre [m].
-    inside : (n,) bool
-        Whether the centre hits the extent itself.
-    """
-
-    index: int
-    shot: NDArray[np.int64]
+    index: int  #: Which piece; with the pass it keys the random numbers.
+    shot: NDArray[np.int64]  #: (n,): shot numbers since the pass's start second.
+    #: (n,): slant range to the ground along the array's centre [m].
     ground_range_m: NDArray[np.float64]
-    inside: NDArray[np.bool_]
+    inside: NDArray[np.bool_]  #: (n,): whether the centre hits the extent itself.
 
 
 def make_passes(scene: Scene) -> list[Pass]:
-    """Flightlines of a scene, one after the other.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    """
+    """Flightlines of a scene, one after the other."""
     sensor, passes = scene.instrument, []
     diagonal = math.hypot(*scene.extent_m) / 2 + scene.acquisition.margin_m
     for k, flight in enumerate(scene.flights):
@@ -151,15 +122,7 @@ def array_reach_m(scene: Scene, flight: Flight) -> float:
 
 
 def chunks(run: Pass, arrays: SceneArrays) -> Iterator[Chunk]:
-    """Shots whose footprint meets the scene, in pieces of :data:`CHUNK_S`.
-
-    Parameters
-    ----------
-    run : Pass
-        The flightline.
-    arrays : SceneArrays
-        Its ground decides.
-    """
+    """Shots whose footprint meets the scene, in pieces of :data:`CHUNK_S`."""
     prf = run.scene.acquisition.prf_hz
     reach = array_reach_m(run.scene, run.flight) + run.scene.acquisition.margin_m
     total = math.ceil((2 * run.half_s + 2) / CHUNK_S)
@@ -181,12 +144,8 @@ def ground_points(
 
     Parameters
     ----------
-    run : Pass
-        The flightline.
     shot : (n,) int64
         Shot numbers.
-    arrays : SceneArrays
-        The ground.
 
     Returns
     -------
@@ -213,11 +172,6 @@ def ground_points(
 
 def gate_centres(pieces: list[Chunk]) -> dict[int, float]:
     """Mean ground range of every second, which the gate is set to.
-
-    Parameters
-    ----------
-    pieces : list of Chunk
-        All shots of a pass.
 
     Returns
     -------

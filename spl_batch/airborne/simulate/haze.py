@@ -34,25 +34,15 @@ FOG_DEPTH: Final = 8.0
 
 
 class Air(NamedTuple):
-    """Layers and fog, as numbers for the kernels.
+    """Layers and fog, as numbers for the kernels."""
 
-    Parameters
-    ----------
-    layers : (k, 7) float64
-        Base, top and width of the edge as heights [m]; rate at full strength [1/m]; threshold of
-        the patches; wind east and north [m/s].
-    waves : (k, WAVES, 3) float64
-        Wave numbers east and north [rad/m] and phases [rad].
-    fog : (f, 2) float64
-        Rate at the ground [1/m] and scale height [m].
-    gate_fall : float
-        Background at the start of the gate less that at its end, over their sum.
-    """
-
+    #: (k, 7): base, top and width of the edge as heights [m]; rate at full strength [1/m];
+    #: threshold of the patches; wind east and north [m/s].
     layers: NDArray[np.float64]
+    #: (k, WAVES, 3): wave numbers east and north [rad/m] and phases [rad].
     waves: NDArray[np.float64]
-    fog: NDArray[np.float64]
-    gate_fall: float
+    fog: NDArray[np.float64]  #: (f, 2): rate at the ground [1/m] and scale height [m].
+    gate_fall: float  #: Background at the start of the gate less that at its end, over their sum.
 
 
 @njit()
@@ -67,8 +57,6 @@ def patch_strength(layer: Any, waves: Any, x: float, y: float, time_s: float) ->
         Its waves.
     x, y : float
         Place relative to the scene's origin [m].
-    time_s : float
-        Time since the scene's take-off [s].
     """
     if layer[4] == -np.inf:
         return 1.0
@@ -98,12 +86,6 @@ def add_air(
     ----------
     rng : Generator
         Source of chance; not consumed where there is no layer and no fog.
-    scene : SceneArrays
-        Its ground carries the fog.
-    air : Air
-        Layers and fog.
-    gain : float
-        Of the channel.
     time_s : float
         Of the shot, since the scene's take-off [s].
     ray : tuple of (3,) float64
@@ -112,11 +94,6 @@ def add_air(
         Start of the gate, and the hard surface or the gate's end [m].
     ranges, facts, n
         Events so far, as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
-
-    Returns
-    -------
-    int
-        Number of events.
     """
     origin, axis = ray
     for k in range(len(air.layers)):

@@ -38,16 +38,8 @@ def linear_returns(
 
     Parameters
     ----------
-    rng : Generator
-        Source of chance.
-    scene : SceneArrays
-        The scene.
     xy : (n, 2) float64
         Places of the pulses [m].
-    above_m : float
-        Height to look from, above everything [m].
-    spot_m : float
-        Spread of the footprint [m].
     layers : (k, 5) float64
         Room for :func:`~spl_batch.airborne.simulate.scene.beam_layers.look`.
     z : (n, 2) float64
@@ -93,8 +85,6 @@ def surface_heights(
 
     Parameters
     ----------
-    scene : SceneArrays
-        The scene.
     x, y : (n,) float64
         Places [m].
     ground, surface : (n,) float64

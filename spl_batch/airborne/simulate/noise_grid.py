@@ -17,19 +17,10 @@ LAYER_SAMPLES: Final = 4
 
 
 class NoiseGrid(NamedTuple):
-    """Voxels that collect the expected background.
+    """Voxels that collect the expected background."""
 
-    Parameters
-    ----------
-    amount : (nx, ny, nz) float64
-        Expected background points [count].
-    corner : (3,) float64
-        Lower corner, relative to the scene's origin [m]; z is a height.
-    voxel_m : float
-        Edge [m].
-    """
-
-    amount: NDArray[np.float64]
+    amount: NDArray[np.float64]  #: (nx, ny, nz): expected background points [count].
+    #: (3,): lower corner, relative to the scene's origin [m]; z is a height.
     corner: NDArray[np.float64]
     voxel_m: float
 
@@ -70,8 +61,6 @@ def deposit_air(
         Expected points [count], added to.
     corner : (3,) float64
         Lower corner of the voxels [m].
-    voxel_m : float
-        Their edge [m].
     """
     origin, axis = ray
     nx, ny, nz = amount.shape

@@ -30,89 +30,45 @@ from spl_batch.numerics.compiled import njit
 
 
 class Optics(NamedTuple):
-    """Instrument and air, as numbers.
+    """Instrument and air, as numbers."""
 
-    Parameters
-    ----------
-    pixel_x, pixel_y : (c,) float64
-        Angular place of each beamlet [rad], turned by alpha_R.
-    gain : (c,) float64
-        Sensitivity of each channel relative to the mean; 0 is dead.
-    half_cone_rad : float
-        Half cone angle [rad].
-    sigma_rad : float
-        Spread of a beamlet about its axis, one direction [rad].
-    range_sigma_m : float
-        Ranging spread [m].
-    signal_m2 : float
-        Instrument constant of Eq. 2.1 [m2].
-    extinction_per_m : float
-        Atmospheric extinction [1/m].
-    """
-
+    #: (c,): angular place of each beamlet [rad], turned by alpha_R.
     pixel_x: NDArray[np.float64]
     pixel_y: NDArray[np.float64]
-    gain: NDArray[np.float64]
+    gain: NDArray[np.float64]  #: (c,): sensitivity of each channel relative to the mean; 0 is dead.
     half_cone_rad: float
-    sigma_rad: float
+    sigma_rad: float  #: Spread of a beamlet about its axis, one direction [rad].
     range_sigma_m: float
-    signal_m2: float
-    extinction_per_m: float
+    signal_m2: float  #: Instrument constant of Eq. 2.1 [m2].
+    extinction_per_m: float  #: Atmospheric extinction [1/m].
 
 
 class Shots(NamedTuple):
-    """Shots in time order; positions relative to the scene's origin.
+    """Shots in time order; positions relative to the scene's origin."""
 
-    Parameters
-    ----------
-    origin : (n, 3) float64
-        Sensor position [m].
-    turn : (n, 3, 3) float64
-        Body frame to local frame.
-    angle : (n,) float64
-        Scan angle [rad].
-    gate_start, gate_stop : (n,) float64
-        Range gate [m].
-    noise_per_m : (n,) float64
-        Background of a channel of gain 1 [1/m].
-    time_s : (n,) float64
-        Since the scene's take-off [s].
-    """
-
-    origin: NDArray[np.float64]
-    turn: NDArray[np.float64]
-    angle: NDArray[np.float64]
+    origin: NDArray[np.float64]  #: (n, 3): sensor position [m].
+    turn: NDArray[np.float64]  #: (n, 3, 3): body frame to local frame.
+    angle: NDArray[np.float64]  #: (n,): scan angle [rad].
+    #: (n,): range gate [m].
     gate_start: NDArray[np.float64]
     gate_stop: NDArray[np.float64]
-    noise_per_m: NDArray[np.float64]
-    time_s: NDArray[np.float64]
+    noise_per_m: NDArray[np.float64]  #: (n,): background of a channel of gain 1 [1/m].
+    time_s: NDArray[np.float64]  #: (n,): since the scene's take-off [s].
 
 
 class Points(NamedTuple):
-    """Buffers for recorded returns; one row each, in shot, channel and range order.
+    """Buffers for recorded returns; one row each, in shot, channel and range order."""
 
-    Parameters
-    ----------
-    shot : (k,) int64
-        Row of the shot.
-    xyz : (k, 3) float64
-        Place along the beamlet's axis at the measured range [m].
-    channel, return_number, returns, kind, parent : (k,) uint8
-        Channel from 1, LAS return numbers, truth.
-    electrons : (k,) int64
-        Photo-electrons merged into the detection.
-    parent_row : (k,) int64
-        Row of an afterpulse's parent in these buffers; -1 for the rest.
-    """
-
-    shot: NDArray[np.int64]
-    xyz: NDArray[np.float64]
+    shot: NDArray[np.int64]  #: (k,): row of the shot.
+    xyz: NDArray[np.float64]  #: (k, 3): place along the beamlet's axis at the measured range [m].
+    #: (k,): channel from 1, LAS return numbers, truth.
     channel: NDArray[np.uint8]
     return_number: NDArray[np.uint8]
     returns: NDArray[np.uint8]
     kind: NDArray[np.uint8]
     parent: NDArray[np.uint8]
-    electrons: NDArray[np.int64]
+    electrons: NDArray[np.int64]  #: (k,): photo-electrons merged into the detection.
+    #: (k,): row of an afterpulse's parent in these buffers; -1 for the rest.
     parent_row: NDArray[np.int64]
 
 
@@ -173,14 +129,6 @@ def add_signal(
 
     Parameters
     ----------
-    rng : Generator
-        Source of chance.
-    scene : SceneArrays
-        The scene.
-    optics : Optics
-        Instrument and air.
-    gain : float
-        Of the channel.
     ray : tuple of (3,) float64
         Origin [m], axis of the beamlet, room for the photons' direction.
     layers : (k, 5) float64
@@ -277,14 +225,8 @@ def fire(
     ----------
     rng : Generator
         Source of chance; consumed in the order of shots and channels.
-    scene, optics, receiver, air, stray, shots
-        What is flown over what.
     first : int
         Row of the first shot to fire.
-    room : Beamlets
-        Room for one shot.
-    grid : NoiseGrid
-        Collects the expected background.
     out : Points
         Buffers; must hold ``channels * m`` rows at least.
 

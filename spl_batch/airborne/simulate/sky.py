@@ -14,12 +14,7 @@ from spl_batch.airborne.simulate.stray_light import StrayLight
 def make_air(scene: Scene, noise_per_m: float) -> Air:
     """Air of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    noise_per_m : float
-        Mean background of a channel of gain 1, which strengths are relative to [1/m].
+    ``noise_per_m``: mean background of a channel of gain 1, which strengths are relative to [1/m].
     """
     ground, sky = scene.origin_m[2], scene.sky
     layers, waves = np.empty((len(sky.haze), 7)), np.empty((len(sky.haze), WAVES, 3))
@@ -42,12 +37,7 @@ def make_air(scene: Scene, noise_per_m: float) -> Air:
 def make_stray_light(scene: Scene, arrays: SceneArrays) -> StrayLight:
     """Reflectors and crosstalk of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    arrays : SceneArrays
-        Its ground is what reflectors stand on.
+    ``arrays``: its ground is what reflectors stand on.
     """
     sensor = scene.instrument
     reflectors = [

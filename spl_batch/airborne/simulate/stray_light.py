@@ -18,24 +18,14 @@ from spl_batch.numerics.compiled import njit
 
 
 class StrayLight(NamedTuple):
-    """What sends light astray, as numbers for the kernels.
+    """What sends light astray, as numbers for the kernels."""
 
-    Parameters
-    ----------
-    reflectors : (k, 4) float64
-        Place relative to the scene's origin, height absolute [m]; photo-electrons per channel.
-    half_array_rad : float
-        Half the edge of the array [rad].
-    crosstalk : float
-        Chance that a photo-electron sets off one given channel beside its own.
-    columns : int
-        Channels along one side of the array.
-    """
-
+    #: (k, 4): place relative to the scene's origin, height absolute [m]; photo-electrons per
+    #: channel.
     reflectors: NDArray[np.float64]
-    half_array_rad: float
-    crosstalk: float
-    columns: int
+    half_array_rad: float  #: Half the edge of the array [rad].
+    crosstalk: float  #: Chance that a photo-electron sets off one given channel beside its own.
+    columns: int  #: Channels along one side of the array.
 
 
 @njit()
@@ -44,17 +34,10 @@ def lit_reflectors(stray: StrayLight, origin: Any, centre: Any, lit: NDArray[np.
 
     Parameters
     ----------
-    stray : StrayLight
-        The reflectors.
     origin, centre : (3,) float64
         Sensor position [m], unit vector of the array's centre.
     lit : (k, 2) float64
         Filled: range [m], photo-electrons per channel.
-
-    Returns
-    -------
-    int
-        How many there are.
     """
     radius, n = stray.half_array_rad * 2.0 / math.sqrt(math.pi), 0
     for r in range(len(stray.reflectors)):
@@ -82,17 +65,8 @@ def add_bloom(
         Source of chance; not consumed where nothing is lit.
     lit, count
         From :func:`lit_reflectors`.
-    gain : float
-        Of the channel.
-    sigma_m : float
-        Ranging spread [m].
     ranges, facts, n
         Events so far, as in :func:`~spl_batch.airborne.simulate.detector.add_event`.
-
-    Returns
-    -------
-    int
-        Number of events.
     """
     for k in range(count):
         for _ in range(poisson_count(rng, gain * lit[k, 1])):
@@ -112,10 +86,6 @@ def set_off_neighbours(
 
     Parameters
     ----------
-    rng : Generator
-        Source of chance.
-    stray : StrayLight
-        Chance and array.
     gains : (c,) float64
         Of the channels; those of 0 are dead.
     ranges : (c, m) float64

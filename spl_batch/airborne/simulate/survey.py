@@ -71,29 +71,13 @@ KINDS = (
 
 @dataclass(frozen=True, slots=True)
 class SimulationSummary:
-    """What was written.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the survey.
-    workflow : Path
-        Workflow file, ready to run.
-    points : int
-        Returns of all flightlines.
-    lines : tuple of int
-        Returns of each flightline.
-    kinds : dict of str to int
-        Returns by what gave them.
-    wall_s : float
-        Time that it took [s].
-    """
+    """What was written."""
 
     out: Path
-    workflow: Path
+    workflow: Path  #: Workflow file, ready to run.
     points: int
-    lines: tuple[int, ...]
-    kinds: dict[str, int]
+    lines: tuple[int, ...]  #: Returns of each flightline.
+    kinds: dict[str, int]  #: Returns by what gave them.
     wall_s: float
 
     @property
@@ -139,16 +123,10 @@ def simulate(
 
     Parameters
     ----------
-    scene : Scene
-        What to fly over, and how.
     out : Path
         Folder to write into; files of the same names are replaced.
     progress : callable, optional
         Called with the share that is done, 0 to 1.
-
-    Returns
-    -------
-    SimulationSummary
 
     References
     ----------

@@ -26,8 +26,6 @@ def top_reflectance(scene: SceneArrays, x: float, y: float) -> float:
 
     Parameters
     ----------
-    scene : SceneArrays
-        The scene.
     x, y : float
         Place [m].
     """
@@ -74,12 +72,8 @@ def mean_reflectance(
 
     Parameters
     ----------
-    scene : SceneArrays
-        The scene.
     west, north : float
         Upper left corner of the raster [m].
-    cell_m : float
-        Edge of a cell [m].
     samples : int
         Places along one side of a cell.
     out : (rows, cols) float64

@@ -21,10 +21,6 @@ def pixel_offsets(
 
     Parameters
     ----------
-    columns : int
-        Beamlets along one side.
-    pitch_rad : float
-        Angle between neighbours [rad].
     rotation_rad : float
         Turn of the array against the scan direction, alpha_R [rad].
 
@@ -42,18 +38,9 @@ def pixel_offsets(
 
 
 def central_vectors(angle: NDArray[np.float64], half_cone_rad: float) -> NDArray[np.float64]:
-    """Unit vectors of the array's centre in the body frame [W17 Eq. 2.13].
+    """Unit vectors of the array's centre in the body frame [W17 Eq. 2.13]: (n, 3) float64.
 
-    Parameters
-    ----------
-    angle : (n,) float64
-        Scan angle [rad].
-    half_cone_rad : float
-        Half cone angle [rad].
-
-    Returns
-    -------
-    (n, 3) float64
+    ``angle``: (n,) float64, scan angle [rad].
     """
     s = np.sin(half_cone_rad)
     z = np.full(len(angle), -np.cos(half_cone_rad))

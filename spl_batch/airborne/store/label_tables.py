@@ -49,21 +49,12 @@ OPEN_FILES: Final = 8
 
 
 class Origin(NamedTuple):
-    """Where on disk the n points of a region lie.
+    """Where on disk the n points of a region lie."""
 
-    Parameters
-    ----------
-    tiles : (t, 2) int32
-        Column and row of each tile.
-    owner : (n,) uint16 or uint32
-        Which of them holds each point.
-    row : (n,) uint32
-        Row of each point in its tile's file.
-    """
-
-    tiles: NDArray[np.int32]
+    tiles: NDArray[np.int32]  #: (t, 2): column and row of each tile.
+    #: (n,) uint16 or uint32: which of them holds each point.
     owner: NDArray[np.unsignedinteger[Any]]
-    row: NDArray[np.uint32]
+    row: NDArray[np.uint32]  #: (n,): row of each point in its tile's file.
 
     def of(self, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
         """Tile (m, 2) and row (m,) of some points, given as (n,) bool."""
@@ -80,8 +71,6 @@ def write_labels(
 
     Parameters
     ----------
-    path : Path
-        Final name.
     tiles : (n, 2) int32
         Column and row of each point's tile.
     rows : (n,) uint32
@@ -142,13 +131,7 @@ class _LabelFile:
 
 
 class LabelFiles:
-    """Files of labels that are read tile by tile, a few of them open; a context manager.
-
-    Parameters
-    ----------
-    store : Store
-        The working store.
-    """
+    """Files of labels that are read tile by tile, a few of them open; a context manager."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -173,10 +156,6 @@ class LabelFiles:
         ----------
         unit : (str, str)
             Its kind and name.
-        tile : CellId
-            The tile.
-        names : sequence of str
-            Labels to read.
         rows : (int, int)
             First and last row of the tile that are wanted; row groups are read whole.
 
@@ -184,11 +163,6 @@ class LabelFiles:
         -------
         dict of str to (m,) ndarray
             The labels, and ``row``: which rows of the tile they belong to, increasing.
-
-        Raises
-        ------
-        DamagedError
-            If the file is missing or damaged.
         """
         if unit not in self._open:
             if len(self._open) >= OPEN_FILES:
@@ -211,12 +185,6 @@ def read_labelled_tile(
 
     Parameters
     ----------
-    store : Store
-        The working store.
-    tile : CellId
-        The tile.
-    columns : sequence of str
-        Point columns to read.
     labels : mapping of str to sequence of (str, str)
         Label -> kind and name of the units that may hold it for this tile.
     files : LabelFiles, optional
@@ -275,12 +243,8 @@ def read_region(
 
     Parameters
     ----------
-    store : Store
-        The working store.
     tiles : sequence of CellId
         Tiles that overlap the region and hold points.
-    bounds : Bounds
-        The region.
     columns : sequence of str
         Point columns to read; ``x`` and ``y`` at least.
     labels : mapping

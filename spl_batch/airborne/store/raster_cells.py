@@ -38,8 +38,6 @@ def create_raster_store(
 
     Parameters
     ----------
-    path : Path
-        The Zarr group.
     names : sequence of str
         One float32 array each.
     ground_cell, raster_cell : int
@@ -93,8 +91,6 @@ def write_cell(path: Path, cell: CellId, arrays: Mapping[str, NDArray[np.float32
     ------
     StoreError
         If there is no such raster or it is not made of whole squares.
-    StoppedError
-        If the disk is full.
     """
     written = []
     for name, values in arrays.items():
@@ -123,8 +119,6 @@ def read_window(path: Path, name: str, bounds: Bounds) -> NDArray[np.float32]:
     ----------
     path : Path
         Store from :func:`create_raster_store`.
-    name : str
-        Raster.
     bounds : Bounds
         Region [quanta]; its edges are whole multiples of the raster cell.
 
@@ -158,8 +152,6 @@ def stored_blocks(
     ----------
     path : Path
         Store from :func:`create_raster_store`.
-    name : str
-        Raster.
     bounds : Bounds
         Region of the mosaic [quanta]; cells beyond it are cut.
     cells : iterable of CellId

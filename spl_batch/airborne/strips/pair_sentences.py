@@ -14,13 +14,7 @@ TOLD: Final = 3
 
 
 def offset_warnings(pairs: Sequence[PairDifference]) -> Iterator[str]:
-    """Sentences on pairs whose flightlines differ by more than a single range does.
-
-    Parameters
-    ----------
-    pairs : sequence of PairDifference
-        All pairs.
-    """
+    """Sentences on pairs whose flightlines differ by more than a single range does."""
     off = [(away, pair) for pair in pairs if (away := _away(pair)) > 0]
     off.sort(key=lambda found: (-found[0], found[1].first, found[1].second))
     for _, pair in off[:TOLD]:
@@ -41,10 +35,7 @@ def offset_warnings(pairs: Sequence[PairDifference]) -> Iterator[str]:
 def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
     """A sentence where a ground cell holds more passes than are compared.
 
-    Parameters
-    ----------
-    left_out : mapping of str to int
-        Passes that are not compared, of each ground cell [count].
+    ``left_out``: passes that are not compared, of each ground cell [count].
     """
     cells = {cell: count for cell, count in left_out.items() if count}
     if cells:

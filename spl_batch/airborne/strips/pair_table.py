@@ -59,74 +59,42 @@ QUARTER: Final = 0.25
 
 
 class Strip(NamedTuple):
-    """A flightline.
-
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    psid : int
-        Its point source id.
-    first_s, last_s : float
-        Times of its first and last return [s].
-    """
+    """A flightline."""
 
     name: str
     psid: int
+    #: Times of its first and last return [s].
     first_s: float
     last_s: float
 
 
 class PairDifference(NamedTuple):
-    """How far the second of two flightlines lies from the first.
-
-    Parameters
-    ----------
-    first, second : str
-        The flightlines.
-    patches : int
-        Planar patches of both [count].
-    area_m2 : float
-        Their area [m2].
-    x_m, y_m : float
-        Where they lie, on average [m].
-    up_m, up_sd_m : float
-        Vertical difference, and its standard deviation [m].
-    east_m, north_m, horizontal_sd_m : float or None
-        Horizontal difference, and its standard deviation in the worst direction; None where no
-        slopes tell them [m].
-    flat_patches : int
-        Smooth patches of up to 10 degrees [count].
-    rmsd_z_m : float or None
-        Root mean square of their vertical differences [m].
-    noise_m : float
-        Standard deviation of ranges: that about the smoothest patches [m].
-    squares : int
-        Squares of :data:`NEIGHBOURS_M` that hold the patches [count].
-    largest_m, largest_sd_m : float or None
-        Largest vertical difference of a smooth patch of up to 10 degrees, without its sign, and its
-        standard deviation [m].
-    largest_x_m, largest_y_m : float or None
-        Where that patch lies [m].
-    """
+    """How far the second of two flightlines lies from the first."""
 
     first: str
     second: str
     patches: int
     area_m2: float
+    #: Where they lie, on average [m].
     x_m: float
     y_m: float
+    #: Vertical difference, and its standard deviation [m].
     up_m: float
     up_sd_m: float
+    #: Horizontal difference, and its standard deviation in the worst direction; None where no
+    #: slopes tell them [m].
     east_m: float | None
     north_m: float | None
     horizontal_sd_m: float | None
-    flat_patches: int
-    rmsd_z_m: float | None
-    noise_m: float
-    squares: int
+    flat_patches: int  #: Smooth patches of up to 10 degrees [count].
+    rmsd_z_m: float | None  #: Root mean square of their vertical differences [m].
+    noise_m: float  #: Standard deviation of ranges: that about the smoothest patches [m].
+    squares: int  #: Squares of :data:`NEIGHBOURS_M` that hold the patches [count].
+    #: Largest vertical difference of a smooth patch of up to 10 degrees, without its sign, and its
+    #: standard deviation [m].
     largest_m: float | None
     largest_sd_m: float | None
+    #: Where that patch lies [m].
     largest_x_m: float | None
     largest_y_m: float | None
 
@@ -169,11 +137,6 @@ def pair_table(cells: Iterable[tuple[Sequence[str], Patches]]) -> list[PairDiffe
     ----------
     cells : iterable of (sequence of str, dict of str to ndarray)
         Of each ground cell the names of its passes, and its patches.
-
-    Returns
-    -------
-    list of PairDifference
-        By names.
     """
     parts: dict[tuple[str, str], list[Patches]] = {}
     for names, patches in cells:

@@ -70,21 +70,12 @@ Patches = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """Which points of a region were flown over in one go.
+    """Which points of a region were flown over in one go."""
 
-    Parameters
-    ----------
-    psid : (s,) int64
-        Point source id of each pass.
-    time_s : (s,) float64
-        Second in which it begins there; NaN where its points have no time.
-    of_point : (n,) int32
-        Pass of each point.
-    """
-
-    psid: NDArray[np.int64]
+    psid: NDArray[np.int64]  #: (s,): point source id of each pass.
+    #: (s,): second in which it begins there; NaN where its points have no time.
     time_s: NDArray[np.float64]
-    of_point: NDArray[np.int32]
+    of_point: NDArray[np.int32]  #: (n,): pass of each point.
 
     @property
     def returns(self) -> NDArray[np.int64]:
@@ -136,8 +127,6 @@ def find_patches(table: PointTable, passes: Passes, core: Bounds) -> Patches:
     ----------
     table : PointTable
         Signal returns with ``x, y, z`` of :func:`region`.
-    passes : Passes
-        Theirs.
     core : Bounds
         What the cell owns: patches in squares that begin in it [quanta].
 

@@ -101,35 +101,16 @@ def _as_tallies(arrays: Mapping[str, NDArray[Any]]) -> Tallies:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What the reference says.
-
-    Parameters
-    ----------
-    statistics : mapping
-        As ``report.json`` holds them.
-    differences_m : (n,) float32
-        Every so many-th DTM minus reference by size [m].
-    difference : Raster
-        Mean difference by cell [m].
-    points : int
-        Reference points read [count].
-    """
+    """What the reference says."""
 
     statistics: dict[str, Any]
-    differences_m: NDArray[np.float32]
-    difference: Raster
+    differences_m: NDArray[np.float32]  #: (n,): every so many-th DTM minus reference by size [m].
+    difference: Raster  #: Mean difference by cell [m].
     points: int
 
 
 def compared(done: Receipts, context: Context) -> Comparison | None:
     """What all squares say together; None where nothing was compared.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
 
     Raises
     ------
@@ -160,17 +141,7 @@ def compared(done: Receipts, context: Context) -> Comparison | None:
 
 
 def not_compared(done: Receipts, context: Context, facts: RunFacts) -> Iterator[str]:
-    """One sentence where a comparison is missing that did not fail: nobody has asked for it yet.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
-    facts : RunFacts
-        What the receipts do not say.
-    """
+    """One sentence where a comparison is missing that did not fail: nobody has asked for it yet."""
     settings = context.workflow.reference
     if settings is None or settings.points is None:
         return

@@ -43,8 +43,6 @@ def flown_squares(table: PointTable, core: Bounds, context: Context) -> NDArray[
         Points of the cell and around it that its rasters are made of.
     core : Bounds
         The cell [quanta].
-    context : Context
-        The run.
     """
     aoi = context.workflow.aoi
     within = (
@@ -64,8 +62,6 @@ def covered(
         Its squares that returns cover, of :func:`flown_squares`.
     arrays : mapping of str to (rows, cols) float32
         Its rasters; ``dtm``, ``dtm_quality`` and ``density`` are looked at.
-    context : Context
-        The run.
     """
     products = context.workflow.products
     flown = arrays["density"] != NODATA

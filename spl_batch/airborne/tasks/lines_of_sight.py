@@ -36,8 +36,6 @@ def beams(table: PointTable, store: Store, args: Mapping[str, Any]) -> BeamTable
     ----------
     table : PointTable
         At least one point of a stretch.
-    store : Store
-        Holds the positions.
     args : mapping
         ``line``, ``trajectory``, ``sensor_path`` and ``heading_rad`` of the task.
     """

@@ -50,24 +50,12 @@ COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
 
 
 class PulseReturns(NamedTuple):
-    """First and last returns of pulses.
+    """First and last returns of pulses."""
 
-    Parameters
-    ----------
-    first : (n, 3) int64
-        Where the first ones are [quanta].
-    last : (n, 2) int64
-        Where the last ones are [quanta].
-    time_s : (n,) float64
-        Times of the first ones [s].
-    point_source_id : (n,) uint16
-        Theirs.
-    """
-
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    point_source_id: NDArray[np.uint16]
+    first: NDArray[np.int64]  #: (n, 3): where the first ones are [quanta].
+    last: NDArray[np.int64]  #: (n, 2): where the last ones are [quanta].
+    time_s: NDArray[np.float64]  #: (n,): times of the first ones [s].
+    point_source_id: NDArray[np.uint16]  #: (n,): theirs.
 
 
 def usable(table: PointTable) -> NDArray[np.bool_]:
@@ -86,8 +74,6 @@ def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) ->
         Points of the cell and around it that are :func:`usable`, with :data:`COLUMNS`.
     core : Bounds
         The cell [quanta].
-    products : ProductSettings
-        Cell size and voids.
     """
     # Returns of one pulse lie side by side: what leans across the margin counts on its own side.
     margin = max(margin_cells(products) * quanta(products.cell_m), reach_q())
@@ -110,14 +96,10 @@ def pulse_facts(
 
     Parameters
     ----------
-    returns : PulseReturns
-        First and last returns.
     core : Bounds
         The cell [quanta].
     squares : (rows, cols) bool
         Its squares that were flown (:mod:`~spl_batch.airborne.products.footprint`).
-    context : Context
-        The run.
     """
     x, y, _ = returns.first.T
     dry = squares
@@ -159,8 +141,6 @@ def pulse_rasters(
 
     Parameters
     ----------
-    returns : PulseReturns
-        First and last returns.
     core : Bounds
         The cell [quanta].
     density : (rows, cols) float32

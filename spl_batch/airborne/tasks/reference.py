@@ -63,12 +63,8 @@ def read_square(context: Context, files: Sequence[str], square: str, core: Bound
 
     Parameters
     ----------
-    context : Context
-        The run.
     files : sequence of str
         Reference files that have points there, as tasks call them.
-    square : str
-        Column and row, as ``I_J``.
     core : Bounds
         The square itself, whose points count [quanta].
 

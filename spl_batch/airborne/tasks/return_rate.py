@@ -53,15 +53,7 @@ class Rate:
 
 
 def most_points(fullest: Sequence[int], span_s: float) -> int:
-    """Points that a span of time holds at the most [count].
-
-    Parameters
-    ----------
-    fullest : sequence of int
-        From :meth:`Rate.fullest`.
-    span_s : float
-        Its length [s].
-    """
+    """Points that a span of time holds at the most [count]."""
     bins = math.floor(span_s * BINS_PER_S) + 2  # it begins and ends within one
     if bins >= 2 ** (len(fullest) - 1):
         return fullest[-1]

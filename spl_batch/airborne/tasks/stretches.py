@@ -83,8 +83,6 @@ def read_stretch(
     args : mapping
         ``sources``, the names of files or of their parts, ``psid``, ``t0_s``, ``prf_hz``,
         ``shots``, ``window_s`` and ``span_s``.
-    context : Context
-        The run.
     names : sequence of str
         Columns that are wanted; those of the order and ``shot`` come too.
 

@@ -60,8 +60,6 @@ def executor(
         Address of a running scheduler, which is used instead.
     observer : Observer
         Told what happens to tasks and workers.
-    footing : Footing
-        What every worker has to find.
     ahead : Ahead, optional
         What local workers do before their first task.
 

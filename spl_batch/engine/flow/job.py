@@ -51,22 +51,10 @@ class Executor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Footing:
-    """What every worker has to find: this code, and this run's mark on the shared path.
-
-    Parameters
-    ----------
-    receiver : str
-        The workflow's ``kind``.
-    code : str
-        Version of the code that this receiver's tasks run.
-    mark : str
-        Path of a file.
-    content : str
-        What it holds.
-    """
+    """What every worker has to find: this code, and this run's mark on the shared path."""
 
     receiver: str
-    code: str
+    code: str  #: Version of the code that this receiver's tasks run.
     mark: str
     content: str
 

@@ -24,24 +24,15 @@ PATIENCE_S: Final = 600.0
 
 @dataclass(slots=True)
 class Ahead:
-    """Something to do before the first task.
+    """Something to do before the first task."""
 
-    Parameters
-    ----------
-    work : callable
-        Does a share, from 0, of so many, and says how much was left to do. It is sent to workers,
-        so it is a function of a module. Its third argument is to be told how many steps of how
-        many are done.
-    what : str
-        What is being done, in words.
-    took_s : float or None
-        How long it took; None where nothing was left to do [s].
-    """
-
+    #: Does a share, from 0, of so many, and says how much was left to do. It is sent to workers, so
+    #: it is a function of a module. Its third argument is to be told how many steps of how many are
+    #: done.
     work: Work
-    what: str
+    what: str  #: What is being done, in words.
     done: bool = False
-    took_s: float | None = None
+    took_s: float | None = None  #: How long it took; None where nothing was left to do [s].
     steps: dict[int, tuple[int, int]] = field(default_factory=dict)
 
     def share_out(self, client: Any, workers: Sequence[str], observer: Observer) -> None:
@@ -49,14 +40,7 @@ class Ahead:
 
         What fails is told and left to the tasks, which do it when they need it.
 
-        Parameters
-        ----------
-        client : distributed.Client
-            Whose workers they are.
-        workers : sequence of str
-            Their addresses.
-        observer : Observer
-            Told what takes long or fails.
+        ``observer``: told what takes long or fails.
         """
         if self.done:
             return

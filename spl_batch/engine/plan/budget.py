@@ -18,37 +18,18 @@ SAMPLE: Final = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """What a run is expected to cost.
+    """What a run is expected to cost."""
 
-    Parameters
-    ----------
-    points : int
-        Points of all usable files [count].
-    tasks : int
-        Tasks of all stages [count].
-    disk_bytes : int
-        Working store and results [byte].
-    memory_bytes : int
-        Memory of the heaviest task, its worker included [byte].
-    heaviest, remedy : str
-        That task, and the setting that makes it lighter.
-    stages_s : mapping of str to float
-        Time of each stage on one worker [s].
-    workers : int
-        Worker processes [count].
-    measured : bool
-        Whether the rates were measured on this store.
-    """
-
-    points: int
+    points: int  #: Points of all usable files [count].
     tasks: int
     disk_bytes: int
-    memory_bytes: int
+    memory_bytes: int  #: Memory of the heaviest task, its worker included [byte].
+    #: That task, and the setting that makes it lighter.
     heaviest: str
     remedy: str
-    stages_s: Mapping[str, float]
+    stages_s: Mapping[str, float]  #: Time of each stage on one worker [s].
     workers: int
-    measured: bool
+    measured: bool  #: Whether the rates were measured on this store.
 
     @property
     def time_s(self) -> float:

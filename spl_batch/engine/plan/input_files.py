@@ -13,16 +13,7 @@ from spl_batch.errors import WorkflowError, named
 def refuse_own(paths: Sequence[Path], output: Path, key: str, faults: list[str]) -> None:
     """Add a fault where inputs lie among the results of the run.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        From :func:`expand`.
-    output : Path
-        Folder of the results.
-    key : str
-        Key of the workflow that they come from.
-    faults : list of str
-        Receives it.
+    ``paths``: from :func:`expand`. ``key``: key of the workflow that they come from.
     """
     own = [path for path in paths if output in path.parents]
     if own:
@@ -63,8 +54,6 @@ def expand(
     ----------
     names : str or sequence of str, optional
         Paths or patterns.
-    base : Path
-        Folder that relative ones start from.
     key : str
         Key of the workflow that they come from.
     faults : list of str

@@ -41,14 +41,10 @@ def write_comparison(
 
     Parameters
     ----------
-    out : Path
-        Folder.
     report : Compared
         What is told; it has ``methods``.
     template, package : str
         The receiver's page, and where it lies.
-    pictures : sequence of Picture
-        What is shown of places.
     """
     content = json.dumps(report.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     page: Any = environment(package).get_template(template)

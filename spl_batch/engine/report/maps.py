@@ -29,20 +29,12 @@ LARGEST_PX: Final = 900
 
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """Values of a regular grid and where it lies.
+    """Values of a regular grid and where it lies."""
 
-    Parameters
-    ----------
-    values : (rows, columns) float
-        North at row 0; NaN or -9999 where there is nothing.
-    extent_m : tuple of float
-        West, east, south, north edges [m].
-    line_m : tuple of float, optional
-        Easting and northing of both ends of a line that a map shows, the profile's [m].
-    """
-
+    #: (rows, columns) float: north at row 0; NaN or -9999 where there is nothing.
     values: NDArray[Any]
-    extent_m: Extent
+    extent_m: Extent  #: West, east, south, north edges [m].
+    #: Easting and northing of both ends of a line that a map shows, the profile's [m].
     line_m: tuple[float, float, float, float] | None = None
 
     @property
@@ -112,10 +104,6 @@ def hillshade(
     ----------
     heights_m : (rows, columns) float64
         North at row 0; NaN where there is nothing [m].
-    cell_m : float
-        Edge of a cell [m].
-    exaggeration : float
-        Factor on the heights.
 
     Returns
     -------
@@ -265,12 +253,7 @@ def framed(extent_m: tuple[float, float, float, float], title: str) -> tuple[Fig
 
     Use it inside :func:`~spl_batch.engine.report.style.type_context`.
 
-    Parameters
-    ----------
-    extent_m : tuple of float
-        West, east, south, north edges [m].
-    title : str
-        Heading.
+    ``extent_m``: west, east, south, north edges [m].
     """
     layout = _layout(extent_m)
     drawn = style.figure(layout.width, layout.height, layout=None)

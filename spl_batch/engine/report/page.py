@@ -49,30 +49,17 @@ class AnyReport(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Front:
-    """What stands at the top of a page.
+    """What stands at the top of a page."""
 
-    Parameters
-    ----------
-    title, kicker : str
-        Name of what was processed; kind of instrument, above it.
-    facts : tuple of str
-        What stands below the title.
-    sections : tuple of (str, str)
-        Anchor and name of each section that the receiver adds.
-    verdicts : tuple of Verdict
-        Sentences that say whether the result can be used.
-    cards : tuple of (str, str, str)
-        Label, value and remark of each key number.
-    unused : tuple of str
-        Keys of the workflow that this receiver's data made no use of: the page leaves them out.
-    """
-
+    #: Name of what was processed; kind of instrument, above it.
     title: str
     kicker: str
-    facts: tuple[str, ...]
+    facts: tuple[str, ...]  #: What stands below the title.
+    #: Anchor and name of each section that the receiver adds.
     sections: tuple[tuple[str, str], ...]
-    verdicts: tuple[Verdict, ...]
-    cards: tuple[tuple[str, str, str], ...]
+    verdicts: tuple[Verdict, ...]  #: Sentences that say whether the result can be used.
+    cards: tuple[tuple[str, str, str], ...]  #: Label, value and remark of each key number.
+    #: Keys of the workflow that this receiver's data made no use of: the page leaves them out.
     unused: tuple[str, ...] = ()
 
 
@@ -83,14 +70,6 @@ def render_page(
 
     Parameters
     ----------
-    template : str
-        Name of the template.
-    report : AnyReport
-        What is shown.
-    front : Front
-        What stands at the top.
-    package : str
-        Package that the template lies in.
     **more
         What the template needs beside it; ``pictures``, a mapping of str to
         :class:`~spl_batch.engine.report.picture.Picture`, is always among it.
@@ -125,13 +104,7 @@ def render_page(
 
 @cache
 def environment(package: str = HOME) -> Environment:
-    """Templates of a package and those that all share, with the numbers' formats as filters.
-
-    Parameters
-    ----------
-    package : str
-        Package that is looked in first.
-    """
+    """Templates of a package and those that all share, with the numbers' formats as filters."""
     packages = dict.fromkeys((package, HOME))
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name, ".") for name in packages]),

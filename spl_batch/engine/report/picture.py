@@ -9,45 +9,26 @@ Extent = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MapPlace:
-    """Where a map lies on its picture, and in the world.
+    """Where a map lies on its picture, and in the world."""
 
-    Parameters
-    ----------
-    box : tuple of float
-        Left and upper edge, width and height, as shares of the picture.
-    extent_m : Extent
-        What it shows [m].
-    """
-
+    #: Left and upper edge, width and height, as shares of the picture.
     box: tuple[float, float, float, float]
     extent_m: Extent
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """One picture of the report, or the reason why there is none.
+    """One picture of the report, or the reason why there is none."""
 
-    Parameters
-    ----------
-    title, caption : str
-        Heading, and what to look for (or why the picture is missing).
-    alt : str
-        What a reader who cannot see it is told.
-    png : bytes
-        Empty where there is no picture.
-    width_px, height_px : int
-        Size that the page lays out.
-    place : MapPlace, optional
-        Where a map lies on it, so that a page can mark places.
-    """
-
+    #: Heading, and what to look for (or why the picture is missing).
     title: str
     caption: str
-    alt: str = ""
-    png: bytes = b""
+    alt: str = ""  #: What a reader who cannot see it is told.
+    png: bytes = b""  #: Empty where there is no picture.
+    #: Size that the page lays out.
     width_px: int = 0
     height_px: int = 0
-    place: MapPlace | None = None
+    place: MapPlace | None = None  #: Where a map lies on it, so that a page can mark places.
 
     @property
     def data_uri(self) -> str:

@@ -67,43 +67,23 @@ class StageCost:
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What the receipts do not say.
+    """What the receipts do not say."""
 
-    Parameters
-    ----------
-    wall_s : float
-        Duration of the run so far, that of earlier runs whose work it found included [s].
-    workers : int
-        Worker processes [count].
-    costs : mapping of str to StageCost
-        Cost of each stage.
-    failures : list of Failure
-        What did not make it.
-    notes : list of str
-        Warnings.
-    reference : list of str
-        Reference files.
-    not_read : int
-        Points that unreadable files promise [count].
-    earlier_s : float or None
-        The part of its duration that runs before it took; None where they did something and
-        nothing tells how long it took, as their log is gone or another output's [s].
-    log_bytes : int
-        Length of the log when this was known: later runs add to the duration [byte].
-    compile_s : float or None
-        Time that workers compiled before the first task; None where nothing was left to compile,
-        or tasks did it [s].
-    """
-
+    #: Duration of the run so far, that of earlier runs whose work it found included [s].
     wall_s: float
     workers: int
     costs: Mapping[str, StageCost] = field(default_factory=dict)
-    failures: Iterable[Failure] = ()
+    failures: Iterable[Failure] = ()  #: What did not make it.
     notes: Iterable[str] = ()
     reference: Iterable[str] = ()
-    not_read: int = 0
+    not_read: int = 0  #: Points that unreadable files promise [count].
+    #: The part of its duration that runs before it took; None where they did something and nothing
+    #: tells how long it took, as their log is gone or another output's [s].
     earlier_s: float | None = 0.0
+    #: Length of the log when this was known: later runs add to the duration [byte].
     log_bytes: int = 0
+    #: Time that workers compiled before the first task; None where nothing was left to compile, or
+    #: tasks did it [s].
     compile_s: float | None = None
 
 
@@ -131,17 +111,7 @@ def remember(done: Receipts, context: RunContext[Any], facts: RunFacts) -> None:
 
 
 def stands(done: Receipts, context: RunContext[Any], facts: RunFacts) -> bool:
-    """Whether the report that is there says what it would say now, the cost of the run left aside.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : RunContext
-        The run.
-    facts : RunFacts
-        What the receipts do not say.
-    """
+    """Whether the report that is there says what it would now, the cost of the run left aside."""
     try:
         kept = recall(context.output)
     except StoreError:
@@ -198,14 +168,10 @@ def common_parts(
 
     Parameters
     ----------
-    context : RunContext
-        The run.
     facts : RunFacts
         What the receipts do not say.
     points : int
         Points, photons, detections or frames of all inputs [count].
-    inputs : sequence of InputFile
-        Everything that it read.
     """
     return {
         "performance": performance(facts, points),
@@ -216,15 +182,7 @@ def common_parts(
 
 
 def performance(facts: RunFacts, points: int) -> Performance:
-    """Cost of a run, for its report.
-
-    Parameters
-    ----------
-    facts : RunFacts
-        What the receipts do not say.
-    points : int
-        Points of all inputs [count].
-    """
+    """Cost of a run, for its report."""
     whole = facts.wall_s > 0 and facts.earlier_s is not None
     return Performance(
         wall_s=facts.wall_s,
@@ -249,15 +207,7 @@ def performance(facts: RunFacts, points: int) -> Performance:
 
 
 def provenance(context: RunContext[Any], inputs: Sequence[InputFile]) -> Provenance:
-    """Enough to do a run again, for its report.
-
-    Parameters
-    ----------
-    context : RunContext
-        The run.
-    inputs : sequence of InputFile
-        Everything that it read.
-    """
+    """Enough to do a run again, for its report."""
     return Provenance(
         version=context.code,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -272,14 +222,7 @@ def provenance(context: RunContext[Any], inputs: Sequence[InputFile]) -> Provena
 def input_file(path: Path, role: str, digest: str | None = None) -> InputFile:
     """Identity of an input file, for the report.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    role : str
-        What it is for.
-    digest : str, optional
-        Its checksum, where a task has taken it already.
+    ``digest``: its checksum, where a task has taken it already.
     """
     found = digest if digest is not None else checksum(path)
     return InputFile(path=path.name, role=role, size=path.stat().st_size, hash=f"blake2b:{found}")
@@ -292,8 +235,6 @@ def indexed_file(facts: Mapping[str, Any], role: str, points: int | None = None)
     ----------
     facts : mapping
         Of the task that read it: ``name``, ``size`` [byte] and ``hash``.
-    role : str
-        What it is for.
     points : int, optional
         Points, detections or frames in it [count].
     """

@@ -26,19 +26,7 @@ def ending_rows(
     warnings: Sequence[str],
     noun: str = "points",
 ) -> list[tuple[str, str]]:
-    """Label and value of what the console shows last, whatever the receiver.
-
-    Parameters
-    ----------
-    work : Performance
-        Cost of the run.
-    failures : sequence of Failure
-        What did not make it.
-    warnings : sequence of str
-        What a reader has to know.
-    noun : str
-        What the receiver counts.
-    """
+    """Label and value of what the console shows last, whatever the receiver."""
     rows = [("run time", f"{duration(work.wall_s)}{_of_which(work, noun)}")]
     if work.peak_rss_mb is not None:
         rows.append(("peak memory", f"{number(work.peak_rss_mb)} MiB per worker"))
@@ -83,15 +71,7 @@ def speed_remark(work: Performance, noun: str = "points") -> str:
 
 
 def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Verdict:
-    """Sentence that says what has failed.
-
-    Parameters
-    ----------
-    failures : sequence of Failure
-        What did not make it.
-    warnings : sequence of str
-        What a reader has to know.
-    """
+    """Sentence that says what has failed."""
     failed, warned = len(failures), len(warnings)
     remarks = f"{number(warned)} warning{'s' * (warned != 1)}" if warned else "no warnings"
     if failed:

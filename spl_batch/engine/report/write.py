@@ -17,14 +17,7 @@ def report_json(report: BaseModel) -> str:
 def write_both(out: Path, report: BaseModel, page: str) -> None:
     """Write any receiver's report into a folder.
 
-    Parameters
-    ----------
-    out : Path
-        Folder; made where it is missing.
-    report : BaseModel
-        What is said.
-    page : str
-        The same as HTML.
+    ``out``: folder; made where it is missing.
 
     Raises
     ------

@@ -53,13 +53,7 @@ def is_scene(content: Mapping[str, Any]) -> bool:
 
 
 def called(path: Path) -> str:
-    """What a file or folder is and which command takes it; empty for what may be a workflow.
-
-    Parameters
-    ----------
-    path : Path
-        What a command was given.
-    """
+    """What a file or folder is and which command takes it; empty for what may be a workflow."""
     if path.is_dir():
         return _folder(path)
     try:
@@ -106,15 +100,7 @@ def _is_output(path: Path) -> bool:
 
 
 def no_output(path: Path, verb: str) -> str:
-    """Why a path is no output folder of a run; empty where it may be one.
-
-    Parameters
-    ----------
-    path : Path
-        What a command was given.
-    verb : str
-        The command.
-    """
+    """Why a path is no output folder of a run; empty where it may be one."""
     takes = f"`spl-batch {verb}` takes the output folder of a run"
     if not path.exists():
         return f"there is no such folder; {takes}"

@@ -14,15 +14,6 @@ M = TypeVar("M", bound=BaseModel)
 def validated(model: type[M], content: Mapping[str, Any], where: str) -> M:
     """Content as a model.
 
-    Parameters
-    ----------
-    model : type of BaseModel
-        What it should be.
-    content : mapping
-        Parsed YAML.
-    where : str
-        What messages call it: the file's path.
-
     Raises
     ------
     WorkflowError

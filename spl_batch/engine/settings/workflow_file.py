@@ -18,13 +18,6 @@ from spl_batch.receivers import HOMES, IMAGING, workflow_model
 def parse_any(content: Mapping[str, Any], where: str) -> BaseWorkflow:
     """Check a workflow's content, whatever its receiver.
 
-    Parameters
-    ----------
-    content : mapping
-        Parsed YAML.
-    where : str
-        What messages call it: the file's path.
-
     Raises
     ------
     WorkflowError
@@ -56,12 +49,7 @@ def known_kind(content: Mapping[str, Any], where: str) -> str:
 def load_any(path: Path, overrides: Sequence[str] = ()) -> BaseWorkflow:
     """Read a workflow file, whatever its receiver.
 
-    Parameters
-    ----------
-    path : Path
-        YAML file.
-    overrides : sequence of str
-        ``key.path=value``, value parsed as YAML; applied in order.
+    ``overrides``: ``key.path=value``, value parsed as YAML; applied in order.
 
     Raises
     ------
@@ -87,12 +75,7 @@ def workflow_content(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
 def read_mapping(path: Path, otherwise: str) -> dict[str, Any]:
     """Content of a YAML file that holds a mapping.
 
-    Parameters
-    ----------
-    path : Path
-        YAML file.
-    otherwise : str
-        What is said when it holds something else.
+    ``otherwise``: what is said when it holds something else.
 
     Raises
     ------

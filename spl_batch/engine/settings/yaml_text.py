@@ -80,11 +80,6 @@ class _Loader(yaml.SafeLoader):
 def parse_yaml(text: str) -> Any:
     """Value that a YAML text stands for.
 
-    Parameters
-    ----------
-    text : str
-        One document.
-
     Raises
     ------
     yaml.YAMLError

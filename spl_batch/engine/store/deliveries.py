@@ -33,11 +33,6 @@ Stamp = list[Any]
 class Deliveries:
     """The files that the runs of an output folder have written.
 
-    Parameters
-    ----------
-    context : RunContext
-        The run.
-
     Attributes
     ----------
     survey : mapping or None

@@ -23,11 +23,6 @@ PATIENCE_S: Final = 1.0
 def locked(output: Path) -> Iterator[str]:
     """Keep two runs out of one output; the system lets go of the lock when a run dies.
 
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-
     Yields
     ------
     str
@@ -75,17 +70,12 @@ def locked(output: Path) -> Iterator[str]:
 def refuse_unwritable(output: Path) -> None:
     """Refuse an output folder in which nothing can be written; leaves nothing behind.
 
-    Parameters
-    ----------
-    output : Path
-        Folder of the results, which need not be there.
+    ``output``: folder of the results, which need not be there.
 
     Raises
     ------
     WorkflowError
         If it cannot be made, or nothing can be made in it.
-    StoppedError
-        If the disk is full.
     """
     store = lock_file(output).parent
     there = next(place for place in (store, *store.parents) if _is_there(place))

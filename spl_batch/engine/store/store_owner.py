@@ -14,11 +14,6 @@ _MARK: Final = "output.json"
 def refuse_claimed(store: Store) -> bool:
     """Refuse a store elsewhere that is not this output's; whether it bears its mark.
 
-    Parameters
-    ----------
-    store : Store
-        Of an output.
-
     Raises
     ------
     WorkflowError
@@ -44,10 +39,7 @@ def refuse_claimed(store: Store) -> bool:
 def claim(store: Store) -> None:
     """Leave a mark in a store that says whose it is, unless it lies in the output itself.
 
-    Parameters
-    ----------
-    store : Store
-        Of an output whose lock is held.
+    ``store``: of an output whose lock is held.
 
     Raises
     ------

@@ -53,18 +53,10 @@ _DIGEST: Final = "blake2b"
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Store:
-    """Names of everything below ``output``.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    url : str or None
-        Where the working store lies, for fsspec; None for ``output/store``.
-    """
+    """Names of everything below ``output``."""
 
     output: Path
-    url: str | None = None
+    url: str | None = None  #: Where the working store lies, for fsspec; None for ``output/store``.
 
     @property
     def root(self) -> Path:

@@ -15,27 +15,13 @@ W = TypeVar("W", bound=BaseWorkflow)
 
 @dataclass(frozen=True, slots=True)
 class RunContext(Generic[W]):
-    """What a run is: the same for every task, small enough to send along.
-
-    Parameters
-    ----------
-    workflow : BaseWorkflow
-        The settings.
-    base : Path
-        Folder that relative paths of the workflow start from.
-    output : Path
-        Folder of the results.
-    crs_wkt : str
-        CRS of what is processed as WKT; empty where none is known.
-    code : str
-        Version of the code, part of every key.
-    """
+    """What a run is: the same for every task, small enough to send along."""
 
     workflow: W
-    base: Path
+    base: Path  #: Folder that relative paths of the workflow start from.
     output: Path
-    crs_wkt: str
-    code: str
+    crs_wkt: str  #: CRS of what is processed as WKT; empty where none is known.
+    code: str  #: Version of the code, part of every key.
 
     @property
     def store(self) -> Store:
@@ -54,23 +40,13 @@ class RunContext(Generic[W]):
 
 @dataclass(frozen=True, slots=True)
 class Produced:
-    """What a task's function hands back to the runner.
+    """What a task's function hands back to the runner."""
 
-    Parameters
-    ----------
-    outputs : sequence of Path
-        Files and directories that it wrote.
-    facts : mapping
-        Small results, plain JSON values.
-    points : int
-        Points handled [count].
-    inputs : mapping of str to (int, int)
-        Path of an input read from end to end -> size [byte], time of writing [ns since 1970].
-    """
-
-    outputs: Sequence[Path] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    outputs: Sequence[Path] = ()  #: Files and directories that it wrote.
+    facts: Mapping[str, Any] = field(default_factory=dict)  #: Small results, plain JSON values.
     points: int = 0
+    #: mapping of str to (int, int): path of an input read from end to end -> size [byte], time of
+    #: writing [ns since 1970].
     inputs: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
 

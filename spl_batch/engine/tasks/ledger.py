@@ -73,20 +73,12 @@ class Ledger(Generic[I, W]):
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Tasks of one kind, made when everything before them is finished.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of the tasks.
-    tasks : callable
-        Makes them of the receiver's ledger; it looks at earlier phases only.
-    beside : bool
-        Whether it does not look at the phase before it either: both are done at once.
-    """
+    """Tasks of one kind, made when everything before them is finished."""
 
     kind: str
+    #: Makes them of the receiver's ledger; it looks at earlier phases only.
     tasks: Callable[[Any], Iterator[Task]]
+    #: Whether it does not look at the phase before it either: both are done at once.
     beside: bool = False
 
 

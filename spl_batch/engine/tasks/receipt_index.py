@@ -29,11 +29,6 @@ class Shelf(Mapping[str, Receipt]):
 
     Those that it gives back lack the key, the cost and what :data:`UNREAD_FACTS` names,
     and unless :func:`delivers` says that a user sees them the outputs.
-
-    Parameters
-    ----------
-    kind : str
-        The kind.
     """
 
     def __init__(self, kind: str) -> None:

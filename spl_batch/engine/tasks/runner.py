@@ -29,22 +29,13 @@ from spl_batch.receivers import HOMES, load, task_kinds
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of task.
+    """A kind of task."""
 
-    Parameters
-    ----------
-    stage : str
-        Stage of the command line that it belongs to.
-    function : callable or str
-        What does it, or where that lies, as ``module:name``: who plans, or looks at a run,
-        loads no kernels.
-    settings : tuple of str
-        Parts of the workflow that its result depends on.
-    """
-
-    stage: str
+    stage: str  #: Stage of the command line that it belongs to.
+    #: What does it, or where that lies, as ``module:name``: who plans, or looks at a run, loads no
+    #: kernels.
     function: TaskFunction | str
-    settings: tuple[str, ...]
+    settings: tuple[str, ...]  #: Parts of the workflow that its result depends on.
 
     @property
     def module(self) -> str:
@@ -80,13 +71,7 @@ LIBRARIES: Final = (*DECISIVE, "dask", "distributed", "h5py", "pyarrow", "pyogri
 
 
 def kinds(receiver: str) -> Mapping[str, Kind]:
-    """What the tasks of a receiver do, by kind of task.
-
-    Parameters
-    ----------
-    receiver : str
-        A workflow's ``kind``.
-    """
+    """What the tasks of a receiver do, by kind of task."""
     found: Mapping[str, Kind] = task_kinds(receiver)
     return found
 
@@ -123,14 +108,7 @@ def task_files(receiver: str) -> frozenset[Path]:
 def task_key(task: Task, context: RunContext[Any], digests: Iterable[str]) -> str:
     """Hash of everything that a task's result depends on.
 
-    Parameters
-    ----------
-    task : Task
-        The task.
-    context : RunContext
-        Settings and code version.
-    digests : iterable of str
-        Digests of the receipts that the task needs, in the order of ``task.needs``.
+    ``digests``: digests of the receipts that the task needs, in the order of ``task.needs``.
     """
     content = context.workflow.model_dump(mode="json")
     settings = {path: _at(content, path) for path in _kind(task, context).settings}
@@ -153,12 +131,8 @@ def finished(
 
     Parameters
     ----------
-    task : Task
-        The task.
     key : str
         From :func:`task_key`.
-    context : RunContext
-        The run.
     verify : bool
         Compare the checksums of all outputs, which reads all of them.
     """
@@ -184,21 +158,9 @@ def _written_ns(path: Path) -> int:
 
 
 def run_task(task: Task, key: str, context: RunContext[Any]) -> Receipt:
-    """Do one task and leave its receipt, also when it fails.
+    """Do one task and leave its receipt, also when it fails: with a reason where the task failed.
 
-    Parameters
-    ----------
-    task : Task
-        What to do.
-    key : str
-        From :func:`task_key`.
-    context : RunContext
-        The run.
-
-    Returns
-    -------
-    Receipt
-        With a reason where the task failed.
+    ``key``: from :func:`task_key`.
 
     Raises
     ------

@@ -28,8 +28,6 @@ class Worklist:
         The phase; those before it are done.
     ledger : Ledger
         What is finished so far; what this phase finishes is added to it.
-    context : RunContext
-        The run.
     verify : bool
         Whether finished outputs are compared with their checksums.
 

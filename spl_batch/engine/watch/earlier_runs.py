@@ -37,13 +37,7 @@ def log_bytes(output: Path) -> int:
 
 
 def earlier_wall_s(output: Path) -> float | None:
-    """Time that the runs before the one at work took; None where nothing tells [s].
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    """
+    """Time that the runs before the one at work took; None where nothing tells [s]."""
     try:
         kept = recall(output)
         if kept.get("earlier_s", 0.0) is None:  # nor did that run know of those before it

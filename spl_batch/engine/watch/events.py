@@ -10,149 +10,78 @@ from spl_batch.engine.tasks.task import WorkersSeen
 
 @dataclass(frozen=True, slots=True)
 class RunStarted:
-    """A run begins; what the log says before it belongs to earlier ones.
-
-    Parameters
-    ----------
-    workflow : str
-        Workflow file.
-    workers : int
-        Worker processes [count].
-    code : str
-        Version of the code.
-    expected_s : mapping of str to float
-        Time that each stage is expected to take if nothing of it is finished [s].
-    stages : sequence of str
-        Names of all stages, in order.
-    phases : mapping of str to int
-        Phases of each stage [count].
-    anew : bool
-        Whether there is nothing that earlier runs have finished, or it was forgotten.
-    """
+    """A run begins; what the log says before it belongs to earlier ones."""
 
     workflow: str
     workers: int
     code: str
+    #: Time that each stage is expected to take if nothing of it is finished [s].
     expected_s: Mapping[str, float] = field(default_factory=dict)
-    stages: Sequence[str] = ()
+    stages: Sequence[str] = ()  #: Names of all stages, in order.
     phases: Mapping[str, int] = field(default_factory=dict)
+    #: Whether there is nothing that earlier runs have finished, or it was forgotten.
     anew: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class WorkersReady:
-    """There is something to run tasks on.
+    """There is something to run tasks on."""
 
-    Parameters
-    ----------
-    scheduler : str
-        Address of a scheduler that was started elsewhere; empty for workers of our own.
-    dashboard : str
-        Link to dask's dashboard; empty where there is none.
-    """
-
+    #: Address of a scheduler that was started elsewhere; empty for workers of our own.
     scheduler: str
-    dashboard: str
+    dashboard: str  #: Link to dask's dashboard; empty where there is none.
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseStarted:
-    """A phase knows its tasks.
+    """A phase knows its tasks."""
 
-    Parameters
-    ----------
-    stage, kind : str
-        Stage of the command line, and kind of the tasks.
-    tasks : int
-        Tasks to do [count].
-    skipped : int
-        Tasks found finished [count].
-    points : int
-        Points that the tasks to do will handle [count].
-    tiles : mapping
-        Where its tiles lie and which are finished, as
-        :meth:`spl_batch.engine.watch.tile_map.TileMap.record` gives it; empty where tasks are no
-        places.
-    """
-
+    #: stage, kind: stage of the command line, and kind of the tasks.
     stage: str
     kind: str
     tasks: int
     skipped: int
-    points: int
+    points: int  #: Points that the tasks to do will handle [count].
+    #: Where its tiles lie and which are finished, as
+    #: :meth:`spl_batch.engine.watch.tile_map.TileMap.record` gives it; empty where tasks are no
+    #: places.
     tiles: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class TaskStarted:
-    """A worker has begun a task.
-
-    Parameters
-    ----------
-    stage, kind, name : str
-        Which one.
-    worker : str
-        Address of the worker.
-    called : str
-        What a user calls it; as :func:`spl_batch.engine.verbs.failures.plain_name` says.
-    """
+    """A worker has begun a task."""
 
     stage: str
     kind: str
     name: str
     worker: str
+    #: What a user calls it; as :func:`spl_batch.engine.verbs.failures.plain_name` says.
     called: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskEnded:
-    """A task is finished, or has failed for good.
-
-    Parameters
-    ----------
-    stage, kind, name : str
-        Which one.
-    points : int
-        Points that it was to handle [count].
-    wall_s : float
-        Its duration [s].
-    reason : str
-        Why it failed; empty when it did not.
-    peak_rss_mb : float
-        Highest memory of its worker so far [MiB].
-    command : str
-        Command that does a failed task alone.
-    traceback : str
-        Where in the code it failed.
-    called : str
-        What a user calls it.
-    stops : bool
-        Whether the run cannot go on without it, and ends with the reason.
-    """
+    """A task is finished, or has failed for good."""
 
     stage: str
     kind: str
     name: str
-    points: int
+    points: int  #: Points that it was to handle [count].
     wall_s: float
-    reason: str
-    peak_rss_mb: float = 0.0
-    command: str = ""
-    traceback: str = ""
-    called: str = ""
-    stops: bool = False
+    reason: str  #: Why it failed; empty when it did not.
+    peak_rss_mb: float = 0.0  #: Highest memory of its worker so far [MiB].
+    command: str = ""  #: Command that does a failed task alone.
+    traceback: str = ""  #: Where in the code it failed.
+    called: str = ""  #: What a user calls it.
+    stops: bool = False  #: Whether the run cannot go on without it, and ends with the reason.
 
 
 @dataclass(frozen=True, slots=True)
 class Compiling:
-    """Workers compile kernels before their first task; the log does not have it.
+    """Workers compile kernels before their first task; the log does not have it."""
 
-    Parameters
-    ----------
-    done, of : int
-        Kernels that are compiled, and all of them [count].
-    """
-
+    #: Kernels that are compiled, and all of them [count].
     done: int
     of: int
 
@@ -164,33 +93,17 @@ class ReportStarted:
 
 @dataclass(frozen=True, slots=True)
 class RunEnded:
-    """A run ends in order; one that was killed does not say so.
+    """A run ends in order; one that was killed does not say so."""
 
-    Parameters
-    ----------
-    exit_status : int
-        That of the command line.
-    reason : str
-        Why it stopped before its end; empty when it did not.
-    """
-
-    exit_status: int
-    reason: str = ""
+    exit_status: int  #: That of the command line.
+    reason: str = ""  #: Why it stopped before its end; empty when it did not.
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something that a user should read.
+    """Something that a user should read."""
 
-    Parameters
-    ----------
-    level : str
-        ``info``, ``warning`` or ``error``.
-    text : str
-        One line.
-    """
-
-    level: str
+    level: str  #: ``info``, ``warning`` or ``error``.
     text: str
 
 

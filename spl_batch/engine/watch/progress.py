@@ -34,36 +34,16 @@ LOG_WORKERS_S = 10.0
 
 @dataclass
 class Progress:
-    """What has come of a run so far, and who is told.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-    listener : callable
-        Told what happens.
-    invocation : Invocation
-        How the run was started.
-    repairs : Repairs
-        Makes damaged files again.
-    deliveries : Deliveries
-        What this run and those before it have written into the output.
-    kinds : mapping of str to Kind
-        What each kind of task is.
-    names : mapping of str to str
-        Names of the input files by key.
-    essential : frozenset of str
-        Kinds of task that the run cannot go on without.
-    """
+    """What has come of a run so far, and who is told."""
 
     output: Path
     listener: Listener
-    invocation: Invocation
+    invocation: Invocation  #: How the run was started.
     repairs: Repairs
-    deliveries: Deliveries
-    kinds: Mapping[str, Kind]
-    names: Mapping[str, str] = field(default_factory=dict)
-    essential: frozenset[str] = frozenset()
+    deliveries: Deliveries  #: What this run and those before it have written into the output.
+    kinds: Mapping[str, Kind]  #: What each kind of task is.
+    names: Mapping[str, str] = field(default_factory=dict)  #: Names of the input files by key.
+    essential: frozenset[str] = frozenset()  #: Kinds of task that the run cannot go on without.
     costs: dict[str, StageCost] = field(default_factory=dict)
     failures: list[Failed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

@@ -19,45 +19,24 @@ TRUSTED_SHARE: Final = 0.2
 
 @dataclass(slots=True)
 class StageStatus:
-    """State of one stage.
-
-    Parameters
-    ----------
-    stage : str
-        Its name.
-    total, done, failed : int
-        Tasks known, finished and failed [count].
-    found : int
-        Tasks that this run found finished, among those [count].
-    points : int
-        Points handled by tasks that this run finished [count].
-    wall_s : float
-        Summed time of those tasks [s].
-    left_points : int
-        Points of tasks that are still to do [count].
-    points_to_do : int
-        Points of tasks that this run had to do when their phases began [count].
-    began_s, latest_s : float
-        When its first phase began, and its latest event; 0 before that [s since 1970].
-    expected_s : float
-        Time that the whole stage was expected to take; 0 where unknown [s].
-    phases_left : int
-        Phases of it that have not begun, as far as is known [count].
-    """
+    """State of one stage."""
 
     stage: str
+    #: Tasks known, finished and failed [count].
     total: int = 0
     done: int = 0
     failed: int = 0
-    found: int = 0
-    points: int = 0
-    wall_s: float = 0.0
-    left_points: int = 0
+    found: int = 0  #: Tasks that this run found finished, among those [count].
+    points: int = 0  #: Points handled by tasks that this run finished [count].
+    wall_s: float = 0.0  #: Summed time of those tasks [s].
+    left_points: int = 0  #: Points of tasks that are still to do [count].
+    #: Points of tasks that this run had to do when their phases began [count].
     points_to_do: int = 0
+    #: When its first phase began, and its latest event; 0 before that [s since 1970].
     began_s: float = 0.0
     latest_s: float = 0.0
-    expected_s: float = 0.0
-    phases_left: int = 0
+    expected_s: float = 0.0  #: Time that the whole stage was expected to take; 0 where unknown [s].
+    phases_left: int = 0  #: Phases of it that have not begun, as far as is known [count].
 
     @property
     def left(self) -> int:
@@ -102,14 +81,9 @@ class StageStatus:
 
 @dataclass(frozen=True, slots=True)
 class FailedTask:
-    """A task that failed.
+    """A task that failed."""
 
-    Parameters
-    ----------
-    task, reason, command : str
-        What a user calls it; why; the command that does it alone.
-    """
-
+    #: What a user calls it; why; the command that does it alone.
     task: str
     reason: str
     command: str
@@ -117,64 +91,37 @@ class FailedTask:
 
 @dataclass(slots=True)
 class RunStatus:
-    """State of a run.
+    """State of a run."""
 
-    Parameters
-    ----------
-    stages : mapping of str to StageStatus
-        By name, in order.
-    tiles : mapping of str to TileMap
-        Map of each kind of task whose units are places, the latest last.
-    running : mapping of (str, str) to str
-        Worker of each task that has begun, by kind and name.
-    called : mapping of (str, str) to str
-        What a user calls those tasks.
-    failures : list of FailedTask
-        What failed.
-    workers : mapping
-        Fields of the latest :class:`~spl_batch.engine.watch.events.WorkersSeen`.
-    peak_mb : float
-        Highest memory that a worker has reported [MiB].
-    dashboard : str
-        Link to dask's dashboard while the run works.
-    ended : mapping or None
-        Fields of :class:`~spl_batch.engine.watch.events.RunEnded`; None where the log has none.
-    holder : mapping or None
-        Host, process and start of the run that works here now; None where none does.
-    kinds : mapping of str to float
-        When the phase of each kind of task that has begun did so [s since 1970].
-    begun : mapping of (str, str) to str
-        Stage of each task that has begun and of whose end nothing was heard, by kind and name.
-    order : sequence of str
-        Names of the stages, in order.
-    waiting : list of mapping
-        Fields of a :class:`~spl_batch.engine.watch.events.RunStarted` whose work has not begun, and
-        of its phases so far, in which everything was finished.
-    reporting : bool
-        Whether the latest run is writing the report, or has.
-    counted : bool
-        Whether the writing of it is among the tasks of its stage.
-    delivered : tuple of str or None
-        What lies in the output folder though its store is gone, and with it all that was
-        finished: the next run starts over; None where the store is there.
-    """
-
-    stages: dict[str, StageStatus] = field(default_factory=dict)
+    stages: dict[str, StageStatus] = field(default_factory=dict)  #: By name, in order.
+    #: Map of each kind of task whose units are places, the latest last.
     tiles: dict[str, TileMap] = field(default_factory=dict)
+    #: Worker of each task that has begun, by kind and name.
     running: dict[tuple[str, str], str] = field(default_factory=dict)
+    #: What a user calls those tasks.
     called: dict[tuple[str, str], str] = field(default_factory=dict)
     failures: list[FailedTask] = field(default_factory=list)
+    #: Fields of the latest :class:`~spl_batch.engine.watch.events.WorkersSeen`.
     workers: Mapping[str, Any] = field(default_factory=dict)
-    peak_mb: float = 0.0
-    dashboard: str = ""
+    peak_mb: float = 0.0  #: Highest memory that a worker has reported [MiB].
+    dashboard: str = ""  #: Link to dask's dashboard while the run works.
+    #: Fields of :class:`~spl_batch.engine.watch.events.RunEnded`; None where the log has none.
     ended: Mapping[str, Any] | None = None
+    #: Host, process and start of the run that works here now; None where none does.
     holder: Mapping[str, Any] | None = None
+    #: When the phase of each kind of task that has begun did so [s since 1970].
     kinds: dict[str, float] = field(default_factory=dict)
+    #: Stage of each task that has begun and of whose end nothing was heard, by kind and name.
     begun: dict[tuple[str, str], str] = field(default_factory=dict)
+    #: Names of the stages, in order.
     order: Sequence[str] = field(default_factory=lambda: stages_of(IMAGING))
+    #: Fields of a :class:`~spl_batch.engine.watch.events.RunStarted` whose work has not begun, and
+    #: of its phases so far, in which everything was finished.
     waiting: list[Mapping[str, Any]] = field(default_factory=list)
-    reporting: bool = False
-    counted: bool = False
+    reporting: bool = False  #: Whether the latest run is writing the report, or has.
+    counted: bool = False  #: Whether the writing of it is among the tasks of its stage.
+    #: What lies in the output folder though its store is gone, and with it all that was finished:
+    #: the next run starts over; None where the store is there.
     delivered: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:

@@ -34,23 +34,15 @@ class TileMap:
     A unit is a square of the grid, named by its column and row, or a rectangle of several,
     of which the name tells the first and then how many lie along its sides: it counts in each
     cell of the map that it touches.
-
-    Parameters
-    ----------
-    edge_m : float
-        Edge of a square [m].
-    west, south : int
-        Column and row of the map's first square.
-    step : int
-        Squares along one side of a cell [count].
-    total, done, failed, running : (rows, columns) int64
-        Units in each cell, from the south-west; all, finished, failed, being worked on.
     """
 
     edge_m: float
+    #: Column and row of the map's first square.
     west: int
     south: int
-    step: int
+    step: int  #: Squares along one side of a cell [count].
+    #: (rows, columns): units in each cell, from the south-west; all, finished, failed, being worked
+    #: on.
     total: NDArray[np.int64]
     done: NDArray[np.int64]
     failed: NDArray[np.int64]

@@ -157,11 +157,6 @@ def sweep(folder: Path) -> tuple[int, int]:
 
     Nothing else is touched, nor is what belongs to an output of its own further down.
 
-    Parameters
-    ----------
-    folder : Path
-        Output whose lock is held.
-
     Returns
     -------
     count, bytes : int
@@ -206,17 +201,9 @@ def sync_folder(path: Path) -> None:
 
 
 def checksum(path: Path) -> str:
-    """BLAKE2 hash of a file's bytes, or of a directory's names and bytes.
+    """BLAKE2 hash of a file's bytes, or of a directory's names and bytes: 32 hexadecimal digits.
 
-    Parameters
-    ----------
-    path : Path
-        File or directory.
-
-    Returns
-    -------
-    str
-        32 hexadecimal digits.
+    ``path``: file or directory.
     """
     digest = hashlib.blake2b(digest_size=16)
     if is_remote(path):

@@ -79,22 +79,9 @@ class Sorter:
         return sum(stretch.rows for stretch in self._stretches)
 
     def add(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
-        """Take in a stretch of rows.
+        """Take in a stretch of rows: (n,) intp, its rows in the order of their keys.
 
-        Parameters
-        ----------
-        columns : mapping of str to (n,) ndarray
-            All columns.
-
-        Returns
-        -------
-        (n,) intp
-            Its rows in the order of their keys.
-
-        Raises
-        ------
-        StoppedError
-            If the disk is full.
+        ``columns``: mapping of str to (n,) ndarray, all columns.
         """
         order = np.lexsort([columns[key] for key in reversed(self._keys)])
         if not len(order):

@@ -27,17 +27,9 @@ _YOUNG_S = 60.0
 
 
 def remote_path(url: str) -> Path:
-    """Path on an object store.
+    """Path on an object store: a ``UPath``, which has what this project uses of a path.
 
-    Parameters
-    ----------
-    url : str
-        E.g. ``s3://bucket/survey``; options of the file system come from the environment.
-
-    Returns
-    -------
-    Path
-        In truth a ``UPath``, which has what this project uses of a path.
+    ``url``: e.g. ``s3://bucket/survey``; options of the file system come from the environment.
 
     Raises
     ------

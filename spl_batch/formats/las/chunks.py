@@ -45,29 +45,14 @@ _REMEDY: Final = "rewrite it with LASzip or PDAL"
 
 @dataclass(frozen=True, slots=True)
 class ChunkTable:
-    """Where each LAZ chunk starts; one more entry marks the end of the last.
+    """Where each LAZ chunk starts; one more entry marks the end of the last."""
 
-    Parameters
-    ----------
-    points : (c + 1,) int64
-        First point of each chunk.
-    bytes : (c + 1,) int64
-        First byte of each chunk in the file.
-    """
-
-    points: NDArray[np.int64]
-    bytes: NDArray[np.int64]
+    points: NDArray[np.int64]  #: (c + 1,): first point of each chunk.
+    bytes: NDArray[np.int64]  #: (c + 1,): first byte of each chunk in the file.
 
 
 def read_chunk_table(header: LasHeader, file: BinaryIO) -> ChunkTable:
     """Read and check the LASzip record and the chunk table.
-
-    Parameters
-    ----------
-    header : LasHeader
-        Header of a compressed file.
-    file : binary file
-        The same file, open.
 
     Raises
     ------
@@ -240,13 +225,7 @@ class RecordReader:
         return self.header.path
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
-        """Records ``[start, stop)``.
-
-        Returns
-        -------
-        (stop - start,) structured
-            With the dtype of the layout.
-        """
+        """Records ``[start, stop)``: (stop - start,) structured, with the dtype of the layout."""
         try:
             return self._read(start, stop)
         except OSError as error:

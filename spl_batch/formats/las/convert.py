@@ -25,19 +25,11 @@ _OVERLAP_BIT: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """How records of one layout become records of another.
-
-    Parameters
-    ----------
-    given, layout : RecordLayout
-        Before and after.
-    kept : tuple of (str, str)
-        Fields of extra dimensions: before, after.
-    """
+    """How records of one layout become records of another."""
 
     given: RecordLayout
     layout: RecordLayout
-    kept: tuple[tuple[str, str], ...]
+    kept: tuple[tuple[str, str], ...]  #: Fields of extra dimensions: before, after.
 
     def records(self, given: NDArray[Any]) -> NDArray[Any]:
         """Converted records; added dimensions are zero.
@@ -69,12 +61,7 @@ class Conversion:
 def conversion(given: RecordLayout, added: Sequence[ExtraDimension]) -> Conversion:
     """Conversion into an extended point format with dimensions added.
 
-    Parameters
-    ----------
-    given : RecordLayout
-        Layout of the input.
-    added : sequence of ExtraDimension
-        Dimensions of the output; an input's extra dimension of the same name is dropped.
+    ``added``: dimensions of the output; an input's extra dimension of the same name is dropped.
     """
     names = {d.name for d in added}
     old = [d for d in given.extra if d.name not in names]

@@ -60,24 +60,10 @@ def write_copc(path: Path, frame: Frame, records: NDArray[Any]) -> int:
 
     Parameters
     ----------
-    path : Path
-        Final name.
     frame : Frame
         Everything but the points; point format 6 to 8, the same scale on every axis.
     records : (n,) structured
         Of the frame's layout.
-
-    Returns
-    -------
-    int
-        Points written.
-
-    Raises
-    ------
-    StoppedError
-        If the disk is full.
-    WorkflowError
-        If the place cannot be written.
     """
     cube, nodes = octree(records)
     with output_file(path) as file:

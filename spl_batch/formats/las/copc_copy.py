@@ -20,26 +20,12 @@ def copy_as_copc(src: Path, dst: Path) -> int:
     All dimensions are kept, extra bytes too, and so are scale, offset and the records of the
     header; extended records are left out. The order of the points changes.
 
-    Parameters
-    ----------
-    src : Path
-        LAS or LAZ of point format 6, 7 or 8.
-    dst : Path
-        Final name, written atomically.
-
-    Returns
-    -------
-    int
-        Points written.
+    ``src``: LAS or LAZ of point format 6, 7 or 8.
 
     Raises
     ------
     InputError
         If the file is damaged, or has what COPC cannot hold.
-    StoppedError
-        If the disk is full.
-    WorkflowError
-        If the place cannot be written.
     """
     header = read_header(src)
     if header.point_format not in POINT_FORMATS:

@@ -42,25 +42,16 @@ _WAVEFORM_KEY: Final = ("LASF_Spec", 65535)
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Everything of a file but its points.
+    """Everything of a file but its points."""
 
-    Parameters
-    ----------
-    preamble : bytes
-        The first 94 bytes of a header: identification, creation date and the like.
-    scales, offsets : (float, float, float)
-        Of the coordinates.
-    vlrs : sequence of Vlr
-        Without those of LASzip and the extra bytes, which follow from the layout.
-    evlrs : sequence of (Evlr, Path)
-        Extended records, each with the file that it is copied from.
-    """
-
-    preamble: bytes
+    preamble: bytes  #: The first 94 bytes of a header: identification, creation date and the like.
+    #: scales, offsets: of the coordinates.
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
     layout: RecordLayout
+    #: Without those of LASzip and the extra bytes, which follow from the layout.
     vlrs: Sequence[Vlr]
+    #: Extended records, each with the file that it is copied from.
     evlrs: Sequence[tuple[Evlr, Path]] = ()
 
 
@@ -129,15 +120,7 @@ class WatchedFile:
 
 @contextmanager
 def output_file(path: Path) -> Iterator[WatchedFile]:
-    """Open a file that takes its name when the block succeeds.
-
-    Raises
-    ------
-    StoppedError
-        If the disk is full.
-    WorkflowError
-        If the place cannot be written.
-    """
+    """Open a file that takes its name when the block succeeds."""
     try:
         with replacing(path) as temporary, temporary.open("w+b") as file:
             watched = WatchedFile(file)
@@ -215,18 +198,6 @@ def write_laz(path: Path, frame: Frame, chunks: Iterable[NDArray[Any]]) -> int:
         Everything but the points.
     chunks : iterable of (n,) structured
         Records of the frame's layout.
-
-    Returns
-    -------
-    int
-        Points written.
-
-    Raises
-    ------
-    StoppedError
-        If the disk is full.
-    WorkflowError
-        If the place cannot be written.
     """
     laz = None if frame.layout.point_format in _UNCOMPRESSED else laz_record(frame.layout)
     with output_file(path) as file:
@@ -252,16 +223,7 @@ def write_packed(
 ) -> int:
     """Write a LAS 1.4 file whose points are compressed already; see :func:`write_laz`.
 
-    Parameters
-    ----------
-    path, frame
-        As there.
-    laz : lazrs.LazVlr
-        LASzip record of the chunks.
-    extent : Extent
-        Of their points.
-    chunks : iterable of (int, bytes)
-        Points of each chunk, and its bytes.
+    ``chunks``: iterable of (int, bytes), points of each chunk, and its bytes.
     """
     with output_file(path) as file, _framed(file, frame, laz, extent):
         start = file.tell()

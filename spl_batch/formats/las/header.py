@@ -73,27 +73,17 @@ class Evlr:
 
 @dataclass(frozen=True, slots=True)
 class LasHeader:
-    """A header that has passed every check.
-
-    Parameters
-    ----------
-    raw : bytes
-        The header as it lies in the file.
-    points_start : int
-        Byte where the point records (LAZ: the offset to the chunk table) start.
-    record_size : int
-        Bytes of one uncompressed point record.
-    """
+    """A header that has passed every check."""
 
     path: Path
     size_bytes: int
-    raw: bytes
+    raw: bytes  #: The header as it lies in the file.
     version: tuple[int, int]
     point_format: int
     compressed: bool
-    record_size: int
+    record_size: int  #: Bytes of one uncompressed point record.
     n_points: int
-    points_start: int
+    points_start: int  #: Byte where the point records (LAZ: the offset to the chunk table) start.
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
     mins_m: tuple[float, float, float]
@@ -156,15 +146,6 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
 
 def read_header(path: Path) -> LasHeader:
     """Read and check header and VLRs of a LAS, LAZ or COPC file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    LasHeader
 
     Raises
     ------

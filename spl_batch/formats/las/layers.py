@@ -114,8 +114,6 @@ class LayerCopy:
 
         Parameters
         ----------
-        packed : bytes
-            The input's chunk.
         first : (1,) structured
             From :meth:`first`, with class and added dimensions.
         own : (n,) structured

@@ -15,36 +15,19 @@ _FREE: Final = ("user_data", "intensity")
 
 
 class Numbers(NamedTuple):
-    """What a dimension holds in some points.
-
-    Parameters
-    ----------
-    low, high : int
-        Least and greatest value.
-    different : int
-        Different values [count].
-    points : int
-        Points that were looked at [count].
-    most : int
-        Points that share the most frequent value [count].
-    """
+    """What a dimension holds in some points."""
 
     low: int
     high: int
     different: int
-    points: int
-    most: int
+    points: int  #: Points that were looked at [count].
+    most: int  #: Points that share the most frequent value [count].
 
 
 def small_numbers(records: NDArray[Any], layout: RecordLayout) -> dict[str, Numbers]:
     """Dimensions whose values are whole numbers from 0 to 255, by name.
 
-    Parameters
-    ----------
-    records : (n,) structured
-        Point records of this layout.
-    layout : RecordLayout
-        What their bytes mean.
+    ``records``: (n,) structured, point records of this layout.
     """
     found: dict[str, Numbers] = {}
     if not len(records):

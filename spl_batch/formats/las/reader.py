@@ -33,23 +33,7 @@ _OFFSET_TOLERANCE: Final = 1e-6
 
 @dataclass(frozen=True)
 class LasFacts:
-    """What a LAS file says about itself; its points are not read.
-
-    Parameters
-    ----------
-    mins_m, maxs_m : (float, float, float)
-        The header's bounding box, finite and in order; zeros where there are no points.
-    crs : CRS or None
-        From the WKT record, else from GeoTIFF keys.
-    adjusted_standard_bit : bool
-        What the header says about ``gps_time``; not always true of the values.
-    dimensions : tuple of str
-        Names that ``channel_dimension`` may take.
-    warnings : tuple of str
-        Oddities that do not stop the work; each is one sentence.
-    layers_can_be_copied : bool
-        Whether :mod:`spl_batch.formats.las.layers` knows how its points are compressed.
-    """
+    """What a LAS file says about itself; its points are not read."""
 
     path: Path
     size_bytes: int
@@ -58,23 +42,23 @@ class LasFacts:
     point_format: int
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
+    #: The header's bounding box, finite and in order; zeros where there are no points.
     mins_m: tuple[float, float, float]
     maxs_m: tuple[float, float, float]
-    crs: CRS | None
+    crs: CRS | None  #: From the WKT record, else from GeoTIFF keys.
+    #: What the header says about ``gps_time``; not always true of the values.
     adjusted_standard_bit: bool
     has_gps_time: bool
-    dimensions: tuple[str, ...]
-    warnings: tuple[str, ...]
+    dimensions: tuple[str, ...]  #: Names that ``channel_dimension`` may take.
+    warnings: tuple[str, ...]  #: Oddities that do not stop the work; each is one sentence.
+    #: Whether :mod:`spl_batch.formats.las.layers` knows how its points are compressed.
     layers_can_be_copied: bool
 
 
 def inspect(path: Path) -> LasFacts:
     """Facts of a LAS, LAZ or COPC file from header, VLRs and chunk table.
 
-    Parameters
-    ----------
-    path : Path
-        The file; a few kilobytes of it are read.
+    ``path``: the file; a few kilobytes of it are read.
 
     Raises
     ------
@@ -182,8 +166,6 @@ def iter_points(
         Key of the file, for the column ``source``.
     start, stop : int
         Range of points, half-open; by default all.
-    chunk : int
-        Points per table [count].
     watch : callable, optional
         Is given the records of each table before it comes.
 
@@ -228,24 +210,12 @@ SAMPLE_POINTS: Final = 4096
 
 
 class Ends(NamedTuple):
-    """Times and channels of some points from both ends of a file, (n,) each.
+    """Times and channels of some points from both ends of a file, (n,) each."""
 
-    Parameters
-    ----------
-    gps_time : (n,) float64
-        Not finite where the file has none [s].
-    channel : (n,) uint8
-        Beamlet numbers.
-    numbers : dict of str to Numbers
-        Dimensions that hold small whole numbers, by name.
-    classes : tuple of int
-        Classifications that occur.
-    """
-
-    gps_time: NDArray[np.float64]
-    channel: NDArray[Any]
-    numbers: dict[str, Numbers]
-    classes: tuple[int, ...]
+    gps_time: NDArray[np.float64]  #: (n,): not finite where the file has none [s].
+    channel: NDArray[Any]  #: (n,) uint8: beamlet numbers.
+    numbers: dict[str, Numbers]  #: Dimensions that hold small whole numbers, by name.
+    classes: tuple[int, ...]  #: Classifications that occur.
 
 
 def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
@@ -257,8 +227,6 @@ def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
         LAS, LAZ or COPC.
     channel_dimension : str or None
         Dimension with the beamlet number, which the file has; none gives channel 0.
-    count : int
-        Points of each end, at most [count].
 
     Raises
     ------

@@ -27,24 +27,15 @@ _REWRITE: Final = "the header is damaged, rewrite the file with the software tha
 
 @dataclass(frozen=True, slots=True)
 class ExtraDimension:
-    """One described dimension in the extra bytes of a record.
-
-    Parameters
-    ----------
-    field : str
-        Name of the field in the record's dtype; differs from every standard one.
-    scale, offset : float or None
-        Value = raw scale + offset, where the descriptor says so.
-    descriptor : bytes
-        The 192 bytes that describe it.
-    """
+    """One described dimension in the extra bytes of a record."""
 
     name: str
-    field: str
+    field: str  #: Name of the field in the record's dtype; differs from every standard one.
     dtype: np.dtype[Any]
+    #: Value = raw scale + offset, where the descriptor says so.
     scale: float | None
     offset: float | None
-    descriptor: bytes
+    descriptor: bytes  #: The 192 bytes that describe it.
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +141,6 @@ def dimension(records: NDArray[Any], layout: RecordLayout, name: str) -> NDArray
     ----------
     records : (n,) structured
         Point records of this layout.
-    layout : RecordLayout
-        What their bytes mean.
     name : str
         One of :attr:`RecordLayout.names`.
 

@@ -84,16 +84,9 @@ _INT32: Final = np.iinfo(np.int32)
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What is known of a file's points by who has decoded them before.
+    """What is known of a file's points by who has decoded them before."""
 
-    Parameters
-    ----------
-    given : callable
-        ``given(start, stop)`` is :func:`~spl_batch.formats.las.layers.given_of` of these records.
-    extent : Extent
-        Of all records.
-    """
-
+    #: ``given(start, stop)`` is :func:`~spl_batch.formats.las.layers.given_of` of these records.
     given: Callable[[int, int], NDArray[np.uint32]]
     extent: Extent
 
@@ -127,8 +120,6 @@ def write_classified(
         ``labels(start, stop)`` gives ``classification`` (:data:`KEEP_CLASS` and
         :data:`KEEP_BUT_GROUND` keep the input's) and ``noise_class`` (uint8) and, with
         diagnostics, ``noise_density`` and ``p_value`` (float32) of these points.
-    diagnostics : bool
-        Whether to add ``noise_density`` and ``p_value``.
     crs : CRS or None
         CRS for an input that carries none.
     flags : bool
@@ -140,19 +131,12 @@ def write_classified(
     classes : (256,) int64 ndarray, optional
         The points of each class that is written are added to it [count].
 
-    Returns
-    -------
-    int
-        Points written.
-
     Raises
     ------
     InputError
         If the input is damaged.
     WorkflowError
         If the output cannot be written, or is the input.
-    StoppedError
-        If the disk is full.
     """
     if dst.exists() and dst.samefile(src):
         raise WorkflowError(f"{dst}: is an input; choose another output folder")
@@ -256,14 +240,10 @@ def write_points(
 
     Parameters
     ----------
-    path : Path
-        Final name, written atomically.
     table : PointTable
         At least ``x, y, z``; columns of the model that it lacks are 0. ``classification``
         is the class, or else ``input_class``; where both are there the latter becomes
         ``input_classification``. Labels of :data:`ADDED` become extra bytes.
-    crs : CRS or None
-        CRS of the coordinates.
     extra : mapping of str to (n,) ndarray
         More extra bytes, numeric; these win over columns of the same name.
     adjusted_standard : bool
@@ -276,17 +256,10 @@ def write_points(
     aggregate_bit : bool
         Set :data:`AGGREGATE_BIT` as well.
 
-    Returns
-    -------
-    int
-        Points written.
-
     Raises
     ------
     WorkflowError
         If the output cannot be written.
-    StoppedError
-        If the disk is full.
     """
     added: dict[str, NDArray[Any]] = {n: table[n] for n in ADDED if n in table}
     if "input_class" in table and "classification" in table:

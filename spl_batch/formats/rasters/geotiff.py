@@ -59,26 +59,16 @@ def write_cog(
         Rows and columns, both > 0.
     origin_xy_m : (float, float)
         Easting and northing of the upper left corner [m].
-    cell_m : float
-        Edge of a cell [m].
     crs : str, optional
         Anything that GDAL understands as a CRS: EPSG code, WKT.
-    description : str
-        Name of the band.
     unit : str
         Unit of its values, as GDAL's unit type; empty where they have none.
-    nodata : float
-        Value of cells that hold nothing.
     colours : sequence of str
         Of values that are counts: colours ``#rrggbb`` of 0, 1 and so on, the last one for all
         above. The raster is one of bytes with a colour table then, its nodata :data:`NO_COUNT`.
 
     Raises
     ------
-    StoppedError
-        If the disk is full.
-    WorkflowError
-        If the place cannot be written.
     InputError
         If ``crs`` is not understood.
     """

@@ -19,19 +19,10 @@ from spl_batch.errors import DamagedError, StoreError
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Values and where they lie.
+    """Values and where they lie."""
 
-    Parameters
-    ----------
-    values : (rows, cols) float32
-        Row 0 northernmost; nodata as in the file.
-    left_m, top_m : float
-        Easting and northing of the upper left corner [m].
-    cell_m : float
-        Edge of a cell [m].
-    """
-
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  #: (rows, cols): row 0 northernmost; nodata as in the file.
+    #: left_m, top_m: easting and northing of the upper left corner [m].
     left_m: float
     top_m: float
     cell_m: float
@@ -51,8 +42,6 @@ def read_overview(
 
     Parameters
     ----------
-    path : Path
-        GeoTIFF.
     largest : int
         Cells that a side may have [count].
     bounds_m : (float, float, float, float), optional
@@ -84,21 +73,10 @@ def read_overview(
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """An open raster whose parts are read; beyond its edge it has nodata.
+    """An open raster whose parts are read; beyond its edge it has nodata."""
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    left_m, top_m : float
-        Easting and northing of the upper left corner [m].
-    cell_m : float
-        Edge of a cell [m].
-    source : rasterio.DatasetReader
-        What is read.
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  #: Rows and columns.
+    #: left_m, top_m: easting and northing of the upper left corner [m].
     left_m: float
     top_m: float
     cell_m: float
@@ -176,12 +154,7 @@ def _reduced(size: tuple[int, int], largest: int) -> tuple[int, tuple[int, int]]
 def read_part(path: Path, bounds_m: tuple[float, float, float, float]) -> Part | None:
     """Cells that a region touches, and one more around; None where the raster has none.
 
-    Parameters
-    ----------
-    path : Path
-        GeoTIFF.
-    bounds_m : (float, float, float, float)
-        West, south, east, north [m].
+    ``bounds_m``: (float, float, float, float), west, south, east, north [m].
 
     Raises
     ------

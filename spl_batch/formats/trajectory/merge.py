@@ -48,8 +48,6 @@ class Merge:
 
     Parameters
     ----------
-    paths : sequence of Path
-        The files.
     folder : Path or None
         Where the records wait; None for the system's place for temporary files.
 
@@ -81,8 +79,6 @@ class Merge:
         ------
         InputError
             If one of them cannot be read or converted.
-        StoppedError
-            If the disk is full.
         """
         for path in self.paths:
             before = len(self._batches)

@@ -23,17 +23,10 @@ _FAR_M: Final = 50_000.0
 
 @dataclass(frozen=True, slots=True)
 class PointExtent:
-    """What a trajectory is compared with.
+    """What a trajectory is compared with."""
 
-    Parameters
-    ----------
-    time_s : (float, float)
-        First and last ``gps_time`` of the points [s].
-    bounds_m : (4,) or (6,) float
-        Their bounding box: all minima, then all maxima [m].
-    """
-
-    time_s: tuple[float, float]
+    time_s: tuple[float, float]  #: First and last ``gps_time`` of the points [s].
+    #: (4,) or (6,) float: their bounding box: all minima, then all maxima [m].
     bounds_m: Sequence[float]
 
 
@@ -44,8 +37,6 @@ class Gathering:
 
     Parameters
     ----------
-    merge : Merge
-        The records.
     points : PointExtent or None
         Points in whose time the records are wanted, and which they must be near to.
 
@@ -159,8 +150,6 @@ def write_trajectory(path: Path, pieces: Iterable[Records]) -> None:
 
     Parameters
     ----------
-    path : Path
-        Final name.
     pieces : iterable of (time_s, xyz_m)
         However they are cut: (n,) float64 [s] and (n, 3) float64 [m].
     """
@@ -185,17 +174,7 @@ def _regrouped(pieces: Iterable[Records]) -> Iterator[Records]:
 def read_slice(path: Path, start_s: float, stop_s: float) -> Trajectory:
     """Records of a written trajectory that are needed within a time span.
 
-    Parameters
-    ----------
-    path : Path
-        From :func:`write_trajectory`; only the row groups that matter are read.
-    start_s, stop_s : float
-        Time span [s].
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
+    ``path``: from :func:`write_trajectory`; only the row groups that matter are read.
     """
     with reading(path) as file:
         groups = [

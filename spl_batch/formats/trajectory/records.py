@@ -40,18 +40,11 @@ class CannotConvertError(Exception):
 
 
 class Conversion(NamedTuple):
-    """A way of bringing positions into another CRS.
+    """A way of bringing positions into another CRS."""
 
-    Parameters
-    ----------
-    convert : callable
-        Positions (n, 3) to positions (n, 3) [m]; raises :class:`CannotConvertError`.
-    warning : str
-        What it leaves undone; may be empty.
-    """
-
+    #: Positions (n, 3) to positions (n, 3) [m]; raises :class:`CannotConvertError`.
     convert: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    warning: str
+    warning: str  #: What it leaves undone; may be empty.
 
 
 def read_records(path: Path) -> Iterator[Records]:
@@ -101,8 +94,6 @@ def conversions(path: Path, survey_crs: CRS | None, trajectory_crs: str | None) 
 
     Parameters
     ----------
-    path : Path
-        The file.
     survey_crs : CRS or None
         CRS that positions are wanted in; none leaves them as they are.
     trajectory_crs : str or None

@@ -46,11 +46,6 @@ SBET_SUFFIXES: Final = frozenset({".out", ".sbet"})
 def read_sbet(path: Path) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Times and positions of an SBET file, some records at a time.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Yields
     ------
     time_s : (n,) float64

@@ -87,8 +87,6 @@ def writing(
 
     Parameters
     ----------
-    path : Path
-        Final name.
     dtypes : mapping of str to dtype
         Columns of the file, in order.
     sought : sequence of str, optional
@@ -120,8 +118,6 @@ def write_table(
 
     Parameters
     ----------
-    path : Path
-        Final name.
     table : PointTable
         Rows in the order in which they are to lie on disk.
     group_starts : sequence of int
@@ -181,14 +177,7 @@ def read_columns(
 ) -> dict[str, NDArray[Any]]:
     """Columns of a Parquet file as numpy arrays.
 
-    Parameters
-    ----------
-    path : Path
-        File written by :func:`write_table`.
-    names : sequence of str
-        Columns to read.
-    groups : sequence of int, optional
-        Row groups to read; all by default.
+    ``path``: file written by :func:`write_table`. ``groups``: row groups to read; all by default.
 
     Raises
     ------
@@ -208,8 +197,6 @@ def read_between(
     ----------
     path : Path
         File written by :func:`write_table`.
-    names : sequence of str
-        Columns to read.
     spans : mapping of str to (int, int)
         Smallest and largest value of interest by column; every column has to meet its own.
 
@@ -266,10 +253,6 @@ def read_with(
     ----------
     path : Path
         File written by :func:`writing`.
-    names : sequence of str
-        Columns to read.
-    key : str
-        Column of integers.
     values : (v,) int64
         Values of interest in it, increasing.
 

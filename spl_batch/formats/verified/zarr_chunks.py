@@ -56,12 +56,8 @@ def describe(
     ----------
     shape, chunks : sequence of int
         Of the array and of a chunk.
-    dtype : dtype
-        Of a value.
     fill_value : float
         Value of chunks that are not there.
-    attributes : mapping
-        Plain JSON values.
     """
     files: _Files = {}
     _create(files, shape, chunks, dtype, fill_value, attributes)
@@ -71,14 +67,7 @@ def describe(
 def pack(values: NDArray[Any], *, chunks: Sequence[int], attributes: Mapping[str, Any]) -> Content:
     """A whole array as files, each of its chunks among them.
 
-    Parameters
-    ----------
-    values : ndarray
-        The array.
-    chunks : sequence of int
-        Shape of a chunk.
-    attributes : mapping
-        Plain JSON values.
+    ``values``: ndarray, the array.
     """
     content = describe(
         shape=values.shape, chunks=chunks, dtype=values.dtype, fill_value=0, attributes=attributes
@@ -123,14 +112,7 @@ def read_metadata(array: Path) -> Metadata:
 def encode(metadata: Metadata, box: Sequence[slice], values: NDArray[Any]) -> Content:
     """Chunks that hold a box of values, by their names; none for nothing but the fill value.
 
-    Parameters
-    ----------
-    metadata : dict
-        Of the array.
-    box : sequence of slice
-        Where the values lie; whole chunks.
-    values : ndarray
-        Of the box's shape.
+    ``box``: where the values lie; whole chunks. ``values``: ndarray, of the box's shape.
     """
     fill = metadata["fill_value"]
     found = {p.name: (values[p.of_box], p) for p in _pieces(_edges(metadata), box)}
@@ -144,12 +126,8 @@ def read_box(
 
     Parameters
     ----------
-    array : Path
-        Folder of the array.
     metadata : dict
         From :func:`read_metadata`.
-    box : sequence of slice
-        Within the array.
     sparse : bool
         Whether chunks that are not there hold the fill value; else they are missing.
 
@@ -179,20 +157,11 @@ def read_box(
 
 
 class _Piece(NamedTuple):
-    """What a chunk and a box share.
+    """What a chunk and a box share."""
 
-    Parameters
-    ----------
-    name : str
-        The chunk's file below its array.
-    shape : list of int
-        Shape of the chunk.
-    of_chunk, of_box : tuple of slice
-        Where it lies in both.
-    """
-
-    name: str
+    name: str  #: The chunk's file below its array.
     shape: Sequence[int]
+    #: Where it lies in both.
     of_chunk: tuple[slice, ...]
     of_box: tuple[slice, ...]
 

@@ -56,29 +56,15 @@ WAITING_BYTES_PER_DETECTION: Final = 36
 
 @dataclass(frozen=True, slots=True)
 class L1File:
-    """An input file that can be used.
+    """An input file that can be used."""
 
-    Parameters
-    ----------
-    path : Path
-        Where it lies.
-    name : str
-        What messages call it.
-    key : int
-        What tasks call it.
-    rows : int
-        Frames or detections in it [count].
-    written : (int, int)
-        Its size [byte] and time of writing [ns since 1970] when it was looked at.
-    extents : tuple, optional
-        Of each row group west, south, east, north [m] and its rows, where the footer tells them.
-    """
-
-    path: Path
+    path: Path  #: Where it lies.
     name: str
     key: int
-    rows: int
+    rows: int  #: Frames or detections in it [count].
+    #: Its size [byte] and time of writing [ns since 1970] when it was looked at.
     written: tuple[int, int]
+    #: Of each row group west, south, east, north [m] and its rows, where the footer tells them.
     extents: tuple[files.Extent, ...] | None = None
 
     @property
@@ -94,27 +80,15 @@ class L1File:
 
 @dataclass(frozen=True, slots=True)
 class L1Inputs:
-    """Everything that a workflow names, checked.
+    """Everything that a workflow names, checked."""
 
-    Parameters
-    ----------
-    frames, detections : tuple of L1File
-        Files that can be used, by name.
-    bad : tuple of InputError
-        Files that cannot.
-    warnings : tuple of str
-        What a user should know before the work starts.
-    crs : CRS, optional
-        CRS of all coordinates.
-    unread_frames, unread_detections : tuple of str
-        Names of the files that cannot be used.
-    """
-
+    #: Files that can be used, by name.
     frames: tuple[L1File, ...]
     detections: tuple[L1File, ...]
-    bad: tuple[InputError, ...]
-    warnings: tuple[str, ...]
+    bad: tuple[InputError, ...]  #: Files that cannot.
+    warnings: tuple[str, ...]  #: What a user should know before the work starts.
     crs: CRS | None
+    #: Names of the files that cannot be used.
     unread_frames: tuple[str, ...]
     unread_detections: tuple[str, ...]
 
@@ -127,14 +101,7 @@ class L1Inputs:
 def gather(workflow: CoincidenceWorkflow, base: Path, output: Path) -> L1Inputs:
     """Find and check every file of a workflow, from headers alone.
 
-    Parameters
-    ----------
-    workflow : CoincidenceWorkflow
-        Names them.
-    base : Path
-        Folder that relative paths start from.
-    output : Path
-        Folder of the results: no input may lie there.
+    ``output``: folder of the results: no input may lie there.
 
     Raises
     ------
@@ -307,15 +274,9 @@ PHASES: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoincidenceCost(Cost):
-    """What a run is expected to cost.
+    """What a run is expected to cost."""
 
-    Parameters
-    ----------
-    frames : int
-        Frames of all usable files [count].
-    """
-
-    frames: int
+    frames: int  #: Frames of all usable files [count].
 
 
 def estimate(ledger: L1Ledger, context: RunContext[CoincidenceWorkflow] | None) -> CoincidenceCost:

@@ -14,20 +14,11 @@ from spl_batch.lattice.row_order import lexicographic_order
 
 @dataclass(frozen=True, slots=True)
 class Attitudes:
-    """Frames as their files have them.
+    """Frames as their files have them."""
 
-    Parameters
-    ----------
-    number : (f,) int64
-        Strictly increasing.
-    origin_m : (f, 3) float64
-        Place of the sensor [m].
-    attitude_rad : (f, 3) float64
-        Heading clockwise from north, roll starboard wing down, pitch nose up [rad].
-    """
-
-    number: NDArray[np.int64]
-    origin_m: NDArray[np.float64]
+    number: NDArray[np.int64]  #: (f,): strictly increasing.
+    origin_m: NDArray[np.float64]  #: (f, 3): place of the sensor [m].
+    #: (f, 3): heading clockwise from north, roll starboard wing down, pitch nose up [rad].
     attitude_rad: NDArray[np.float64]
 
     def __len__(self) -> int:
@@ -36,20 +27,11 @@ class Attitudes:
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Images of the array, one for each laser pulse, in order of their numbers.
+    """Images of the array, one for each laser pulse, in order of their numbers."""
 
-    Parameters
-    ----------
-    number : (f,) int64
-        Strictly increasing.
-    origin_m : (f, 3) float64
-        Place of the sensor [m].
-    turn : (f, 3, 3) float64
-        Starboard, nose, up of the array as columns: east, north, up of each.
-    """
-
-    number: NDArray[np.int64]
-    origin_m: NDArray[np.float64]
+    number: NDArray[np.int64]  #: (f,): strictly increasing.
+    origin_m: NDArray[np.float64]  #: (f, 3): place of the sensor [m].
+    #: (f, 3, 3): starboard, nose, up of the array as columns: east, north, up of each.
     turn: NDArray[np.float64]
 
     def __len__(self) -> int:
@@ -73,21 +55,11 @@ class Frames:
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """Where detectors fired, at most once in a frame.
+    """Where detectors fired, at most once in a frame."""
 
-    Parameters
-    ----------
-    frame : (n,) int64
-        Number of the frame.
-    detector : (n,) int32
-        ``row * columns + column``.
-    xyz : (n, 3) int64
-        Places on the survey's lattice [quanta].
-    """
-
-    frame: NDArray[np.int64]
-    detector: NDArray[np.int32]
-    xyz: NDArray[np.int64]
+    frame: NDArray[np.int64]  #: (n,): number of the frame.
+    detector: NDArray[np.int32]  #: (n,): ``row * columns + column``.
+    xyz: NDArray[np.int64]  #: (n, 3): places on the survey's lattice [quanta].
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -127,8 +99,6 @@ class Detections:
         ----------
         frames : Frames
             Detections of other frames are left out.
-        array : ArraySettings
-            Gives the shape of an image.
 
         Returns
         -------
@@ -147,21 +117,12 @@ class Detections:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """What coincidence processing delivers, in the order of x, y, z.
+    """What coincidence processing delivers, in the order of x, y, z."""
 
-    Parameters
-    ----------
-    xyz : (n, 3) int64
-        Places on the survey's lattice [quanta].
-    intensity : (n,) float32
-        Detections for each look that interrogates a voxel there [1/1].
-    kind : (n,) uint8
-        1 surface, 2 ridge, 3 peak; 0 where the method does not tell.
-    """
-
-    xyz: NDArray[np.int64]
+    xyz: NDArray[np.int64]  #: (n, 3): places on the survey's lattice [quanta].
+    #: (n,): detections for each look that interrogates a voxel there [1/1].
     intensity: NDArray[np.float32]
-    kind: NDArray[np.uint8]
+    kind: NDArray[np.uint8]  #: (n,): 1 surface, 2 ridge, 3 peak; 0 where the method does not tell.
 
     def __len__(self) -> int:
         return len(self.xyz)

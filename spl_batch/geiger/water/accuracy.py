@@ -20,41 +20,23 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SurfaceError:
-    """Errors of one surface.
+    """Errors of one surface."""
 
-    Parameters
-    ----------
-    bias_m, variance_m2, mse_m2 : float
-        Of the down coordinate [G15 Eq. 3-16 to 3-18].
-    normal_deg : float
-        Between the mean normal and the mean true one [G15 Eq. 3-25].
-    pixel_normal_deg : float
-        Mean angle between a pixel's normal and its true one.
-    pixels : int
-        Pixels that are known [count].
-    """
-
+    #: Of the down coordinate [G15 Eq. 3-16 to 3-18].
     bias_m: float
     variance_m2: float
     mse_m2: float
-    normal_deg: float
-    pixel_normal_deg: float
+    normal_deg: float  #: Between the mean normal and the mean true one [G15 Eq. 3-25].
+    pixel_normal_deg: float  #: Mean angle between a pixel's normal and its true one.
     pixels: int
 
 
 @dataclass
 class PixelSums:
-    """Sums over acquisitions from which the errors of each pixel follow [G15 Eq. 3-19 to 3-26].
+    """Sums over acquisitions from which the errors of each pixel follow [G15 Eq. 3-19 to 3-26]."""
 
-    Parameters
-    ----------
-    count : (rows, cols) int64
-        Acquisitions in which the pixel is known.
-    error, square, angle : (rows, cols) float64
-        Sums of down errors [m], of their squares [m2], of angles [deg].
-    """
-
-    count: NDArray[np.int64]
+    count: NDArray[np.int64]  #: (rows, cols): acquisitions in which the pixel is known.
+    #: (rows, cols): sums of down errors [m], of their squares [m2], of angles [deg].
     error: Floats
     square: Floats
     angle: Floats
@@ -143,20 +125,14 @@ def surface_error(
 
 @dataclass(frozen=True, slots=True)
 class FloorError:
-    """How far rays end from where they truly do after a way through the water.
+    """How far rays end from where they truly do after a way through the water."""
 
-    Parameters
-    ----------
-    straight_m, level_m, refracted_m : float
-        Mean distance of the ends of single pixels' rays: without refraction, refracted by a level
-        surface, refracted by the surface found [m].
-    straight_beam_m, level_beam_m, refracted_beam_m : float
-        Distance of the mean of all ends: the place of a beam that covers these pixels [m].
-    """
-
+    #: Mean distance of the ends of single pixels' rays: without refraction, refracted by a level
+    #: surface, refracted by the surface found [m].
     straight_m: float
     level_m: float
     refracted_m: float
+    #: Distance of the mean of all ends: the place of a beam that covers these pixels [m].
     straight_beam_m: float
     level_beam_m: float
     refracted_beam_m: float
@@ -179,8 +155,6 @@ def floor_error(
         Places on the surface [m] and unit normals out of the water; NaN where unknown.
     in_water_m : float
         Length of the way in water, as a second receiver measures it [m].
-    index_water : float
-        Refractive index of water.
     """
     known = np.isfinite(found[0]).all(axis=-1) & np.isfinite(found[1]).all(axis=-1)
     if not known.any():

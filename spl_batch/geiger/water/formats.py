@@ -40,42 +40,23 @@ PIECE_VALUES: Final = 2_048_000
 
 @dataclass(frozen=True, slots=True)
 class FrameFacts:
-    """What a file of frames declares.
-
-    Parameters
-    ----------
-    frames, rows, cols : int
-        Shape of the array [count].
-    truth_frames : int
-        Frames of an acquisition for which truth lies beside; 0 where there is none [count].
-    chunk_frames : int
-        Frames of a chunk; 0 where it is not cut into chunks [count].
-    piece_bytes : int
-        Memory of a piece while it is read [byte].
-    """
+    """What a file of frames declares."""
 
     frames: int
     rows: int
     cols: int
+    #: Frames of an acquisition for which truth lies beside; 0 where there is none [count].
     truth_frames: int
-    chunk_frames: int
-    piece_bytes: int
+    chunk_frames: int  #: Frames of a chunk; 0 where it is not cut into chunks [count].
+    piece_bytes: int  #: Memory of a piece while it is read [byte].
 
 
 @dataclass(frozen=True, slots=True)
 class FrameTruth:
-    """What is true of some acquisitions.
+    """What is true of some acquisitions."""
 
-    Parameters
-    ----------
-    down_m : (a, rows, cols) float64
-        Down coordinate along each line of sight [m].
-    normals : (a, rows, cols, 3) float64
-        Unit normals out of the water.
-    """
-
-    down_m: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    down_m: NDArray[np.float64]  #: (a, rows, cols): down coordinate along each line of sight [m].
+    normals: NDArray[np.float64]  #: (a, rows, cols, 3): unit normals out of the water.
 
 
 @contextmanager
@@ -96,12 +77,7 @@ def _opened(path: Path) -> Iterator[Any]:
 def inspect_frames(path: Path, rows: int, cols: int) -> FrameFacts:
     """Check what a file declares against the camera.
 
-    Parameters
-    ----------
-    path : Path
-        HDF5 file or Zarr group.
-    rows, cols : int
-        Of the camera [count].
+    ``path``: HDF5 file or Zarr group.
 
     Raises
     ------
@@ -193,14 +169,7 @@ def iter_frames(
 ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
     """Frames ``first <= n < last``, a piece after the other: number of its first one, frames.
 
-    Parameters
-    ----------
-    path : Path
-        Checked by :func:`inspect_frames`.
-    first, last : int
-        Frames.
-    bins : int
-        Largest bin of the camera.
+    ``path``: checked by :func:`inspect_frames`.
 
     Raises
     ------
@@ -257,10 +226,6 @@ def write_frames(
         ``.h5`` or ``.zarr``.
     frames : (n, rows, cols) uint16
         Bins; 0 is no hit.
-    attributes : mapping
-        Facts for readers.
-    truth : FrameTruth, optional
-        Of every acquisition.
     frames_per_acquisition : int
         Frames of an acquisition of the truth.
     """

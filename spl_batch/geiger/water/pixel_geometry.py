@@ -21,22 +21,13 @@ HALF_C_M_NS: Final = SPEED_OF_LIGHT_M_S * 1e-9 / 2
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Where each pixel looks.
+    """Where each pixel looks."""
 
-    Parameters
-    ----------
-    x, y : (rows, cols) float64
-        Image coordinates over the focal length [G15 Eq. 3-11].
-    rotation : (3, 3) float64
-        From the sensor's frame to the local one.
-    origin_m : (3,) float64
-        Lens in the local frame: north, east, down [m].
-    """
-
+    #: (rows, cols): image coordinates over the focal length [G15 Eq. 3-11].
     x: Floats
     y: Floats
-    rotation: Floats
-    origin_m: Floats
+    rotation: Floats  #: (3, 3): from the sensor's frame to the local one.
+    origin_m: Floats  #: (3,): lens in the local frame: north, east, down [m].
 
     @property
     def norm(self) -> Floats:

@@ -49,52 +49,25 @@ RATES_FRAMES_PER_S: Final = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class FrameSource:
-    """A file of frames that can be used.
+    """A file of frames that can be used."""
 
-    Parameters
-    ----------
-    path : Path
-        Where it lies.
-    name : str
-        What messages call it.
-    key : int
-        What tasks call it; depends on its name alone.
-    facts : FrameFacts
-        What it declares.
-    distance_m : float
-        Of the target, where it is for calibration; 0 where it is of the water [m].
-    """
-
-    path: Path
+    path: Path  #: Where it lies.
     name: str
-    key: int
+    key: int  #: What tasks call it; depends on its name alone.
     facts: FrameFacts
+    #: Of the target, where it is for calibration; 0 where it is of the water [m].
     distance_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class WaterInputs:
-    """Everything that a workflow names, checked.
+    """Everything that a workflow names, checked."""
 
-    Parameters
-    ----------
-    sources : tuple of FrameSource
-        Files of the water, by name.
-    targets : tuple of FrameSource
-        Files for calibration, as the workflow lists them.
-    bad : tuple of InputError
-        Files that cannot be used.
-    crs : CRS or None
-        Of the rasters.
-    warnings : tuple of str
-        What a user should know before the work starts.
-    """
-
-    sources: tuple[FrameSource, ...]
-    targets: tuple[FrameSource, ...]
-    bad: tuple[InputError, ...]
+    sources: tuple[FrameSource, ...]  #: Files of the water, by name.
+    targets: tuple[FrameSource, ...]  #: Files for calibration, as the workflow lists them.
+    bad: tuple[InputError, ...]  #: Files that cannot be used.
     crs: CRS | None
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  #: What a user should know before the work starts.
 
 
 class WaterLedger(Ledger[WaterInputs, WaterWorkflow]):
@@ -120,15 +93,6 @@ class WaterLedger(Ledger[WaterInputs, WaterWorkflow]):
 
 def gather_inputs(workflow: WaterWorkflow, base: Path, output: Path) -> WaterInputs:
     """Find and check every file of a workflow, from what it declares.
-
-    Parameters
-    ----------
-    workflow : WaterWorkflow
-        The settings.
-    base : Path
-        Folder that relative paths start from.
-    output : Path
-        Folder of the results.
 
     Raises
     ------
@@ -202,15 +166,7 @@ def _remarks(source: FrameSource, per: int) -> Iterator[Said]:
 
 
 def estimate(ledger: WaterLedger, context: RunContext[WaterWorkflow] | None = None) -> Cost:
-    """What a run is expected to cost.
-
-    Parameters
-    ----------
-    ledger : WaterLedger
-        Inputs and limits.
-    context : RunContext, optional
-        Where measured rates may lie.
-    """
+    """What a run is expected to cost."""
     inputs, camera = ledger.inputs, ledger.workflow.camera
     pixels = camera.rows * camera.cols
     frames = sum(s.facts.frames for s in (*inputs.sources, *inputs.targets))

@@ -31,19 +31,10 @@ U0, U1, U2, U3, U4, U5 = (np.uint64(i) for i in range(6))
 
 
 class KdTree(NamedTuple):
-    """Points in tree order.
+    """Points in tree order."""
 
-    Parameters
-    ----------
-    points : (4, n) int32
-        x, y, z [quanta] and row of each slot, each contiguous.
-    boxes : (2**(depth + 1), 6) int32
-        Smallest x, y, z and largest x, y, z of each node; node 0 is unused.
-    depth : int
-        Level of the leaves.
-    """
-
-    points: NDArray[np.int32]
+    points: NDArray[np.int32]  #: (4, n): x, y, z [quanta] and row of each slot, each contiguous.
+    #: (2**(depth + 1), 6): smallest x, y, z and largest x, y, z of each node; node 0 is unused.
     boxes: NDArray[np.int32]
     depth: int
 
@@ -62,14 +53,7 @@ class KdTree(NamedTuple):
 def build(xyz: NDArray[np.int32]) -> KdTree:
     """Put points into tree order.
 
-    Parameters
-    ----------
-    xyz : (n, 3) int32
-        Coordinates relative to any anchor [quanta]; n < 2**31.
-
-    Returns
-    -------
-    KdTree
+    ``xyz``: (n, 3) int32, coordinates relative to any anchor [quanta]; n < 2**31.
     """
     n = len(xyz)
     depth = 0

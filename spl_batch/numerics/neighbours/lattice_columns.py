@@ -15,27 +15,14 @@ from spl_batch.numerics.compiled import njit
 
 
 class Columns(NamedTuple):
-    """Points in column order.
+    """Points in column order."""
 
-    Parameters
-    ----------
-    points : (4, n) int32
-        x, y, z [quanta] and row of each slot, each contiguous.
-    start : (nx * ny + 1,) int64
-        First slot of each column, y fastest.
-    corner : (2,) int64
-        Lower corner of the first column, relative to the anchor [quanta].
-    shape : tuple of int
-        Columns along x and y.
-    edge : int
-        Edge of a column [quanta].
-    """
-
-    points: NDArray[np.int32]
-    start: NDArray[np.int64]
+    points: NDArray[np.int32]  #: (4, n): x, y, z [quanta] and row of each slot, each contiguous.
+    start: NDArray[np.int64]  #: (nx * ny + 1,): first slot of each column, y fastest.
+    #: (2,): lower corner of the first column, relative to the anchor [quanta].
     corner: NDArray[np.int64]
-    shape: tuple[int, int]
-    edge: int
+    shape: tuple[int, int]  #: Columns along x and y.
+    edge: int  #: Edge of a column [quanta].
 
 
 def columns(
@@ -53,10 +40,6 @@ def columns(
         Where xyz counts from, on the absolute lattice [quanta].
     edge : int
         Edge of a column [quanta].
-
-    Returns
-    -------
-    Columns
     """
     # Searches look at whole vectors: some more lies behind the last point.
     points = np.empty(4 * len(rows) + 8, dtype=np.int32)[:-8].reshape(4, -1)

@@ -27,10 +27,6 @@ def plane_of_moments(
 
     Parameters
     ----------
-    mu, mv, mw : float
-        Means.
-    uu, uv, vv, uw, vw : float
-        Sums of products about the means.
     flattest : float
         Least determinant over the squared trace of the (u, v) moments: below it the points
         lie on a line.
@@ -67,12 +63,7 @@ def residual(
 def select(values: NDArray[np.float64], k: int) -> float:
     """Value that a sort would put at place ``k``; what is not larger ends up before it.
 
-    Parameters
-    ----------
-    values : (n,) float64
-        Finite; their order is changed.
-    k : int
-        Place, 0 to n - 1.
+    ``values``: (n,) float64, finite; their order is changed. ``k``: place, 0 to n - 1.
     """
     low, high = 0, len(values) - 1
     while low < high:

@@ -108,8 +108,6 @@ def fit_planes(
 
     Parameters
     ----------
-    sets : int
-        Number of sets.
     first : (sets + 1 or more,) int64
         Where the rows of each set start in ``member``, and where the last ones end; at least four.
     member : (m,) uint64

@@ -35,37 +35,24 @@ _SURE = 1.2e-15
 
 
 class Mesh(NamedTuple):
-    """Triangles, those at infinity among them, with room for all vertices.
+    """Triangles, those at infinity among them, with room for all vertices."""
 
-    Parameters
-    ----------
-    xy : (v, 2) float64
-        Places, from the lower left corner of all.
-    x, y : (v,) int64
-        The same on the lattice.
-    corner : (2 v, 3) int32
-        Vertices of each triangle, counter-clockwise; :data:`GHOST` for the one at infinity.
-    across : (2 v, 3) int32
-        Triangle across from each corner.
-    state : (2,) int64
-        Number of triangles, 0 as long as no three places span an area; the last one made.
-    """
-
-    xy: NDArray[np.float64]
+    xy: NDArray[np.float64]  #: (v, 2): places, from the lower left corner of all.
+    #: (v,): the same on the lattice.
     x: NDArray[np.int64]
     y: NDArray[np.int64]
+    #: (2 v, 3): vertices of each triangle, counter-clockwise; :data:`GHOST` for the one at
+    #: infinity.
     corner: NDArray[np.int32]
-    across: NDArray[np.int32]
+    across: NDArray[np.int32]  #: (2 v, 3): triangle across from each corner.
+    #: (2,): number of triangles, 0 as long as no three places span an area; the last one made.
     state: NDArray[np.int64]
 
 
 def empty_mesh(xy: NDArray[np.float64]) -> Mesh:
     """Mesh without triangles for vertices at some places.
 
-    Parameters
-    ----------
-    xy : (v, 2) float64
-        Places of all vertices that will ever come [any one unit].
+    ``xy``: (v, 2) float64, places of all vertices that will ever come [any one unit].
     """
     xy = xy - xy.min(axis=0)
     extent = max(float(xy.max()), 1e-100)
@@ -84,12 +71,7 @@ def empty_mesh(xy: NDArray[np.float64]) -> Mesh:
 def along_curve(mesh: Mesh, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
     """Vertices in Morton's order: near ones mostly follow each other.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Knows their places.
-    chosen : (n,) intp
-        Vertices.
+    ``chosen``: (n,) intp, vertices.
     """
     key = np.empty(len(chosen), np.uint64)
     _morton(mesh.x, mesh.y, chosen, key)
@@ -124,8 +106,6 @@ def insert(mesh: Mesh, chosen: NDArray[np.intp]) -> None:
 
     Parameters
     ----------
-    mesh : Mesh
-        Changed.
     chosen : (n,) intp
         Vertices that are not in it yet. One at the place of another is left out, and so are
         all as long as they lie on one line: give these again with the next ones.

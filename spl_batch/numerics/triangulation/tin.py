@@ -21,23 +21,13 @@ _EDGE_SLACK = 1e-12
 
 
 class Tin(NamedTuple):
-    """Triangulated irregular network.
+    """Triangulated irregular network."""
 
-    Parameters
-    ----------
-    xyz : (v, 3) float64
-        Vertices [m].
-    facets : (t, 3) int32
-        Vertices of each triangle, counter-clockwise.
-    neighbours : (t, 3) int32
-        Triangle across from each vertex; :data:`OUTSIDE` at the hull.
-    planes : (t, 3) float64
-        Height at the first corner and slopes: z = c + a (x - x0) + b (y - y0), as a, b, c.
-    """
-
-    xyz: NDArray[np.float64]
-    facets: NDArray[np.int32]
+    xyz: NDArray[np.float64]  #: (v, 3): vertices [m].
+    facets: NDArray[np.int32]  #: (t, 3): vertices of each triangle, counter-clockwise.
+    #: (t, 3): triangle across from each vertex; :data:`OUTSIDE` at the hull.
     neighbours: NDArray[np.int32]
+    #: (t, 3): height at the first corner and slopes: z = c + a (x - x0) + b (y - y0), as a, b, c.
     planes: NDArray[np.float64]
 
 
@@ -141,12 +131,8 @@ def locate_one(
 
     Parameters
     ----------
-    xyz, facets, neighbours
-        The triangulation.
     px, py : float
         Place [m].
-    start : int
-        Triangle to start from.
 
     Returns
     -------
@@ -183,8 +169,6 @@ def locate(
 
     Parameters
     ----------
-    xyz, facets, neighbours
-        The triangulation.
     x, y : (n,) float64
         Places [m].
     out : (n,) int32
@@ -197,19 +181,12 @@ def locate(
 
 
 def interpolate(tin: Tin, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Height of a surface.
+    """Height of a surface: (n,) float64 [m]; NaN outside the surface.
 
     Parameters
     ----------
-    tin : Tin
-        Surface.
     x, y : (n,) float64
         Places [m], near ones following each other.
-
-    Returns
-    -------
-    (n,) float64
-        Height [m]; NaN outside the surface.
     """
     facet = np.empty(len(x), dtype=np.int32)
     locate(tin.xyz, tin.facets, tin.neighbours, x, y, facet)
@@ -224,11 +201,6 @@ def vertex_slopes(tin: Tin) -> NDArray[np.float64]:
     """Slopes of a surface at its vertices: mean of the triangles around, by their areas.
 
     A single triangle is as steep as the noise of its corners makes it.
-
-    Parameters
-    ----------
-    tin : Tin
-        Surface.
 
     Returns
     -------
@@ -269,8 +241,6 @@ def heights_and_slopes(
 
     Parameters
     ----------
-    tin : Tin
-        Surface.
     slopes : (v, 2) float64
         At its vertices [rise/run].
     order : (n,) int64

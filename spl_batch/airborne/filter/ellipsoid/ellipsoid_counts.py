@@ -1,33 +1,19 @@
 r"""Neighbours inside each point's adaptive ellipsoid [W18 Eq. 3-8; W17 Eq. 5.4-5.6, 6.3-6.5].
 
-============ ================================================================
-symbol       name
-============ ================================================================
-e_1..e_3     ``values``: eigenvalues of the neighbours' covariance [m2]
-a, b, c      ``axes``: semi-axes r e_i / cbrt(e_1 e_2 e_3) [m]
-r            ``radius``: radius of the sphere of equal volume [m]
-P            ``vectors``: eigenvectors, as rows
-flag         ``_flags``: below 1 inside
-k            ``count``: peers inside, the query point excluded
-rho v        ``expected``: noise density times volume
-============ ================================================================
-
-Deviations: eigenvalues are floored (coincident and collinear neighbours have none);
-the long axis is capped, and the volume that is tested is that of the capped ellipsoid,
-the one that is counted in; with fewer than four neighbours within reach there is no
-shape to speak of, and the sphere is used; where spacings are given, only peers count
+Shape, symbols and deviations: :mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_shape`. Beside
+these: k, ``count``, are peers inside without the query point; rho v, ``expected``, is noise density
+times the volume of the capped ellipsoid; where spacings are given, only peers count
 (:mod:`spl_batch.airborne.filter.ellipsoid.spacing`).
 
-A count is discrete. With ``tie`` the score puts a point between the tails of its count and of
-the next by where the outermost of the k inside lies: for k points strewn evenly in an ellipsoid
+With ``tie`` the score puts a point between the tails of its count and of the next by where the
+outermost of the k inside lies: for points strewn evenly in an ellipsoid
 
 .. math:: s = P(K > k) + u\,P(K = k), \quad u = (\max_i f_i)^{3 k / 2}
 
 is uniform, with f the flags of Eq. 5; a signal's are nearer the middle.
 
-Counting stops at the critical count. Most points never walk the tree: the critical
-count is reached among the neighbours that shaped the ellipsoid, or the ellipsoid
-reaches no farther than they do.
+Counting stops at the critical count, which most points reach among the neighbours that shaped the
+ellipsoid, without walking the tree.
 """
 
 import math
@@ -105,14 +91,10 @@ def count_inside(
     ----------
     xyz : (n, 3) int32
         Coordinates relative to any anchor [quanta], rows in canonical order.
-    tree : KdTree
-        The same points.
     query : (n,) bool
         Points to count for.
     density : (n,) float64
         Expected noise at each point [1/unit3].
-    shape : Shape
-        How neighbours become an ellipsoid.
     alpha : float or (n,) float64
         Counting stops at the smallest k with P(K >= k | lambda) <= alpha of the point.
     at_most : float
@@ -128,8 +110,6 @@ def count_inside(
     peer_ratio : float
         Only peers are counted: neighbours whose spacing is at least that of the point
         divided by this; >= 1.
-    tie : bool
-        Break the ties of counts.
     scores_only : bool
         Whether the first two of what follows are not wanted, and are empty.
 

@@ -40,14 +40,8 @@ def passes_ratio(
     ----------
     xyz : (n, 3) int32
         Coordinates relative to any anchor [quanta], rows in canonical order.
-    tree : KdTree
-        The same points.
     query : (n,) bool
         Points to decide.
-    shape : Shape
-        How neighbours become an ellipsoid.
-    ratio : float
-        Least n_e / n_s.
 
     Returns
     -------

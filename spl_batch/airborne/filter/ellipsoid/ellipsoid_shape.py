@@ -31,24 +31,15 @@ SHAPE_MIN: Final = 4
 
 
 class Shape(NamedTuple):
-    """How neighbours become an ellipsoid; lengths in quanta.
-
-    Parameters
-    ----------
-    neighbours : int
-        Neighbours that shape it [count].
-    radius, floor, axis_cap, neighbour_cap : float
-        Sphere of equal volume, smallest spread, longest semi-axis, farthest neighbour.
-    power : float
-        1 for eigenvalues [W18 Eq. 3], 0.5 for their roots.
-    """
+    """How neighbours become an ellipsoid; lengths in quanta."""
 
     neighbours: int
+    #: Sphere of equal volume, smallest spread, longest semi-axis, farthest neighbour.
     radius: float
     floor: float
     axis_cap: float
     neighbour_cap: int
-    power: float
+    power: float  #: 1 for eigenvalues [W18 Eq. 3], 0.5 for their roots.
 
 
 @njit(fastmath={"reassoc"})
@@ -144,31 +135,18 @@ def half_extents(vectors, axes, half):  # type: ignore[no-untyped-def]
 
 
 class Bodies(NamedTuple):
-    """Ellipsoids of eight points at a time, one to a column.
+    """Ellipsoids of eight points at a time, one to a column."""
 
-    Parameters
-    ----------
-    found : (8,) int64
-        Neighbours that shape each [count].
-    moments, quadrics : (6, 8) float64
-        Covariance of the neighbours, and the matrix of the ellipsoid, upper triangles.
-    values, axes : (3, 8) float64
-        Eigenvalues and semi-axes, longest first [quanta].
-    vectors : (9, 8) float64
-        Unit axes, x, y, z of each.
-    volume : (8,) float64
-        [quanta3].
-    matrix, value, rows : (6,), (3,), (3, 3) float64
-        Scratch for one of them.
-    """
-
-    found: NDArray[np.int64]
+    found: NDArray[np.int64]  #: (8,): neighbours that shape each [count].
+    #: (6, 8): covariance of the neighbours, and the matrix of the ellipsoid, upper triangles.
     moments: NDArray[np.float64]
     quadrics: NDArray[np.float64]
+    #: (3, 8): eigenvalues and semi-axes, longest first [quanta].
     values: NDArray[np.float64]
     axes: NDArray[np.float64]
-    vectors: NDArray[np.float64]
-    volume: NDArray[np.float64]
+    vectors: NDArray[np.float64]  #: (9, 8): unit axes, x, y, z of each.
+    volume: NDArray[np.float64]  #: (8,): [quanta3].
+    #: (6,), (3,), (3, 3) float64: scratch for one of them.
     matrix: NDArray[np.float64]
     value: NDArray[np.float64]
     rows: NDArray[np.float64]

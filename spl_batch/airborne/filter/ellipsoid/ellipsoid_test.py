@@ -1,32 +1,27 @@
 """Point-wise test of the adaptive ellipsoid [W18 2.2.3; W17 5.2.2, 6.2.3].
 
-Three tests. ``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 11-26 %
-of pure noise. ``tail`` deviates in four points:
+``published`` is the source's: noise where P(K <= k) < 0.95; it keeps 11-26 % of pure noise.
+``tail`` deviates in four points:
 
 - it uses P(K >= k), the probability of a count at least as large as the one found;
-- alpha is divided by ``selection``, because an ellipsoid is fitted to the very points
-  that it counts (``benchmarks/airborne/filter/denoise.py`` prints what is kept);
-- only peers are counted: neighbours whose own spacing is at least the point's divided by
-  ``peer_ratio`` (:mod:`~spl_batch.airborne.filter.ellipsoid.spacing`). Noise a few metres from a
-  surface lives on the surface's returns otherwise;
-- hysteresis: a point that passes at ``weak_alpha`` only lives if at least ``link_count``
-  peers that pass by themselves lie within ``link_m``. Links are not chained, so the
-  reach is that of the ellipsoid and the spacing in it, plus one link.
+- alpha is divided by ``selection``, because an ellipsoid is fitted to the points that it counts
+  (``benchmarks/airborne/filter/denoise.py`` prints what is kept);
+- only peers count: neighbours whose spacing is at least the point's over ``peer_ratio``
+  (:mod:`~spl_batch.airborne.filter.ellipsoid.spacing`), so noise does not live on a surface near
+  by;
+- hysteresis: a point that passes at ``weak_alpha`` only needs ``link_count`` peers within
+  ``link_m`` that pass by themselves. Links are not chained.
 
-``calibrated``, the default, keeps peers and hysteresis, and replaces the division:
+``calibrated``, the default, keeps peers and hysteresis, and replaces the division: the score, ties
+broken, is compared with what pure noise of the same density scores
+(:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), so a share alpha of noise is kept
+at any density (``benchmarks/airborne/filter/null_calibration.py``). Links may add ``link_share`` of
+alpha: in dense noise they are shorter.
 
-- counts have their ties broken, and the score is compared with what pure noise of the
-  same density scores (:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`), so a share
-  alpha of noise is kept, whatever its density (``benchmarks/airborne/filter/null_calibration.py``);
-- of alpha, ``link_share`` is what links may add: where noise is dense, links are shorter.
-
-Rules for the borders of the method: with fewer neighbours within the cap than the
-settings ask for, those there are shape the ellipsoid, and with fewer than four it is
-the sphere; with no noise expected a single neighbour inside makes a signal; but for the
-published test a point with no neighbour inside is background, unless fewer than
-:data:`HARDLY_EXPECTED` noise points are expected within the neighbours' cap: clouds whose
-vendor has removed the noise, and linear-mode ones, keep their lone returns. Coincident
-points are neighbours like any other.
+Borders: neighbours within the cap shape the ellipsoid, and fewer than four leave the sphere; with
+no noise expected one neighbour inside makes a signal; but for the published test a point with none
+is background, unless fewer than :data:`HARDLY_EXPECTED` noise points are expected within the cap:
+so clouds without noise keep their lone returns. Coincident points are neighbours like any other.
 """
 
 from collections.abc import Callable
@@ -87,8 +82,6 @@ def judge(
     ----------
     cloud : Cloud
         Independent returns of a block and its halo.
-    settings : FilterSettings
-        Test and its parameters.
     exact : bool
         Count on until the score is below 1e-12, so that p is exact down to there. Without
         it counting stops once the decision stands and, calibrated, the score is below

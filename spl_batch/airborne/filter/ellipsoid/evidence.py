@@ -22,27 +22,17 @@ DOMAIN: Final = "space"
 
 
 class Evidence(NamedTuple):
-    """What is known about n points.
+    """What is known about n points."""
 
-    Parameters
-    ----------
-    score : (n,) float64
-        Small means unlikely to be noise; 1 where not asked. See
-        :func:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_counts.count_inside`.
-    inside : (n,) int32
-        Neighbours counted, at most the critical count [count]; empty where not wanted.
-    expected : (n,) float64
-        Noise points expected inside the ellipsoid [count]; empty where not wanted.
-    spacing : (n,) float64
-        Squared spacing of the points asked for, and of some others, by slot of the tree; negative
-        where it is not known; all zero for the published test [quanta2].
-    tree : KdTree
-        The points.
-    """
-
+    #: (n,): small means unlikely to be noise; 1 where not asked. See
+    #: :func:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_counts.count_inside`.
     score: NDArray[np.float64]
+    #: (n,): neighbours counted, at most the critical count [count]; empty where not wanted.
     inside: NDArray[np.int32]
+    #: (n,): noise points expected inside the ellipsoid [count]; empty where not wanted.
     expected: NDArray[np.float64]
+    #: (n,): squared spacing of the points asked for, and of some others, by slot of the tree;
+    #: negative where it is not known; all zero for the published test [quanta2].
     spacing: NDArray[np.float64]
     tree: KdTree
 
@@ -91,10 +81,6 @@ def evidence(
         Whether counts, found and expected, are not wanted.
     tree : KdTree, optional
         Of ``xyz``, where there is one already.
-
-    Returns
-    -------
-    Evidence
     """
     spacing = np.full(len(xyz), 0.0 if settings.test == "published" else -1.0)
     tree = build(xyz) if tree is None else tree

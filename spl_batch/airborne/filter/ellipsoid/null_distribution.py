@@ -1,10 +1,9 @@
 """What pure noise scores in the adaptive-ellipsoid test: the null distribution, drawn once.
 
-Domain: space. An ellipsoid is fitted to the very points that it counts, so its count is not
-Poisson under the null [W18 Eq. 6-8 take it for that]; how far off it is depends on the density
-of the noise and on the fixed settings of the test alone. So it is drawn: uniform noise in
-periodic boxes, scored by the code that scores surveys, for densities from 1e-4 to 10 per m3.
-Two things are tabulated by density:
+Domain: space. An ellipsoid is fitted to the points that it counts, so its count is not Poisson
+under the null, as [W18 Eq. 6-8] take it. How far off it is depends on the density of the noise and
+the settings of the test alone. So uniform noise in periodic boxes is scored by the code that scores
+surveys, for densities from 1e-4 to 10 per m3, and tabulated by density:
 
 ==================== ===================================================================
 ``NullTable.score``  the score that a share p of pure noise does not exceed
@@ -13,13 +12,10 @@ Two things are tabulated by density:
 ``NullTable.own``    the rest of alpha
 ==================== ===================================================================
 
-The table of the default settings ships with the package (``null_table.json``, written by
-``python -m benchmarks.airborne.filter.null_table``); for others a coarser one is drawn on first
-use, in each
-process. Between densities and levels interpolation is linear in logarithms; beyond the last
-level p falls with the score as it does on average over the last decade.
-
-Accuracy: ``python -m benchmarks.airborne.filter.null_calibration``.
+The table of the default settings ships (``null_table.json``, written by ``python -m
+benchmarks.airborne.filter.null_table``); others draw a coarser one on first use, in each process.
+Interpolation is linear in logarithms; beyond the last level p falls with the score as on average
+over the last decade. Accuracy: ``python -m benchmarks.airborne.filter.null_calibration``.
 """
 
 import json
@@ -92,30 +88,16 @@ _LOCK = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class NullTable:
-    """Null distribution for fixed settings; logarithms are natural.
+    """Null distribution for fixed settings; logarithms are natural."""
 
-    Parameters
-    ----------
-    density : (d,) float64
-        Log noise density [1/m3], ascending.
-    level : (p,) float64
-        Log share of pure noise, descending from 0.
-    score : (d, p) float64
-        Log score that this share does not exceed, descending along each row.
-    alpha : (a,) float64
-        Log level of the whole decision, descending.
-    own : (d, a) float64
-        Log share of noise that may pass alone, so that with links alpha do.
-    link_m : (d, a) float64
-        Log of the longest link [m].
-    """
-
-    density: NDArray[np.float64]
-    level: NDArray[np.float64]
+    density: NDArray[np.float64]  #: (d,): log noise density [1/m3], ascending.
+    level: NDArray[np.float64]  #: (p,): log share of pure noise, descending from 0.
+    #: (d, p): log score that this share does not exceed, descending along each row.
     score: NDArray[np.float64]
-    alpha: NDArray[np.float64]
+    alpha: NDArray[np.float64]  #: (a,): log level of the whole decision, descending.
+    #: (d, a): log share of noise that may pass alone, so that with links alpha do.
     own: NDArray[np.float64]
-    link_m: NDArray[np.float64]
+    link_m: NDArray[np.float64]  #: (d, a): log of the longest link [m].
 
     def critical(
         self, density: NDArray[np.float64], share: float | NDArray[np.float64]
@@ -227,13 +209,6 @@ def draw_table(
         [1/m3], evenly spaced in logarithm.
     tell : callable
         Called with each density before it is drawn.
-    workers : int
-        Densities drawn at a time.
-
-    Returns
-    -------
-    NullTable
-        The same for the same settings, points and densities.
     """
     settings = settings.model_copy(update={"test": "calibrated"})
     numbers = np.broadcast_to(points, densities.shape)
@@ -288,14 +263,10 @@ def periodic_noise(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Source of chance.
     density : float
         [1/m3].
     points : int
         Points wanted in the box [count]; it is no narrower than the test's reach.
-    settings : FilterSettings
-        Test.
 
     Returns
     -------

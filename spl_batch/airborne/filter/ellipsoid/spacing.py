@@ -1,14 +1,13 @@
 r"""Spacing of the returns around a point, and neighbours that belong to as thin a structure.
 
-Noise just above a surface has that surface for its neighbourhood: an ellipsoid fitted to
-the neighbours reaches down and counts the surface. What gives it away is the spacing: the
-surface's returns lie close together, the noise lies far from all of them. A neighbour is
-a *peer* of a point when its own spacing is not much smaller than the point's,
+An ellipsoid fitted to noise just above a surface reaches down and counts the surface. But the
+surface's returns lie close together, and the noise far from all of them. A neighbour is a *peer* of
+a point, and speaks for it, when its own spacing is not much smaller than the point's,
 
-.. math:: s_q \ge s_p / c,
+.. math:: s_q \ge s_p / c.
 
-and only peers speak for a point. In pure noise nearly all neighbours are peers, so the
-Poisson law of the counts [W18 Eq. 6-8] stays an upper bound.
+In pure noise nearly all neighbours are peers, so the Poisson law of the counts [W18 Eq. 6-8] stays
+an upper bound.
 
 ====== ==================================================================
 symbol name
@@ -38,18 +37,10 @@ from spl_batch.numerics.neighbours.kdtree import (
 
 
 class Spacing(NamedTuple):
-    """Which distance is a point's spacing.
+    """Which distance is a point's spacing."""
 
-    Parameters
-    ----------
-    neighbours : int
-        The one to this neighbour [count], >= 1.
-    cap : int
-        Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
-    """
-
-    neighbours: int
-    cap: int
+    neighbours: int  #: The one to this neighbour [count], >= 1.
+    cap: int  #: Spacing of a point with fewer within it [quanta]; at most ``CAP_MAX``.
 
 
 @njit()
@@ -81,12 +72,10 @@ def enough_peers(
     wanted: int,
     peer_ratio: float,
 ) -> NDArray[np.bool_]:
-    """Which places have enough peers of theirs around them.
+    """Which places have enough peers of theirs around them: (m,) bool.
 
     Parameters
     ----------
-    tree : KdTree
-        Points to count.
     spacing : (n,) float64
         Their squared spacings, by slot [quanta2]; negative for those that do not count.
     places : (m, 3) int32
@@ -99,10 +88,6 @@ def enough_peers(
         Points needed [count], >= 1.
     peer_ratio : float
         A peer's spacing is at least the place's divided by this.
-
-    Returns
-    -------
-    (m,) bool
     """
     out = np.zeros(len(places), dtype=np.bool_)
     if tree.points.size:

@@ -1,20 +1,16 @@
 """Adaptive ellipsoid searching, the first form [W17 5.2; Eq. 5.4-5.6].
 
-Domain: space. Two steps. First the N_tot points with the least quotient of neighbours in
-a sphere and expected noise density are noise, N_tot being the noise that is expected.
-Then the rest are examined among themselves: noise where the count in the adaptive
-ellipsoid is below 20 % of that in the sphere.
+Domain: space. First the N_tot points with the least quotient of neighbours in a sphere and expected
+noise density are noise, N_tot being the noise that is expected. Then the rest are examined among
+themselves: noise where the count in the adaptive ellipsoid is below 20 % of that in the sphere.
 
-Deviations. The source takes N_tot over its whole data set, from a region without signal
-[W17 Eq. 4.1]. A label may not depend on what lies far away, so here points compete with
-those in their own square of an absolute grid, and N_tot is what the voxel-spherical model
-expects there: density times volume, added up over the cubes that hold points. Points that
-tie with the N_tot-th go with it. The density is that at the point, where the source gives
-a beamlet's points the one at its top: the mean of its voxel, silent parts included, as that
-of what is listened to would expect noise beyond the ends of a gate too (a third too much in
-one of 85 m), and take conductors for it. All flightlines are judged together; the source
-filters each alone. A point with no other in its sphere is noise. Floor and caps of the
-ellipsoid are the filter's own (:mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_counts`).
+Deviations. The source takes N_tot over its whole data set, from a region without signal [W17 Eq.
+4.1]. Here points compete within squares of an absolute grid, and N_tot is the voxel-spherical
+density times the volume of the cubes that hold points. Points that tie with the N_tot-th go with
+it. The density is the mean of the point's voxel, silent parts included; the source takes the one at
+the top of the beamlet. All flightlines are judged together. A point with no other in its sphere is
+noise. Floor and caps of the ellipsoid are those of
+:mod:`~spl_batch.airborne.filter.ellipsoid.ellipsoid_counts`.
 """
 
 from itertools import pairwise

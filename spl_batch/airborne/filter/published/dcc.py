@@ -25,7 +25,7 @@ COLUMNS_ADDED: Final = ("flags",)
 def shot_noise(
     table: PointTable, beams: BeamTable, settings: DccSettings, gate_m: float
 ) -> NDArray[np.bool_]:
-    """Returns that the differential cell count of their shot calls noise.
+    """Returns that the differential cell count of their shot calls noise: (n,) bool.
 
     Parameters
     ----------
@@ -33,14 +33,6 @@ def shot_noise(
         Rows of one stretch, sorted by gps_time.
     beams : BeamTable
         Their beams; rows without a known one are not called noise.
-    settings : DccSettings
-        Bins.
-    gate_m : float
-        Slant length of the range gate [m].
-
-    Returns
-    -------
-    (n,) bool
     """
     noise = np.zeros(len(table), dtype=np.bool_)
     rows = np.flatnonzero(beams.known)

@@ -24,10 +24,6 @@ def keep_by_shot(
         Rows where shots start, then n.
     range_m : (n,) float64
         Slant ranges [m].
-    gate_m : float
-        Length of the range gate [m].
-    coarse_m, fine_m : float
-        Bins [m].
     keep : (n,) bool
         Filled: True where the return lies in a bin that holds signal.
     """

@@ -22,21 +22,9 @@ from spl_batch.numerics.neighbours.kdtree import (
 
 
 def sphere_counts(tree: KdTree, query: NDArray[np.bool_], radius: int) -> NDArray[np.int64]:
-    """Other points nearer than a radius.
+    """Other points nearer than a radius: (n,) int64, counts by row; 0 for others.
 
-    Parameters
-    ----------
-    tree : KdTree
-        The points.
-    query : (n,) bool
-        Points to count for, by row.
-    radius : int
-        Radius of the sphere [quanta].
-
-    Returns
-    -------
-    (n,) int64
-        Counts by row; 0 for others.
+    ``query``: (n,) bool, points to count for, by row. ``radius``: radius of the sphere [quanta].
     """
     count = np.zeros(tree.points.shape[1], dtype=np.int64)
     if len(count):
@@ -51,14 +39,10 @@ def cylinder_counts(
 
     Parameters
     ----------
-    tree : KdTree
-        The points.
     query : (n,) bool
         Points to count for, by row.
     radius, height : int
         Of the cylinder, whose centre is the point [quanta].
-    stop : int
-        Count at which to stop.
 
     Returns
     -------

@@ -11,24 +11,12 @@ from numpy.typing import NDArray
 
 
 class Voxels(NamedTuple):
-    """Occupied voxels of a lattice, m of them.
+    """Occupied voxels of a lattice, m of them."""
 
-    Parameters
-    ----------
-    key : (m,) int64
-        Increasing; x, y and z index in one number.
-    points : (m,) int64
-        Points in each.
-    of_point : (n,) int64
-        Voxel of each point.
-    stride : tuple of int
-        Key steps along x and along y; along z it is one.
-    """
-
-    key: NDArray[np.int64]
-    points: NDArray[np.int64]
-    of_point: NDArray[np.int64]
-    stride: tuple[int, int]
+    key: NDArray[np.int64]  #: (m,): increasing; x, y and z index in one number.
+    points: NDArray[np.int64]  #: (m,): points in each.
+    of_point: NDArray[np.int64]  #: (n,): voxel of each point.
+    stride: tuple[int, int]  #: Key steps along x and along y; along z it is one.
 
 
 def lattice_index(

@@ -1,12 +1,10 @@
 r"""Fullest straight tube through each point among nearly horizontal directions.
 
-Every neighbour within the half-length L adds one to the directions that pass it closely: a
-Hough transform of one point, over cells of azimuth and slope. A conductor hangs: a typical
-parabola is taken away first, and what is left of others stays below the tube's width.
-
-A tube is a window of (2 w + 1)^2 cells, with w = 1 in the outer half of its length, 3 in the
-next quarter and 7 within. So it is as wide as stated on average, and a neighbour costs 9
-additions in 7 cases of 8; four cells of 16 bits share a word, so they are made two to a row.
+Every neighbour within the half-length L adds one to the directions that pass it closely: a Hough
+transform of one point, over cells of azimuth and slope. A typical parabola, by which a conductor
+hangs, is taken away first. A tube is a window of (2 w + 1)^2 cells, with w = 1 in the outer half of
+its length, 3 in the next quarter and 7 within; so it is as wide as stated on average. Four cells of
+16 bits share a word, and are added two to a row.
 
 ====== ==========================================================================
 symbol name

@@ -1,18 +1,13 @@
 """What the scan for conductors keeps of pure noise, so that the point-wise test can make room.
 
-Domain: space. ``filter.alpha`` is the share of pure noise that the whole filter keeps. The scan
-(:mod:`~spl_batch.airborne.filter.wires.wire_scan`) bounds what it keeps by an alpha of its own, and
-how much that really is depends on the density of the noise. It is drawn as in
-:mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`: uniform noise that repeats itself,
-scanned by the code
-that scans surveys. The point-wise test gets the rest of alpha (:func:`spent`), at least half of
-it: where the scan would take more, it is made stricter (:func:`fitted`).
+Domain: space. ``filter.alpha`` is the share of pure noise that the whole filter keeps. What the
+scan (:mod:`~spl_batch.airborne.filter.wires.wire_scan`) keeps of it depends on the density of the
+noise, and is drawn as in :mod:`~spl_batch.airborne.filter.ellipsoid.null_distribution`. The
+point-wise test gets the rest of alpha (:func:`spent`), at least half of it: where the scan would
+take more, it is made stricter (:func:`fitted`). What both keep is counted twice, on the safe side.
 
-What both keep is counted twice, which errs on the safe side.
-
-The table of the default settings ships with the package (``wire_null.json``, written by
-``python -m benchmarks.airborne.filter.null_table``); for others a coarser one is drawn on first
-use.
+The default settings' table ships (``wire_null.json``, written by
+``python -m benchmarks.airborne.filter.null_table``); others draw a coarser one on first use.
 """
 
 import json
@@ -42,8 +37,8 @@ IRRELEVANT: Final = frozenset({"enabled", "classify"})
 
 DENSITIES: Final = 10.0 ** np.linspace(-2, 0, 51)
 """Noise densities of the table [1/m3]; its first and last shares hold beyond. A tube is significant
-from a whole number of returns on, so the share goes up and down with the density, by a factor of
-four from one number to the next: a step must be small against those 0.15 powers of ten."""
+from a whole number of returns on: the share jumps by up to a factor of four, and steps are small
+against that."""
 
 COARSE: Final = DENSITIES[::10]
 POINTS: Final = 100_000
@@ -67,21 +62,11 @@ _LOCK = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class WireNull:
-    """Share of pure noise that the scan keeps.
+    """Share of pure noise that the scan keeps."""
 
-    Parameters
-    ----------
-    density : (d,) float64
-        Log noise density [1/m3], ascending.
-    share : (d,) float64
-        Share kept at the settings' alpha.
-    power : float
-        The share goes with this power of alpha.
-    """
-
-    density: NDArray[np.float64]
-    share: NDArray[np.float64]
-    power: float
+    density: NDArray[np.float64]  #: (d,): log noise density [1/m3], ascending.
+    share: NDArray[np.float64]  #: (d,): share kept at the settings' alpha.
+    power: float  #: The share goes with this power of alpha.
 
     def at(self, density: NDArray[np.float64]) -> NDArray[np.float64]:
         """Share of noise of these densities that is kept: (n,)."""
@@ -163,16 +148,10 @@ def draw_shares(
 
     Parameters
     ----------
-    wires : WireSettings
-        The scan.
-    points : int
-        Noise points per density [count].
     densities : (d,) float64
         [1/m3].
     tell : callable
         Called with each density before it is drawn.
-    workers : int
-        Densities drawn at a time.
 
     Returns
     -------

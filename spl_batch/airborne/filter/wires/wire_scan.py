@@ -1,28 +1,26 @@
 r"""Directional scan with voting: conductors too thin for a test of single points.
 
-Domain: space. A conductor with 0.1-0.3 returns per metre and flightline has no neighbourhood of
-its own: most of the 15 nearest neighbours are noise. What it has is length. The scan
+Domain: space. Most of the 15 nearest neighbours of a conductor with 0.1-0.3 returns per metre and
+flightline are noise. What it has is length. The scan
 
 1. leaves out what a surface explains: returns of which the 3 m cube around them holds
    ``surface_returns`` and twice the noise expected there;
-2. looks through each remaining point for the fullest tube among all nearly horizontal
-   directions (:mod:`~spl_batch.airborne.filter.wires.line_hough`), briefly for all and half as long
-   again for those in which enough was found: p = directions tried x P(K >= k | lambda of the tube);
-3. counts the tubes that agree: those that prolong it over ``stretch`` times its half-length
-   and those of the conductors beside it (:mod:`~spl_batch.airborne.filter.wires.tube_agreement`).
-   Each is one more piece of evidence, worth :data:`INLINE` or :data:`ABREAST` powers of ten;
-4. drops the tubes that cross others on their line, or lie in a sheet of returns;
-5. keeps the points that at least ``votes`` tubes hold that are significant with all of this.
-   A chance tube keeps :data:`MEMBERS` points at once, so alpha is divided by that;
-6. calls conductors, where that is asked for, what :data:`SURE_VOTES` tubes hold closely that are
-   more significant yet, filled from end to end, and free: among all returns, those of surfaces
-   too, there are next to none beside, above or below but noise and a few lines alongside. Edges
-   and ridges of roofs, walls, fences and rows of crowns have what they belong to beside them.
+2. looks through each remaining point for the fullest tube among nearly horizontal directions
+   (:mod:`~spl_batch.airborne.filter.wires.line_hough`), and half as long again where enough was
+   found: p = directions tried x P(K >= k | lambda of the tube);
+3. counts the tubes that agree: those that prolong it over ``stretch`` times its half-length and
+   those of conductors beside it (:mod:`~spl_batch.airborne.filter.wires.tube_agreement`). Each is
+   worth :data:`INLINE` or :data:`ABREAST` powers of ten;
+4. drops tubes that cross others on their line, or lie in a sheet of returns;
+5. keeps the points that at least ``votes`` tubes hold that are significant with all of this. A
+   chance tube keeps :data:`MEMBERS` points at once, so alpha is divided by that;
+6. on request calls conductors what :data:`SURE_VOTES` tubes hold closely that are more significant
+   yet, filled from end to end, and free: next to nothing but noise and a few lines alongside is
+   beside, above or below them. Edges of roofs, walls, fences and crowns have what they belong to
+   beside them.
 
-Tubes and stretches shrink where noise is so dense that :data:`CROWD` noise points would be
-met, so the cost of a point and its chance alignments stay the same. Of the points to start
-from a share is drawn by a hash of their coordinates; all others are still counted, and
-voted for.
+Tubes shrink where more than :data:`CROWD` noise points would be met. The points to start from are
+drawn by a hash of their coordinates; all others are counted and voted for.
 
 Nothing here needs the verdict of the ellipsoid test, so the reaches of the two do not add.
 ``benchmarks/airborne/filter/wire_scan.py`` prints what is kept of pure noise, by density.
@@ -108,45 +106,26 @@ PARTS_LEAST: Final = 5
 
 
 class Found(NamedTuple):
-    """What the scan says of the m points asked for.
+    """What the scan says of the m points asked for."""
 
-    Parameters
-    ----------
-    signal : (m,) bool
-        Kept by the scan.
-    wire : (m,) bool
-        Sure enough to be classified as a conductor; all False where that is not asked for.
-    p_value : (m,) float32
-        Of the point's own tube and its agreeing ones, alpha for points voted for; NaN
-        where there is none.
-    """
-
-    signal: NDArray[np.bool_]
+    signal: NDArray[np.bool_]  #: (m,): kept by the scan.
+    #: (m,): sure enough to be classified as a conductor; all False where that is not asked for.
     wire: NDArray[np.bool_]
+    #: (m,): of the point's own tube and its agreeing ones, alpha for points voted for; NaN where
+    #: there is none.
     p_value: NDArray[np.float32]
 
 
 class Tubes(NamedTuple):
-    """Tubes worth keeping: m of them.
+    """Tubes worth keeping: m of them."""
 
-    Parameters
-    ----------
-    row : (m,) intp
-        Point that each goes through.
-    middle : (m, 3) float64
-        Point of its line beside that one [quanta].
-    azimuth, slope, length : (m,) float64
-        Direction [rad, rise/run] and half-length [quanta].
-    p : (m,) float64
-        Directions tried x P(K >= k), at most 1.
-    """
-
-    row: NDArray[np.intp]
-    middle: NDArray[np.float64]
+    row: NDArray[np.intp]  #: (m,): point that each goes through.
+    middle: NDArray[np.float64]  #: (m, 3): point of its line beside that one [quanta].
+    #: (m,): direction [rad, rise/run] and half-length [quanta].
     azimuth: NDArray[np.float64]
     slope: NDArray[np.float64]
     length: NDArray[np.float64]
-    p: NDArray[np.float64]
+    p: NDArray[np.float64]  #: (m,): directions tried x P(K >= k), at most 1.
 
 
 def reach_m(settings: WireSettings) -> float:
@@ -168,8 +147,6 @@ def scan(cloud: Cloud, settings: WireSettings) -> Found:
     cloud : Cloud
         Independent returns of a block and its halo; right in the halo as far as
         :func:`reach_m`.
-    settings : WireSettings
-        The scan.
 
     Returns
     -------

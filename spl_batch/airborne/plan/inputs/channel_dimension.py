@@ -40,8 +40,6 @@ def numbered_dimension(
     ----------
     files : mapping of str to mapping of str to Numbers
         What each dimension of each file holds, by their names.
-    sensor : Sensor
-        The instrument.
 
     Returns
     -------

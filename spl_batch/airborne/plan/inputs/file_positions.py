@@ -35,15 +35,11 @@ def without_degrees(
 
     Parameters
     ----------
-    files : sequence of LasFacts
-        Headers of a survey.
     stated : str, optional
         CRS that its workflow states; with it every file is taken at the user's word.
 
     Returns
     -------
-    list of LasFacts
-        The others.
     list of InputError
         One for each that looks like degrees.
     """
@@ -59,10 +55,7 @@ def without_degrees(
 def degrees_as_metres(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
     """A sentence on files whose coordinates look like degrees but are taken as metres.
 
-    Parameters
-    ----------
-    files : sequence of (str, LasFacts)
-        Name and header of each file that the survey takes.
+    ``files``: sequence of (str, LasFacts), name and header of each file that the survey takes.
     """
     alike = [(n, f) for n, f in files if f.n_points and look_like_degrees(f.mins_m, f.maxs_m)]
     corners = [corner[:2] for _, facts in alike for corner in (facts.mins_m, facts.maxs_m)]
@@ -81,10 +74,7 @@ def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
     Two kinds: a file whose own points span more than a flight does, and files that lie
     farther from all others than any file is long.
 
-    Parameters
-    ----------
-    files : sequence of (str, LasFacts)
-        Name and header of each file.
+    ``files``: sequence of (str, LasFacts), name and header of each file.
     """
     held = [(name, facts) for name, facts in files if facts.n_points]
     if not held:
@@ -108,10 +98,7 @@ def far_positions(files: Sequence[tuple[str, LasFacts]]) -> Iterator[str]:
 def too_wide(files: Sequence[LasFacts]) -> list[int]:
     """Places of the files so large for their points that some must lie astray, widest first.
 
-    Parameters
-    ----------
-    files : sequence of LasFacts
-        Headers of a survey; each holds points.
+    ``files``: headers of a survey; each holds points.
     """
     if not files:
         return []

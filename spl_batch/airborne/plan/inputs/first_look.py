@@ -49,15 +49,6 @@ def first_look(
 ) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
     """What is wrong with inputs, and what is odd, as far as their ends tell.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Files whose headers are good.
-    workflow : Workflow
-        The settings.
-    base : Path
-        Folder that relative names start from.
-
     Returns
     -------
     faults, warnings : tuple of str
@@ -82,17 +73,7 @@ def first_look(
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
-    """Whether a dimension has too few different values to be that of the beamlets.
-
-    Parameters
-    ----------
-    channels : int
-        Different values [count].
-    points : int
-        Points that were looked at [count].
-    sensor : Sensor
-        The instrument.
-    """
+    """Whether a dimension has too few different values to be that of the beamlets."""
     enough = points >= POINTS_A_BEAMLET * sensor.beamlets and sensor.beamlets > FEW_CHANNELS
     return enough and FEW_CHANNELS * channels <= sensor.beamlets
 

@@ -32,11 +32,6 @@ LOOKED_INTO: Final = 3
 def point_boxes(sources: Sequence[Source]) -> list[Box]:
     """Boxes that hold the points of a survey's files.
 
-    Parameters
-    ----------
-    sources : sequence of Source
-        The files.
-
     Returns
     -------
     list of Box

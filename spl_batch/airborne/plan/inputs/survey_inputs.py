@@ -38,26 +38,13 @@ MAX_POINTS = 2**32 - 1
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """An input file that can be used.
+    """An input file that can be used."""
 
-    Parameters
-    ----------
-    path : Path
-        Where it lies.
-    name : str
-        What it is called in messages: relative to the workflow where it can be.
-    delivered : str
-        Name of its classified twin below ``laz/``.
-    key : int
-        What it is called in the store: depends on the name alone, so that another file
-        in the survey renames nothing.
-    facts : LasFacts
-        Its header.
-    """
-
-    path: Path
-    name: str
-    delivered: str
+    path: Path  #: Where it lies.
+    name: str  #: What it is called in messages: relative to the workflow where it can be.
+    delivered: str  #: Name of its classified twin below ``laz/``.
+    #: What it is called in the store: depends on the name alone, so that another file in the survey
+    #: renames nothing.
     key: int
     facts: LasFacts
 
@@ -71,55 +58,23 @@ class CheckpointFile(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """Everything that a workflow names, checked.
+    """Everything that a workflow names, checked."""
 
-    Parameters
-    ----------
-    sources : tuple of Source
-        Point files that can be used, by name.
-    bad : tuple of InputError
-        Point files that cannot.
-    trajectory : tuple of Path
-        Files that exist.
-    reference : tuple of LasFacts
-        Files of reference points.
-    crs : CRS or None
-        The survey's CRS.
-    warnings : tuple of str
-        What a user should know before the work starts.
-    polygons : tuple of (str, str)
-        Key and checksum of each polygon file, or of all the files that it is made of.
-    checkpoints : CheckpointFile or None
-        Checkpoints of a field survey.
-    breaklines : tuple of (str, str)
-        As ``polygons``, of the file of breaklines.
-    geoid : tuple of (str, str)
-        As ``polygons``, of the grid of the geoid.
-    """
-
-    sources: tuple[Source, ...]
-    bad: tuple[InputError, ...]
-    trajectory: tuple[Path, ...]
-    reference: tuple[LasFacts, ...]
+    sources: tuple[Source, ...]  #: Point files that can be used, by name.
+    bad: tuple[InputError, ...]  #: Point files that cannot.
+    trajectory: tuple[Path, ...]  #: Files that exist.
+    reference: tuple[LasFacts, ...]  #: Files of reference points.
     crs: CRS | None
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  #: What a user should know before the work starts.
+    #: Key and checksum of each polygon file, or of all the files that it is made of.
     polygons: tuple[tuple[str, str], ...] = ()
-    checkpoints: CheckpointFile | None = None
-    breaklines: tuple[tuple[str, str], ...] = ()
-    geoid: tuple[tuple[str, str], ...] = ()
+    checkpoints: CheckpointFile | None = None  #: Checkpoints of a field survey.
+    breaklines: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the file of breaklines.
+    geoid: tuple[tuple[str, str], ...] = ()  #: As ``polygons``, of the grid of the geoid.
 
 
 def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     """Find and check every file of a workflow.
-
-    Parameters
-    ----------
-    workflow : Workflow
-        The settings.
-    base : Path
-        Folder that relative paths start from.
-    output : Path
-        Folder of the results.
 
     Raises
     ------

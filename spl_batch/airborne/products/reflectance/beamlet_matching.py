@@ -21,45 +21,26 @@ AT_ONCE: Final = 1024
 
 
 class Blocks(NamedTuple):
-    """Blocks of shots of several flightlines, by time of their first shot.
+    """Blocks of shots of several flightlines, by time of their first shot."""
 
-    Parameters
-    ----------
-    begin_s : (m,) float64
-        Half a period before the first shot fired, ascending [s].
-    t0_s, prf_hz : (m,) float64
-        Clock of the shots.
-    first, last : (m,) int64
-        First and last shot fired.
-    middle, half : (m,) float64
-        A shot's time within its block is ``(shot - middle) / half``.
-    anchor : (m, 3) float64
-        Relative to the grid's corner; z is a height [m].
-    coefficient : (m, TERMS, 2) float64
-        Where beamlets meet the reference plane, relative to the anchor [m].
-    origin : (m, 2, 3) float64
-        Sensor relative to the anchor, and its motion [m].
-    pattern : (m, c, 2) float64
-        Place of each channel in the array.
-    exposure : (m, c) float64
-        Photo-electrons per reflectance of each channel, times square of range [m2].
-    offset : (m,) int64
-        Number of the first shot among all shots.
-    """
-
-    begin_s: NDArray[np.float64]
+    begin_s: NDArray[np.float64]  #: (m,): half a period before the first shot fired, ascending [s].
+    #: (m,): clock of the shots.
     t0_s: NDArray[np.float64]
     prf_hz: NDArray[np.float64]
+    #: (m,): first and last shot fired.
     first: NDArray[np.int64]
     last: NDArray[np.int64]
+    #: (m,): a shot's time within its block is ``(shot - middle) / half``.
     middle: NDArray[np.float64]
     half: NDArray[np.float64]
-    anchor: NDArray[np.float64]
+    anchor: NDArray[np.float64]  #: (m, 3): relative to the grid's corner; z is a height [m].
+    #: (m, TERMS, 2): where beamlets meet the reference plane, relative to the anchor [m].
     coefficient: NDArray[np.float64]
-    origin: NDArray[np.float64]
-    pattern: NDArray[np.float64]
+    origin: NDArray[np.float64]  #: (m, 2, 3): sensor relative to the anchor, and its motion [m].
+    pattern: NDArray[np.float64]  #: (m, c, 2): place of each channel in the array.
+    #: (m, c): photo-electrons per reflectance of each channel, times square of range [m2].
     exposure: NDArray[np.float64]
-    offset: NDArray[np.int64]
+    offset: NDArray[np.int64]  #: (m,): number of the first shot among all shots.
 
 
 @njit(inline="always")
@@ -90,8 +71,6 @@ def shots_near(
 
     Parameters
     ----------
-    blocks : Blocks
-        Shots fired.
     level : float
         A height near the surface [m].
     depth_m : float
@@ -104,11 +83,6 @@ def shots_near(
         Block of each that is near, from the front.
     tau : (shots,) float64, written
         Time of each that is near within its block.
-
-    Returns
-    -------
-    int
-        How many there are.
     """
     west, south, east, north = box_m
     # Taken out of their tuple once: each look into it counts a reference up and down.
@@ -178,10 +152,6 @@ def match_points(
         Points that may be first returns; they lie in the grid.
     cells : (int, int, int, int)
         South-west corner of the grid (x, y) and edge of a cell [quanta], cells of a row.
-    blocks : Blocks
-        Shots fired.
-    longest_s : float
-        Longest block [s].
     number : (shots,) int64
         Row of each shot in ``top``; -1 for shots that do not matter.
     top : (k, c) int64

@@ -31,23 +31,12 @@ COSINE_MIN = 0.2
 
 
 class Grid(NamedTuple):
-    """Square cells from a south-west corner, to which all places are relative.
-
-    Parameters
-    ----------
-    cell_m : float
-        Edge [m].
-    height : (rows, cols) float64
-        Surface of each cell [m]; NaN where there is none.
-    slope : (rows, cols, 2) float64
-        Its gradient to the east and to the north.
-    low, high : (r, c) float64
-        Bounds of the heights in and around each square of ``COARSE`` cells [m].
-    """
+    """Square cells from a south-west corner, to which all places are relative."""
 
     cell_m: float
-    height: NDArray[np.float64]
-    slope: NDArray[np.float64]
+    height: NDArray[np.float64]  #: (rows, cols): surface of each cell [m]; NaN where there is none.
+    slope: NDArray[np.float64]  #: (rows, cols, 2): its gradient to the east and to the north.
+    #: (r, c): bounds of the heights in and around each square of ``COARSE`` cells [m].
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
@@ -177,12 +166,8 @@ def expose_cells(
     ----------
     shots : ((k,) int64, (k,) float64)
         Block of each shot, and its time within that.
-    blocks : Blocks
-        Shots fired.
     top : (k, c) int64
         From :func:`match_points`.
-    grid : Grid
-        The surface.
     core : (int, int, int, int)
         First and past-the-last row, first and past-the-last column of the cells wanted.
     level : float

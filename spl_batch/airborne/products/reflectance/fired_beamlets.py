@@ -1,18 +1,16 @@
 """Where every fired beamlet pointed, silent ones and silent shots included.
 
-Source: [W17] Eq. 2.8-2.15 for the geometry (a rigid array behind a scanner), 8.2.2 for its
-use. A delivery holds detections only; but each detection, noise too, lies on the axis of
-its beamlet, so that a block of a few shots shows the path of the array and its turn
-exactly, and where it points in the shots and channels between them.
+Source: [W17] Eq. 2.8-2.15 for the geometry (a rigid array behind a scanner), 8.2.2 for its use.
+Each detection, noise too, lies on the axis of its beamlet. So a block of a few shots shows the path
+of the array and its turn, and where it points in the shots and channels between.
 
-Blocks lie on the absolute grid of shots: parts of the intervals of the noise model, at
-most :data:`BLOCK_SHOTS` long. A block looks at no other, so a part does not depend on
-where its flightline is cut. Which shots were fired, and how sensitive a channel is, the
-line model says.
+Blocks lie on the absolute grid of shots, at most :data:`BLOCK_SHOTS` long, each by itself: where a
+flightline is cut does not matter. The line model says which shots were fired, and how sensitive a
+channel is.
 
-Deviations: the place of a channel in the array is that of Eq. 2.9 where the returns agree
-with it; else it is learnt from the block's own returns, and a channel that has none there
-counts as not fired. A block that neither describes is left out.
+Deviations: a channel's place in the array is that of Eq. 2.9 where the returns agree with it; else
+the block's own returns tell it, and a channel without any counts as not fired. A block that neither
+describes is left out.
 """
 
 import math
@@ -71,46 +69,29 @@ _NUMBERS: Final = ("constant_m2", "t0_s", "prf_hz", "dropped")
 
 @dataclass(frozen=True, slots=True)
 class FiredPart:
-    """Beamlets fired during one stretch.
+    """Beamlets fired during one stretch."""
 
-    Parameters
-    ----------
-    first, last : (m,) int64
-        First and last shot fired of each block.
-    middle, half : (m,) float64
-        A shot's time within its block is ``(shot - middle) / half``.
-    anchor : (m, 3) float64
-        Place on the reference plane that the fit is relative to, and its height [m].
-    coefficient : (m, TERMS, 2) float64
-        Where the beamlets meet that plane, see
-        :mod:`~spl_batch.airborne.products.reflectance.shot_pattern` [m].
-    origin : (m, 2, 3) float64
-        Sensor relative to the anchor at the middle, and its motion per unit of time [m].
-    pattern : (m, c, 2) float64
-        Place of each channel in the array; NaN where not known.
-    gain : (c,) float64
-        Sensitivity of each channel, median of the live ones one; 0 is dead.
-    constant_m2 : float
-        Photo-electrons of a beamlet per reflectance, times square of range [m2].
-    t0_s, prf_hz : float
-        Clock of the shots.
-    dropped : int
-        Blocks with returns that no fit describes.
-    """
-
+    #: (m,): first and last shot fired of each block.
     first: NDArray[np.int64]
     last: NDArray[np.int64]
+    #: (m,): a shot's time within its block is ``(shot - middle) / half``.
     middle: NDArray[np.float64]
     half: NDArray[np.float64]
+    #: (m, 3): place on the reference plane that the fit is relative to, and its height [m].
     anchor: NDArray[np.float64]
+    #: (m, TERMS, 2): where the beamlets meet that plane, see
+    #: :mod:`~spl_batch.airborne.products.reflectance.shot_pattern` [m].
     coefficient: NDArray[np.float64]
+    #: (m, 2, 3): sensor relative to the anchor at the middle, and its motion per unit of time [m].
     origin: NDArray[np.float64]
+    #: (m, c, 2): place of each channel in the array; NaN where not known.
     pattern: NDArray[np.float64]
+    #: (c,): sensitivity of each channel, median of the live ones one; 0 is dead.
     gain: NDArray[np.float64]
-    constant_m2: float
+    constant_m2: float  #: Photo-electrons of a beamlet per reflectance, times square of range [m2].
     t0_s: float
     prf_hz: float
-    dropped: int
+    dropped: int  #: Blocks with returns that no fit describes.
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Few arrays, of numbers only, as an npz file holds them; of equal patterns one is kept."""
@@ -172,12 +153,6 @@ def aim(
         Which shots were fired, and the gain of each channel.
     sensor : Sensor
         Array and link budget [W17 Eq. 2.1].
-    clock : ShotClock
-        Of the flightline.
-
-    Returns
-    -------
-    FiredPart
     """
     table = table.select(COLUMNS_NEEDED)
     origin, direction = beams.origin_m, beams.direction

@@ -40,12 +40,6 @@ def first_surface(
         Its height [quanta].
     shape : (int, int)
         Rows and columns.
-    settings : ProductSettings
-        Cell and void.
-
-    Returns
-    -------
-    Grid
     """
     rows, cols = shape
     order, start = sort_into_cells(cell, z, rows * cols)
@@ -98,8 +92,6 @@ def slopes(height: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
     ----------
     height : (rows, cols) float64
         Heights, south row first [m]; NaN where there is none.
-    cell_m : float
-        Edge of a cell [m].
 
     Returns
     -------

@@ -1,8 +1,8 @@
 r"""Reflectance from how often beamlets were seen.
 
-Source: [W17] 8.2.2 with Eq. 2.1 and 2.7. A single-photon channel tells one photo-electron
-from none, not how many: brightness is in the share of beamlets that were seen. A beamlet
-that expects :math:`k \rho` photo-electrons is seen with :math:`p = 1 - e^{-k \rho}`, where
+Source: [W17] 8.2.2 with Eq. 2.1 and 2.7. A single-photon channel tells one photo-electron from
+none: brightness is in the share of beamlets that were seen. A beamlet that expects :math:`k \rho`
+photo-electrons is seen with :math:`p = 1 - e^{-k \rho}`, where
 
 .. math:: k = C \, g \, \cos\alpha \, e^{-2 \beta R} / R^2
 
@@ -17,20 +17,17 @@ symbol                name
 :math:`\rho`          result
 ====================  ==========================================================
 
-Each fired beamlet belongs to one raster cell: that of its first signal return, or, when
-silent, that where its ray meets the surface of the first returns. Overlap is in the number
-of beamlets, then; unequal ones are put together by likelihood, which for equal ones is the
-source's :math:`n = -\ln(1 - p)`.
+Each fired beamlet belongs to one raster cell: that of its first signal return or, when silent, that
+where its ray meets the surface of the first returns. Unequal beamlets are put together by
+likelihood, which for equal ones is the source's :math:`n = -\ln(1 - p)`.
 
-Deviations. The source proposes a regression of point density on intensities of another
-sensor; the link budget makes that unnecessary, and the result absolute as far as the
-sensor's constants are. Half a silent beamlet is added to each cell: without it the
-estimate is too high by :math:`p / (2 N (1 - p))` photo-electrons, with it the first order
-vanishes. Afterpulses and background are no first returns. Background in front of the
-surface blinds a channel for the dead time only, and is neglected; so is a share of light
-that passes a crown. Water, wires and leaves have no incidence: the number is what a
-Lambertian surface in their place would have. It may exceed one, by that or by chance where
-nearly all were seen, and is not cut: means over cells would be too dark.
+Deviations. The source proposes a regression on intensities of another sensor; the link budget makes
+the result absolute. Half a silent beamlet is added to each cell: it takes away the first order of
+the bias, :math:`p / (2 N (1 - p))` photo-electrons. Afterpulses and background are no first
+returns. Background in front of the surface blinds a channel for the dead time only, and is
+neglected; so is light that passes a crown. Water, wires and leaves have no incidence: the number is
+that of a Lambertian surface in their place. It may exceed one, and is not cut: means would be too
+dark.
 """
 
 from collections.abc import Sequence
@@ -77,17 +74,11 @@ ALL_TERMS: Final = Terms()
 
 
 class Detections(NamedTuple):
-    """What was fired at each raster cell, south row first, and what of it was seen.
+    """What was fired at each raster cell, south row first, and what of it was seen."""
 
-    Parameters
-    ----------
-    reflectance : (rows, cols) float64
-        NaN where fewer than :data:`FIRED_MIN` beamlets were fired.
-    fired, seen : (rows, cols) int64
-        Beamlets.
-    """
-
+    #: (rows, cols): naN where fewer than :data:`FIRED_MIN` beamlets were fired.
     reflectance: NDArray[np.float64]
+    #: (rows, cols): beamlets.
     fired: NDArray[np.int64]
     seen: NDArray[np.int64]
 
@@ -123,14 +114,6 @@ def detections(
         Stretches that may have fired at it, in any order.
     cell : Bounds
         The ground cell [quanta].
-    settings : ProductSettings
-        Cell size, void, extinction.
-    terms : Terms
-        What is allowed for.
-
-    Returns
-    -------
-    Detections
     """
     size = quanta(settings.cell_m)
     margin = _margin_cells(settings)

@@ -25,14 +25,7 @@ _TOGETHER = 32
 def basis(tau: float, gx: float, gy: float, out: NDArray[np.float64]) -> None:
     """Value of each term.
 
-    Parameters
-    ----------
-    tau : float
-        Time within the block, -1 to 1.
-    gx, gy : float
-        Place in the array.
-    out : (TERMS,) float64
-        Filled.
+    ``tau``: time within the block, -1 to 1. ``out``: (TERMS,) float64, filled.
     """
     out[0] = 1.0
     out[1] = tau

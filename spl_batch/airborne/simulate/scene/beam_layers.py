@@ -112,8 +112,6 @@ def look(
 
     Parameters
     ----------
-    scene : SceneArrays
-        The scene.
     o, d : (3,) float64
         Origin [m] and unit direction of the photon's path.
     axis : (3,) float64

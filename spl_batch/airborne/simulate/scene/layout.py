@@ -28,24 +28,13 @@ CELL_M = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A scene in arrays, and what was placed in it.
-
-    Parameters
-    ----------
-    arrays : SceneArrays
-        For the kernels.
-    buildings : tuple of Building
-        All of them, random ones included.
-    crowns, wires : int
-        How many there are.
-    wire_line : tuple of int
-        For each wire, which entry of the scene's ``wires`` it belongs to.
-    """
+    """A scene in arrays, and what was placed in it."""
 
     arrays: SceneArrays
-    buildings: tuple[Building, ...]
+    buildings: tuple[Building, ...]  #: All of them, random ones included.
     crowns: int
     wires: int
+    #: For each wire, which entry of the scene's ``wires`` it belongs to.
     wire_line: tuple[int, ...]
 
 
@@ -59,10 +48,7 @@ def steepest_rad(scene: Scene) -> float:
 def lay_out(scene: Scene) -> Layout:
     """Draw everything random of a scene and put it into arrays.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene; the same one gives the same layout.
+    ``scene``: the scene; the same one gives the same layout.
     """
     rng = np.random.default_rng(np.random.SeedSequence(scene.seed, spawn_key=(0,)))
     ground = make_ground(scene, rng)

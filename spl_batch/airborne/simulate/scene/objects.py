@@ -35,14 +35,7 @@ def random_buildings(
 ) -> list[Building]:
     """Buildings at random places that touch nothing; appended to ``taken``.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene; its explicit buildings come first.
-    rng : Generator
-        Source of chance.
-    taken : list of geometries
-        Areas that are not free.
+    ``scene``: the scene; its explicit buildings come first. ``taken``: areas that are not free.
     """
     found = list(scene.buildings.items)
     taken.extend(outline(b).buffer(3.0) for b in found)
@@ -92,12 +85,7 @@ def _axes(building: Building) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 def building_solid(building: Building, ground: Ground) -> Solid:
     """Walls and roof of a building as half-spaces.
 
-    Parameters
-    ----------
-    building : Building
-        The building.
-    ground : Ground
-        Stands below it; the eaves count from the highest ground at the corners.
+    ``ground``: stands below it; the eaves count from the highest ground at the corners.
     """
     along, across = _axes(building)
     centre = np.array(building.centre_m)
@@ -130,8 +118,6 @@ def tower_solid(x: float, y: float, base_m: float, wires: Wires) -> Solid:
     ----------
     x, y, base_m : float
         Place, and height of the ground there [m].
-    wires : Wires
-        The line that it carries.
     """
     lattice = wires.kind == "transmission"
     foot, tip, extinction = (2.5, 0.8, 0.15) if lattice else (0.2, 0.12, 5.0)
@@ -149,13 +135,6 @@ def tower_solid(x: float, y: float, base_m: float, wires: Wires) -> Solid:
 
 def wire_rows(wires: Wires, ground: Ground) -> list[tuple[float, ...]]:
     """Conductors and shield of every span as catenaries.
-
-    Parameters
-    ----------
-    wires : Wires
-        The line.
-    ground : Ground
-        Stands below its towers.
 
     Returns
     -------
@@ -182,15 +161,6 @@ def wire_rows(wires: Wires, ground: Ground) -> list[tuple[float, ...]]:
 
 def catenary(span_m: float, z0_m: float, z1_m: float, sag_m: float) -> tuple[float, float, float]:
     """Catenary through two ends with a given sag at mid-span.
-
-    Parameters
-    ----------
-    span_m : float
-        Horizontal distance of the ends [m].
-    z0_m, z1_m : float
-        Their heights [m].
-    sag_m : float
-        Depth below the chord at mid-span [m].
 
     Returns
     -------
@@ -220,12 +190,8 @@ def crown_rows(
 
     Parameters
     ----------
-    scene : Scene
-        The scene.
     ground : Ground
         The trees stand on it, never in water.
-    rng : Generator
-        Source of chance.
     taken : list of geometries
         Areas that are not free.
 

@@ -39,56 +39,34 @@ GAP_CELL_M: Final = 0.5
 
 
 class SceneArrays(NamedTuple):
-    """A scene as bare arrays; lengths in metres relative to the scene's origin.
+    """A scene as bare arrays; lengths in metres relative to the scene's origin."""
 
-    Parameters
-    ----------
-    ground_z : (ny, nx) float64
-        Heights at the nodes of the ground grid [m].
-    ground_rho : (ny, nx) float64
-        Reflectance at the nodes.
-    ground_kind : (ny, nx) uint8
-        ``KIND_GROUND``, ``KIND_WATER`` or, under clear water, ``KIND_BOTTOM`` at the nodes.
-    ground_pond : (ny, nx) uint8
-        Row of ``pond`` at nodes of kind ``KIND_BOTTOM``.
-    pond : (p, 3) float64
-        Height of the water [m], its attenuation [1/m], reflectance of its surface.
-    grid : (3,) float64
-        x and y of the first node, and the step [m].
-    planes : (s, f, 4) float64
-        Half-spaces of each solid; unit outward normal and offset [m].
-    faces : (s,) int64
-        How many of them count.
-    solid : (s, 4) float64
-        Extinction [1/m] (0 = opaque), reflectance, kind of an upward face, of a wall.
-    crown : (c, 8) float64
-        Centre x, y, z, horizontal and vertical radius [m], extinction [1/m],
-        reflectance, share of gaps.
-    wire : (w, 10) float64
-        Start x, y, unit direction x, y, horizontal span [m], catenary parameter a, place
-        of its vertex along the span, height offset [m], radius [m], reflectance.
-    cell : (3,) float64
-        x and y of the corner of the object cells, and their edge [m].
-    cell_first : (cy, cx + 1) int64
-        First entry of each cell in ``cell_item``, row by row; the last column ends the row.
-    cell_item : (k,) int64
-        Solids, then crowns, then wires, numbered through.
-    """
-
-    ground_z: NDArray[np.float64]
-    ground_rho: NDArray[np.float64]
+    ground_z: NDArray[np.float64]  #: (ny, nx): heights at the nodes of the ground grid [m].
+    ground_rho: NDArray[np.float64]  #: (ny, nx): reflectance at the nodes.
+    #: (ny, nx): ``KIND_GROUND``, ``KIND_WATER`` or, under clear water, ``KIND_BOTTOM`` at the
+    #: nodes.
     ground_kind: NDArray[np.uint8]
-    ground_pond: NDArray[np.uint8]
+    ground_pond: NDArray[np.uint8]  #: (ny, nx): row of ``pond`` at nodes of kind ``KIND_BOTTOM``.
+    #: (p, 3): height of the water [m], its attenuation [1/m], reflectance of its surface.
     pond: NDArray[np.float64]
-    grid: NDArray[np.float64]
+    grid: NDArray[np.float64]  #: (3,): x and y of the first node, and the step [m].
+    #: (s, f, 4): half-spaces of each solid; unit outward normal and offset [m].
     planes: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    faces: NDArray[np.int64]  #: (s,): how many of them count.
+    #: (s, 4): extinction [1/m] (0 = opaque), reflectance, kind of an upward face, of a wall.
     solid: NDArray[np.float64]
+    #: (c, 8): centre x, y, z, horizontal and vertical radius [m], extinction [1/m], reflectance,
+    #: share of gaps.
     crown: NDArray[np.float64]
+    #: (w, 10): start x, y, unit direction x, y, horizontal span [m], catenary parameter a, place of
+    #: its vertex along the span, height offset [m], radius [m], reflectance.
     wire: NDArray[np.float64]
+    #: (3,): x and y of the corner of the object cells, and their edge [m].
     cell: NDArray[np.float64]
+    #: (cy, cx + 1): first entry of each cell in ``cell_item``, row by row; the last column ends the
+    #: row.
     cell_first: NDArray[np.int64]
-    cell_item: NDArray[np.int64]
+    cell_item: NDArray[np.int64]  #: (k,): solids, then crowns, then wires, numbered through.
 
 
 @njit()
@@ -165,8 +143,6 @@ def clip_convex(
     ----------
     planes : (f, 4) float64
         Outward normal and offset of each half-space.
-    faces : int
-        How many of them count.
     o, d : (3,) float64
         Origin and direction.
 

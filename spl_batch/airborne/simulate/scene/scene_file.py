@@ -327,13 +327,6 @@ class Scene(Section):
 def parse_scene(content: Mapping[str, Any], where: str) -> Scene:
     """Check a scene's content.
 
-    Parameters
-    ----------
-    content : mapping
-        Parsed YAML.
-    where : str
-        What messages call it: the file's path.
-
     Raises
     ------
     WorkflowError
@@ -344,11 +337,6 @@ def parse_scene(content: Mapping[str, Any], where: str) -> Scene:
 
 def load_scene(path: Path) -> Scene:
     """Read a scene file.
-
-    Parameters
-    ----------
-    path : Path
-        YAML file.
 
     Raises
     ------

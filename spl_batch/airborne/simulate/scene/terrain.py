@@ -27,15 +27,7 @@ class Ground(NamedTuple):
 
 
 def make_ground(scene: Scene, rng: np.random.Generator) -> Ground:
-    """Ground of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    rng : Generator
-        Source of chance.
-    """
+    """Ground of a scene."""
     terrain = scene.terrain
     step = terrain.grid_m
     apron = math.ceil(APRON_M / step) * step

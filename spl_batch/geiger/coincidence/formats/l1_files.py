@@ -177,8 +177,6 @@ def frames_in_order(
 
     Parameters
     ----------
-    path : Path
-        The file.
     folder : Path, optional
         Where rows wait for their place; by default the system's place for temporary files.
     stretch_rows : int
@@ -224,10 +222,6 @@ def detections_in_order(
 
     Parameters
     ----------
-    path : Path
-        The file.
-    array : ArraySettings
-        Tells how many detectors there are.
     folder : Path, optional
         Where rows wait for their place; by default the system's place for temporary files.
     stretch_rows : int

@@ -41,13 +41,7 @@ def store_frames(path: Path, parts: Iterable[Frames]) -> None:
 def stored_frames(
     path: Path, west_m: float, east_m: float, south_m: float, north_m: float
 ) -> Frames:
-    """Frames that were taken over a rectangle; row groups are read whole, so more may come.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
-    """
+    """Frames that were taken over a rectangle; row groups are read whole, so more may come."""
     # Bounds of a row group are compared as whole numbers.
     spans = {"x": (int(west_m) - 1, int(east_m) + 1), "y": (int(south_m) - 1, int(north_m) + 1)}
     return _frames(path, spans)
@@ -88,13 +82,7 @@ def store_detections(path: Path, parts: Iterable[Detections]) -> None:
 
 
 def stored_detections(path: Path, numbers: NDArray[np.int64]) -> Detections:
-    """Detections of some frames, whose numbers increase; a row group is held at a time.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
-    """
+    """Detections of some frames, whose numbers increase; a row group is held at a time."""
     parts = []
     for read in read_with(path, _DETECTIONS, "frame", numbers):
         rows = np.isin(read["frame"], numbers)
@@ -114,12 +102,6 @@ def store_points(path: Path, points: Points) -> None:
 
 
 def stored_points(path: Path) -> Points:
-    """Points of a file of the store.
-
-    Raises
-    ------
-    DamagedError
-        If the file is missing or damaged.
-    """
+    """Points of a file of the store."""
     read = read_columns(path, (*"xyz", "intensity", "kind"))
     return Points(np.stack([read[k] for k in "xyz"], axis=-1), read["intensity"], read["kind"])

@@ -22,14 +22,9 @@ _STRIP_IN: Final = (style.WIDTH_IN, 4.8)
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A thin upright slice, seen from its side.
+    """A thin upright slice, seen from its side."""
 
-    Parameters
-    ----------
-    detections_m, points_m : (n, 2) float64
-        Along the slice, and height [m].
-    """
-
+    #: (n, 2) float64: along the slice, and height [m].
     detections_m: NDArray[Any]
     points_m: NDArray[Any]
 

@@ -29,17 +29,7 @@ LARGEST_MAP: Final = 4_000
 
 
 def summarise(done: Receipts, context: CoincidenceContext, facts: RunFacts) -> CoincidenceReport:
-    """Write ``report.json`` and ``report.html``.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : RunContext
-        The run.
-    facts : RunFacts
-        What the receipts do not say.
-    """
+    """Write ``report.json`` and ``report.html``."""
     counts = _counts(done, context)
     workflow = context.workflow
     report = CoincidenceReport(

@@ -18,14 +18,9 @@ from spl_batch.geiger.coincidence.simulate.scene import SceneSettings, build
 
 @dataclass(frozen=True, slots=True)
 class CoincidenceSimulation:
-    """What was made.
+    """What was made."""
 
-    Parameters
-    ----------
-    frames, detections : int
-        Laser pulses that look at the scene; detections in them [count].
-    """
-
+    #: Laser pulses that look at the scene; detections in them [count].
     frames: int
     detections: int
 
@@ -45,8 +40,6 @@ def simulate_file(
 
     Parameters
     ----------
-    path : Path
-        Scene file.
     out : Path
         Folder for ``l1/``, ``scene.yaml`` and ``workflow.yaml``.
     progress : callable, optional

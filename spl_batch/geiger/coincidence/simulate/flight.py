@@ -66,8 +66,6 @@ def detect(
 
     Parameters
     ----------
-    scene : SceneSettings
-        Sensor and seed.
     frames : Frames
         From :func:`flights`.
     targets : Targets

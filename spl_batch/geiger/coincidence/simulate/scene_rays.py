@@ -26,47 +26,24 @@ _CLOSE_M: Final = 1e-3
 
 
 class Targets(NamedTuple):
-    """The scene as bare arrays; lengths in metres from its centre and ground.
+    """The scene as bare arrays; lengths in metres from its centre and ground."""
 
-    Parameters
-    ----------
-    plates : (p, 5) float64
-        Rectangles that lie flat: west, south, east, north, height.
-    spokes : (s, 5) float64
-        Spoke targets: x, y, radius, height, number of spokes.
-    cubes : (c, 6) float64
-        Boxes: west, south, bottom, east, north, top.
-    coil : (k, 3) float64
-        Axis of a tube, place after place; none for no coil.
-    coil_radius : float
-        Of the tube.
-    logo : (4,) float64
-        x and y of a painted disc, its radius, edge of its squares; radius 0 for none.
-    leaves : (m, 5) float64
-        Level squares: x, y, height, reflectivity, transmissivity.
-    leaf_m : float
-        Their edge.
-    leaf_grid : (5,) float64
-        West, south, edge of the cells that leaves are listed by; lowest, highest leaf.
-    leaf_first : (ny, nx + 1) int64
-        First entry of each cell in ``leaf_item``.
-    leaf_item : (q,) int64
-        Leaves that rays through a cell's column may meet.
-    ground, target : float
-        Reflectivity of the ground, and of targets and paint.
-    """
-
+    #: (p, 5): rectangles that lie flat: west, south, east, north, height.
     plates: NDArray[np.float64]
-    spokes: NDArray[np.float64]
-    cubes: NDArray[np.float64]
-    coil: NDArray[np.float64]
+    spokes: NDArray[np.float64]  #: (s, 5): spoke targets: x, y, radius, height, number of spokes.
+    cubes: NDArray[np.float64]  #: (c, 6): boxes: west, south, bottom, east, north, top.
+    coil: NDArray[np.float64]  #: (k, 3): axis of a tube, place after place; none for no coil.
     coil_radius: float
+    #: (4,): x and y of a painted disc, its radius, edge of its squares; radius 0 for none.
     logo: NDArray[np.float64]
+    #: (m, 5): level squares: x, y, height, reflectivity, transmissivity.
     leaves: NDArray[np.float64]
     leaf_m: float
+    #: (5,): west, south, edge of the cells that leaves are listed by; lowest, highest leaf.
     leaf_grid: NDArray[np.float64]
-    leaf_first: NDArray[np.int64]
-    leaf_item: NDArray[np.int64]
+    leaf_first: NDArray[np.int64]  #: (ny, nx + 1): first entry of each cell in ``leaf_item``.
+    leaf_item: NDArray[np.int64]  #: (q,): leaves that rays through a cell's column may meet.
+    #: Reflectivity of the ground, and of targets and paint.
     ground: float
     target: float
 
@@ -146,8 +123,6 @@ def opaque(origin: NDArray[np.float64], way: NDArray[np.float64], scene: Targets
     ----------
     origin, way : (3,) float64
         Start, and unit vector [m].
-    scene : Targets
-        What there is.
 
     Returns
     -------
@@ -237,14 +212,10 @@ def expose(
 
     Parameters
     ----------
-    rng : Generator
-        Of this frame alone.
     origin : (3,) float64
         Place of the sensor from the scene's centre and ground [m].
     turn : (3, 3) float64
         As :func:`look_direction` takes it.
-    scene : Targets
-        What there is to see.
     tangent : float
         Tangent of a detector's field of view.
     gate : (2,) float64

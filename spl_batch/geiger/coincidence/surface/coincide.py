@@ -47,23 +47,11 @@ class Box(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What a region is made from.
+    """What a region is made from."""
 
-    Parameters
-    ----------
-    frames : Frames
-        Those that look at the region.
-    detections : Detections
-        All of these frames, in their order.
-    xyz : (n, 3) int64
-        Detections near the region [quanta].
-    edge_q : int
-        Edge of a voxel [quanta].
-    """
-
-    frames: Frames
-    detections: Detections
-    xyz: NDArray[np.int64]
+    frames: Frames  #: Those that look at the region.
+    detections: Detections  #: All of these frames, in their order.
+    xyz: NDArray[np.int64]  #: (n, 3): detections near the region [quanta].
     edge_q: int
 
 
@@ -85,7 +73,7 @@ def coincide(
     chosen: CoincidenceSettings,
     array: ArraySettings,
 ) -> Points:
-    """Points of the voxels whose centres lie in a region.
+    """Points of the voxels whose centres lie in a region: in order of x, y, z.
 
     Parameters
     ----------
@@ -95,13 +83,6 @@ def coincide(
         All of these frames, in any order.
     region : Bounds
         What is owned, at all heights [quanta].
-    chosen, array
-        Settings.
-
-    Returns
-    -------
-    Points
-        In order of x, y, z.
     """
     edge = chosen.voxel_quanta(array)
     low = np.array([_first_voxel(region.xmin, edge), _first_voxel(region.ymin, edge)])
@@ -267,23 +248,15 @@ def looking_at(
     low_m: NDArray[np.float64],
     high_m: NDArray[np.float64],
 ) -> NDArray[np.intp]:
-    """Rows of frames of which a look may cross a box.
+    """Rows of frames of which a look may cross a box: (k,) intp.
 
     Lines of sight that point downwards cross a height within the quadrilateral of the image's
     corners; frames with a corner that does not are always among them.
 
     Parameters
     ----------
-    frames : Frames
-        All frames.
-    array : ArraySettings
-        Gives the image's corners.
     low_m, high_m : (3,) float64
         Corners of the box [m].
-
-    Returns
-    -------
-    (k,) intp
     """
     tangent = math.tan(array.ifov_rad)
     across, along = 0.5 * array.rows * tangent, 0.5 * array.columns * tangent
@@ -308,8 +281,6 @@ def sight_error(frames: Frames, detections: Detections, array: ArraySettings) ->
 
     Parameters
     ----------
-    frames : Frames
-        Some frames.
     detections : Detections
         In order of their frames; those of other frames are left out.
     array : ArraySettings

@@ -103,10 +103,6 @@ def moments(
     ----------
     raster : (nx, ny, nz) int64
         Values; the cube lies inside.
-    i, j, k : int
-        Its centre.
-    half : int
-        Voxels on either side.
     out : (10,) int64
         Receives sums of d, d x, d y, d z, d x2, d y2, d z2, d xy, d xz, d yz.
     """
@@ -206,8 +202,6 @@ def find_surfaces(
         From :func:`fit_matrix`.
     threshold : float
         Least detections per interrogation at a point.
-    looks_min : float
-        Least interrogations per voxel.
     ratio, reach
         As :func:`closest_maximum` takes them.
     aside : float

@@ -42,20 +42,11 @@ BRIGHTEST = 0.97
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What turns mean times into ranges.
+    """What turns mean times into ranges."""
 
-    Parameters
-    ----------
-    settings : CalibrationSettings
-        Numbers of the laws, fitted ones put in.
-    pixel_ns : (rows, cols) float64
-        Delay of each pixel [ns].
-    residual_ns : float
-        Standard deviation of what a fit leaves beyond the spread of hits; 0 without a fit [ns].
-    """
-
-    settings: CalibrationSettings
-    pixel_ns: Floats
+    settings: CalibrationSettings  #: Numbers of the laws, fitted ones put in.
+    pixel_ns: Floats  #: (rows, cols): delay of each pixel [ns].
+    #: Standard deviation of what a fit leaves beyond the spread of hits; 0 without a fit [ns].
     residual_ns: float = 0.0
 
     def walk_ns(self, intensity: Floats) -> Floats:
@@ -89,30 +80,14 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Frames of a target at a known distance.
+    """Frames of a target at a known distance."""
 
-    Parameters
-    ----------
-    distance_m : float
-        Of the target along the axis [m].
-    actual_ns : (rows, cols) float64
-        Actual time of flight of each pixel [ns].
-    measured_ns : (rows, cols) float64
-        Mean time [ns].
-    hits : (rows, cols) int64
-        Hits; 0 for pixels that take no part.
-    intensity : (rows, cols) float64
-        Share of frames with a hit.
-    spread_ns : float
-        Standard deviation of single hits [ns].
-    """
-
-    distance_m: float
-    actual_ns: Floats
-    measured_ns: Floats
-    hits: NDArray[np.int64]
-    intensity: Floats
-    spread_ns: float
+    distance_m: float  #: Of the target along the axis [m].
+    actual_ns: Floats  #: (rows, cols): actual time of flight of each pixel [ns].
+    measured_ns: Floats  #: (rows, cols): mean time [ns].
+    hits: NDArray[np.int64]  #: (rows, cols): hits; 0 for pixels that take no part.
+    intensity: Floats  #: (rows, cols): share of frames with a hit.
+    spread_ns: float  #: Standard deviation of single hits [ns].
 
 
 def observation(
@@ -122,14 +97,10 @@ def observation(
 
     Parameters
     ----------
-    hits : Hits
-        Of all frames of the target.
     dead : (rows, cols) bool
         Pixels that are left out.
     norm : (rows, cols) float64
         Range over depth along the axis.
-    distance_m : float
-        Of the target along the axis [m].
     bin_ns : float
         Length of a bin [ns].
     """
@@ -164,15 +135,7 @@ def faults_of(observations: Sequence[Observation], settings: CalibrationSettings
 
 
 def fit(observations: Sequence[Observation], settings: CalibrationSettings) -> Calibration:
-    """Fit the laws that the settings name; :func:`faults_of` must have found nothing.
-
-    Parameters
-    ----------
-    observations : sequence of Observation
-        At two distances at the least.
-    settings : CalibrationSettings
-        Laws.
-    """
+    """Fit the laws that the settings name; :func:`faults_of` must have found nothing."""
     if settings.range_walk == "exponential":
         return _fit_source(observations, settings)
     return _fit_joint(observations, settings)

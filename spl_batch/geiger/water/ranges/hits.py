@@ -29,20 +29,12 @@ class Gate:
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What frames add up to.
+    """What frames add up to."""
 
-    Parameters
-    ----------
-    frames : int
-        Frames that were added up [count].
-    gate : Gate
-        Bins that were counted.
-    hits, total, square, outside : (rows, cols) int64
-        Hits; sums of bins from the gate's start, and of their squares; hits outside the gate.
-    """
-
-    frames: int
+    frames: int  #: Frames that were added up [count].
     gate: Gate
+    #: (rows, cols): hits; sums of bins from the gate's start, and of their squares; hits outside
+    #: the gate.
     hits: NDArray[np.int64]
     total: NDArray[np.int64]
     square: NDArray[np.int64]
@@ -108,12 +100,7 @@ def find_gate(counts: NDArray[np.int64], settings: GateSettings) -> Gate | None:
 def add_up(frames: NDArray[np.uint16], gate: Gate) -> Hits:
     """Sums of frames within a gate.
 
-    Parameters
-    ----------
-    frames : (n, rows, cols) uint16
-        Bins; 0 is no hit.
-    gate : Gate
-        Bins that count.
+    ``frames``: (n, rows, cols) uint16, bins; 0 is no hit.
     """
     hits, total, square, outside = np.zeros((4, *frames.shape[1:]), dtype=np.int64)
     add_hits(frames, gate.low, gate.high, hits, total, square, outside)
@@ -125,8 +112,6 @@ def dead_pixels(hits: Hits, used: NDArray[np.bool_], settings: PixelSettings) ->
 
     Parameters
     ----------
-    hits : Hits
-        Of many frames.
     used : (rows, cols) bool
         Pixels that may take part at all.
     settings : PixelSettings

@@ -19,12 +19,7 @@ CHANCE_MIN: Final = 1e-4
 def empty_share(hits: int, frames_with_hits: int) -> float:
     """Share of frames that chance leaves without a hit, 0..1.
 
-    Parameters
-    ----------
-    hits : int
-        Hits in all frames and pixels [count].
-    frames_with_hits : int
-        Frames with one hit at least [count].
+    ``frames_with_hits``: frames with one hit at least [count].
     """
     if hits <= frames_with_hits:
         return 1.0  # never two hits in a frame: empty frames are the rule
@@ -41,8 +36,6 @@ def too_many_empty(empty: int, frames: int, hits: int) -> bool:
     ----------
     empty, frames : int
         Frames without a hit, and all frames [count].
-    hits : int
-        Hits in all frames and pixels [count].
     """
     if empty == 0:
         return False

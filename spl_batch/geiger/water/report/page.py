@@ -12,12 +12,7 @@ from spl_batch.geiger.water.report.model import WaterReport
 def render(report: WaterReport, pictures: Mapping[str, Picture]) -> str:
     """The page.
 
-    Parameters
-    ----------
-    report : WaterReport
-        What is shown.
-    pictures : mapping of str to Picture
-        From :mod:`~spl_batch.geiger.water.report.pictures`; any may be missing.
+    ``pictures``: from :mod:`~spl_batch.geiger.water.report.pictures`; any may be missing.
     """
     sections = (("accuracy", "Accuracy"), ("surface", "Surface"), ("calibration", "Calibration"))
     return render_page(

@@ -25,30 +25,16 @@ PANELS = (
 
 @dataclass(frozen=True, slots=True)
 class WaterPictures:
-    """Plain arrays that the pictures are drawn from.
+    """Plain arrays that the pictures are drawn from."""
 
-    Parameters
-    ----------
-    height : Raster, optional
-        Mean height of a file's surfaces [m].
-    pixels : mapping of str to (rows, cols) float64
-        Errors of pixels; empty without truth.
-    surfaces : (a, 3) float64
-        Bias [m], MSE [m2] and normal error [deg] of each surface; none without truth.
-    histogram : (bins + 1,) int64, optional
-        Hits of each bin.
-    gate : (int, int)
-        First bin of the gate, first one behind it.
-    intensity : (rows, cols) float64, optional
-        Share of frames with a hit.
-    """
-
-    height: Raster | None
+    height: Raster | None  #: Mean height of a file's surfaces [m].
+    #: mapping of str to (rows, cols) float64: errors of pixels; empty without truth.
     pixels: dict[str, Floats]
+    #: (a, 3): bias [m], MSE [m2] and normal error [deg] of each surface; none without truth.
     surfaces: Floats
-    histogram: NDArray[np.int64] | None
-    gate: tuple[int, int]
-    intensity: Floats | None
+    histogram: NDArray[np.int64] | None  #: (bins + 1,): hits of each bin.
+    gate: tuple[int, int]  #: First bin of the gate, first one behind it.
+    intensity: Floats | None  #: (rows, cols): share of frames with a hit.
 
 
 def make_pictures(given: WaterPictures) -> dict[str, Picture]:

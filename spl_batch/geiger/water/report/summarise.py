@@ -38,17 +38,7 @@ _ERROR_FIELDS: Final = ("bias_m", "variance_m2", "mse_m2", "normal_deg", "pixel_
 
 
 def summarise(done: Receipts, context: WaterContext, facts: RunFacts) -> WaterReport:
-    """Write ``report.json`` and ``report.html``.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : RunContext
-        The run.
-    facts : RunFacts
-        What the receipts do not say.
-    """
+    """Write ``report.json`` and ``report.html``."""
     workflow = context.workflow
     errors, floor, pixels = _errors(done, context)
     counted = done.get("count_frames", {}).values()

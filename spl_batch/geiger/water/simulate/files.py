@@ -20,20 +20,12 @@ from spl_batch.geiger.water.simulate.scene import TargetFrames, WaterScene
 
 @dataclass(frozen=True, slots=True)
 class WaterSummary:
-    """What was written.
+    """What was written."""
 
-    Parameters
-    ----------
-    out, workflow : Path
-        Folder, and the workflow in it, ready to run.
-    frames, targets : int
-        Frames of the water, and of targets [count].
-    wall_s : float
-        Time that it took [s].
-    """
-
+    #: Folder, and the workflow in it, ready to run.
     out: Path
     workflow: Path
+    #: frames, targets: frames of the water, and of targets [count].
     frames: int
     targets: int
     wall_s: float
@@ -52,14 +44,7 @@ def simulate(
 ) -> WaterSummary:
     """Write the files of a scene.
 
-    Parameters
-    ----------
-    scene : WaterScene
-        What is simulated.
-    out : Path
-        Folder; made where it is missing.
-    progress : callable, optional
-        Told the share that is done, 0..1.
+    ``out``: folder; made where it is missing. ``progress``: told the share that is done, 0..1.
     """
     start = time.perf_counter()
     view = view_of(scene.camera, scene.mount)

@@ -27,40 +27,22 @@ GRAVITY_M_S2 = 9.81
 
 @dataclass(frozen=True, slots=True)
 class Wave:
-    """One sinusoid of deep water, travelling.
+    """One sinusoid of deep water, travelling."""
 
-    Parameters
-    ----------
-    amplitude_m, length_m : float
-        Half of crest to trough, and crest to crest [m].
-    heading_deg : float
-        Where it goes, from north over east [deg].
-    phase_deg : float
-        At the origin at time 0 [deg].
-    """
-
+    #: Half of crest to trough, and crest to crest [m].
     amplitude_m: float
     length_m: float
-    heading_deg: float = 0.0
-    phase_deg: float = 0.0
+    heading_deg: float = 0.0  #: Where it goes, from north over east [deg].
+    phase_deg: float = 0.0  #: At the origin at time 0 [deg].
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What the array looks at: a level surface, or waves about it.
+    """What the array looks at: a level surface, or waves about it."""
 
-    Parameters
-    ----------
-    down_m : float
-        Of the level surface in the local frame [m].
-    waves : tuple of Wave
-        Added up; none for a flat target.
-    penetration_m : float
-        Mean length of the way in water of light that comes back [m]; 0 for a hard target.
-    """
-
-    down_m: float
-    waves: tuple[Wave, ...] = ()
+    down_m: float  #: Of the level surface in the local frame [m].
+    waves: tuple[Wave, ...] = ()  #: Added up; none for a flat target.
+    #: Mean length of the way in water of light that comes back [m]; 0 for a hard target.
     penetration_m: float = 0.0
 
     def surface(
@@ -116,50 +98,29 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """The array as it really is; the defaults are a twin of the source's.
+    """The array as it really is; the defaults are a twin of the source's."""
 
-    Parameters
-    ----------
-    peak_photoelectrons : float
-        Expected of an echo in the middle of the beam [count].
-    beam_px, beam_centre_px : float, (float, float)
-        1/e2 radius of the beam on the array, and its middle: row, column [pixel].
-    sensitivity_spread : float
-        Relative spread of the pixels' efficiency.
-    pulse_ns, jitter_ns : float
-        Standard deviations of the laser's pulse and of the avalanche's delay [ns].
-    noise_hz : float
-        Dark counts and background of a pixel [1/s].
-    scale, offset_ns : float
-        Clock: measured = scale x actual + offset [ns].
-    delay_ns, pattern_ns : float
-        Delay of the pixels: standard deviation of a part of its own for each, and of a part
-        that changes smoothly over the array [ns].
-    skew_ns : float
-        How much later the last column's clock runs than the first's [ns].
-    dead : int
-        Dead pixels, most of them in the last three rows [count].
-    hot : int
-        Pixels that fire in most frames by themselves [count].
-    seed : int
-        Of what is fixed to the instrument.
-    """
-
-    peak_photoelectrons: float = 0.4
+    peak_photoelectrons: float = 0.4  #: Expected of an echo in the middle of the beam [count].
+    #: float, (float, float): 1/e2 radius of the beam on the array, and its middle: row, column
+    #: [pixel].
     beam_px: float = 22.0
     beam_centre_px: tuple[float, float] = (14.0, 15.5)
-    sensitivity_spread: float = 0.1
+    sensitivity_spread: float = 0.1  #: Relative spread of the pixels' efficiency.
+    #: Standard deviations of the laser's pulse and of the avalanche's delay [ns].
     pulse_ns: float = 1.0
     jitter_ns: float = 0.085
-    noise_hz: float = 700.0
+    noise_hz: float = 700.0  #: Dark counts and background of a pixel [1/s].
+    #: Clock: measured = scale x actual + offset [ns].
     scale: float = 1.02379235588971
     offset_ns: float = 82.3525317669176
+    #: Delay of the pixels: standard deviation of a part of its own for each, and of a part that
+    #: changes smoothly over the array [ns].
     delay_ns: float = 0.05
     pattern_ns: float = 0.018
-    skew_ns: float = 0.0
-    dead: int = 150
-    hot: int = 0
-    seed: int = 1
+    skew_ns: float = 0.0  #: How much later the last column's clock runs than the first's [ns].
+    dead: int = 150  #: Dead pixels, most of them in the last three rows [count].
+    hot: int = 0  #: Pixels that fire in most frames by themselves [count].
+    seed: int = 1  #: Of what is fixed to the instrument.
 
     def dimmed(self, factor: float) -> "Instrument":
         """The same instrument with another share of the light."""
@@ -168,24 +129,12 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Array:
-    """What is fixed to one instrument: (rows, cols) each.
+    """What is fixed to one instrument: (rows, cols) each."""
 
-    Parameters
-    ----------
-    photoelectrons : float64
-        Expected of an echo [count].
-    delay_ns : float64
-        Of the pixel [ns].
-    noise_hz : float64
-        Dark counts and background [1/s].
-    dead : bool
-        Pixels that never fire.
-    """
-
-    photoelectrons: Floats
-    delay_ns: Floats
-    noise_hz: Floats
-    dead: NDArray[np.bool_] = field(repr=False)
+    photoelectrons: Floats  #: Expected of an echo [count].
+    delay_ns: Floats  #: Of the pixel [ns].
+    noise_hz: Floats  #: Dark counts and background [1/s].
+    dead: NDArray[np.bool_] = field(repr=False)  #: Pixels that never fire.
 
 
 def build_array(instrument: Instrument, camera: CameraSettings) -> Array:
@@ -253,23 +202,14 @@ def draw_frames(
     decay_ns: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint16]:
-    """Time bins of frames.
+    """Time bins of frames: (n, rows, cols) uint16, bins; 0 is no hit.
 
     Parameters
     ----------
-    array, instrument, camera
-        The receiver.
     actual_ns : (n, rows, cols) float64
         Actual time of flight to the surface in each frame [ns].
     decay_ns : float
         Mean delay of light from below the surface [ns].
-    rng : Generator
-        Randomness.
-
-    Returns
-    -------
-    (n, rows, cols) uint16
-        Bins; 0 is no hit.
     """
     shape = actual_ns.shape
     never = np.inf
@@ -293,22 +233,13 @@ def draw_frames(
 
 @dataclass(frozen=True, slots=True)
 class Acquisition:
-    """Frames of one acquisition and what is true in its middle.
+    """Frames of one acquisition and what is true in its middle."""
 
-    Parameters
-    ----------
-    frames : (n, rows, cols) uint16
-        Bins; 0 is no hit.
-    true_range_m, true_down_m : (rows, cols) float64
-        Along each line of sight [m].
-    true_normals : (rows, cols, 3) float64
-        Unit vectors out of the water.
-    """
-
-    frames: NDArray[np.uint16]
+    frames: NDArray[np.uint16]  #: (n, rows, cols): bins; 0 is no hit.
+    #: (rows, cols): along each line of sight [m].
     true_range_m: Floats
     true_down_m: Floats
-    true_normals: Floats
+    true_normals: Floats  #: (rows, cols, 3): unit vectors out of the water.
 
 
 def acquisitions(
@@ -326,8 +257,6 @@ def acquisitions(
     ----------
     target, instrument, camera, view
         What is looked at, and with what.
-    count, frames : int
-        Acquisitions, and frames of each [count].
     seed : int or tuple of int
         Of the photons; the instrument has its own.
     """

@@ -50,11 +50,6 @@ class WaterScene(Section):
 def load_scene(path: Path) -> WaterScene:
     """Read a scene file.
 
-    Parameters
-    ----------
-    path : Path
-        YAML file.
-
     Raises
     ------
     WorkflowError

@@ -51,26 +51,16 @@ LENT_PX: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A surface in the local frame: north, east, down.
+    """A surface in the local frame: north, east, down."""
 
-    Parameters
-    ----------
-    range_m : (rows, cols) float64
-        Of each pixel, before any smoothing [m]; NaN where it tells nothing.
-    intensity : (rows, cols) float64
-        Share of frames with a hit.
-    places_m : (rows, cols, 3) float64
-        On the surface [m]; NaN where it is not known.
-    normals : (rows, cols, 3) float64
-        Unit vectors out of the water, so with a negative last part; NaN likewise.
-    half_windows : (rows, cols, 2) int64
-        Half edges of the windows of place and normal [pixel]; 0 where there is none.
-    """
-
+    #: (rows, cols): of each pixel, before any smoothing [m]; NaN where it tells nothing.
     range_m: Floats
-    intensity: Floats
-    places_m: Floats
+    intensity: Floats  #: (rows, cols): share of frames with a hit.
+    places_m: Floats  #: (rows, cols, 3): on the surface [m]; NaN where it is not known.
+    #: (rows, cols, 3): unit vectors out of the water, so with a negative last part; NaN likewise.
     normals: Floats
+    #: (rows, cols, 2): half edges of the windows of place and normal [pixel]; 0 where there is
+    #: none.
     half_windows: NDArray[np.int64]
 
 
@@ -98,18 +88,7 @@ def make_surface(
 ) -> Surface:
     """Surface of one acquisition.
 
-    Parameters
-    ----------
-    hits : Hits
-        Of the acquisition's frames.
-    dead : (rows, cols) bool
-        Pixels that take no part.
-    calibration : Calibration
-        From bins to ranges.
-    view : View
-        Where each pixel looks.
-    camera, pixels, settings
-        Sections of the workflow.
+    ``dead``: (rows, cols) bool, pixels that take no part. ``view``: where each pixel looks.
     """
     range_m = ranges(hits, dead, calibration, camera, pixels)
     if settings.method == "windowed":

@@ -22,25 +22,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Cells of a raster.
+    """Cells of a raster."""
 
-    Parameters
-    ----------
-    east, north : int
-        Of the south-west corner [cell], counted from easting and northing 0.
-    rows, cols : int
-        [count]
-    cell_m : float
-        Edge of a cell [m].
-    origin_m : (float, float)
-        Easting and northing of the local frame's origin [m].
-    """
-
+    #: east, north: of the south-west corner [cell], counted from easting and northing 0.
     east: int
     north: int
     rows: int
     cols: int
     cell_m: float
+    #: Easting and northing of the local frame's origin [m].
     origin_m: tuple[float, float] = (0.0, 0.0)
 
 
@@ -53,8 +43,6 @@ def grid_around(
     ----------
     places_m : (..., 3) float64
         North, east, down [m]; NaN where unknown.
-    cell_m : float
-        Edge of a cell [m].
     origin_m : (float, float)
         Easting and northing of the local frame's origin [m].
     """
@@ -71,12 +59,7 @@ def grid_around(
 def height_raster(places_m: Floats, grid: Grid) -> Floats:
     """Heights (less down) at the centres of cells: (rows, cols) float64 [m], NaN where unknown.
 
-    Parameters
-    ----------
-    places_m : (..., 3) float64
-        North, east, down [m]; NaN where unknown.
-    grid : Grid
-        Where to.
+    ``places_m``: north, east, down [m]; NaN where unknown. ``grid``: where to.
     """
     known = places_m[np.isfinite(places_m).all(axis=-1)]
     corner = grid.cell_m * np.array([grid.east, grid.north]) - np.array(grid.origin_m)
