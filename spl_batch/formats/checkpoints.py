@@ -8,7 +8,7 @@ import csv
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, isnan
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -180,31 +180,46 @@ def _number(value: Any) -> float | None:
 def _checked(rows: Sequence[_Row], accuracy_m: float | None, remarks: list[str]) -> list[_Row]:
     """Rows whose values can be used, with their values as they are wanted."""
     kept: list[_Row] = []
-    lacking: list[str] = []
-    strange: list[str] = []
-    several: list[str] = []
+    faults: dict[str, list[str]] = {}
     for number, row in enumerate(rows, start=1):
         name = str(row.get("id") or "").strip() or f"row {number}"
+        word, said = (str(row.get(key) or "").strip() for key in ("surface", "accuracy_m"))
         xyz = [_number(row.get(axis)) for axis in "xyz"]
-        word = str(row.get("surface") or "").strip()
-        surface = SURFACES.get(word.lower())
         if row.get(PARTS, 1) > 1:
-            several.append(name)
+            faults.setdefault(_SEVERAL, []).append(name)
         elif None in xyz:
-            lacking.append(name)
-        elif surface is None:
-            strange.append(f"{name} ({word!r})")
+            faults.setdefault(_NOWHERE, []).append(name)
+        elif word.lower() not in SURFACES:
+            faults.setdefault(_STRANGE, []).append(f"{name} ({word!r})")
+        elif not _usable_accuracy(row.get("accuracy_m")):
+            faults.setdefault(_UNSURE, []).append(f"{name} ({said!r})")
         else:
-            given = _number(row.get("accuracy_m"))
-            own = given if given is not None and given > 0 else accuracy_m
-            kept.append({**row, "id": name, "xyz": xyz, "surface": surface, "accuracy_m": own})
-    if several:
-        remarks.append(_left_out(several, "each is to be one point, and they are several"))
-    if lacking:
-        remarks.append(_left_out(lacking, "x, y or z is no finite number"))
-    if strange:
-        remarks.append(_left_out(strange, "their surface is neither open nor vegetated"))
+            own = _number(row.get("accuracy_m")) or accuracy_m
+            known = {"id": name, "xyz": xyz, "surface": SURFACES[word.lower()], "accuracy_m": own}
+            kept.append({**row, **known})
+    remarks += [_left_out(names, why) for why, names in sorted(faults.items())]
+    silent = [row["id"] for row in kept if row["accuracy_m"] is None]
+    if 0 < len(silent) < len(kept):
+        noun = "checkpoint states" if len(silent) == 1 else "checkpoints state"
+        remarks.append(
+            f"{len(silent)} {noun} no accuracy_m, without which there is no statement of accuracy; "
+            f"fill it in, or set reference.checkpoints_accuracy_m: {named(silent)}"
+        )
     return kept
+
+
+_SEVERAL: Final = "each is to be one point, and they are several"
+_NOWHERE: Final = "x, y or z is no finite number"
+_STRANGE: Final = "the surface is neither open nor vegetated"
+_UNSURE: Final = "accuracy_m is no positive number of metres"
+
+
+def _usable_accuracy(value: Any) -> bool:
+    """Whether an accuracy is a positive number, or not given: empty, or null of a GeoPackage."""
+    if value is None or not str(value).strip() or (isinstance(value, float) and isnan(value)):
+        return True
+    number = _number(value)
+    return number is not None and number > 0
 
 
 def _left_out(names: Sequence[str], why: str) -> str:
@@ -226,7 +241,7 @@ def _once(rows: Sequence[_Row], remarks: list[str]) -> Iterator[_Row]:
         places.add(place)
         yield row
     if again:
-        remarks.append(_left_out(again, "an earlier one has their name or place"))
+        remarks.append(_left_out(again, "an earlier one has the name or place"))
 
 
 def _in_crs(

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import shapely
 from pyproj import CRS
 
@@ -23,7 +24,7 @@ from spl_batch.airborne.catalogue.index_layers import Layer
 from spl_batch.airborne.catalogue.stac import write_stac
 from spl_batch.constants import QUANTUM_M
 from spl_batch.formats.crs import crs_name
-from spl_batch.lattice.tiles import cell_bounds, parse_cell
+from spl_batch.lattice.tiles import Bounds, cell_bounds, parse_cell
 
 REMEDY: Final = "; name it in survey.crs"
 """Where no CRS is known."""
@@ -112,11 +113,9 @@ def _layers(args: Mapping[str, Any], clouds: Sequence[Cloud]) -> Iterator[Layer]
     )
     boxes = {cloud.href: shapely.box(*cloud.box_m) for cloud in clouds}
     lines = args["flightlines"]
-    yield Layer(
-        "flightlines",
-        [_together([boxes[href] for href in one["files"]]) for one in lines],
-        {key: [one[key] for one in lines] for key in ("id", "points", "first_s", "last_s")},
-    )
+    flown = [_together([boxes[href] for href in one["files"]]) for one in lines]
+    said = {key: [one[key] for one in lines] for key in ("id", "points", "first_s", "last_s")}
+    yield Layer("flightlines", flown, {**said, "per_m2": _per_m2(said["points"], flown)})
     yield Layer(
         "files",
         list(boxes.values()),
@@ -136,22 +135,32 @@ def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:
 
 
 def _squares(args: Mapping[str, Any]) -> Iterator[Layer]:
-    blocks = args["blocks"]
+    tiles = {tile: cell_bounds(parse_cell(tile), args["tile_q"]) for tile in args["tiles"]}
+    counts = list(args["tiles"].values())
     for name, wanted in (("failures", False), ("blocks", True)):
-        mine = [(block, core) for block, core, done in blocks if done is wanted]
-        yield Layer(name, [_box(core) for _, core in mine], {"block": [b for b, _ in mine]})
-    edge = args["tile_q"]
-    area_m2 = (edge * QUANTUM_M) ** 2
-    tiles = args["tiles"]
-    yield Layer(
-        "tiles",
-        [_box(cell_bounds(parse_cell(tile), edge)) for tile in tiles],
-        {
-            "tile": list(tiles),
-            "points": list(tiles.values()),
-            "per_m2": [count / area_m2 for count in tiles.values()],
-        },
-    )
+        mine = [(block, Bounds(*core)) for block, core, done in args["blocks"] if done is wanted]
+        squares = [_box(core) for _, core in mine]
+        points = [_points_in(core, list(tiles.values()), counts) for _, core in mine]
+        said = {"block": [block for block, _ in mine], "points": points}
+        yield Layer(name, squares, {**said, "per_m2": _per_m2(points, squares)})
+    squares = list(map(_box, tiles.values()))
+    said = {"tile": list(tiles), "points": counts, "per_m2": _per_m2(counts, squares)}
+    yield Layer("tiles", squares, said)
+
+
+def _points_in(core: Bounds, tiles: Sequence[Bounds], counts: Sequence[int]) -> int:
+    """Points of a block: those of its tiles, of a tile that it cuts as many as its share."""
+    west, south, east, north = np.array(tiles, np.int64).reshape(-1, 4).T
+    wide = np.minimum(east, core.xmax) - np.maximum(west, core.xmin)
+    high = np.minimum(north, core.ymax) - np.maximum(south, core.ymin)
+    share = wide.clip(0) * high.clip(0) / ((east - west) * (north - south))
+    return round(float(share @ np.array(counts, np.float64)))
+
+
+def _per_m2(points: Sequence[int], shapes: Sequence[shapely.Geometry]) -> list[float | None]:
+    """Points by area; None where a place has none."""
+    areas = map(shapely.area, shapes)
+    return [n / area if area else None for n, area in zip(points, areas, strict=True)]
 
 
 def _box(bounds_q: Sequence[int]) -> shapely.Geometry:

@@ -13,6 +13,7 @@ import numpy as np
 import pyogrio
 import pytest
 import rasterio
+import shapely
 from jsonschema import Draft7Validator
 from jsonschema.validators import validator_for
 from pyproj import CRS
@@ -191,14 +192,19 @@ def test_the_index_counts_what_is_there(output: Path) -> None:
     layers = {name for name, _ in pyogrio.list_layers(output / "index.gpkg")}
     assert layers == {"checkpoints", "flightlines", "files", "blocks", "tiles"}
     columns: dict[str, Any] = {}
+    places: dict[str, Any] = {}
     for layer in layers:
         meta, _, shapes, values = pyogrio.raw.read(output / "index.gpkg", layer=layer)
         columns[layer] = dict(zip(meta["fields"], values, strict=True))
+        places[layer] = shapes
         assert len(shapes)
         assert "32615" in str(meta["crs"])
     points = sum(len(laspy.read(path)) for path in (output / "laz").rglob("*.laz"))
-    for layer in ("files", "tiles", "flightlines"):
+    for layer in ("files", "tiles", "flightlines", "blocks"):
         assert columns[layer]["points"].sum() == points
+        areas = shapely.area(shapely.from_wkb(places[layer]))
+        per_m2 = columns[layer]["points"] / areas
+        np.testing.assert_allclose(columns[layer]["per_m2"], per_m2, rtol=1e-6)
     report = read(output / "report.json")
     errors = {one["id"]: one["error_m"] for one in report["checkpoints"]["points"]}
     told = dict(zip(columns["checkpoints"]["id"], columns["checkpoints"]["error_m"], strict=True))
