@@ -47,8 +47,8 @@ def test_faults_are_one_line_each_and_the_rest_is_used(tmp_path: Path) -> None:
     found, remarks = read(tmp_path / "c.csv", text, accuracy_m=0.05)
     assert [(one.id, one.accuracy_m) for one in found] == [("A", 0.02), ("F", 0.05)]
     assert sorted(remarks) == [
-        "1 checkpoint is left out, as the surface is neither open nor vegetated: E ('meadow')",
         "1 checkpoint is left out, as accuracy_m is no positive number of metres: G ('-1')",
+        "1 checkpoint is left out, as the surface is neither open nor vegetated: E ('meadow')",
         "2 checkpoints are left out, as an earlier one has the name or place: A, B",
         "2 checkpoints are left out, as x, y or z is no finite number: C, D",
     ]
