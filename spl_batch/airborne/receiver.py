@@ -214,7 +214,7 @@ class Imaging(Receiver[Survey, Context]):
             return [f"tiles/{task.name}{copc}.laz"]
         if task.kind == "mosaic" and task.args["delivered"]:
             return [f"{task.name}.tif"]
-        if task.kind in {"deliver_copc", "deliver_hillshade", "deliver_geoid"}:
+        if "target" in task.args and task.kind.startswith("deliver_"):
             return [task.args["target"]]
         if task.kind == "deliver_catalogue":
             return _catalogue_files(task)

@@ -34,7 +34,7 @@ MULTIPLY: Final = "6"
 """QGIS's number of the mixing that darkens terrain by its relief."""
 
 RAMPS: Final = {"dtm": TERRAIN, "dsm": TERRAIN, "chm": HEIGHTS, "density": COUNTS,
-         "first": COUNTS, "last": COUNTS, "voids": COUNTS}  # fmt: skip
+         "first": COUNTS, "last": COUNTS, "voids": COUNTS, "swath": COUNTS}  # fmt: skip
 """Colours by product; others are grey."""
 
 CLASSES: Final = (

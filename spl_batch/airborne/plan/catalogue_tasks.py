@@ -29,7 +29,8 @@ def catalogue(survey: Survey) -> Iterator[Task]:
     delivered = survey.of("deliver_file")
     if not survey.workflow.outputs.catalogue or not delivered:
         return
-    twins, made_of = survey.of("deliver_copc"), ("mosaic", "deliver_hillshade", "deliver_geoid")
+    twins = survey.of("deliver_copc")
+    made_of = ("mosaic", "deliver_hillshade", "deliver_differences", "deliver_geoid")
     rasters = [(kind, name, r) for kind in made_of for name, r in sorted(survey.of(kind).items())]
     clouds = {key: _cloud(survey, key, key in twins) for key in sorted(delivered)}
     checkpoints = survey.of("checkpoints")

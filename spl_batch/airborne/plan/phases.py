@@ -201,6 +201,7 @@ PHASES = (
     Phase("reference", reference_tasks.reference, beside=True),
     Phase("deliver_copc", catalogue_tasks.deliver_copc),
     Phase("deliver_hillshade", space_tasks.hillshade, beside=True),
+    Phase("deliver_differences", strip_tasks.differences, beside=True),
     Phase("deliver_geoid", space_tasks.geoid, beside=True),
     Phase("accuracy", reference_tasks.accuracy, beside=True),
     Phase("checkpoints", reference_tasks.checkpoints, beside=True),

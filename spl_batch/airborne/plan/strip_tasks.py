@@ -6,6 +6,7 @@ from spl_batch.airborne.plan.flightlines import is_timeless
 from spl_batch.airborne.plan.space_tasks import cell_args, label_needs, named_units, tile_needs
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import refusal
+from spl_batch.airborne.products.product_table import SWATH_DIFFERENCES
 from spl_batch.airborne.strips.strip_patches import SQUARE_M
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import quanta
@@ -31,6 +32,15 @@ def pairs(survey: Survey) -> Iterator[Task]:
     if cells:
         args = {"strips": _strips(survey), "cells": cells}
         yield Task("strip_pairs", "all", args, tuple(("strip_patches", name) for name in cells))
+
+
+def differences(survey: Survey) -> Iterator[Task]:
+    """Their map, where maps are asked for and there is a pair."""
+    made = survey.of("strip_pairs")
+    if survey.workflow.products.maps and any(r.facts["pairs"] for r in made.values()):
+        name = SWATH_DIFFERENCES.name
+        needs = tuple(("strip_pairs", one) for one in made)
+        yield Task("deliver_differences", name, {"target": f"{name}.tif"}, needs)
 
 
 def _has_timeless(survey: Survey) -> bool:

@@ -45,6 +45,11 @@ NAMES: Final = tuple(product.name for product in PRODUCTS)
 HILLSHADE: Final = Product("hillshade", "shaded relief of the terrain", "1", is_map=True)
 """Made of the finished terrain model, not of ground cells."""
 
+SWATH_DIFFERENCES: Final = Product(
+    "swath_differences", "median height between flightlines that overlap", "m", is_map=True
+)
+"""Made of planar patches that two flightlines share, on a coarse grid of its own."""
+
 ABOVE_GEOID: Final = (
     Product("dtm_geoid", "height of the terrain above the geoid", "m"),
     Product("dsm_geoid", "height of the surface above the geoid", "m"),

@@ -90,7 +90,7 @@ class ProductSettings(Section):
     maps: bool = Field(
         False,
         description="Further rasters: density of first and last returns, data voids, flightlines "
-        "in each cell, hillshade.",
+        "in each cell, hillshade, height between flightlines.",
     )
     intensity: Literal["detection", "las"] = Field(
         "detection",

@@ -13,10 +13,11 @@ from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.hillshade import BLOCK
-from spl_batch.airborne.products.product_table import HILLSHADE
+from spl_batch.airborne.products.product_table import HILLSHADE, SWATH_DIFFERENCES
 from spl_batch.airborne.products.wide_voids import Void, void_sentence, wide_voids
 from spl_batch.airborne.store.label_tables import LabelFiles, read_labelled_tile
 from spl_batch.airborne.store.raster_cells import frame, stored_blocks
+from spl_batch.airborne.strips.strip_comparison import difference_map
 from spl_batch.airborne.tasks import index
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.tasks.context import Produced
@@ -231,6 +232,25 @@ def deliver_hillshade(args: Mapping[str, Any], context: Context) -> Produced:
             unit=HILLSHADE.unit,
         )
     return Produced([target], {"rows": terrain.shape[0], "columns": terrain.shape[1]})
+
+
+def deliver_differences(args: Mapping[str, Any], context: Context) -> Produced:
+    """Write by how much flightlines differ in height, where patches of two of them tell it."""
+    target, found = context.output / args["target"], difference_map(context)
+    if found is None:
+        raise WorkflowError(f"{args['target']}: no patch is shared by two flightlines")
+    values, (west, east, _, north) = found
+    write_cog(
+        target,
+        values,
+        shape=values.shape,
+        origin_xy_m=(west, north),
+        cell_m=(east - west) / values.shape[1],
+        crs=context.crs_wkt or None,
+        description=SWATH_DIFFERENCES.meaning,
+        unit=SWATH_DIFFERENCES.unit,
+    )
+    return Produced([target], {"rows": values.shape[0], "columns": values.shape[1]})
 
 
 def deliver_geoid(args: Mapping[str, Any], context: Context) -> Produced:

@@ -95,6 +95,9 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "deliver_hillshade": Kind(
             "deliver", "spl_batch.airborne.tasks.delivery:deliver_hillshade", ()
         ),
+        "deliver_differences": Kind(
+            "deliver", "spl_batch.airborne.tasks.delivery:deliver_differences", ()
+        ),
         "deliver_geoid": Kind(
             "deliver", "spl_batch.airborne.tasks.delivery:deliver_geoid", ("outputs.geoid",)
         ),
