@@ -41,17 +41,25 @@ class WaterTrack(NamedTuple):
 
 
 def water_track(
-    noise_per_m2: float, seed: int = 1, length_m: float = 4000.0, surface_per_m: float = 1.2
+    noise_per_m2: float,
+    seed: int = 1,
+    length_m: float = 4000.0,
+    surface_per_m: float = 1.2,
+    floor_per_m: float = 0.35,
+    column: tuple[float, float] = (0.1, 4.0),
 ) -> WaterTrack:
-    """Level water at 0 over a floor 3 to 17 m deep, and the light that the water scatters."""
+    """Level water at 0 over a floor 3 to 17 m deep, and the light that the water scatters.
+
+    That is ``column``: photons per metre, and the depth in which they fade by e [m].
+    """
     rng = np.random.default_rng(seed)
-    rates_per_m = (surface_per_m, 0.35, 0.1, noise_per_m2 * 100.0)
+    rates_per_m = (surface_per_m, floor_per_m, column[0], noise_per_m2 * 100.0)
     n = [rng.poisson(rate * length_m) for rate in rates_per_m]
     x = [rng.uniform(0.0, length_m, count) for count in n]
     z = [
         rng.normal(0.0, 0.12, n[0]),
         -10.0 + 7.0 * np.sin(x[1] / 400.0) + rng.normal(0.0, 0.2, n[1]),
-        -rng.exponential(4.0, n[2]),
+        -rng.exponential(column[1], n[2]),
         rng.uniform(*GATE_M, n[3]),
     ]
     kind = np.repeat([SURFACE, FLOOR, NOISE, NOISE], n)
@@ -176,6 +184,18 @@ def test_noise_below_a_surface_is_counted_by_depth_and_the_floor_left_out() -> N
     assert np.abs(np.log(column[:12] / true)).max() < np.log(2.5)
 
 
+def test_turbid_water_is_no_floor() -> None:
+    track = water_track(NIGHT, floor_per_m=0.0, column=(0.7, 1.5))
+    cells = rates.observe(*photons(track), RATE)
+    depth = np.arange(1, 6)
+    true = NIGHT + 0.7 * (np.exp(-depth / 1.5) - np.exp(-(depth + 1.0) / 1.5))
+    found = cells.column[cells.level != NO_WATER].mean(axis=0)[:5]
+    assert np.abs(np.log(found / true)).max() < np.log(1.3)
+    beam = Beam(photons(track), None)
+    deep = track.z < -1.3
+    assert beam.keep(beam.score())[deep].mean() < 0.2
+
+
 def test_a_plain_with_trees_is_no_water() -> None:
     track = simulate_track(scene("flat", "infrared", 4, length_m=1500.0, canopy=1.0))
     cells = rates.observe(*lattice(track), RATE)
@@ -248,20 +268,27 @@ def test_the_sky_s_noise_varies_below_a_surface_as_it_does_above() -> None:
     assert deep.mean() == pytest.approx(cells.column[:, 40:60].mean(), rel=0.05)
 
 
-def test_refraction_is_that_of_vectors() -> None:
-    depth = np.array([-1.0, 0.0, 5.0, 20.0])
-    across, up = refracted(depth, 0.0)
-    np.testing.assert_allclose(up, np.maximum(depth, 0.0) * (1.0 - AIR / WATER))
+@pytest.mark.parametrize("angle_deg", [0.0, 0.4, 1.0, 5.0, 15.0, 40.0])
+def test_refraction_is_that_of_the_paper(angle_deg: float) -> None:
+    """The triangle of C. Parrish et al. (2019), Eq. 1 to 9, where the product adds vectors."""
+    depth = np.array([0.1, 0.5, 2.0, 10.0, 25.0, 38.0])
+    one = np.radians(angle_deg)
+    two = np.arcsin(1.00029 * np.sin(one) / 1.34116)
+    s = depth / np.cos(one)
+    r = s * 1.00029 / 1.34116
+    p = np.sqrt(r**2 + s**2 - 2.0 * r * s * np.cos(one - two))
+    alpha = np.arcsin(r * np.sin(one - two) / p)
+    beta = np.pi / 2.0 - one - alpha
+    across, up = refracted(depth, angle_deg)
+    np.testing.assert_allclose(up, p * np.sin(beta), rtol=1e-9)
+    np.testing.assert_allclose(across, p * np.cos(beta), rtol=1e-9, atol=1e-9)
+
+
+def test_refraction_moves_nothing_above_water_and_a_quarter_of_the_depth_below() -> None:
+    across, up = refracted(np.array([-1.0, 0.0, 8.0]), 0.0)
+    np.testing.assert_allclose(up, [0.0, 0.0, 8.0 * (1.0 - AIR / WATER)])
+    assert up[2] == pytest.approx(2.0, rel=0.02)
     assert (across == 0).all()
-    across, up = refracted(depth, 10.0)
-    # The law of cosines of the paper: P^2 = R^2 + S^2 - 2 R S cos(t1 - t2).
-    one = np.radians(10.0)
-    two = np.arcsin(AIR * np.sin(one) / WATER)
-    s = np.maximum(depth, 0.0) / np.cos(one)
-    r = s * AIR / WATER
-    np.testing.assert_allclose(
-        across**2 + up**2, r**2 + s**2 - 2.0 * r * s * np.cos(one - two), atol=1e-12
-    )
 
 
 def test_a_run_tells_surface_floor_and_column_apart(tmp_path: Path) -> None:

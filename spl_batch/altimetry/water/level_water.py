@@ -244,6 +244,12 @@ def _columns(
     area = np.where(wet[:, None], length * cell_m, 0.0)
     near = _sums(index, count, _FLOOR_CELLS)
     around = ndimage.median_filter(near, size=(1, _FLOOR_DEPTHS), mode="mirror")
+    # In turbid water noise grows steeply towards the surface: the first two metres hold as much as
+    # those below them, seen over a kilometre, let expect.
+    wide = _sums(index, count, REACH_CELLS) * (2 * _FLOOR_CELLS + 1) / (2 * REACH_CELLS + 1)
+    steeper = np.maximum((wide[:, 2] + 0.1) / (wide[:, 4] + 0.1), 1.0)
+    around[:, 0] = np.maximum(around[:, 0], wide[:, 2] * steeper)
+    around[:, 1] = np.maximum(around[:, 1], wide[:, 2] * np.sqrt(steeper))
     floor = near > around + _FLOOR_SD * np.sqrt(np.maximum(around, 1.0))
     # What lies in a metre lies in the ends of those beside it as well.
     floor[:, :-1] = ndimage.binary_dilation(floor[:, :-1], np.ones((1, 3), np.bool_))
