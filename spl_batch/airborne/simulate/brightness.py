@@ -143,11 +143,8 @@ def tune_wires(
 ) -> SceneArrays:
     """Arrays whose wires send back what ``returns_per_m`` asks for.
 
-    The beamlets that pass one metre of wire, at all distances from its axis, are integrated
-    over; the reflectance that solves it may exceed 1, which no wire does: it stands for a
-    brighter laser.
-
-    ``layout``: where its wires are.
+    The beamlets that pass one metre of wire are integrated over; the reflectance that solves it may
+    exceed 1: it stands for a brighter laser. ``layout`` tells where its wires are.
     """
     wire = layout.arrays.wire.copy()
     area = scene.extent_m[0] * scene.extent_m[1]

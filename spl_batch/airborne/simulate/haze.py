@@ -1,16 +1,13 @@
 r"""Light that air sends back: haze in layers with drifting patches, and fog on the ground.
 
-Returns of a layer are a Poisson process along each beamlet, as [W17] Eq. 2.6 has it for any light,
-whose rate is smooth in place, height and time:
+Returns of a layer are a Poisson process along each beamlet [W17 Eq. 2.6] of the rate
 
 .. math:: \lambda(x, y, z, t) = \lambda_0 \, p(x - v t) \, h(z)
 
-with the patches p, a random field between 0 and 1 with waves about ``patch_m`` long, carried along
-by the wind v, and with a layer h whose edges fall off linearly over ``edge_m``. Fog falls off
-exponentially with the height above the ground. Nothing comes from behind a hard surface. That air
-weakens what lies behind it is left out: what a filter has to tell apart are the returns.
-
-[W17] has no such air: its noise is the same all along the gate.
+with patches p, a random field between 0 and 1 with waves about ``patch_m`` long that the wind v
+carries along, and a layer h whose edges fall off linearly over ``edge_m``. Fog falls off
+exponentially with the height above the ground. Nothing comes from behind a hard surface. Air does
+not weaken what lies behind it here. [W17] has no such air.
 """
 
 import math

@@ -1,13 +1,11 @@
 """One row for each pair of flightlines that overlap: how far the second lies from the first.
 
 A flightline that is shifted by ``(east, north, up)`` meets a plane of slope ``(p, q)`` higher by
-``up - p east - q north``. So flat patches tell the vertical part and slopes the horizontal one. It
-is found by least squares over the patches, weighted by their variance, with Huber's weights and
-then Tukey's biweight against patches that differ for reasons of their own. Slopes are measured,
-too: their noise would make a horizontal shift seem less than it is, and one that nothing tells seem
-to be zero. So their covariance is taken from the normal equations (W. A. Fuller, 1987, *Measurement
-Error Models*, section 2.2), and where what is left does not determine the horizontal part it is not
-told.
+``up - p east - q north``: flat patches tell the vertical part, slopes the horizontal one. It is
+found by least squares over the patches, weighted by their variance, with Huber's weights and then
+Tukey's biweight. The noise of slopes would make a horizontal shift seem less than it is, so their
+covariance is taken from the normal equations (W. A. Fuller, 1987, *Measurement Error Models*,
+section 2.2). A horizontal part that is not determined is not told.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,16 +1,13 @@
 """Planar patches that two flightlines share, and by how much the later lies above the earlier.
 
-A patch is a square of an absolute grid in which the returns of both flightlines lie on one plane,
-but for a step between them. Squares of 5 m are tried first, and where these do not hold enough
-returns those of 10 and 20 m. All returns of a square that count as signal are taken. Those of the
-ground alone would tell less than there is: where two flightlines lie apart, what is taken for
-ground is chosen from the lower one.
+A patch is a square of an absolute grid, 5 m or where returns are few 10 or 20 m, in which the
+returns of both flightlines lie on one plane, but for a step between them. All signal counts: where
+two flightlines lie apart, ground is chosen from the lower one.
 
-The planes are fitted by least squares, with slopes that both flightlines share and a height of
-each. What is adjusted between strips is the same as in H.-G. Maas (2002, *Methods for measuring
-height and planimetry discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940), who
-compares heights where slopes tell the horizontal part; he does so at points of a triangulation,
-here whole patches are compared, whose noise is known.
+Planes are fitted by least squares, with slopes that both flightlines share and a height of each.
+Strips are compared as in H.-G. Maas (2002, *Methods for measuring height and planimetry
+discrepancies in airborne laserscanner data*, PE&RS 68(9), 933-940): heights, where slopes tell the
+horizontal part. He takes points of a triangulation; whole patches have a known noise.
 """
 
 from dataclasses import dataclass

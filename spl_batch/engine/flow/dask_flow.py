@@ -1,8 +1,7 @@
 """Jobs flow to the workers of a dask scheduler, receipts flow back.
 
-A task that fails is tried once more, on another worker. A worker that is lost is not a
-failed task: the scheduler runs its tasks elsewhere, and only one that has lost several
-workers in a row fails, with the reason that the nannies gave.
+A task that fails is tried once more, on another worker. The scheduler runs the tasks of a lost
+worker elsewhere; a task that has lost several workers in a row fails, with the nannies' reason.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """YAML as settings are written in it: no key twice, and nothing that grows as it is read.
 
-A few lines of YAML can stand for gigabytes, where each refers to the one before several times, or
-nest so deeply that a parser gives up. A workflow does neither.
+Aliases could make gigabytes of a few lines, and deep nesting stops a parser; a workflow has
+neither.
 """
 
 from typing import Any, Final

@@ -1,9 +1,8 @@
 """What runs have written into an output folder, so that nothing else is deleted or replaced.
 
-``delivered.json`` lies beside the results and outlives the working store. It names the survey
-that the output belongs to and every file that its runs have delivered, with size, time of writing
-and checksum. A file is named there before it is written, so that a run that was killed finds its
-own files again.
+``delivered.json`` lies beside the results and outlives the working store. It names the output's
+survey and every file that its runs have delivered, with size, time of writing and checksum. A file
+is named there before it is written, so a run that was killed finds its own files again.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

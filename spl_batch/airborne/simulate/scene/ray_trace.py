@@ -1,16 +1,14 @@
 """Rays against a scene: ground, convex solids, crowns and wires.
 
-A scene is a tuple of arrays (:class:`SceneArrays`) in metres relative to the scene's
-origin; heights are absolute. A ray is ``origin + t * direction`` with a unit direction
-that points downwards, so ``t`` is the slant range [m].
+A scene is a tuple of arrays (:class:`SceneArrays`) in metres relative to its origin; heights are
+absolute. A ray is ``origin + t * direction``, a unit vector that points downwards: ``t`` is the
+slant range [m].
 
-Ground is a grid of heights, bilinear between its nodes; clear water stands over parts of it.
-A solid is the intersection of
-half-spaces ``a x + b y + c z <= d``, without end downwards: opaque (a building; these
-come first) or turbid (a lattice tower). A
-crown is a turbid ellipsoid. A wire is a catenary of which a beam of Gaussian profile
-lights a part. Only objects listed for the cell of a ray's ground hit are tried; the
-lists are made by whoever builds the arrays, wide enough for the most slanted ray.
+Ground is a grid of heights, bilinear between its nodes; clear water stands over parts of it. A
+solid is the intersection of half-spaces ``a x + b y + c z <= d``, without end downwards: opaque (a
+building; these come first) or turbid (a lattice tower). A crown is a turbid ellipsoid. A wire is a
+catenary of which a beam of Gaussian profile lights a part. Only objects listed for the cell of a
+ray's ground hit are tried.
 """
 
 import math

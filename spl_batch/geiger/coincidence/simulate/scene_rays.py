@@ -1,14 +1,13 @@
 """Lines of sight against the artificial scene of [M20 3.1], and what a detector makes of them.
 
 Places are relative to the scene's centre, heights above its flat ground [m]. A look meets leaves,
-which let a part of the light through, and then one opaque surface. At each the number of
-photo-electrons is Poisson of mean "detection probability x reflectivity x transmission so far"
-[M20 3.3]; dark counts come exponentially from the opening of the gate. The nearest event ends the
-look (blocking loss).
+which pass a part of the light, and then one opaque surface. At each the number of photo-electrons
+is Poisson of mean "detection probability x reflectivity x transmission so far" [M20 3.3]; dark
+counts come exponentially from the opening of the gate. The nearest event ends the look (blocking
+loss).
 
-Deviation: the source paints points into voxels of each frame and says itself that ray tracing is
-more faithful. Here each look is one ray through a random place of its detector's field of view,
-so a detector half filled by a target sees it half the time.
+Deviation: the source paints points into voxels of each frame. Here each look is one ray through a
+random place of its detector's field of view, which the source calls more faithful.
 """
 
 import math

@@ -1,16 +1,14 @@
 """A test of single detections: noise, or one of several from a surface.
 
-In the manner of Maximum A Posteriori Coincidence Processing, which [M20 ch. 2] describes as
-"statistical tests to classify all individual detection events as noise or true reflections, and
-then aggregating groups of true reflections", after Stevens, Lopez & Burton, "Quantitative data
-quality metrics for 3D laser radar systems", Proc. SPIE 8037, 2011. Neither gives formulas; what
-is here is the plain Bayesian test of that description, a baseline and not their algorithm.
+In the manner of Maximum A Posteriori Coincidence Processing, which [M20 ch. 2] describes without
+formulas, after Stevens, Lopez & Burton, "Quantitative data quality metrics for 3D laser radar
+systems", Proc. SPIE 8037, 2011. This is the plain Bayesian test of that description: a baseline,
+not their algorithm.
 
-In the neighbourhood of a detection, a cube of w voxels' edge, there are k other detections among
-interrogations that add up to n. Noise alone gives a Poisson number of mean ``a = n q``, q being
-the noise detections per voxel's edge of a look; a surface adds ``b = p n / w``, p its detections
-per look, as each look crosses w layers. With prior share s of neighbourhoods that hold a surface
-the detection stays when
+In a cube of w voxels' edge around a detection there are k others among n interrogations. Noise
+alone gives a Poisson number of mean ``a = n q``, q being the noise detections per voxel's edge of a
+look; a surface adds ``b = p n / w``, p its detections per look, as each look crosses w layers. With
+prior share s of neighbourhoods that hold a surface the detection stays when
 
     log(s / (1 - s)) + k log((a + b) / a) - b > 0.
 """

@@ -4,28 +4,23 @@ Around each voxel the detections of a cube of voxels are fitted by
 
     d(p) = c0 + g.p + p.H.p / 2,    p = (x, y, z) from the voxel's centre [voxel edges],
 
-Eq. 1-2. The fit is a fixed matrix on ten moments of the neighbourhood, which are sums of whole
-numbers. Eigenvectors of H are directions of extreme curvature; along one of a negative eigenvalue
-L the polynomial has its maximum at ``-(g.v) / L`` (Eq. 4 written out by eigenvectors, so that a
-surface whose other two eigenvalues are nothing needs no inverse of H).
+Eq. 1-2: a fixed matrix on ten moments of the neighbourhood, which are sums of whole numbers. Along
+an eigenvector v of H with a negative eigenvalue L the maximum is at ``-(g.v) / L`` (Eq. 4 by
+eigenvectors, without an inverse of H).
 
 Deviations, with reasons:
 
 - Eq. 3 as printed, 2 [c4 c7 c8; ...], doubles the mixed derivatives: the one of ``c7 x y`` is c7.
-- Eq. 5 as printed, v1 v1' p_center, is a point of a line *through the voxel's centre* when v1 is
-  tangential, as 4.3 has it. The point of a ridge that is closest to the centre is
-  ``(I - v1 v1') p_center``, that of a surface ``v3 v3' p_center``, v3 being the normal; the latter
-  is Eq. 5 if singular values are counted from the largest.
-- The source normalises by interrogations and does not say where. Here the polynomial is of
-  detections, its value is divided by the mean of interrogations in the neighbourhood: a quotient
-  voxel by voxel is mostly noise where few looks pass.
-- "Locations of relative maximum values are saved" (4.3): a point also has to be the strongest
-  along its normal, within the reach of its neighbourhood. A polynomial of few detections has
-  maxima of its own on the flanks of a surface, and beyond the edges of a target.
-- Nor does "a threshold" tell the blur beyond a target's edge from a faint target. A point whose
-  neighbourhood has its detections farther to the side than one on a straight edge has
-  (:func:`edge_offset`) is taken for beyond it; one between two targets has less than a share of
-  what is strong beside it (:func:`drop_weaker`). Neither asks for absolute strength.
+- Eq. 5 as printed, v1 v1' p_center, lies on a line *through the voxel's centre* when v1 is
+  tangential, as 4.3 has it. The point of a ridge closest to the centre is
+  ``(I - v1 v1') p_center``, that of a surface ``v3 v3' p_center``, v3 being the normal.
+- The source does not say where it normalises by interrogations. Here the polynomial's value is
+  divided by their mean in the neighbourhood: quotients of voxels are mostly noise.
+- A point must be the strongest along its normal, within the reach of its neighbourhood, for a
+  polynomial of few detections has maxima of its own beside surfaces.
+- A threshold does not tell the blur beyond a target's edge from a faint target. A point whose
+  detections lie farther to the side than on a straight edge (:func:`edge_offset`), or that has
+  less than a share of what is strong beside it (:func:`drop_weaker`), is blur.
 - One point per voxel at most: of a peak, else a ridge, else a surface, by how many of the
   curvatures are comparable with the strongest.
 """
@@ -246,11 +241,9 @@ def drop_weaker(
 ) -> None:  # fmt: skip
     """Find points that have no stronger one before or behind them, nor much stronger ones beside.
 
-    Before and behind is within 45 degrees of the point's own normal; of equal ones the first in
-    the order of voxels stays. Beside is everything else. What is strong there is the mean of the
-    values weighted with themselves, the point's own among them: where a target ends it is the
-    target's inside, whose values a few of nothing do not lower, and on a surface of scattered
-    values it stays near their mean, as the highest would not.
+    Before and behind is within 45 degrees of the point's own normal; of equal ones the first in the
+    order of voxels stays. Beside is everything else: what is strong there is the mean of the values
+    weighted with themselves, the point's own among them.
 
     Parameters
     ----------

@@ -1,19 +1,14 @@
 """Detections and looks on a voxel raster, with trilinear weights [M20 4.1].
 
 The lattice is absolute: voxel i of an axis covers ``[i, i + 1)`` edges from coordinate zero, and
-its value stands for its centre. A place is rounded to :data:`STEPS` parts of an edge; its weights
-in the eight voxels around it are then whole numbers that add up to :data:`UNIT`. So sums are
-exact, and a raster comes out the same whatever it is cut from and in whatever order.
+its value stands for its centre. A place is rounded to :data:`STEPS` parts of an edge, so its
+weights in the eight voxels around are whole numbers that add up to :data:`UNIT`: sums are exact,
+whatever a raster is cut from. Detections are whole quanta; samples of looks are computed from the
+sensor's place in the survey's coordinates, and round alike in each raster.
 
-Detections are whole quanta, so their steps are quotients of whole numbers, exact at any distance
-from the origin of the coordinates and at every boundary between steps. Samples of looks have
-places in metres, always computed from the sensor's in the coordinates of the survey and never
-from a raster's corner: what their rounding does (1e-9 m at 4 000 km) is the same for each raster.
-
-A look is sampled once per voxel edge along its line of sight, at whole multiples plus a half of
-the edge from the sensor; each sample counts one interrogation. A Geiger-mode detector is blind
-after its detection (blocking loss): its samples end at the one whose piece of line holds the
-detection.
+A look is sampled once per voxel edge along its line of sight, at whole multiples plus a half of the
+edge from the sensor; a sample is one interrogation. After its detection a Geiger-mode detector is
+blind (blocking loss): its samples end at the one that holds the detection.
 """
 
 import math
