@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.products.product_table import NAMES
+from spl_batch.airborne.products.product_table import PRODUCTS
 from spl_batch.airborne.report.model import Piece as PieceReport
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.maps import Raster
@@ -68,7 +68,8 @@ def find_pieces(done: Receipts, context: Context) -> list[Piece]:
     for suffix in ["", *(f"_{number}" for number in range(2, len(made) + 2))]:
         if f"dtm{suffix}" not in made:
             break
-        rasters = tuple(f"{name}{suffix}.tif" for name in NAMES if f"{name}{suffix}" in made)
+        names = (f"{product.name}{suffix}" for product in PRODUCTS if product.delivered)
+        rasters = tuple(f"{name}.tif" for name in names if name in made)
         frame = _frame(context.output / f"dtm{suffix}.tif")
         inside = [box for cell in cells if (box := _common(cell, frame)) is not None]
         held = [part for box in inside if (part := _shrunk(box, found)) is not None]
