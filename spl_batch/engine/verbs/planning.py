@@ -69,8 +69,6 @@ class PlanSummary:
         What is wrong with the inputs and the output; what is odd about them.
     left : Left or None
         What is left to do; None where nothing of this work is finished.
-    refused : bool
-        Whether a run would stop at the faults.
     """
 
     files: int
@@ -81,12 +79,11 @@ class PlanSummary:
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
     left: Left | None = None
-    refused: bool = False
 
     @property
     def exit_status(self) -> int:
-        """What the command ends with: 2 where a run would not start, 1 where files are left out."""
-        return 2 if self.refused else int(bool(self.faults))
+        """What the command ends with: 1 where a run would leave files out."""
+        return int(bool(self.faults))
 
     @property
     def points(self) -> int:
@@ -124,25 +121,26 @@ def plan(
     prepared = prepare(Path(workflow), overrides, memory=memory, workers=workers)
     cost, inputs = fitting_cost(prepared), prepared.ledger.inputs
     deliveries = usable(prepared)
+    receiver = prepared.receiver
+    look = receiver.first_look(prepared)
     output, left = prepared.context.output, _left(prepared, cost)
-    look = prepared.receiver.first_look(prepared)
     whole = left is None and prepared.context.store.url is None
     return PlanSummary(
         len(inputs.sources),
         cost,
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
-        tuple(prepared.receiver.plan_rows(prepared, cost)),
+        tuple(receiver.plan_rows(prepared, cost)),
         (*told_together(inputs.bad), *look.faults),
         (
             *prepared.ledger.remarks,
             *inputs.warnings,
             *gone_inputs(prepared, deliveries),
             *look.warnings,
+            *(text for phase in receiver.phases for text in receiver.aside(phase, prepared)),
             *_too_full(output, cost.disk_bytes if whole else 0),
         ),
         left,
-        refused=look.refused,
     )
 
 

@@ -75,14 +75,11 @@ class FirstLook(NamedTuple):
     Parameters
     ----------
     faults, warnings : tuple of str
-        What is wrong; what is odd.
-    refused : bool
-        Whether a run would stop at the faults, and not only leave some files out.
+        What is wrong with some of them, which a run leaves out; what is odd.
     """
 
     faults: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    refused: bool = False
 
 
 class Receiver(ABC, Generic[L, C]):
@@ -152,7 +149,13 @@ class Receiver(ABC, Generic[L, C]):
         """Label and value of what a plan tells beside disk, memory and time."""
 
     def first_look(self, prepared: Prepared[L, C]) -> FirstLook:
-        """Faults and oddities that a plan tells of its inputs by reading a little of them."""
+        """Faults and oddities that a plan tells of its inputs by reading a little of them.
+
+        Raises
+        ------
+        WorkflowError
+            If that little shows that a run would come to nothing: neither verb starts.
+        """
         del prepared
         return FirstLook()
 

@@ -106,6 +106,7 @@ def run(
     output = prepared.context.output
     invocation = Invocation(workflow, workers, prepared.ledger.memory_bytes, overrides)
     usable(prepared)  # before the lock, which would leave a file in somebody else's folder
+    prepared.receiver.first_look(prepared)  # refuses what a plan refuses
     with locked(output) as mark:
         deliveries = usable(prepared)
         claim(prepared.context.store)

@@ -231,25 +231,33 @@ class RecordReader:
         except OSError as error:
             raise self._unreadable(start, error) from None
 
-    def read_ends(self, count: int) -> NDArray[Any]:
+    def read_ends(self, count: int) -> list[tuple[int, NDArray[Any]]]:
         """Up to ``count`` records from the start, and as many from the end or its last chunk.
 
-        Of a LAZ file no more than that is decoded of the two chunks.
+        Of a LAZ file no more than that is decoded of the two chunks; a file of no more than these
+        is read whole.
+
+        Returns
+        -------
+        list of (int, (n,) structured)
+            Which record is the first, and the records, without a gap.
         """
         n = self.header.n_points
+        if n <= 2 * count:
+            return [(0, self.read(0, n))]
         if self._table is None:
-            head = self.read(0, min(count, n))
-            return np.concatenate([head, self.read(max(n - count, len(head)), n)])
+            return [(start, self.read(start, start + count)) for start in (0, n - count)]
         sizes = np.diff(self._table.points)
-        found = [np.empty(0, self._dtype)]
-        for chunk in np.unique(np.flatnonzero(sizes)[[0, -1]] if n else ()).tolist():
+        found: list[tuple[int, NDArray[Any]]] = []
+        for chunk in np.unique(np.flatnonzero(sizes)[[0, -1]]).tolist():
+            start = int(self._table.points[chunk])
             out = np.empty(min(count, int(sizes[chunk])), self._dtype)
             try:
                 self._decode(chunk, out)
             except OSError as error:
-                raise self._unreadable(int(self._table.points[chunk]), error) from None
-            found.append(out)
-        return np.concatenate(found)
+                raise self._unreadable(start, error) from None
+            found.append((start, out))
+        return found
 
     def _unreadable(self, start: int, error: OSError) -> InputError:
         return InputError(

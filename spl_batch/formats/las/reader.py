@@ -231,7 +231,8 @@ def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     Raises
     ------
     InputError
-        If they are damaged, or the channels are not in 0..255.
+        If they are damaged, or the channels are not in 0..255; in the words of
+        :func:`iter_points`.
     """
     with as_input_fault(path):
         return _ends(path, channel_dimension, count)
@@ -240,10 +241,16 @@ def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
 def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     header = read_header(path)
     with RecordReader(header) as reader:
-        records, layout = reader.read_ends(count), reader.layout
+        pieces, layout = reader.read_ends(count), reader.layout
+    for first, some in pieces:
+        for axis in range(3):
+            _coordinate(some, header, axis, first)
+    channel = np.concatenate(
+        [_channel(some, header, layout, channel_dimension, first) for first, some in pieces]
+    )
+    records = np.concatenate([some for _, some in pieces])
     timed = "gps_time" in layout.names
     time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
-    channel = _channel(records, header, layout, channel_dimension, 0)
     classes = np.unique(dimension(records, layout, "classification"))
     return Ends(time, channel, small_numbers(records, layout), tuple(classes.tolist()))
 

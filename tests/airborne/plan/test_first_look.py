@@ -9,7 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from spl_batch import api
-from spl_batch.errors import InputError
+from spl_batch.airborne.plan.inputs import first_look
+from spl_batch.errors import InputError, WorkflowError
 from spl_batch.formats.las.reader import read_ends
 from spl_batch.formats.trajectory.ends import ends
 from spl_batch.formats.trajectory.sbet import SBET_RECORD
@@ -30,15 +31,70 @@ def test_a_survey_that_is_well_is_told_nothing(survey: Path) -> None:
     assert not [text for text in plan.warnings if not text.startswith("output")]
 
 
-def test_a_trajectory_of_another_day_is_a_fault(survey: Path) -> None:
+def refused(survey: Path, *settings: str) -> str:
+    """What a plan and a run say alike of what neither starts."""
+    said = []
+    for verb in (["plan"], ["run", "--workers", "0"]):
+        ended = surveys.command(*verb, survey, *(w for one in settings for w in ("--set", one)))
+        assert ended.status == 2, ended.text
+        assert ended.out == ""
+        lines = [line for line in ended.err.splitlines() if not line.startswith("info: ")]
+        assert all(line.startswith("  ") for line in lines[1:]), "one sentence, wrapped"
+        said.append(" ".join(map(str.strip, lines)).removeprefix("spl-batch: "))
+    assert said[0] == said[1]
+    assert not (survey.parent / "out").exists()
+    return said[0]
+
+
+@pytest.mark.parametrize(
+    ("dimension", "spoilt", "fault"),
+    [
+        ("user_data", 0, "survey.channel_dimension: user_data holds only 0 in "),
+        ("return_number", 1, "survey.channel_dimension: return_number holds only 1 in "),
+        ("beamlets", 1, "survey.channel_dimension: no dimension 'beamlets' in "),
+        ("intensity", 300, "dimension 'intensity' is 300 at point 0"),
+        ("gps_time", 7.0, "lines/line_1.laz, lines/line_2.laz: no point has a usable gps_time"),
+        ("x", None, "the file holds no points"),
+    ],
+)
+def test_plan_and_run_refuse_alike(
+    survey: Path, dimension: str, spoilt: float | None, fault: str
+) -> None:
+    for k in (1, 2):
+        columns = surveys.flightline(shots=120, psid=k, start_s=surveys.START_S + 3 * (k - 1))
+        if spoilt is None:
+            columns = surveys.take(columns, slice(0, 0))
+        else:
+            columns[dimension] = np.full(len(columns["x"]), spoilt)
+        surveys.write_cloud(survey.parent / "lines" / f"line_{k}.laz", columns)
+    named = dimension if dimension not in {"gps_time", "x"} else "channel"
+    said = refused(survey, f"survey.channel_dimension={named}")
+    assert fault in said
+    assert said.count(fault) == 1
+
+
+def test_points_in_order_of_their_channel_are_not_refused(tmp_path: Path) -> None:
+    survey = surveys.small_survey(tmp_path, survey={"channel_dimension": "user_data"})
+    line = surveys.flightline(shots=120)
+    for k in (1, 2):
+        columns = surveys.take(line, np.resize(np.arange(len(line["x"])), 300_000))
+        columns["user_data"] = (np.arange(300_000) // 3_000).astype(np.uint8)
+        columns["gps_time"] = surveys.START_S + np.arange(300_000.0)
+        surveys.write_cloud(tmp_path / "lines" / f"line_{k}.laz", columns)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(first_look, "WHOLE_POINTS", 0)
+        plan = api.plan(survey)
+    (said,) = [text for text in plan.warnings if "holds only" in text]
+    assert said.startswith("2 files: lines/line_1.laz, lines/line_2.laz: survey.channel_dimension")
+
+
+def test_a_trajectory_of_another_day_is_refused(survey: Path) -> None:
     start = surveys.START_S + DAY_S
     surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 10)
-    (fault,) = api.plan(survey).faults
-    assert fault.startswith("lines/line_1.laz, lines/line_2.laz: gps_time ")
+    fault = refused(survey)
+    assert fault.startswith("survey.trajectory: lines/line_1.laz, lines/line_2.laz: gps_time ")
     assert "86396.9 s or more outside trajectory.csv" in fault
     assert fault.endswith("name the trajectory of this flight, or none")
-    assert surveys.command("plan", survey).status == 2
-    assert surveys.command("run", survey, "--workers", 0).status == 2
 
 
 def test_a_file_beside_the_trajectory_is_a_warning(survey: Path) -> None:
@@ -55,12 +111,13 @@ def test_seconds_of_the_week_are_no_other_day(survey: Path) -> None:
     assert api.plan(survey).faults == ()
     start += 2 * DAY_S
     surveys.write_trajectory(survey.parent / "trajectory.csv", start_s=start, stop_s=start + 11)
-    assert len(api.plan(survey).faults) == 1
+    with pytest.raises(WorkflowError, match="gps_time of the first and last points"):
+        api.plan(survey)
 
 
 def test_a_trajectory_without_its_columns_is_a_fault(survey: Path) -> None:
     (survey.parent / "trajectory.csv").write_text("time,x,y,z\n1,2,3,4\n")
-    (fault,) = api.plan(survey).faults
+    fault = refused(survey)
     assert fault.startswith("survey.trajectory: ")
     assert "has no column gps_time" in fault
 
@@ -74,9 +131,8 @@ def test_a_channel_that_is_all_zero_is_told(survey: Path) -> None:
     las["channel"] = line["channel"]
     las.write(path)
     (said,) = [text for text in api.plan(survey).warnings if "channel" in text]
-    assert said.startswith("survey.channel_dimension: channel holds only 0 in the first and last")
-    assert "lines/line_2.laz" in said
-    assert "lines/line_1.laz" not in said
+    start = "lines/line_2.laz: survey.channel_dimension channel holds only 0 in the first and last"
+    assert said.startswith(start)
 
 
 def test_files_without_times_are_told_by_their_headers(survey: Path) -> None:
@@ -88,8 +144,7 @@ def test_files_without_times_are_told_by_their_headers(survey: Path) -> None:
     (said,) = [text for text in plan.warnings if "gps_time" in text]
     assert said.startswith("lines/line_2.laz: point format 0 has no gps_time")
     surveys.write_cloud(lines / "line_1.laz", line, version="1.2", point_format=0)
-    (fault,) = api.plan(survey).faults
-    assert "lines/line_1.laz, lines/line_2.laz: point format 0" in fault
+    assert "lines/line_1.laz, lines/line_2.laz: point format 0" in refused(survey)
     settings = ["filter.method=none", "afterpulse.enabled=false"]
     assert api.plan(survey, overrides=settings).faults == ()
 
@@ -99,7 +154,7 @@ def test_times_that_are_all_the_same_are_told(survey: Path) -> None:
     line["gps_time"] = np.zeros(len(line["gps_time"]))
     surveys.write_cloud(survey.parent / "lines" / "line_2.laz", line)
     (said,) = [text for text in api.plan(survey).warnings if "gps_time" in text]
-    assert said.startswith("lines/line_2.laz: the first and last points have no usable gps_time")
+    assert said.startswith("lines/line_2.laz: no point has a usable gps_time")
 
 
 def test_points_that_cannot_be_decoded_are_a_fault(survey: Path) -> None:

@@ -12,7 +12,7 @@ from spl_batch.airborne.beams.geometry import Ahead
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
-from spl_batch.airborne.plan.inputs.first_look import holds_few
+from spl_batch.airborne.plan.inputs.first_look import holds_few, too_few
 from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.airborne.plan.task_memory import stretch_bytes
@@ -21,10 +21,6 @@ from spl_batch.engine.tasks.task import Receipt
 from spl_batch.engine.tasks.worklist import Worklist
 from spl_batch.errors import Said, WorkflowError, grouped, named, shared, told_together
 from spl_batch.formats.las.number_dimensions import Numbers
-
-PAIRS_NAMED: Final = 5
-"""Pairs of files with the same returns that are named; of tiles that overlap there are thousands
-[count]."""
 
 PRF_APART: Final = 0.05
 """A stated pulse rate may differ by this part from the one that gps_time tells."""
@@ -127,12 +123,9 @@ def _check_channels(survey: Survey) -> None:
         seen |= int(receipt.facts["channels_seen"], 16)
     if not holds_few(seen.bit_count(), points, sensor):
         return
-    listed = ", ".join(str(k) for k in range(256) if seen >> k & 1)
-    files = named([r.facts["name"] for r in indexed], 3)
+    files = [str(r.facts["name"]) for r in indexed]
     raise WorkflowError(
-        f"survey.channel_dimension: {name} holds only {listed} in {grouped(points)} points "
-        f"({files}), and a {sensor.name} has {sensor.beamlets} beamlets; name the dimension that "
-        "holds their numbers, or leave the key out: a shot is one beamlet then"
+        too_few((k for k in range(256) if seen >> k & 1), points, files, survey.workflow)
     )
 
 
@@ -143,29 +136,38 @@ def copies(survey: Survey) -> Iterator[str]:
         for copy, kept, count in receipt.facts.get("copies", ()):
             counts[copy, kept] += count
     files = {str(source.key): source for source in survey.inputs.sources}
-    most = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
-    twice = [(files[copy], count) for (copy, kept), count in most if copy == kept]
-    for source, count in twice[:PAIRS_NAMED]:
-        yield (
-            f"{source.name}: {grouped(count)} of its {grouped(source.facts.n_points)} points are "
-            "there already, with the same time, channel, return number and place; each counts "
-            "once, and its copies are delivered as not assessed; write the file without them"
-        )
-    if others := twice[PAIRS_NAMED:]:
-        yield f"{grouped(len(others))} more files hold some of their points twice"
-    shared_by = [(pair, count) for pair, count in most if pair[0] != pair[1]]
-    for (copy, kept), count in shared_by[:PAIRS_NAMED]:
-        yield (
-            f"{files[copy].name}: {grouped(count)} of its returns are in {files[kept].name} too, "
-            "at the same time and place; each counts once, and its copy is delivered as not "
-            "assessed; leave out one of the files, or cut their overlap off"
-        )
-    if rest := shared_by[PAIRS_NAMED:]:
-        yield (
-            f"{grouped(len(rest))} more pairs of files have returns in common, up to "
-            f"{grouped(rest[0][1])} of a pair and "
-            f"{grouped(sum(count for _, count in rest))} in all"
-        )
+    twice = sorted(
+        (files[copy].name, files[copy], n) for (copy, kept), n in counts.items() if copy == kept
+    )
+    yield from shared(
+        (
+            Said(
+                name,
+                f"{grouped(count)} of {grouped(source.facts.n_points)} points are there already, "
+                "with the same time, channel, return number and place; each counts once, and its "
+                "copies are delivered as not assessed; write the file without them",
+                count,
+            )
+            for name, source, count in twice
+        ),
+        "files",
+    )
+    others = sorted(
+        (files[c].name, files[kept].name, n) for (c, kept), n in counts.items() if c != kept
+    )
+    yield from shared(
+        (
+            Said(
+                f"{copy} and {kept}",
+                f"{grouped(count)} returns are in both, at the same time and place; each counts "
+                "once, and its copy in the first is delivered as not assessed; leave out one of "
+                "the files, or cut their overlap off",
+                count,
+            )
+            for copy, kept, count in others
+        ),
+        "pairs of files",
+    )
 
 
 def times_off(survey: Survey) -> tuple[dict[str, int], dict[str, float]]:

@@ -1,16 +1,16 @@
 """What headers, and a few points of each file, tell of a survey before it is run.
 
-A run reads every point and judges by all of them. A plan has a second: it looks at the first
-points of a file and at those where its last chunk starts, and at both ends of each trajectory.
+Tasks read every point and judge by all of them. Before that, plan and run take a second to look at
+the first points of a file and at those where its last chunk starts, or at all of a small survey,
+and at both ends of each trajectory. Both refuse what shows there that nothing could be done.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spl_batch.airborne.plan.flightlines import points_of_a_shot
 from spl_batch.airborne.plan.inputs.channel_dimension import POINTS_A_BEAMLET, unnamed_channels
@@ -18,14 +18,30 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import name_below
-from spl_batch.errors import InputError, named
+from spl_batch.errors import (
+    InputError,
+    Said,
+    WorkflowError,
+    grouped,
+    named,
+    shared,
+    told_together,
+)
 from spl_batch.formats.gps_clock import clock, time_standard, usable_times
 from spl_batch.formats.las.number_dimensions import Numbers
-from spl_batch.formats.las.reader import SAMPLE_POINTS, Ends, read_ends
+from spl_batch.formats.las.reader import SAMPLE_POINTS, iter_points, read_ends
 from spl_batch.formats.trajectory.ends import ends
+from spl_batch.lattice.tables import PointTable
 
 SAMPLE_FILES: Final = 200
 """Files that are looked into, evenly among more of them [count]: a hundred take half a second."""
+
+WHOLE_POINTS: Final = 250_000
+"""Points that all files share at each of their ends [count]: a small survey is read whole."""
+
+SPREAD: Final = 20
+"""Places at which a file is looked at before its channels are refused [count]: where points are in
+order of their beamlet, so many hold more than the tenth of the beamlets that are too few."""
 
 FEW_CHANNELS: Final = 10
 """A dimension that holds less than this part of the beamlets' numbers holds something else."""
@@ -39,37 +55,50 @@ class _Seen:
 
     spans: dict[str, Span] = field(default_factory=dict)
     untimed: list[str] = field(default_factory=list)
-    channels: dict[str, str] = field(default_factory=dict)
+    channels: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    few: list[str] = field(default_factory=list)
+    points: int = 0
+    whole: bool = True
     numbers: dict[str, dict[str, Numbers]] = field(default_factory=dict)
-    faults: list[str] = field(default_factory=list)
+    unreadable: list[InputError] = field(default_factory=list)
 
 
 def first_look(
     inputs: Inputs, workflow: Workflow, base: Path
-) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What is wrong with inputs, and what is odd, as far as their ends tell.
 
     Returns
     -------
     faults, warnings : tuple of str
-        One sentence for all files that share it: file, value, remedy.
-    refused : bool
-        Whether a run stops at them: it has no times, or no trajectory, to filter by.
+        What is wrong with some files, and what is odd; one sentence for all that share it.
+
+    Raises
+    ------
+    WorkflowError
+        If nothing could be filtered: no file can be read or has times, the dimension that is named
+        holds no beamlet numbers, or the trajectory is of no file's time. One line: fault, remedy.
     """
-    if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
-        return (), (), False
-    formats = [s for s in inputs.sources if s.facts.n_points and not s.facts.has_gps_time]
-    timed = [s for s in inputs.sources if s.facts.n_points and s.facts.has_gps_time]
-    some = np.unique(np.linspace(0, len(timed) - 1, min(len(timed), SAMPLE_FILES)).astype(int))
+    held = [source for source in inputs.sources if source.facts.n_points]
     seen = _Seen()
+    some = np.unique(np.linspace(0, len(held) - 1, min(len(held), SAMPLE_FILES)).astype(int))
     for k in some.tolist():
-        _look_into(timed[k], workflow, seen)
-    faults, warnings = _without_time(formats, seen.untimed, all_of_them=not timed)
-    warnings += _few_channels(seen.channels, workflow)
-    warnings += unnamed_channels(seen.numbers, workflow.sensor)
+        _look_into(held[k], workflow, max(SAMPLE_POINTS, WHOLE_POINTS // len(some)), seen)
+    if len(seen.unreadable) == len(held):
+        reasons = told_together([*inputs.bad, *seen.unreadable])
+        raise WorkflowError("no input is usable: " + "; ".join(reasons))
+    unreadable = tuple(told_together(seen.unreadable))
+    if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
+        return unreadable, ()
+    formats = [source for source in held if not source.facts.has_gps_time]
+    faults, warnings = _without_time(formats, seen, all_of_them=len(formats) == len(held))
+    faults += _no_channels(held, seen, workflow)
     apart, missed = _apart(seen.spans, inputs.trajectory, base)
-    refused = bool(faults or apart)
-    return (*seen.faults, *faults, *apart), (*warnings, *missed), refused
+    if faults or apart:
+        raise WorkflowError("; ".join((*unreadable, *faults, *apart)))
+    warnings += _few_channels(seen, workflow)
+    warnings += unnamed_channels(seen.numbers, workflow.sensor)
+    return unreadable, (*warnings, *missed)
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
@@ -78,31 +107,59 @@ def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
     return enough and FEW_CHANNELS * channels <= sensor.beamlets
 
 
-def _look_into(source: Source, workflow: Workflow, seen: _Seen) -> None:
+def too_few(values: Iterable[int], points: int, files: Sequence[str], workflow: Workflow) -> str:
+    """That the dimension that is named holds too few values, and what helps.
+
+    Parameters
+    ----------
+    values : iterable of int
+        What it holds.
+    points : int
+        Points that were looked at [count].
+    files : sequence of str
+        Their files.
+    workflow : Workflow
+        The settings.
+    """
+    listed = ", ".join(map(str, sorted(values)))
+    return (
+        f"survey.channel_dimension: {workflow.survey.channel_dimension} holds only {listed} in "
+        f"{grouped(points)} points ({named(files, 3)}), and {workflow.sensor.name} has "
+        f"{workflow.sensor.beamlets} beamlets; {_NAME_ANOTHER}"
+    )
+
+
+_NAME_ANOTHER: Final = (
+    "name the dimension that holds their numbers, or leave the key out: a shot is one beamlet then"
+)
+
+
+def _look_into(source: Source, workflow: Workflow, count: int, seen: _Seen) -> None:
     try:
-        found = read_ends(source.path, workflow.survey.channel_dimension, SAMPLE_POINTS)
+        found = read_ends(source.path, workflow.survey.channel_dimension, count)
     except InputError as error:
-        seen.faults.append(str(error))
+        seen.unreadable.append(error)
         return
+    if not source.facts.has_gps_time:
+        return
+    seen.points += len(found.channel)
+    seen.whole &= len(found.channel) == source.facts.n_points
     time = found.gps_time[usable_times(found.gps_time)]
     if len(time) and (len(time) <= points_of_a_shot(workflow) or np.any(time != time[0])):
         seen.spans[source.name] = float(time.min()), float(time.max())
     else:
         seen.untimed.append(source.name)
-    if workflow.survey.channel_dimension is not None:
-        _look_at_channels(source.name, found, workflow.sensor, seen)
-    else:
+    if workflow.survey.channel_dimension is None:
         seen.numbers[source.name] = found.numbers
-
-
-def _look_at_channels(name: str, found: Ends, sensor: Sensor, seen: _Seen) -> None:
-    values: NDArray[np.int64] = np.unique(found.channel.astype(np.int64))
-    if holds_few(len(values), len(found.channel), sensor):
-        seen.channels[name] = ", ".join(map(str, values.tolist()))
+        return
+    values = tuple(np.unique(found.channel.astype(np.int64)).tolist())
+    seen.channels[source.name] = values
+    if holds_few(len(values), len(found.channel), workflow.sensor):
+        seen.few.append(source.name)
 
 
 def _without_time(
-    formats: Sequence[Source], untimed: Sequence[str], *, all_of_them: bool
+    formats: Sequence[Source], seen: _Seen, *, all_of_them: bool
 ) -> tuple[list[str], list[str]]:
     """Faults where no file has times, else warnings."""
     otherwise = "or set filter.method: none and afterpulse.enabled: false for ground and surfaces"
@@ -112,29 +169,59 @@ def _without_time(
         names = named([source.name for source in formats], 3)
         remedy = f"write point format 1, 3 or 6 to 10 with times, {otherwise}"
         said.append((f"{names}: point format {kinds} has no gps_time", remedy))
-    if untimed:
-        text = (
-            f"{named(untimed, 3)}: the first and last points have no usable gps_time (not finite, "
-            "or the same for all)"
-        )
+    if seen.untimed:
+        whom = "no point has a" if seen.whole else "the first and last points have no"
+        text = f"{named(seen.untimed, 3)}: {whom} usable gps_time (not finite, or the same for all)"
         said.append((text, f"give the files their times, {otherwise}"))
-    if formats and all_of_them:
+    if all_of_them or (seen.whole and seen.untimed and not seen.spans):
         return [f"{text}, so there are no shots to filter by; {best}" for text, best in said], []
     return [], [f"{text}, and such points are delivered unfiltered; {best}" for text, best in said]
 
 
-def _few_channels(channels: dict[str, str], workflow: Workflow) -> list[str]:
-    alike: dict[str, list[str]] = {}
-    for name, values in channels.items():
-        alike.setdefault(values, []).append(name)
+def _no_channels(held: Sequence[Source], seen: _Seen, workflow: Workflow) -> list[str]:
+    """A fault where no file's channels are beamlets, at more places than its ends."""
+    values = {value for some in seen.channels.values() for value in some}
+    if not values or not holds_few(len(values), seen.points, workflow.sensor):
+        return []
+    most = max((s for s in held if s.name in seen.channels), key=lambda s: s.facts.n_points)
+    if not seen.whole:
+        try:
+            for table in _spread(most, workflow):
+                values |= set(np.unique(table["channel"]).tolist())
+                seen.points += len(table)
+        except InputError:
+            return []  # the task that reads the file tells of it, and of what other files hold
+    if not holds_few(len(values), seen.points, workflow.sensor):
+        return []
+    return [too_few(values, seen.points, [*seen.channels], workflow)]
+
+
+def _spread(source: Source, workflow: Workflow) -> Iterator[PointTable]:
+    """Points from evenly spaced places of a file."""
+    last = source.facts.n_points - SAMPLE_POINTS
+    for start in np.linspace(0, max(last, 0), SPREAD).astype(int).tolist():
+        yield from iter_points(
+            source.path,
+            channel_dimension=workflow.survey.channel_dimension,
+            source=source.key,
+            start=start,
+            stop=start + SAMPLE_POINTS,
+        )
+
+
+def _few_channels(seen: _Seen, workflow: Workflow) -> Iterator[str]:
+    """Which files have fewer channels than others, as far as their ends tell."""
     sensor, key = workflow.sensor, workflow.survey.channel_dimension
-    return [
-        f"survey.channel_dimension: {key} holds only {values} in the first and last points of "
-        f"{named(names, 3)}, and {sensor.name} has {sensor.beamlets} beamlets; name the dimension "
-        "that holds their numbers, or leave the key out: a shot is one beamlet then; a run stops "
-        "if all points are like these"
-        for values, names in alike.items()
-    ]
+
+    def told(name: str) -> Said:
+        values = seen.channels[name]
+        text = (
+            f"survey.channel_dimension {key} holds only {', '.join(map(str, values))} in the first "
+            f"and last points, and {sensor.name} has {sensor.beamlets} beamlets; {_NAME_ANOTHER}"
+        )
+        return Said(name, text, -len(values))
+
+    yield from shared(map(told, seen.few), "files")
 
 
 def _apart(
@@ -171,7 +258,7 @@ def _apart(
         f"{max(end for _, end in known):.0f} s: {follows}; name the trajectory of this "
         "flight, or none"
     )
-    return ([text], []) if none else ([], [text])
+    return ([f"survey.trajectory: {text}"], []) if none else ([], [text])
 
 
 def in_time_of(points: Sequence[Span], known: Sequence[Span]) -> list[Span]:

@@ -101,6 +101,9 @@ def gather_inputs(workflow: Workflow, base: Path, output: Path) -> Inputs:
     good, bad = _inspect(paths)
     good, without_channel = _with_channel(good, workflow.survey.channel_dimension)
     crs, good, mismatched = _survey_crs(workflow, good)
+    if not any(facts.n_points for facts in good):
+        bad += [InputError(str(facts.path), "the file holds no points") for facts in good]
+        good = []
     if workflow.survey.vertical_crs is not None and good:
         crs = with_vertical(crs, workflow.survey.vertical_crs, "survey.vertical_crs")
     if workflow.breaklines is not None and good:
