@@ -3,12 +3,28 @@
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
+from typing import Final
 
+from spl_batch.engine.plan.budget import Cost, refuse_too_large
 from spl_batch.engine.store.simulated_folders import mark_quickstart, quickstarted
 from spl_batch.engine.verbs.conclusion import RunResult
+from spl_batch.engine.verbs.preparing import limit_bytes
 from spl_batch.engine.verbs.running import run
 from spl_batch.engine.verbs.simulation import simulate
 from spl_batch.engine.watch.events import Listener, ignore
+
+_COST: Final = Cost(
+    points=1_789_819,
+    tasks=52,
+    disk_bytes=135 * 2**20,
+    memory_bytes=970 * 2**20,
+    heaviest="a ground cell of the quickstart",
+    remedy="",
+    stages_s={},
+    workers=1,
+    measured=False,
+)
+"""What the survey takes of a worker that has little memory, as its plan tells."""
 
 
 def quickstart(
@@ -34,7 +50,11 @@ def quickstart(
     ------
     WorkflowError
         If the folder holds anything that no quickstart made.
+    PlanError
+        If a worker has less memory than the survey takes; nothing is simulated then.
     """
+    limit = limit_bytes(memory, workers)
+    refuse_too_large(_COST, limit)
     folder = Path(output)
     workflow = folder / "workflow.yaml"
     if not quickstarted(folder):

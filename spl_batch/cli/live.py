@@ -11,6 +11,7 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
+from spl_batch.engine.report.number_format import as_ascii, large
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 from spl_batch.engine.watch.tile_map import State, TileMap
 from spl_batch.errors import grouped
@@ -121,7 +122,7 @@ def bars(stages: Iterable[StageStatus]) -> Table:
             stage.stage,
             ProgressBar(total=stage.total or 1, completed=stage.total - stage.left, width=28),
             Text(f"{stage.total - stage.left}/{stage.total}", style="green"),
-            Text(f"{short(rate)} pts/s" if rate else "", style="cyan"),
+            Text(speed(rate) if rate else "", style="cyan"),
             Text(taken(stage) if stage.total else "", style="yellow"),
             Text(f"{duration(stage.left_s)} left") if stage.left else failed,
         )
@@ -161,7 +162,7 @@ def _facts(status: RunStatus) -> list[str]:
         used, limit = status.workers["memory_mb"], status.workers["limit_mb"]
         of = f" of {grouped(limit)}" if limit else ""
         peak = f", {grouped(status.peak_mb)} at most so far" if status.peak_mb else ""
-        count = f"{status.workers['workers']} workers, {status.workers['threads']} threads"
+        count = ", ".join(_counted(status.workers[noun], noun) for noun in ("workers", "threads"))
         lines.append(f"  {count}; most memory {grouped(used)}{of} MiB{peak}")
     elif status.peak_mb:
         lines.append(f"  memory {grouped(status.peak_mb)} MiB at most so far")
@@ -174,6 +175,10 @@ def _facts(status: RunStatus) -> list[str]:
     return lines
 
 
+def _counted(count: int, nouns: str) -> str:
+    return f"{grouped(count)} {nouns.removesuffix('s') if count == 1 else nouns}"
+
+
 def _failures(status: RunStatus) -> list[RenderableType]:
     lines: list[RenderableType] = [
         Text(f"  failed: {one.task}: {one.reason}", style="red") for one in status.failures[:SHOWN]
@@ -184,12 +189,9 @@ def _failures(status: RunStatus) -> list[RenderableType]:
     return lines
 
 
-def short(value: float) -> str:
-    """A count in four characters or so."""
-    for limit, suffix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if value >= limit:
-            return f"{value / limit:.1f}{suffix}"
-    return f"{value:.0f}"
+def speed(points_per_s: float) -> str:
+    """A speed as the report has it."""
+    return f"{as_ascii(large(points_per_s))} points/s"
 
 
 def duration(seconds: float) -> str:

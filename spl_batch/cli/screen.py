@@ -12,7 +12,7 @@ from rich.text import Text
 
 from spl_batch.cli.console import PlainConsole
 from spl_batch.cli.lines import LINE_MAX, screen_lines
-from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, short, taken
+from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, taken
 from spl_batch.engine.report import number_format as texts
 from spl_batch.engine.report.number_format import (
     as_ascii,
@@ -170,7 +170,7 @@ def _whole(status: "RunStatus") -> RenderableType:
             f"{stage.done}/{stage.total}" if stage.total else "",
             str(stage.failed or ""),
             str(stage.left or ""),
-            short(stage.points_per_s) if stage.points_per_s else "",
+            as_ascii(texts.large(stage.points_per_s)) if stage.points_per_s else "",
             taken(stage) if stage.elapsed_s > 0 or stage.of_earlier_runs else "",
             duration(stage.left_s) if stage.left else "",
         )

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from spl_batch.cli.console import PlainConsole
 from spl_batch.cli.lines import screen_lines
-from spl_batch.cli.live import bars, details, duration, short
+from spl_batch.cli.live import bars, details, duration, speed
 from spl_batch.engine.watch.events import (
     Compiling,
     Event,
@@ -24,6 +24,7 @@ from spl_batch.engine.watch.events import (
     as_record,
 )
 from spl_batch.engine.watch.status import RunStatus, StageStatus
+from spl_batch.errors import grouped
 
 _ERR = PlainConsole(stderr=True)
 
@@ -45,6 +46,10 @@ QUIET_S = 1.0
 
 BEAT_S = 10.0
 """Silence after which a log is told what is being done; twice as long after each time [s]."""
+
+
+def _compiled(done: int, of: int) -> str:
+    return f"compiling: {grouped(done)} of {grouped(of)} kernels ready"
 
 
 class View:
@@ -109,7 +114,7 @@ class View:
     def _between(self) -> Text:
         """What is done where no task runs, and for how long: that it is alive."""
         if self._compiled is not None:
-            return Text("  {} of {} kernels ready".format(*self._compiled), style="dim")
+            return Text(f"  {_compiled(*self._compiled)}", style="dim")
         quiet_s = time.time() - self._heard_s
         if quiet_s < QUIET_S:
             return Text("")
@@ -153,10 +158,10 @@ class PlainView(View):
             tasks = f"{event.tasks} task{'s' * (event.tasks != 1)}"
             self._say(f"{event.stage}: {event.kind.replace('_', ' ')}: {tasks}{skipped}")
         elif isinstance(event, Compiling) and time.monotonic() - self._printed_s > LINE_S:
-            self._say(f"compiling: {event.done} of {event.of} kernels")
+            self._say(_compiled(event.done, event.of))
         elif isinstance(event, TaskEnded) and time.monotonic() - self._printed_s > LINE_S:
             stage = self._status.stages[event.stage]
-            rate = f", {short(stage.points_per_s)} pts/s" if stage.points_per_s else ""
+            rate = f", {speed(stage.points_per_s)}" if stage.points_per_s else ""
             left = f", {duration(stage.left_s)} left" if stage.left else ""
             self._say(f"{event.stage}: {stage.total - stage.left}/{stage.total}{rate}{left}")
 

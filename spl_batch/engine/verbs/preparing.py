@@ -56,9 +56,7 @@ def prepare(
     WorkflowError
         If the workflow or a limit is wrong, or no input is usable.
     """
-    if workers < 0:
-        raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
-    limit = _limit_bytes(memory, workers, remote=remote)
+    limit = limit_bytes(memory, workers, remote=remote)
     workflow = load_any(path, overrides)
     base = path.resolve().parent
     place = Place(path, base, (base / workflow.output).resolve())
@@ -74,7 +72,13 @@ def prepare(
     return prepared
 
 
-def _limit_bytes(memory: str | int | None, workers: int, *, remote: bool) -> int:
+def limit_bytes(memory: str | int | None, workers: int, *, remote: bool = False) -> int:
+    """Memory limit of each worker, from what is told of it [byte].
+
+    The arguments are those of :func:`prepare`, and so is the error for a wrong one.
+    """
+    if workers < 0:
+        raise WorkflowError(f"--workers {workers}: write 0 (in this process) or more")
     if memory is not None:
         return parse_bytes(memory)
     return REMOTE_BYTES if remote else usual_bytes(workers)
