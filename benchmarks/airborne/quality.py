@@ -31,10 +31,10 @@ SPIKE_M = 0.5
 
 Bar = tuple[str, float]
 BARS: dict[str, Bar] = {
-    "ground kept %": (">=", 99.5),
-    "roof kept %": (">=", 99.0),
-    "vegetation kept %": (">=", 98.0),
-    "wire kept %": (">=", 98.0),
+    "ground labelled signal %": (">=", 99.5),
+    "roof labelled signal %": (">=", 99.0),
+    "vegetation labelled signal %": (">=", 98.0),
+    "wire labelled signal %": (">=", 98.0),
     "background removed %": (">=", 95.0),
     "afterpulses under ground and roofs removed %": (">=", 97.0),
     "afterpulses in vegetation removed %": (">=", 80.0),

@@ -112,9 +112,7 @@ def test_compiling_that_is_piped_says_how_far_it_is_now_and_then(
     for k in range(70):
         plain.on_event(Compiling(k, 70))
         clock[0] += 1.0
-    assert lines_of(console) == [
-        f"compiling: {ready} of 70 kernels ready" for ready in (31, 62)
-    ]
+    assert lines_of(console) == [f"compiling: {ready} of 70 kernels ready" for ready in (31, 62)]
 
 
 def test_a_silence_that_is_piped_is_broken_ever_more_rarely(

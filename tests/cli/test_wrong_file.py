@@ -81,6 +81,23 @@ def test_memory_without_a_unit_is_bytes(folder: Path, given: str, words: str) ->
         assert ended.err == f"spl-batch: --memory {given}: {words}\n"
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--memory", "4"], "that is 4 bytes"),
+        (["--memory", "300MiB"], "a ground cell of the quickstart needs 970 MiB"),
+        (["--workers", "-1"], "--workers -1: write 0"),
+    ],
+)
+def test_a_quickstart_that_cannot_run_simulates_nothing(
+    tmp_path: Path, options: list[str], words: str
+) -> None:
+    ended = surveys.command("quickstart", tmp_path / "new", *options)
+    assert ended.status == 2
+    assert words in ended.err
+    assert not (tmp_path / "new").exists()
+
+
 @pytest.mark.parametrize("output", ["/proc/x/out", "workflow.yaml", "workflow.yaml/deep"])
 def test_a_plan_refuses_an_output_that_a_run_refuses(tmp_path: Path, output: str) -> None:
     surveys.write_cloud(tmp_path / "lines/1.laz", surveys.flightline(shots=20))

@@ -113,6 +113,6 @@ def told(parts: Sequence[Mapping[str, NDArray[Any]]]) -> tuple[Remark, ...]:
     text = (
         "far from the surface a return sets off each channel beside its own with a chance of "
         f"{100 * chance:.1f} %, at the same range: crosstalk; noise comes in pairs, so that more "
-        "of it than filter.alpha is kept, and edges of surfaces are blurred by a beamlet"
+        "of it than filter.alpha counts as signal, and edges of surfaces are blurred by a beamlet"
     )
     return (Remark(text, chance),)

@@ -117,7 +117,7 @@ def bloom_warning(done: Receipts, *, removed: bool) -> Iterator[str]:
         fate = (
             "are noise, class 18 or 7"
             if removed
-            else "are kept, and may raise the DSM; noise.bloom: true makes them noise"
+            else "count as signal, and may raise the DSM; noise.bloom: true makes them noise"
         )
         yield (
             f"in {grouped(shots)} shots nearly all channels see one range while others of their "
@@ -142,8 +142,8 @@ def fog_warning(done: Receipts) -> Iterator[str]:
     yield as_ascii(
         f"returns fill the air up to {top:.1f} m above the ground evenly in "
         f"{100 * shares[0]:.0f} % of {significant(area_m2 * 1e-6, 2)} km2: ground fog, or low "
-        f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the points "
-        "that are kept can be trusted"
+        f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the "
+        "signal points can be trusted"
     )
 
 
@@ -164,7 +164,7 @@ def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
     yield as_ascii(
         f"where nothing but noise returns it is not what its model expects: {listed} {of}. The "
         "noise is not the same all along the gate; where there is more, more of it than "
-        "filter.alpha is kept, where there is less, weak signals are lost"
+        "filter.alpha counts as signal, where there is less, weak signals are lost"
     )
 
 

@@ -55,7 +55,7 @@ def _of_which(work: Performance, noun: str) -> str:
     if not work.earlier_wall_s or work.wall_s is None:
         return speed + _compiling(work)
     own = duration(work.wall_s - work.earlier_wall_s)
-    return f"{speed}, {own} of it in this run{_compiling(work)}"
+    return f" of all its runs together{speed}, {own} of it in this one{_compiling(work)}"
 
 
 def _compiling(work: Performance) -> str:
@@ -67,7 +67,8 @@ def speed_remark(work: Performance, noun: str = "points") -> str:
     """What a page says beside the duration of a run."""
     if work.part_alone:
         return "this part alone"
-    return f"{large(work.points_per_s)} {noun}/s{_compiling(work)}"
+    runs = " over all its runs" if work.earlier_wall_s else ""
+    return f"{large(work.points_per_s)} {noun}/s{runs}{_compiling(work)}"
 
 
 def failure_verdict(failures: Sequence[Failure], warnings: Sequence[str]) -> Verdict:
