@@ -77,7 +77,7 @@ def _load(folder: Path) -> dict[str, NDArray[np.generic]]:
 def _kept(folder: Path, points: dict[str, NDArray[np.generic]]) -> dict[str, float]:
     kind, signal = points["kind"], points["noise_class"] == 0
     shares = {
-        f"{name} kept %": 100 * float(signal[kind == KINDS.index(name)].mean())
+        f"{name} labelled signal %": 100 * float(signal[kind == KINDS.index(name)].mean())
         for name in ("ground", "roof", "vegetation", "wire", "water", "bottom")
         if np.any(kind == KINDS.index(name))
     }
