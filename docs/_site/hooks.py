@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mkdocs.structure.files import File, Files
+from tutorial_notebook import with_outputs
 
 from spl_batch import api
 
@@ -18,6 +19,9 @@ PAGES: Final = {
 
 COPIED: Final = ("LICENSE", "Dockerfile", ".ci/run")
 """Files that pages link to; the workflows are, too."""
+
+NOTEBOOK: Final = "tutorial.md"
+"""Page that is a notebook."""
 
 _LINK: Final = re.compile(r"\]\(([^)#:\s]+)(#[^)\s]*)?\)")
 
@@ -38,9 +42,12 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Lead links out of ``docs/`` to what lies on the site."""
+    """Execute notebooks, and lead links out of ``docs/`` to what lies on the site."""
     if page.file.src_uri in {*PAGES.values(), "reference.md"}:
         return markdown
+    if page.file.src_uri == NOTEBOOK:
+        text = (ROOT / "docs" / NOTEBOOK).read_text(encoding="utf-8")
+        markdown = with_outputs(text, ROOT)
     return _relinked(markdown, Path("docs", page.file.src_uri).parent)
 
 
