@@ -53,19 +53,6 @@ class Ratios(NamedTuple):
     step: float
 
 
-def noise_pdf(k: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Density of the k-th neighbour of noise over the noise expected within it [W17 Eq. 4.4]."""
-    density: NDArray[np.float64] = np.exp((k - 1) * np.log(x) - x - special.gammaln(k))
-    return density
-
-
-def signal_pdf(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
-    """Density of the k-th neighbour of signal whose contrast is unknown within 1..C."""
-    share = np.exp(_log_share(k, x, contrast_max))
-    density: NDArray[np.float64] = share / (x * np.log(contrast_max))
-    return density
-
-
 def _log_share(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
     """Logarithm of [Q(k, x) - Q(k, C x)], from the tail in which it does not cancel."""
     upper = special.gammaincc(k, x) - special.gammaincc(k, contrast_max * x)
