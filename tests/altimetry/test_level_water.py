@@ -322,6 +322,16 @@ def test_a_rate_that_is_not_seen_is_said(tmp_path: Path) -> None:
     assert "photons are signal; nothing is told apart" in said
 
 
+def test_a_track_of_few_photons_far_apart_is_said(tmp_path: Path) -> None:
+    rows = [f"{300 * i},{40 * (i % 3)}" for i in range(6)]
+    (tmp_path / "photons.csv").write_text("\n".join(["along_track,height", *rows]) + "\n")
+    workflow = write_workflow(tmp_path, "photons.csv")
+    assert surveys.command("run", workflow, "--workers", 0).status == 0
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["counts"]["signal"] == 0
+    assert "no photon is signal" in " ".join(report["warnings"])
+
+
 def test_a_second_surface_among_the_signal_is_said(tmp_path: Path) -> None:
     track = water_track(NIGHT, length_m=2500.0)
     rng = np.random.default_rng(2)

@@ -97,12 +97,13 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
             found.append(Said(beam, text))
-        if noise and not kept and chosen["estimated"] >= 1.0:
-            text = (
-                "no photon is signal, though the noise rate leaves "
-                f"{grouped(chosen['estimated'])}; a larger rate.buffer_m or signal.false_share may "
-                "help"
-            )
+        if noise and not kept:
+            text = "no photon is signal"
+            if chosen["estimated"] >= 1.0:
+                text += (
+                    f", though the noise rate leaves {grouped(chosen['estimated'])}; a larger "
+                    "rate.buffer_m or signal.false_share may help"
+                )
             found.append(Said(beam, text))
     return list(shared(found, "beams"))
 
