@@ -1,10 +1,10 @@
 """Grey opening of a grid by octagons, for the progressive one of SMRF.
 
-An octagon is a square opened further by a diamond. The least value along a run of cells is that
-of two runs whose length is a power of two, and such runs double; so do diamonds: five of them, one
-here and one as far as their radius to each side, cover one of twice the radius. A step is the
-lesser of a few shifted copies of rows, which the compiler turns into vector instructions, and all
-cost what the logarithm of the radius is.
+An octagon is a square widened by a diamond. The greatest value in a run of cells is that of two
+runs whose length is a power of two, and such runs double. A diamond is a run along one diagonal,
+widened along the other, and by a cross, which joins both colours of a chessboard. Each step takes
+the greater of rows that are shifted, which the compiler turns into vector instructions; a window
+costs what the logarithm of its radius is.
 
 Heights are kept in single precision, half a millimetre at 8 km; rounding keeps their order.
 """
@@ -43,59 +43,106 @@ def opening(surface: Heights, radius: int) -> Heights:
     -------
     (rows, columns) float32
     """
+    rows, columns = surface.shape
     # Beyond this margin no window begins that reaches a cell of the surface.
-    room = np.zeros((2, *(size + 4 * radius for size in surface.shape)), dtype=np.float32)
+    room = np.empty((2, rows + 4 * radius, columns + 4 * radius), dtype=np.float32)
     room[0] = np.pad(surface, 2 * radius, mode="edge")
-    for _ in ("erosion", "dilation of what is turned over"):
-        _least(room, *octagon(radius))
-        np.negative(room[0], out=room[0])
-    inner = slice(2 * radius, -2 * radius or None)
-    return room[0, inner, inner]
+    return _open(room, *octagon(radius))[:rows, :columns]
 
 
 @njit()
-def _least(room: Heights, square: int, diamond: int) -> None:
-    """Least height in an octagon around each cell of the first of two grids, in place.
+def _open(room: Heights, square: int, diamond: int) -> Heights:
+    """Opening of the first of two grids, in the upper left corner; both are written to."""
+    rows, columns = room.shape[1:]
+    reach = 2 * (square + diamond)
+    _turn_over(room[0], room[0])
+    at = _widen(room, 0, rows, columns, square, diamond)
+    rows, columns = rows - reach, columns - reach
+    _turn_over(room[at, :rows, :columns], room[at, :rows, :columns])
+    return room[_widen(room, at, rows, columns, square, diamond)]
 
-    Cells nearer to the edges than its radius are left with anything.
+
+@njit()
+def _turn_over(heights: Heights, out: Heights) -> None:
+    """Heights with the other sign."""
+    for r in range(len(heights)):
+        for c in range(heights.shape[1]):
+            out[r, c] = -heights[r, c]
+
+
+@njit()
+def _widen(room: Heights, at: int, rows: int, columns: int, square: int, diamond: int) -> int:
+    """Greatest height in an octagon around each cell that is its radius off the edges.
+
+    Parameters
+    ----------
+    room : (2, a, b) float32
+        Two grids; both are written to.
+    at : int
+        Grid whose upper left corner has the heights.
+    rows, columns : int
+        Shape of these.
+    square, diamond : int
+        What the octagon is made of.
+
+    Returns
+    -------
+    int
+        Grid whose upper left corner has the results.
     """
-    here, there = room[0], room[1]
-    rows, columns = here.shape
-    length = 2 * square + 1
     if square:
-        for r in range(rows):
-            row, other, run = here[r], there[r], 1
-            while 2 * run <= length:
-                _lesser(row[:-run], row[run:], other[:-run])
-                row, other, run = other, row, 2 * run
-            rest = length - run
-            # Into the other grid at last, whichever of its rows is free.
-            _lesser(row[: columns - rest], row[rest:], other[: columns - rest])
-            there[r, square:] = other[: columns - square]
-        here, there, run = there, here, 1
-        while 2 * run <= length:
-            for r in range(rows - run):
-                _lesser(here[r], here[r + run], there[r])
-            here, there, run = there, here, 2 * run
-        for r in range(square, rows - square):
-            _lesser(here[r - square], here[r + square + 1 - run], there[r])
-        here, there = there, here
-    reached = 0
-    while reached < diamond:
-        step = min(max(reached, 1), diamond - reached)
-        for r in range(step, rows - step):
-            out = there[r]
-            _lesser(here[r - step], here[r + step], out)
-            _lesser(here[r], out, out)
-            _lesser(here[r, 2 * step :], out[step:-step], out[step:-step])
-            _lesser(here[r, : -2 * step], out[step:-step], out[step:-step])
-        here, there = there, here
-        reached += step
-    room[0] = here
+        length = 2 * square + 1
+        at = _along(room, at, rows, columns, length, 0, 1)
+        columns -= length - 1
+        at = _along(room, at, rows, columns, length, 1, 0)
+        rows -= length - 1
+    if diamond:
+        here, there = room[at], room[1 - at]
+        for r in range(rows - 2):
+            _greatest(
+                here[r, 1 : columns - 1], here[r + 1, : columns - 2], here[r + 1, 1 : columns - 1],
+                here[r + 1, 2:columns], here[r + 2, 1 : columns - 1], there[r],
+            )  # fmt: skip
+        at, rows, columns = 1 - at, rows - 2, columns - 2
+        at = _along(room, at, rows, columns, diamond, 1, 1)
+        rows, columns = rows - diamond + 1, columns - diamond + 1
+        at = _along(room, at, rows, columns, diamond, 1, -1)
+    return at
 
 
 @njit()
-def _lesser(one: Heights, other: Heights, out: Heights) -> None:
-    """Lesser of two heights each."""
+def _along(
+    room: Heights, at: int, rows: int, columns: int, length: int, down: int, right: int
+) -> int:
+    """Greatest of so many cells in a direction, the first of them in the upper left corner."""
+    run = 1
+    while run < length:
+        step = min(run, length - run)
+        here, there = room[at], room[1 - at]
+        high, wide = rows - down * step, columns - abs(right) * step
+        one, other = max(-right * step, 0), max(right * step, 0)
+        for r in range(high):
+            _greater(
+                here[r, one : one + wide], here[r + down * step, other : other + wide],
+                there[r, :wide],
+            )  # fmt: skip
+        at, rows, columns, run = 1 - at, high, wide, run + step
+    return at
+
+
+@njit()
+def _greater(one: Heights, other: Heights, out: Heights) -> None:
+    """Greater of two heights each."""
     for i in range(len(out)):
-        out[i] = min(one[i], other[i])
+        out[i] = max(one[i], other[i])
+
+
+@njit()
+def _greatest(
+    up: Heights, left: Heights, here: Heights, right: Heights, down: Heights, out: Heights
+) -> None:
+    """Greatest of five heights each."""
+    for i in range(len(up)):
+        along, across = max(up[i], down[i]), max(left[i], right[i])
+        around = max(along, across)
+        out[i] = max(around, here[i])
