@@ -47,7 +47,8 @@ def opening(surface: Heights, radius: int) -> Heights:
     # Beyond this margin no window begins that reaches a cell of the surface.
     room = np.empty((2, rows + 4 * radius, columns + 4 * radius), dtype=np.float32)
     room[0] = np.pad(surface, 2 * radius, mode="edge")
-    return _open(room, *octagon(radius))[:rows, :columns]
+    opened: Heights = _open(room, *octagon(radius))[:rows, :columns]
+    return opened
 
 
 @njit()
