@@ -47,8 +47,7 @@ def opening(surface: Heights, radius: int) -> Heights:
     # Beyond this margin no window begins that reaches a cell of the surface.
     room = np.empty((2, rows + 4 * radius, columns + 4 * radius), dtype=np.float32)
     room[0] = np.pad(surface, 2 * radius, mode="edge")
-    opened: Heights = _open(room, *octagon(radius))[:rows, :columns]
-    return opened
+    return _open(room, *octagon(radius))[:rows, :columns]
 
 
 @njit()
@@ -60,7 +59,8 @@ def _open(room: Heights, square: int, diamond: int) -> Heights:
     at = _widen(room, 0, rows, columns, square, diamond)
     rows, columns = rows - reach, columns - reach
     _turn_over(room[at, :rows, :columns], room[at, :rows, :columns])
-    return room[_widen(room, at, rows, columns, square, diamond)]
+    opened: Heights = room[_widen(room, at, rows, columns, square, diamond)]
+    return opened
 
 
 @njit()
