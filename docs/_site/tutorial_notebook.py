@@ -45,7 +45,9 @@ def executed(text: str, root: Path) -> nbformat.NotebookNode:
             commands = cell.source.removeprefix("%%sh\n")
             cell.metadata["shown"] = ("sh", commands)
             path = Path(sys.executable).parent
-            cell.source = f"%%bash\nset -e\nexport PATH={path}:$PATH\n{{\n{commands}\n}} 2>&1"
+            # the kernel asks programs for colours, as if its pipe were a terminal
+            prepared = f"set -e\nunset FORCE_COLOR CLICOLOR\nexport PATH={path}:$PATH"
+            cell.source = f"%%bash\n{prepared}\n{{\n{commands}\n}} 2>&1"
         elif cell.cell_type == "code":
             cell.metadata["shown"] = ("python", cell.source)
     with tempfile.TemporaryDirectory() as folder:
