@@ -111,9 +111,31 @@ def test_what_a_flightline_left_behind_is_listed_and_deleted(survey: Path, tmp_p
     assert ended.status == 0
     flat = " ".join(ended.text.split())
     assert "no longer an input of this survey: 2.laz" in flat
-    assert "deleted, as an earlier run made it and this one does not: laz/lines/2.laz" in flat
+    assert "deleted, as an earlier run made them and this one does not: laz/lines/2.laz" in flat
     assert "laz/lines/2.laz" in (tmp_path / "out" / "log.jsonl").read_text()
     assert sorted(path.name for path in laz.iterdir()) == ["1.laz", "mine.laz"]
+
+
+def test_what_a_flightline_renames_is_told_in_one_line(tmp_path: Path) -> None:
+    base = tmp_path / "work"
+    base.mkdir()
+    for folder, name in (("a", "1"), ("a", "2"), ("b", "3")):
+        line = surveys.flightline(shots=30, psid=int(name), seed=int(name))
+        surveys.write_cloud(tmp_path / folder / f"{name}.laz", line)
+    survey = surveys.write_workflow(base, survey={"flightlines": ["../a/*.laz", "../b/*.laz"]})
+    surveys.run(survey)
+    ended = command("run", survey, "--set", "survey.flightlines=../a/*.laz")
+    assert ended.status == 0, ended.text
+    said = " ".join(ended.err.split())
+    assert "laz/1.laz was laz/a/1.laz, laz/2.laz was laz/a/2.laz" in said
+    assert (
+        said.count("deleted, as an earlier run made them and this one does not: laz/b/3.laz") == 1
+    )
+    clouds = (base / "out/laz").rglob("*.laz")
+    assert sorted(path.relative_to(base / "out").as_posix() for path in clouds) == [
+        "laz/1.laz",
+        "laz/2.laz",
+    ]
 
 
 def test_a_changed_result_is_never_lost(survey: Path, tmp_path: Path) -> None:

@@ -82,7 +82,10 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
 def _row(method: MethodResult) -> tuple[str, ...]:
     values = (
         number(method.signal),
-        percent(method.removed_share),
+        *(
+            percent(part / method.points if method.points else None)
+            for part in (method.background, method.afterpulse)
+        ),
         percent(method.far_share, 3),
         centimetres(method.dtm_rmse_m),
         centimetres(method.dsm_rmse_m),
@@ -148,13 +151,13 @@ def _profiles(
     if path.exists():
         yield (
             "Where most stands on the ground",
-            "Look for wires, roof edges and crowns that are kept, and for what is left between.",
+            "Look for wires, roof edges and crowns as signal, and for noise left between them.",
             _strips(runs, tallest_strip(read_overview(path))),
         )
     if found.disputed is not None:
         yield (
             "Where the filters disagree most",
-            "Look for what one filter keeps and another removes near the surface.",
+            "Look for what is signal to one filter and noise to another near the surface.",
             _strips(runs, found.disputed),
         )
 
@@ -172,6 +175,9 @@ METHODS: Final = Methods(
     share=_share,
     write=_write,
     row=_row,
-    titles=("filter", "signal", "noise", "far noise", "DTM RMSE", "DSM RMSE", "s per million"),
+    titles=(
+        *("filter", "signal", "background noise", "afterpulses", "far noise"),
+        *("DTM RMSE", "DSM RMSE", "s per million"),
+    ),
 )
 """What can be compared."""

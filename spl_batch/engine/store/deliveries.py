@@ -1,8 +1,9 @@
 """What runs have written into an output folder, so that nothing else is deleted or replaced.
 
-``delivered.json`` lies beside the results and outlives the working store. It names the output's
-survey and every file that its runs have delivered, with size, time of writing and checksum. A file
-is named there before it is written, so a run that was killed finds its own files again.
+``delivered.json`` lies beside the results and outlives the working store. It names the survey
+that the output belongs to and every file that its runs have delivered, with size, time of writing
+and checksum. A file is named there before it is written, so that a run that was killed finds its
+own files again.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +17,7 @@ from spl_batch.engine.tasks.ledger import Ledger
 from spl_batch.engine.tasks.receipt_index import delivers
 from spl_batch.engine.tasks.runner import kinds
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.errors import DamagedError
+from spl_batch.errors import DamagedError, named
 from spl_batch.formats.files.atomic import checksum
 
 RECORD: Final = "delivered.json"
@@ -24,6 +25,9 @@ RECORD: Final = "delivered.json"
 
 _KEPT: Final = ".kept"
 """How the name of a file ends that a run has moved aside instead of replacing it."""
+
+LISTED: Final = 20
+"""Files that a line names of those that are deleted [count]."""
 
 Stamp = list[Any]
 """Size [byte], time of writing [ns since 1970] and checksum of a delivered file."""
@@ -118,7 +122,7 @@ class Deliveries:
         """Delete what earlier runs delivered and this one does not vouch for.
 
         A file of an input that is gone, or can no longer be read, would pass for a result. Only
-        files that are as they were written are deleted, each when it has been told.
+        files that are as they were written are deleted, when they have been told.
 
         Parameters
         ----------
@@ -128,22 +132,33 @@ class Deliveries:
         Yields
         ------
         str
-            What is deleted once the next is asked for; what is kept, and why.
+            What is kept, and why; what has another name, and what is deleted, a line each.
         """
         finished = chain.from_iterable(ledger.of(kind).values() for kind in self._kinds)
         current = {name for receipt in finished for name in receipt.outputs}
+        gone: list[str] = []
         for name in sorted((self.files.keys() | self.begun) - current):
             path = self.output / name
             if path.exists() and self._as_written(name):
-                yield f"deleted, as an earlier run made it and this one does not: {name}"
-                path.unlink(missing_ok=True)
+                gone.append(name)
             elif path.exists():
                 yield (
                     f"kept, as it is not what an earlier run wrote: {name}; this run makes no such "
                     "file, delete it if it is of no use"
                 )
-            self.files.pop(name, None)
-            self.begun.discard(name)
+        now = _other_names(gone, current)
+        if now:
+            listed = named([f"{new} was {old}" for old, new in now.items()], LISTED)
+            yield f"renamed, as the inputs share other folders than before: {listed}"
+        if left := [name for name in gone if name not in now]:
+            it = "it" if len(left) == 1 else "them"
+            yield (
+                f"deleted, as an earlier run made {it} and this one does not: {named(left, LISTED)}"
+            )
+        for name in gone:
+            (self.output / name).unlink(missing_ok=True)
+        self.files = {name: stamp for name, stamp in self.files.items() if name in current}
+        self.begun &= current
         self.save()
 
     def _is_own(self, name: str) -> bool:
@@ -159,6 +174,21 @@ class Deliveries:
         if there.st_size != size:
             return False
         return bool(there.st_mtime_ns == written_ns or checksum(path) == content)
+
+
+def _other_names(gone: Iterable[str], current: Iterable[str]) -> dict[str, str]:
+    """What clouds that are gone are called now: the same below more or fewer folders."""
+    there: dict[tuple[str, str], list[str]] = {}
+    for name in current:
+        there.setdefault((Path(name).parts[0], Path(name).name), []).append(name)
+    found: dict[str, list[str]] = {}
+    for old in gone:
+        top, *_, last = Path(old).parts
+        for new in there.get((top, last), ()) if old.endswith(".laz") else ():
+            short, long = sorted((old.removeprefix(top), new.removeprefix(top)), key=len)
+            if long.endswith(short):
+                found.setdefault(new, []).append(old)
+    return {olds[0]: new for new, olds in found.items() if len(olds) == 1}
 
 
 def _free_name(path: Path) -> Path:

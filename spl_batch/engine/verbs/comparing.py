@@ -25,7 +25,7 @@ from spl_batch.engine.store.working_store import Store
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.engine.verbs.running import run
 from spl_batch.engine.watch.earlier_runs import share_time
-from spl_batch.engine.watch.events import Listener, Note, ignore
+from spl_batch.engine.watch.events import Event, Listener, Note, ignore
 from spl_batch.errors import WorkflowError
 from spl_batch.receivers import HOMES, comparison, task_kinds
 
@@ -150,6 +150,7 @@ def compare(
             keys[name].append(f"outputs.store={json.dumps(store.url)}")
         load_any(path, keys[name])
     usable(prepare(path, overrides, memory=memory, workers=workers))  # before the lock's file
+    listener = _once(listener)
     process = partial(run, path, workers=workers, memory=memory, listener=listener)
     with locked(output / FOLDER):
         # What the methods share is finished first, under the workflow's own settings.
@@ -171,6 +172,20 @@ def compare(
         report = found.write(output, reports)
     rows = tuple(found.row(method) for method in report.methods)
     return ComparisonResult(status, output, report, found.titles, rows)
+
+
+def _once(listener: Listener) -> Listener:
+    """A listener that is told each warning once: methods share inputs, and what is odd of them."""
+    told: set[Note] = set()
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Note):
+            if event in told:
+                return
+            told.add(event)
+        listener(event)
+
+    return listen
 
 
 def listed(methods: str | Sequence[str], known: str) -> list[str]:
