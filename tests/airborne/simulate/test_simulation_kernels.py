@@ -11,9 +11,14 @@ from scipy import optimize, stats
 from spl_batch.airborne.beams import link_budget
 from spl_batch.airborne.simulate import beamlet_room, detector, shots, wedge_scan
 from spl_batch.airborne.simulate.scene import beam_layers, ray_trace
-from spl_batch.airborne.simulate.scene.objects import building_solid, catenary
-from spl_batch.airborne.simulate.scene.scene_file import Building
-from spl_batch.airborne.simulate.scene.terrain import Ground
+from spl_batch.airborne.simulate.scene.objects import (
+    bridge_solid,
+    building_solid,
+    catenary,
+    ground_at,
+)
+from spl_batch.airborne.simulate.scene.scene_file import Bridge, Building, parse_scene
+from spl_batch.airborne.simulate.scene.terrain import Ground, make_ground
 from spl_batch.numerics import attitude
 
 
@@ -47,6 +52,49 @@ def test_ground_hit_agrees_with_root_finding():
         _, sx, sy = ray_trace.bilinear(z, grid, p[0], p[1])
         normal = np.array([-sx, -sy, 1.0]) / math.sqrt(1 + sx**2 + sy**2)
         assert cosine == pytest.approx(-normal @ d, abs=1e-3)
+
+
+def test_steep_ground_is_met_where_marching_along_the_ray_meets_it_first():
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[0:41, 0:41] * 1.0
+    z = 15.0 * ((x > 14) & (y > 12) & (x < 27)) + 0.1 * x
+    grid = np.array([0.0, 0.0, 1.0])
+    for _ in range(60):
+        d = slanted(rng)
+        o = origin_for([rng.uniform(8, 33), rng.uniform(8, 33), rng.uniform(0, 18)], d, 100.0)
+        t, cosine = ray_trace.meet_steep_ground(z, grid, float(z.max()), o, d)
+        along = np.arange(70.0, 125.0, 0.01)
+        below = [p[2] <= ray_trace.bilinear(z, grid, p[0], p[1])[0] for p in o + along[:, None] * d]
+        assert t == pytest.approx(along[np.argmax(below)], abs=0.011)
+        assert 0.0 <= cosine <= 1.0
+
+
+def test_a_deck_is_as_thick_as_said_and_leaves_the_valley_beside_it():
+    ground = Ground(
+        np.zeros((60, 60)), np.zeros((60, 60)), np.ones((60, 60), np.uint8), np.array([-30, -30, 1])
+    )
+    ground.z[:, 45:] = 4.0
+    deck = bridge_solid(Bridge(ends_m=((-20, 0), (20, 0)), width_m=6, thickness_m=1.5), ground)
+    down = np.array([0.0, 0.0, -1.0])
+    for x, y, top in ((0.0, 2.9, 2.0), (10.0, -2.9, 3.0)):
+        enter, leave, _ = ray_trace.clip_convex(deck.planes, 6, np.array([x, y, 50.0]), down)
+        assert 50 - enter == pytest.approx(top, abs=1e-6)
+        assert leave - enter == pytest.approx(1.5 * math.hypot(0.1, 1.0), abs=1e-6)
+    enter, leave, _ = ray_trace.clip_convex(deck.planes, 6, np.array([0.0, 3.1, 50.0]), down)
+    assert enter >= leave
+
+
+def test_landforms_are_as_high_as_said_and_fall_off_at_their_slope():
+    flat = {"relief_m": 0, "roughness_m": 0}
+    ring = [(20, 20), (60, 20), (60, 60), (20, 60)]
+    hill, pit = ({"ring_m": ring, "height_m": h, "slope_deg": 45} for h in (10, -10))
+    flights = [{"heading_deg": 0}]
+    for forms, expected in (([hill], (10, 5, 0)), ([pit], (-10, -5, 0)), ([hill, pit], (0, 0, 0))):
+        content = {"extent_m": (80, 80), "terrain": {**flat, "landforms": forms},
+                   "flights": flights, "origin_m": (0, 0, 0)}  # fmt: skip
+        ground = make_ground(parse_scene(content, "x"), np.random.default_rng(0))
+        found = [ground_at(ground, x, 40.0) for x in (40, 65, 75)]
+        assert found == pytest.approx(expected, abs=1e-9)
 
 
 def test_bilinear_interpolates_a_plane_exactly_and_gives_its_slope():

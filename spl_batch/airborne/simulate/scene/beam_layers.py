@@ -17,6 +17,7 @@ from spl_batch.airborne.simulate.scene.ray_trace import (
     clip_crown,
     hit_ground,
     lit_share,
+    meet_steep_ground,
     meet_wire,
 )
 from spl_batch.numerics.compiled import njit
@@ -105,6 +106,14 @@ def _insert(
 
 
 @njit()
+def _meet_ground(scene: SceneArrays, o: Any, d: Any) -> tuple[float, float]:
+    """Range at which a ray meets the ground, and the cosine of incidence there."""
+    if scene.steep_top > -math.inf:
+        return meet_steep_ground(scene.ground_z, scene.grid, scene.steep_top, o, d)
+    return hit_ground(scene.ground_z, scene.grid, o, d)
+
+
+@njit()
 def look(
     scene: SceneArrays, o: Any, d: Any, axis: Any, sigma_rad: float, layers: NDArray[np.float64]
 ) -> tuple[int, float, float, float, float]:
@@ -129,7 +138,7 @@ def look(
     range_m, cosine, reflectance, kind : float
         Of the hard surface behind them.
     """
-    hard, cosine = hit_ground(scene.ground_z, scene.grid, o, d)
+    hard, cosine = _meet_ground(scene, o, d)
     x, y = o[0] + hard * d[0], o[1] + hard * d[1]
     rho = bilinear(scene.ground_rho, scene.grid, x, y)[0]
     j, i = nearest_node(scene, x, y)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from spl_batch.airborne.simulate.scene.objects import (
     FACES,
     Solid,
+    bridge_solid,
     building_solid,
     crown_rows,
+    deck_outline,
     ground_at,
     outline,
     random_buildings,
@@ -21,6 +23,9 @@ from spl_batch.airborne.simulate.scene.objects import (
 from spl_batch.airborne.simulate.scene.ray_trace import SceneArrays
 from spl_batch.airborne.simulate.scene.scene_file import Building, Scene
 from spl_batch.airborne.simulate.scene.terrain import APRON_M, Ground, make_ground
+
+STEEPEST = 0.7
+"""Slope times tangent off nadir from which on beams are followed down to the ground."""
 
 CELL_M = 4.0
 """Edge of the cells that list objects [m]."""
@@ -56,8 +61,10 @@ def lay_out(scene: Scene) -> Layout:
     for wires in scene.wires:
         width = wires.conductors * wires.spacing_m / 2 + 3.0
         taken.append(shapely.LineString(wires.points_m).buffer(width))
+    taken.extend(deck_outline(bridge).buffer(2.0) for bridge in scene.bridges)
     buildings = random_buildings(scene, rng, taken)
     solids = [building_solid(b, ground) for b in buildings]
+    solids.extend(bridge_solid(bridge, ground) for bridge in scene.bridges)
     for wires in scene.wires:
         solids.extend(tower_solid(x, y, ground_at(ground, x, y), wires) for x, y in wires.points_m)
     crowns = crown_rows(scene, ground, rng, taken)
@@ -101,7 +108,14 @@ def _arrays(
         cell,
         first,
         item,
+        _steep_top(ground, lean),
     )
+
+
+def _steep_top(ground: Ground, lean: float) -> float:
+    """Highest ground where some is so steep that a beam may meet it twice, else -inf [m]."""
+    rise = max(float(np.abs(np.diff(ground.z, axis=axis)).max(initial=0.0)) for axis in (0, 1))
+    return float(ground.z.max()) if rise * lean > STEEPEST * ground.grid[2] else -math.inf
 
 
 def _wire_shape(w: NDArray[np.float64], floor: float, lean: float) -> shapely.Geometry:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from spl_batch.airborne.simulate.scene.ray_trace import KIND_OTHER, KIND_ROOF, bilinear
-from spl_batch.airborne.simulate.scene.scene_file import Building, Scene, Wires
+from spl_batch.airborne.simulate.scene.scene_file import Bridge, Building, Scene, Wires
 from spl_batch.airborne.simulate.scene.terrain import Ground
 
 FACES = 6
@@ -109,6 +109,41 @@ def building_solid(building: Building, ground: Ground) -> Solid:
 
 def _wall(axis: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
     return np.array([axis[0], axis[1], 0.0, offset])
+
+
+def bridge_solid(bridge: Bridge, ground: Ground) -> Solid:
+    """Deck of a bridge, from the ground at one end to that at the other.
+
+    Parameters
+    ----------
+    bridge : Bridge
+        The bridge.
+    ground : Ground
+        Carries its ends.
+    """
+    start, end = (np.array(place) for place in bridge.ends_m)
+    heights = [ground_at(ground, *place) for place in (start, end)]
+    span = float(np.hypot(*(end - start)))
+    along = (end - start) / span
+    across = np.array([along[1], -along[0]])
+    rise = (heights[1] - heights[0]) / span
+    top = np.array([*(-rise * along), 1.0]) / math.hypot(rise, 1.0)
+    offset = float(top @ [*start, heights[0]])
+    planes = [
+        _wall(along, float(along @ end)),
+        _wall(-along, float(-along @ start)),
+        *(_wall(side, float(side @ start) + bridge.width_m / 2) for side in (across, -across)),
+        np.array([*top, offset]),
+        np.array([*-top, bridge.thickness_m - offset]),
+    ]
+    row = (0.0, bridge.reflectance, float(KIND_OTHER), float(KIND_OTHER))
+    return Solid(np.array(planes), row, deck_outline(bridge), max(heights))
+
+
+def deck_outline(bridge: Bridge) -> shapely.Polygon:
+    """Footprint of a bridge's deck, in metres from the scene's origin."""
+    line = shapely.LineString(bridge.ends_m)
+    return line.buffer(bridge.width_m / 2, cap_style="flat")
 
 
 def tower_solid(x: float, y: float, base_m: float, wires: Wires) -> Solid:

@@ -65,6 +65,8 @@ class SceneArrays(NamedTuple):
     #: row.
     cell_first: NDArray[np.int64]
     cell_item: NDArray[np.int64]  #: (k,): solids, then crowns, then wires, numbered through.
+    #: Highest ground where some is so steep that a ray may meet it twice [m]; -inf without.
+    steep_top: float = -math.inf
 
 
 @njit()
@@ -129,6 +131,44 @@ def hit_ground(
     t = (z - o[2]) / d[2]
     cosine = (sx * d[0] + sy * d[1] - d[2]) / math.sqrt(1 + sx * sx + sy * sy)
     return t, max(cosine, 0.0)
+
+
+@njit()
+def meet_steep_ground(
+    ground_z: NDArray[np.float64], grid: NDArray[np.float64], top: float, o: Any, d: Any
+) -> tuple[float, float]:
+    """Where a ray first meets ground that may be as steep as a cliff.
+
+    Parameters
+    ----------
+    ground_z, grid, o, d
+        As for :func:`hit_ground`.
+    top : float
+        Height above which there is no ground [m].
+
+    Returns
+    -------
+    range_m, cosine : float
+    """
+    across = math.hypot(d[0], d[1])
+    step = min(0.25 * grid[2] / max(across, 1e-9), 1.0)
+    low = max((top - o[2]) / d[2], 0.0)
+    while True:
+        high = low + step
+        z, _, _ = bilinear(ground_z, grid, o[0] + high * d[0], o[1] + high * d[1])
+        if o[2] + high * d[2] <= z:
+            break
+        low = high
+    for _ in range(20):
+        t = 0.5 * (low + high)
+        z, _, _ = bilinear(ground_z, grid, o[0] + t * d[0], o[1] + t * d[1])
+        if o[2] + t * d[2] <= z:
+            high = t
+        else:
+            low = t
+    _, sx, sy = bilinear(ground_z, grid, o[0] + low * d[0], o[1] + low * d[1])
+    cosine = (sx * d[0] + sy * d[1] - d[2]) / math.sqrt(1 + sx * sx + sy * sy)
+    return low, max(cosine, 0.0)
 
 
 @njit()

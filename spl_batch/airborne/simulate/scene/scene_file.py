@@ -34,8 +34,22 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class Landform(Section):
+    """Ground that is raised or lowered within a ring, and falls back to the relief beside it.
+
+    A wide ring with a steep edge is a plateau above cliffs, a narrow one a ridge; lowered, these
+    are a quarry and a gorge.
+    """
+
+    ring_m: tuple[Place, ...] = Field(min_length=3, description="Corners, east and north [m].")
+    height_m: float = Field(description="By which the ground within is raised [m].")
+    slope_deg: float = Field(
+        90.0, gt=0, le=90, description="Of the edge; 90 is a cliff from node to node [deg]."
+    )
+
+
 class Terrain(Section):
-    """Ground: smooth random relief, and how it reflects."""
+    """Ground: smooth random relief, landforms on it, and how it reflects."""
 
     relief_m: NotNegative = Field(15.0, description="Highest less lowest ground [m].")
     wavelength_m: Positive = Field(120.0, description="Size of hills [m].")
@@ -43,6 +57,7 @@ class Terrain(Section):
     reflectance: Share = Field(0.25, description="Mean reflectance of the ground.")
     reflectance_variation: Share = Field(0.3, description="Relative spread of it.")
     grid_m: Positive = Field(1.0, description="Node spacing of the ground [m].")
+    landforms: tuple[Landform, ...] = Field((), description="Plateaus, ridges, valleys.")
 
 
 class Building(Section):
@@ -62,6 +77,15 @@ class Buildings(Section):
 
     count: int = Field(0, ge=0, description="Random buildings [count].")
     items: tuple[Building, ...] = Field((), alias="list", description="Buildings one by one.")
+
+
+class Bridge(Section):
+    """A straight deck between two places on the ground."""
+
+    ends_m: tuple[Place, Place] = Field(description="Middles of its ends [m].")
+    width_m: Positive = Field(8.0, description="Of the deck [m].")
+    thickness_m: Positive = Field(1.2, description="Of the deck [m].")
+    reflectance: Share = Field(0.2, description="Of the deck.")
 
 
 class Trees(Section):
@@ -274,6 +298,7 @@ class Scene(Section):
     buildings: Buildings = Buildings()
     trees: Trees = Trees()
     wires: tuple[Wires, ...] = ()
+    bridges: tuple[Bridge, ...] = ()
     water: tuple[Water, ...] = ()
     reflectors: tuple[Reflector, ...] = ()
     flights: tuple[Flight, ...] = Field(min_length=1, description="Flightlines in flown order.")

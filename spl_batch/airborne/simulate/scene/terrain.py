@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from spl_batch.airborne.simulate.scene.ray_trace import KIND_BOTTOM, KIND_GROUND, KIND_WATER
-from spl_batch.airborne.simulate.scene.scene_file import Scene
+from spl_batch.airborne.simulate.scene.scene_file import Landform, Scene
 
 APRON_M = 60.0
 """How far the ground goes on beyond the extent, so that slanted beams meet it [m]."""
@@ -35,6 +35,8 @@ def make_ground(scene: Scene, rng: np.random.Generator) -> Ground:
     relief = _smooth_noise(rng, (ny, nx), terrain.wavelength_m / step / 4)
     z = scene.origin_m[2] + terrain.relief_m * (relief - 0.5)
     z += terrain.roughness_m * rng.standard_normal((ny, nx))
+    for form in terrain.landforms:
+        z += _raised(form, np.array([-apron, -apron, step]), z.shape)
     bright = _smooth_noise(rng, (ny, nx), 10.0 / step) - 0.5
     bright /= max(float(bright.std()), 1e-9)
     rho = terrain.reflectance * np.clip(1 + terrain.reflectance_variation * bright, 0.05, 3.0)
@@ -79,6 +81,17 @@ def _smooth_noise(
     low, high = float(large.min()), float(large.max())
     scaled: NDArray[np.float64] = (large - low) / max(high - low, 1e-12)
     return scaled
+
+
+def _raised(
+    form: Landform, grid: NDArray[np.float64], shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """By how much a landform raises each node [m]."""
+    x, y = (first + grid[2] * np.arange(n) for first, n in zip(grid, shape[::-1], strict=False))
+    away = shapely.distance(shapely.Polygon(form.ring_m), shapely.points(*np.meshgrid(x, y)))
+    fall = away * math.tan(math.radians(form.slope_deg))
+    left: NDArray[np.float64] = np.maximum(abs(form.height_m) - fall, 0.0)
+    return math.copysign(1.0, form.height_m) * left
 
 
 def _flood(scene: Scene, ground: Ground) -> Ground:

@@ -1,0 +1,254 @@
+"""Steep ground with truth: ``python -m benchmarks.airborne.ground.steep [FOLDER]``.
+
+Small surveys of ridges and gorges of 50 to 60 degrees, of cliffs of 15 m, in the open and under
+trees, and of a bridge over a valley run with the default settings. Of each the table says
+
+- ``ground``: returns of the ground that the run calls ground [%], of those that its filter kept;
+- ``rmse``, ``> 0.5 m``, ``< -0.5 m``: the delivered terrain model against the truth [m, %, %]. At a
+  cliff a cell holds all heights between foot and top: a height counts as right within those that
+  the truth has in the cell and the eight around it;
+- ``largest``: the largest difference [m];
+- ``objects``: returns of trees, decks and roofs more than 0.5 m above the ground that are called
+  ground [%].
+
+``run`` is the delivered result. The other rows are methods on the points that the run kept, less
+noise more than 5 m below all ground, which the cloth filter does not stand, with the TIN of what
+they call ground as terrain: the project's, and the three stock settings of the cloth filter of PyPI
+(``cloth-simulation-filter``).
+"""
+
+import argparse
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import rasterio
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from benchmarks.airborne.ground.ground_tiles import CLOTHS, cloth, project, terrain
+from benchmarks.airborne.ground.ground_tiles import Tile as Points
+from benchmarks.airborne.quality import KINDS
+from spl_batch import api
+from spl_batch.airborne.simulate import simulate
+from spl_batch.airborne.simulate.scene.scene_file import parse_scene
+from spl_batch.constants import CLASS_GROUND, QUANTUM_M
+from spl_batch.lattice.tables import PointTable
+
+EDGE_M: Final = 120
+RIM: Final = 3
+"""Cells that are left off at the edges of a survey [count]."""
+
+COMMON: Final[Mapping[str, Any]] = {
+    "extent_m": (EDGE_M, EDGE_M),
+    "terrain": {"relief_m": 6, "wavelength_m": 100, "roughness_m": 0.05},
+    "flights": [
+        {"heading_deg": 0, "offset_m": 300, "speed_m_s": 110},
+        {"heading_deg": 90, "offset_m": -280, "speed_m_s": 110},
+    ],
+    "sky": {"background_per_m3": 0.05},
+    "acquisition": {"prf_hz": 25_000, "gate_m": 300},
+}
+TREES: Final = {"cover": 0.6, "height_m": (10, 25), "radius_m": (1.5, 4.0), "understory": 0.4}
+
+
+def _ridges(slope_deg: float, height_m: float = 30.0) -> dict[str, Any]:
+    """A ridge, and a gorge beside it."""
+    forms = [
+        {"ring_m": [(-60, 20), (180, 50), (180, 52), (-60, 22)], "height_m": height_m},
+        {"ring_m": [(-60, 80), (180, 105), (180, 107), (-60, 82)], "height_m": -height_m},
+    ]
+    return {"landforms": [{**form, "slope_deg": slope_deg} for form in forms]}
+
+
+_PLATEAU: Final = [(-70, -70), (55, -70), (65, 30), (50, 60), (-70, 75)]
+_VALLEY: Final = [(50, -80), (60, -80), (75, 200), (65, 200)]
+_BRIDGE: Final = {"ends_m": [(28, 62), (100, 58)], "width_m": 9}
+
+SCENES: Final[Mapping[str, Mapping[str, Any]]] = {
+    "ridges 50 deg": {"terrain": _ridges(50)},
+    "ridges 50 deg, trees": {"terrain": _ridges(50), "trees": TREES},
+    "ridges 60 deg, trees": {"terrain": _ridges(60), "trees": TREES},
+    "cliff 15 m": {"terrain": {"landforms": [{"ring_m": _PLATEAU, "height_m": 15}]}},
+    "cliff 15 m, trees": {
+        "terrain": {"landforms": [{"ring_m": _PLATEAU, "height_m": 15}]},
+        "trees": TREES,
+    },
+    "cliff on a slope, trees": {
+        "terrain": {"relief_m": 60, "wavelength_m": 130,
+                    "landforms": [{"ring_m": _PLATEAU, "height_m": 15, "slope_deg": 80}]},
+        "trees": TREES,
+    },
+    "bridge over a valley": {
+        "terrain": {"landforms": [{"ring_m": _VALLEY, "height_m": -18, "slope_deg": 40}]},
+        "bridges": [_BRIDGE],
+        "trees": {"cover": 0.2},
+    },
+    "bridge over a gorge": {
+        "terrain": {"landforms": [{"ring_m": _VALLEY, "height_m": -15, "slope_deg": 85}]},
+        "bridges": [{**_BRIDGE, "ends_m": [(45, 62), (84, 60)]}],
+        "trees": {"cover": 0.2},
+    },
+}  # fmt: skip
+
+Grid = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Truth(NamedTuple):
+    """True heights of a survey's cells [m], north up, and where their first corner lies [m]."""
+
+    height: Grid
+    left: float
+    top: float
+
+
+class Kept(NamedTuple):
+    """Points that a run kept.
+
+    Parameters
+    ----------
+    xyz : (n, 3) int64
+        Places [quanta].
+    kind : (n,) integer
+        What they are, as in ``KINDS``.
+    called : (n,) bool
+        Whether the run calls them ground.
+    """
+
+    xyz: NDArray[np.int64]
+    kind: NDArray[Any]
+    called: Mask
+
+
+def process(name: str, seed: int, folder: Path) -> Path:
+    """Simulate and run one survey."""
+    survey = folder / f"{name}_{seed}".replace(" ", "_").replace(",", "")
+    if not (survey / "workflow.yaml").exists():
+        of = SCENES[name]
+        ground = {**COMMON["terrain"], **of["terrain"]}
+        content = {**COMMON, **of, "terrain": ground, "name": name, "seed": seed}
+        simulate(parse_scene(content, name), survey)
+    api.run(survey / "workflow.yaml")
+    return survey
+
+
+def load(survey: Path) -> tuple[Truth, Kept]:
+    """Truth of a survey, and the points that its run kept."""
+    with rasterio.open(survey / "truth" / "dtm.tif") as source:
+        truth = Truth(source.read(1).astype(np.float64), source.bounds.left, source.bounds.top)
+    parts: list[Kept] = []
+    for path in sorted((survey / "out" / "laz").rglob("*.laz")):
+        las = laspy.read(path)
+        kept = np.asarray(las["noise_class"]) == 0
+        kind = pq.read_table(survey / "truth" / f"{path.stem}.parquet")["kind"].to_numpy()
+        places = [np.rint(np.asarray(v)[kept] / QUANTUM_M) for v in (las.x, las.y, las.z)]
+        called = np.asarray(las.classification)[kept] == CLASS_GROUND
+        parts.append(Kept(np.column_stack(places).astype(np.int64), kind[kept], called))
+    return truth, Kept(*(np.concatenate(some) for some in zip(*parts, strict=True)))
+
+
+def delivered(survey: Path, truth: Truth) -> Grid:
+    """The run's terrain on the cells of the truth."""
+    rows, columns = truth.height.shape
+    with rasterio.open(survey / "out" / "dtm.tif") as source:
+        frame = truth.left, truth.top - rows, truth.left + columns, truth.top
+        window = source.window(*frame).round_offsets().round_lengths()
+        found = source.read(1, window=window, boundless=True, fill_value=source.nodata)
+        return np.where(found == source.nodata, np.nan, found.astype(np.float64))
+
+
+def figures(truth: Truth, kept: Kept, called: Mask, dtm: Grid) -> dict[str, float]:
+    """What a result is worth."""
+    low, high = ndimage.minimum_filter(truth.height, 3), ndimage.maximum_filter(truth.height, 3)
+    # At a cliff any height between foot and top is right.
+    off = np.where(dtm > truth.height, np.maximum(dtm - high, 0), np.minimum(dtm - low, 0))
+    cliff = high - low > CLIFF_M
+    off = np.where(cliff, off, dtm - truth.height)[RIM:-RIM, RIM:-RIM]
+    off = off[np.isfinite(off)]
+    row = np.floor(truth.top - kept.xyz[:, 1] * QUANTUM_M).astype(int)
+    column = np.floor(kept.xyz[:, 0] * QUANTUM_M - truth.left).astype(int)
+    rows, columns = truth.height.shape
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    above = np.zeros(len(row))
+    above[inside] = kept.xyz[inside, 2] * QUANTUM_M - high[row[inside], column[inside]]
+    names = ("vegetation", "roof", "other")
+    objects = inside & np.isin(kept.kind, [KINDS.index(n) for n in names]) & (above > 0.5)
+    return {
+        "ground": 100 * float(called[inside & (kept.kind == KINDS.index("ground"))].mean()),
+        "rmse": float(np.sqrt(np.mean(off**2))),
+        "> 0.5 m": 100 * float(np.mean(off > 0.5)),
+        "< -0.5 m": 100 * float(np.mean(off < -0.5)),
+        "largest": float(np.abs(off).max()),
+        "objects": 100 * float(called[objects].mean()) if objects.any() else 0.0,
+    }
+
+
+CLIFF_M: Final = 6.0
+"""Range of true heights in nine cells from which on they are a cliff's: over 70 degrees [m]."""
+
+
+DEEP_M: Final = 5.0
+"""Kept points so far below all ground are left out for methods alone [m]."""
+
+
+def by_methods(truth: Truth, kept: Kept, names: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Methods on the points that a run kept."""
+    deep = kept.xyz[:, 2] * QUANTUM_M < truth.height.min() - DEEP_M
+    kept = Kept(*(some[~deep] for some in kept))
+    x, y, z = kept.xyz.T
+    order = np.lexsort([z, y, x])
+    table = PointTable({"x": x[order], "y": y[order], "z": z[order].astype(np.int32)})
+    points = Points("", table, np.zeros(len(x), np.uint8), np.empty((0, 2)), np.empty(0))
+    places = _centres(truth, points)
+    found = {}
+    for name in names:
+        if name in CLOTHS:
+            rigid, smooth = CLOTHS[name]
+            mask = cloth(points.xyz, rigid, smooth=smooth)
+        else:
+            mask = project(name, cells=False)(points)
+        base = float(np.floor(z.min() * QUANTUM_M))
+        dtm = base + terrain(points.xyz[mask], places).reshape(truth.height.shape)
+        called = np.zeros(len(x), np.bool_)
+        called[order] = mask
+        found[name] = figures(truth, kept, called, dtm)
+    return found
+
+
+def _centres(truth: Truth, points: Points) -> Grid:
+    """Middles of the truth's cells from the corner that the points count from: (m, 2) [m]."""
+    rows, columns = truth.height.shape
+    corner = [np.floor(points.table[axis].min() * QUANTUM_M) for axis in "xy"]
+    x = truth.left + 0.5 + np.arange(columns) - corner[0]
+    y = truth.top - 0.5 - np.arange(rows) - corner[1]
+    return np.column_stack([v.ravel() for v in np.meshgrid(x, y)])
+
+
+def main() -> None:
+    """Simulate, run, and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--only", nargs="+", choices=list(SCENES), default=list(SCENES))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[11])
+    parser.add_argument("--methods", nargs="*", default=["multiscale", "ptd", *CLOTHS])
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        for name in given.only:
+            for seed in given.seeds:
+                survey = process(name, seed, given.folder or Path(temporary))
+                truth, kept = load(survey)
+                run = figures(truth, kept, kept.called, delivered(survey, truth))
+                rows = {"run": run, **by_methods(truth, kept, given.methods)}
+                print(f"{name}, seed {seed}".ljust(34) + "".join(f"{n:>10}" for n in run))
+                for method, row in rows.items():
+                    values = "".join(f"{value:10.2f}" for value in row.values())
+                    print(f"  {method:32}{values}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
