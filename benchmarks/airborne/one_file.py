@@ -6,14 +6,15 @@ Simulates one pass over a square of the kind of :mod:`benchmarks.airborne.whole_
 once. Then it runs `spl-batch run` on a workflow of it and `spl-batch denoise --ground --dtm` on its
 file with the same trajectory, in turn, in one process each and with kernels compiled before. Prints
 processor seconds per million returns of both, which other work on the machine changes less than
-wall time, and their ratio.
+wall time, their ratio, and the most memory that each process held.
 """
 
 import argparse
 import json
-import resource
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from statistics import median
 
@@ -37,28 +38,31 @@ def main(folder: Path, side_m: float, repeats: int) -> None:
         ],
     }
     cost(ways["run"])  # compiles, and touches memory for the first time
-    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    spent: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
     for _ in range(repeats):
         for name, arguments in ways.items():
-            seconds[name].append(cost(arguments))
+            spent[name].append(cost(arguments))
     report = json.loads((workflow.parent / "out" / "report.json").read_text(encoding="utf-8"))
     millions = report["counts"]["points_in"] / 1e6
     print(f"{millions:.2f} M returns, median of {repeats}")
-    found = {name: median(values) / millions for name, values in seconds.items()}
+    found = {name: median(time_s for time_s, _ in each) / millions for name, each in spent.items()}
     for name, value in found.items():
-        print(f"{name:8s}{value:7.2f} s of processor a million")
+        peak = max(mib for _, mib in spent[name])
+        print(f"{name:8s}{value:7.2f} s of processor a million, {peak:6.0f} MiB at most")
     print(f"denoise / run: {found['denoise'] / found['run']:.2f}")
 
 
-def cost(arguments: list[object]) -> float:
-    """Processor time of a command in one process [s]."""
+def cost(arguments: list[object]) -> tuple[float, float]:
+    """Processor time [s] and largest memory [MiB] of a command in one process."""
     line = [sys.executable, "-m", "spl_batch", *map(str, arguments), "--workers", "0"]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(line, check=False, capture_output=True, text=True)  # noqa: S603
-    if done.returncode:
-        sys.exit(f"{' '.join(line)}: ended with {done.returncode}\n{done.stderr}")
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return (after.ru_utime + after.ru_stime) - (before.ru_utime + before.ru_stime)
+    with tempfile.TemporaryFile("w+") as said:
+        process = subprocess.Popen(line, stdout=said, stderr=said)  # noqa: S603
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            said.seek(0)
+            sys.exit(f"{' '.join(line)}: ended with {process.returncode}\n{said.read()}")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 
 if __name__ == "__main__":

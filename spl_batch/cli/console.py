@@ -1,4 +1,4 @@
-"""A console for texts that others wrote."""
+"""A console for texts that others wrote, and whether somebody sits before it."""
 
 from collections.abc import Iterable
 
@@ -17,6 +17,15 @@ class PlainConsole(Console):
         """Segments of something, as :class:`rich.console.Console` gives them."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else _shown(segment)
+
+
+def is_screen(console: Console) -> bool:
+    """Whether what is printed can be drawn over later.
+
+    `FORCE_COLOR` asks for colours, and rich then takes a pipe for a terminal. Notebooks set it for
+    the commands of their cells, and show the codes that move a cursor as text.
+    """
+    return console.is_interactive and console.file.isatty()
 
 
 def _shown(segment: Segment) -> Segment:

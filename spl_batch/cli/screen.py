@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from spl_batch.cli.console import PlainConsole
+from spl_batch.cli.console import PlainConsole, is_screen
 from spl_batch.cli.lines import LINE_MAX, screen_lines
 from spl_batch.cli.live import TOLD_FROM_S, details, duration, expected, taken
 from spl_batch.engine.report import number_format as texts
@@ -149,11 +150,13 @@ def print_status(status: "RunStatus") -> None:
 
 
 def watch_status(follower: "Follower", every_s: float = 1.0) -> "RunStatus":
-    """Show the state of a run until it ends, or somebody has seen enough."""
+    """Show the state of a run until it ends; a pipe or a log gets the last one."""
     status = follower.update()
-    with Live(console=_OUT, auto_refresh=False, transient=True) as live:
+    live = Live(console=_OUT, auto_refresh=False, transient=True)
+    with live if is_screen(_OUT) else nullcontext():
         while status.holder is not None and status.ended is None:
-            live.update(_whole(status), refresh=True)
+            if live.is_started:
+                live.update(_whole(status), refresh=True)
             time.sleep(every_s)
             status = follower.update()
     print_status(status)
@@ -218,7 +221,7 @@ def print_alone(result: "AloneResult") -> None:
 
 def _pairs(pairs: Sequence[tuple[str, str]]) -> None:
     """Label and value, side by side; in a pipe or a log each pair is one line, however long."""
-    if not _OUT.is_terminal:
+    if not is_screen(_OUT):
         width = max((len(label) for label, _ in pairs), default=0)
         for label, value in pairs:
             _lines(f"{label:{width}}  {value}")

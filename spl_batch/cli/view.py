@@ -10,7 +10,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from spl_batch.cli.console import PlainConsole
+from spl_batch.cli.console import PlainConsole, is_screen
 from spl_batch.cli.lines import screen_lines
 from spl_batch.cli.live import bars, details, duration, speed
 from spl_batch.engine.watch.events import (
@@ -197,7 +197,7 @@ class PlainView(View):
 @contextmanager
 def watching() -> Iterator[View]:
     """Show on standard error what happens while the block runs."""
-    if not _ERR.is_terminal:
+    if not is_screen(_ERR):
         plain, over = PlainView(_ERR), threading.Event()
 
         def beat() -> None:

@@ -3,13 +3,16 @@
 import io
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -419,9 +422,17 @@ def test_a_stage_that_was_finished_before_says_so(tmp_path: Path) -> None:
 # The screen
 
 
+class Screen(io.StringIO):
+    """A text that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
 def test_a_terminal_sees_the_map_and_a_log_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    out = io.StringIO()
-    terminal = Console(file=out, force_terminal=True, color_system="256", width=100, height=40)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    out = Screen()
+    terminal = Console(file=out, color_system="256", width=100, height=40)
     monkeypatch.setattr(view, "_ERR", terminal)
     with view.watching() as watching:
         watching.simulated(0.5)
@@ -443,6 +454,28 @@ def test_a_terminal_sees_the_map_and_a_log_plain_lines(monkeypatch: pytest.Monke
     assert "failed: denoise 1_0: RuntimeError: broken" in lines
     assert any(line.startswith("denoise: 2/6") for line in lines)
     assert "\x1b" not in plain.file.getvalue()
+
+
+def test_colours_that_are_forced_make_no_screen_of_a_pipe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as a notebook does for the commands of its cells
+    for module, name in ((view, "_ERR"), (screen, "_OUT")):
+        monkeypatch.setattr(module, name, Console(file=io.StringIO(), width=100))
+    with view.watching() as watching:
+        for event in a_run():
+            watching.on_event(event)
+        watching.on_event(Note("warning", "look out"))
+    here = {"pid": 1, "host": "here", "started": "now"}
+    states = [replace(fed(a_run()), holder=here), fed([*a_run(), RunEnded(0)])]
+    follower = SimpleNamespace(update=lambda: states.pop(0))
+    screen.watch_status(cast("api.Follower", follower), every_s=0.0)
+    for console in (view._ERR, screen._OUT):
+        text = cast("io.StringIO", console.file).getvalue()
+        assert text.strip()
+        codes = set(re.findall(r"\x1b\[[0-9;?]*([A-Za-z])", text))
+        assert codes <= {"m"}, "colours, and nothing that moves a cursor or clears a line"
 
 
 def test_a_view_says_what_goes_on_where_no_task_runs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,6 +21,9 @@ HIGHEST_M: Final = 1e6
 FARTHEST_M: Final = 1e9
 """The same of eastings and northings [m]."""
 
+COARSE_M: Final = 0.01
+"""Coordinates that are held in coarser steps have lost what a filter and a terrain need [m]."""
+
 Numbers = NDArray[Any]
 
 
@@ -71,6 +74,8 @@ def points_of(
     InputError
         If a shape is wrong, or a coordinate is no place.
     """
+    if hasattr(xyz, "xyz"):
+        raise InputError("xyz", f"a {type(xyz).__name__}, and no array; give its attribute xyz")
     place = np.asarray(xyz)
     if place.ndim != 2 or place.shape[1] != 3 or place.dtype.kind not in "fiu":
         raise InputError(
@@ -112,6 +117,22 @@ def _misplaced(place: Numbers) -> list[str]:
         value = ", ".join(f"{v:g}" for v in place[far[0]])
         faults.append(f"point number {far[0]} lies at {value}; give metres in a projected CRS")
     return faults
+
+
+def coarse(xyz: ArrayLike) -> tuple[str, ...]:
+    """What a caller should know of coordinates whose type cannot hold centimetres."""
+    place = np.asarray(xyz)
+    if not len(place):
+        return ()
+    if place.dtype.kind in "iu":
+        text = "xyz holds whole numbers, which are taken as metres"
+        return (f"{text}; the X, Y, Z of a LAS file are counts: give its scaled coordinates",)
+    farthest = np.abs(place).max()
+    step_m = float(np.spacing(farthest))
+    if step_m <= COARSE_M:
+        return ()
+    text = f"xyz is {place.dtype}, which holds {farthest:.0f} m to {step_m:.2g} m only"
+    return (f"{text}; points are rounded to that; give float64",)
 
 
 def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:

@@ -6,13 +6,13 @@ It is given, or follows from the beams as in a run, or is measured in the cloud'
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spl_batch.airborne.arrays.checked import densities, points_of, settings_of
+from spl_batch.airborne.arrays.checked import coarse, densities, points_of, settings_of
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
@@ -82,8 +82,9 @@ class Labels:
         counts = [int(np.count_nonzero(self.noise_class == value)) for value in kinds.values()]
         said = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
         said += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
-        said += [f"noise density {self.basis}", *self.warnings]
-        return f"Labels({grouped(len(self))} points: {', '.join(said)})"
+        said += [f"noise density {self.basis}"]
+        counted = f"Labels({grouped(len(self))} points: {', '.join(said)})"
+        return "\n".join([counted, *(f"warning: {text}" for text in self.warnings)])
 
 
 class ExpectedNoise(NamedTuple):
@@ -191,7 +192,8 @@ def filter_points(
     origin = _origins(beam_origin, table, timed=gps_time is not None)
     given = None if noise_density is None else densities(noise_density, len(table))
     known = assess(table, origin, chosen) if gps_time is not None and len(table) else None
-    return _filtered(table if known is None else known.table, given, known, chosen)
+    labels = _filtered(table if known is None else known.table, given, known, chosen)
+    return replace(labels, warnings=(*coarse(xyz), *labels.warnings))
 
 
 @telling

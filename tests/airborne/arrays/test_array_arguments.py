@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,21 @@ def test_a_cloud_alone_is_filtered_and_says_what_its_noise_is_from() -> None:
     assert len(labels) == len(CLOUD)
     assert repr(labels).startswith("Labels(11 000 points: ")
     assert "afterpulse" in repr(labels)
+
+
+def test_coordinates_that_lost_their_decimals_are_told() -> None:
+    far = CLOUD[::10] + np.array([500_000, 5_000_000, 0])
+    assert not any("xyz" in text for text in spl_batch.filter_points(far, 0.01).warnings)
+    labels = spl_batch.filter_points(far.astype(np.float32), 0.01)
+    assert labels.warnings[0].startswith("xyz is float32, which holds 5000040 m to 0.5 m only")
+    assert repr(labels).splitlines()[1] == f"warning: {labels.warnings[0]}"
+    near = spl_batch.filter_points(CLOUD[::10].astype(np.float32), 0.01)
+    assert near.warnings == (), "float32 holds these to the millimetre"
+    counts = spl_batch.filter_points(np.rint(far[:100] * 100).astype(np.int32), 0.01)
+    assert counts.warnings[0].startswith("xyz holds whole numbers, which are taken as metres")
+    cloud = SimpleNamespace(xyz=far)
+    with pytest.raises(InputError, match="and no array; give its attribute xyz"):
+        spl_batch.filter_points(cloud)  # type: ignore[arg-type]
 
 
 def test_a_given_density_decides() -> None:
