@@ -88,10 +88,22 @@ class Beam:
             if ground:
                 limits = PROFILE.photons_factor * wanted, PROFILE.false_share
                 least[z] = np.minimum(least[z], signals.thresholds(counts[z], away[z], *limits))
+        alone = [
+            chance.noise_alone(
+                float(counts[0, w, b:].sum()),
+                float(expected[0, w, b:].sum()),
+                expected[0, w].sum() / max(counts[0, w].sum(), 1),
+                settings.neighbours,
+            )
+            for w, b in enumerate(least[0])
+        ]
+        unsure = np.array(alone) > chance.LIKE_NOISE
         passed = signals.score_bins(found) >= least[self._zone(along, height, window)]
         self.told = float(each[passed].sum() / chance.SHARE_QUANTA)
         self.told_at = along[passed], height[passed], each[passed] / chance.SHARE_QUANTA
-        kept: Mask = signals.score_bins(score) >= least[self._zone(*photons, window)]
+        zone, at = self._zone(*photons, window)
+        kept: Mask = signals.score_bins(score) >= least[zone, at]
+        self.doubtful = np.count_nonzero(kept & (zone == 0) & unsure[at])
         return kept
 
     def _zone(self, along: Any, height: Any, window: Any) -> tuple[Any, Any]:

@@ -184,6 +184,23 @@ def test_a_csv_is_labelled_whatever_its_order(tmp_path: Path) -> None:
     assert not (tmp_path / "out/hdf5").exists()
 
 
+def test_signal_that_noise_alone_gives_is_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    noise = np.c_[np.sort(rng.uniform(0.0, 10_000.0, 2000)), rng.uniform(-70.0, 30.0, 2000)]
+    head = "along_track,height"
+    path = tmp_path / "noise.csv"
+    np.savetxt(path, noise, fmt="%.3f", delimiter=",", header=head, comments="")
+    write_csv(tmp_path / "hills.csv", small_track(3))
+    workflow = write_workflow(tmp_path, "*.csv")
+    assert run(workflow).status == 0
+    found = [text for text in report(workflow)["warnings"] if "noise alone gives" in text]
+    assert len(found) == 1, found
+    assert found[0].startswith("noise.csv: track")
+    assert "on 10 km of track between 0 and 10 km" in found[0]
+    beam = next(b for b in report(workflow)["beams"] if b["file"] == "noise.csv")
+    assert f"{beam['signal']:,} of the".replace(",", " ") in found[0]
+
+
 def test_a_simulated_track_is_run_and_measured(tmp_path: Path) -> None:
     scene = tmp_path / "scene.yaml"
     content = yaml.safe_load((ROOT / "workflows/altimetry_scene.yaml").read_text())

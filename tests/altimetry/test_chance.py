@@ -155,3 +155,17 @@ def test_what_is_taken_under_trees_agrees_better_with_the_truth(colour: str) -> 
     mean_f1 = {name: np.mean(values) for name, values in found.items()}
     assert mean_f1["f1"] > mean_f1["number"] + 0.002
     assert mean_f1["f1"] > mean_f1["mdbscan"]
+
+
+def test_noise_in_clumps_gives_no_more_than_is_told() -> None:
+    rng = np.random.default_rng(3)
+    clumps = rng.poisson(3.0, 4000) * 20.0
+    alone = np.array([chance.noise_alone(taken, 60.0, 0.0, 20) for taken in clumps])
+    for level in (0.5, 0.2, 0.05, 0.01):
+        assert np.mean(alone <= level) <= level + 3.0 * np.sqrt(level / len(alone))
+    assert chance.noise_alone(0.0, 0.0, 0.0, 20) == 1.0
+    assert chance.noise_alone(1200.0, 990.0, 0.9, 20) > chance.LIKE_NOISE
+    assert chance.noise_alone(1393.0, 102.0, 0.8, 20) < chance.LIKE_NOISE
+    few, many = (chance.noise_alone(17.0, 0.0, share, 20) for share in (0.0, 1.0))
+    assert few == 0.0
+    assert many > chance.LIKE_NOISE

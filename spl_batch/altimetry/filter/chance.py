@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 from scipy.spatial import cKDTree
 
 from spl_batch.altimetry.filter.likelihood import Ratios
@@ -44,6 +45,9 @@ _STEPS: Final = (np.uint64(0xC13FA9A902A6328F), np.uint64(0x91E10DA5C79E7B1D))
 """1 / g and 1 / g^2 of 2^64, g being the plastic number, g^3 = g + 1."""
 _HALF: Final = np.uint64(32)
 _BATCH: Final = 65_536
+
+LIKE_NOISE: Final = 1e-6
+"""Photons that noise alone would give as often as this are no sure signal [probability]."""
 
 _MOST_LOST: Final = 0.05
 """Part of the F1 to be expected that the limit on far photons may cost."""
@@ -143,6 +147,28 @@ def score_places(
             total -= np.where(k < most[rows], log_noise, 0.0)
         out[rows] = total / most[rows]
     return out
+
+
+def noise_alone(taken: float, noise: float, share: float, neighbours: int) -> float:
+    """Probability that noise alone gives as many photons as are taken; 1 where none are.
+
+    A photon passes for signal by its neighbours, so noise passes in clumps of about as many as
+    count. Clumps are taken as a Poisson process. Noise is told to the photons that a place stands
+    for, so that many are added.
+
+    Parameters
+    ----------
+    taken, noise : float
+        Photons taken, and noise photons expected among them.
+    share : float
+        Share of noise among all photons, taken or not.
+    neighbours : int
+        Neighbours that count.
+    """
+    if not taken:
+        return 1.0
+    most = noise + _PHOTONS_PER_PLACE * min(share, 1.0)
+    return float(special.gammainc(taken / neighbours, most / neighbours))
 
 
 def best_thresholds(

@@ -1,12 +1,13 @@
 """Stage ``report``: what all receipts say together, as one report with its pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.altimetry.filter.chance import SHARE_QUANTA
 from spl_batch.altimetry.photon_table import LABELS
 from spl_batch.altimetry.report.model import Agreement, Beam, TrackCounts, TrackReport
 from spl_batch.altimetry.report.page import render
@@ -71,8 +72,9 @@ UNSEEN_SHARE: Final = 0.1
 """Share of a track without any noise seen that a reader has to know of."""
 
 _FAR_TIMES: Final = 2.0
-_FAR_LEAST: Final = 10
-"""Far photons among the signal, over those allowed and as such, that are no chance."""
+SAID_LEAST: Final = 10
+"""Far photons among the signal, over those allowed and as such, that are no chance; fewer of any
+kind are not worth a warning."""
 
 
 def _warnings(done: Receipts, limit: float) -> list[str]:
@@ -87,13 +89,14 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
             text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
             found.append(Said(beam, f"{text}is an upper bound"))
         far = chosen["far_signal"]
-        if far > _FAR_TIMES * limit * max(kept, 1) and far >= _FAR_LEAST:
+        if far > _FAR_TIMES * limit * max(kept, 1) and far >= SAID_LEAST:
             text = (
                 f"{grouped(far)} of the {grouped(kept)} signal photons lie farther than "
                 "rate.buffer_m from the surface, more than signal.false_share allows of noise; a "
                 "cloud, a cliff or a second surface is among the signal"
             )
             found.append(Said(beam, text))
+        found += [Said(beam, text) for text in _like_noise(chosen, kept)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
             found.append(Said(beam, text))
@@ -106,6 +109,25 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
                 )
             found.append(Said(beam, text))
     return list(shared(found, "beams"))
+
+
+def _like_noise(chosen: Mapping[str, Any], kept: int) -> Iterator[str]:
+    """What noise alone could have given, of a beam's signal and of its floor."""
+    at = chosen["doubtful"]
+    if at["photons"] >= SAID_LEAST:
+        yield (
+            f"{grouped(at['photons'])} of the {grouped(kept)} signal photons, on "
+            f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
+            f"{at['to_m'] / 1000:g} km, are no more than noise alone gives "
+            f"({grouped(at['noise'])} expected): there is no sure signal there, and ground and "
+            "canopy there mean nothing"
+        )
+    photons, noise = chosen["doubtful_floor"]
+    if photons >= SAID_LEAST:
+        yield (
+            f"the {grouped(photons)} photons called floor are no more than noise below a surface "
+            f"gives ({grouped(noise / SHARE_QUANTA)} expected): there is no sure floor"
+        )
 
 
 def _counts(done: Receipts) -> TrackCounts:

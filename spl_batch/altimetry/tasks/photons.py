@@ -254,30 +254,68 @@ def select(args: Mapping[str, Any], context: Context) -> Produced:
     window = np.unique(index)
     _, sums = rates.of_window(scale.index, values, workflow.rate, workflow.signal.window_m)
     least = np.empty((2, ZONES, len(window)), np.int64)
-    taken = np.zeros(len(COUNTED), np.int64)
+    taken, every = (np.zeros((ZONES, len(COUNTED)), np.int64) for _ in range(2))
+    doubtful = np.zeros((2, len(window)))
     for first in range(0, len(window), SELECT_WINDOWS):
         stop = min(first + SELECT_WINDOWS, len(window))
         # Each window is decided with the two beside it.
         low, high = max(first - 1, 0), min(stop + 1, len(window))
         counts = _of_segments(window[low:high], args["segments"], context)
-        around = rates.running(window[low:high], np.moveaxis(counts, 2, 3).astype(np.float64))
+        running = rates.running(window[low:high], np.moveaxis(counts, 2, 3).astype(np.float64))
         mine = slice(first - low, stop - low)
-        part = np.moveaxis(around, 2, 3)[:, :, mine]
+        part = np.moveaxis(running, 2, 3)[:, :, mine]
         for zone in range(ZONES):
             estimated = part[0, zone].sum(axis=1) - sums[zone, first:stop]
             least[:, zone, first:stop] = _least(part[:, zone], np.maximum(estimated, 0.0), context)
             for i, b in enumerate(least[0, zone, first:stop].tolist()):
-                taken += counts[:, zone, first - low + i, b:].sum(axis=1)
+                own = counts[:, zone, first - low + i, b:].sum(axis=1)
+                taken[zone] += own
+                every[zone] += counts[:, zone, first - low + i].sum(axis=1)
+                around = part[:, 0, i, b:].sum(axis=1), part[:, 0, i].sum(axis=1)
+                if zone == 0 and _like_noise(*around, workflow.signal.neighbours):
+                    doubtful[:, first + i] = own[[0, 2]]
     path = place(context, "selection", beam, ".npz")
     arrays = {"window": window, "label": least[0], "ground": least[1]}
     write_arrays(path, arrays)
+    false = int(taken[:, 2].sum())
+    unsure = _like_noise(taken[1], every[1], workflow.signal.water_neighbours)
     facts = {
-        "signal": int(taken[0]),
+        "signal": int(taken[:, 0].sum()),
+        "doubtful": _stretches(window, doubtful, context),
+        "doubtful_floor": taken[1, [0, 2]].tolist() if unsure else [0, 0],
         "estimated": float(max(cells.count.sum() - scale.noise.sum(), 0.0)),
-        "far_signal": int(taken[1]),
-        "false_signal": float(taken[2] / chance.SHARE_QUANTA) if taken[2] else None,
+        "far_signal": int(taken[:, 1].sum()),
+        "false_signal": false / chance.SHARE_QUANTA if false else None,
     }
     return Produced([path], facts, int(cells.count.sum()))
+
+
+def _like_noise(taken: NDArray[Any], every: NDArray[Any], neighbours: int) -> bool:
+    """Whether noise alone could give the photons taken; (4,) counts each as of COUNTED.
+
+    Other methods and selections tell no noise, and of them nothing is said.
+    """
+    if not taken[0] or not every[2]:
+        return False
+    noise, all_noise = taken[2] / chance.SHARE_QUANTA, every[2] / chance.SHARE_QUANTA
+    alone = chance.noise_alone(float(taken[0]), noise, all_noise / every[0], neighbours)
+    return alone > chance.LIKE_NOISE
+
+
+def _stretches(
+    window: NDArray[np.int64], doubtful: NDArray[np.float64], context: Context
+) -> dict[str, float]:
+    """Doubtful photons of all windows, and where these lie [m]."""
+    own = np.flatnonzero(doubtful[0])
+    length_m = context.workflow.rate.cell_m
+    length_m *= max(round(context.workflow.signal.window_m / length_m), 1)
+    return {
+        "photons": float(doubtful[0].sum()),
+        "noise": float(doubtful[1].sum()) / chance.SHARE_QUANTA,
+        "length_m": len(own) * length_m,
+        "from_m": float(window[own[0]] * length_m) if len(own) else 0.0,
+        "to_m": float((window[own[-1]] + 1) * length_m) if len(own) else 0.0,
+    }
 
 
 def _of_segments(
