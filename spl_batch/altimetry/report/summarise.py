@@ -118,15 +118,16 @@ def _like_noise(chosen: Mapping[str, Any], kept: int) -> Iterator[str]:
         yield (
             f"{grouped(at['photons'])} of the {grouped(kept)} signal photons, on "
             f"{at['length_m'] / 1000:g} km of track between {at['from_m'] / 1000:g} and "
-            f"{at['to_m'] / 1000:g} km, are no more than noise alone gives "
-            f"({grouped(at['noise'])} expected): there is no sure signal there, and ground and "
-            "canopy there mean nothing"
+            f"{at['to_m'] / 1000:g} km, cannot be told from noise, which comes in clumps "
+            f"({grouped(at['noise'])} noise photons are expected among them): signal, ground and "
+            "canopy are not to be relied on there"
         )
     photons, noise = chosen["doubtful_floor"]
     if photons >= SAID_LEAST:
         yield (
-            f"the {grouped(photons)} photons called floor are no more than noise below a surface "
-            f"gives ({grouped(noise / SHARE_QUANTA)} expected): there is no sure floor"
+            f"the {grouped(photons)} photons called floor cannot be told from noise below the "
+            f"surface ({grouped(noise / SHARE_QUANTA)} noise photons are expected among them): "
+            "the floor is not to be relied on"
         )
 
 
