@@ -290,16 +290,18 @@ def _leave(status: int) -> None:
     """End this process at once: what is at work ends, what is written is flushed.
 
     Python would take apart every module that it has loaded, which takes a second; the system does
-    that in no time. Where a thread is still at work or nobody reads on, Python ends as usual.
+    that in no time. Where a thread or a profiler is still at work, or nobody
+    reads on, Python ends as usual.
     """
     others = [t for t in threading.enumerate() if t is not threading.current_thread()]
-    if not all(thread.daemon for thread in others):
+    if sys.getprofile() or sys.gettrace() or not all(thread.daemon for thread in others):
         return
     atexit._run_exitfuncs()  # noqa: SLF001 - as multiprocessing does before os._exit
     try:
-        sys.stdout.flush()
-        sys.stderr.flush()
-    except OSError:  # of a pipe that is closed
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # as it is where it was closed before the start
+                stream.flush()
+    except (OSError, ValueError):  # of a pipe that is closed
         return
     os._exit(status)
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,8 +48,9 @@ def water_track(
     surface_per_m: float = 1.2,
     floor_per_m: float = 0.35,
     column: tuple[float, float] = (0.1, 4.0),
+    depth_m: Callable[[np.ndarray], np.ndarray] = lambda x: 10.0 - 7.0 * np.sin(x / 400.0),
 ) -> WaterTrack:
-    """Level water at 0 over a floor 3 to 17 m deep, and the light that the water scatters.
+    """Level water at 0 over a floor, by default 3 to 17 m deep, and the light that it scatters.
 
     That is ``column``: photons per metre, and the depth in which they fade by e [m].
     """
@@ -58,7 +60,7 @@ def water_track(
     x = [rng.uniform(0.0, length_m, count) for count in n]
     z = [
         rng.normal(0.0, 0.12, n[0]),
-        -10.0 + 7.0 * np.sin(x[1] / 400.0) + rng.normal(0.0, 0.2, n[1]),
+        rng.normal(0.0, 0.2, n[1]) - depth_m(x[1]),
         -rng.exponential(column[1], n[2]),
         rng.uniform(*GATE_M, n[3]),
     ]
@@ -194,6 +196,26 @@ def test_turbid_water_is_no_floor() -> None:
     beam = Beam(photons(track), None)
     deep = track.z < -1.3
     assert beam.keep(beam.score())[deep].mean() < 0.2
+
+
+@pytest.mark.parametrize("noise", [NIGHT, DAY])
+@pytest.mark.parametrize(
+    "depth_m",
+    [
+        lambda x: 0.8 + 5.0 * np.abs((x / 1000.0) % 2 - 1),
+        lambda x: 1.5 + 2.0 * ((x // 500.0) % 2),
+    ],
+    ids=["beach", "steps"],
+)
+def test_a_shallow_floor_is_no_turbid_water(
+    noise: float, depth_m: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    track = water_track(noise, depth_m=depth_m)
+    beam = Beam(photons(track), None)
+    kept = beam.keep(beam.score())
+    floor = (track.kind == FLOOR) & (track.z < -1.5)
+    assert kept[floor & (track.z > -3.0)].mean() > 0.8
+    assert kept[floor].mean() > 0.8
 
 
 def test_a_plain_with_trees_is_no_water() -> None:

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from pyproj import CRS
 
 from spl_batch.airborne.catalogue import index_layers, metadata, qgis, virtual_cloud
@@ -137,10 +138,12 @@ def _together(boxes: Sequence[shapely.Geometry]) -> shapely.Geometry:
 def _squares(args: Mapping[str, Any]) -> Iterator[Layer]:
     tiles = {tile: cell_bounds(parse_cell(tile), args["tile_q"]) for tile in args["tiles"]}
     counts = list(args["tiles"].values())
+    edges = np.array(list(tiles.values()), np.int64).reshape(-1, 4).T
+    held = np.array(counts, np.float64)
     for name, wanted in (("failures", False), ("blocks", True)):
         mine = [(block, Bounds(*core)) for block, core, done in args["blocks"] if done is wanted]
         squares = [_box(core) for _, core in mine]
-        points = [_points_in(core, list(tiles.values()), counts) for _, core in mine]
+        points = [_points_in(core, edges, held) for _, core in mine]
         said = {"block": [block for block, _ in mine], "points": points}
         yield Layer(name, squares, {**said, "per_m2": _per_m2(points, squares)})
     squares = list(map(_box, tiles.values()))
@@ -148,13 +151,13 @@ def _squares(args: Mapping[str, Any]) -> Iterator[Layer]:
     yield Layer("tiles", squares, said)
 
 
-def _points_in(core: Bounds, tiles: Sequence[Bounds], counts: Sequence[int]) -> int:
+def _points_in(core: Bounds, edges: NDArray[np.int64], held: NDArray[np.float64]) -> int:
     """Points of a block: those of its tiles, of a tile that it cuts as many as its share."""
-    west, south, east, north = np.array(tiles, np.int64).reshape(-1, 4).T
+    west, south, east, north = edges
     wide = np.minimum(east, core.xmax) - np.maximum(west, core.xmin)
     high = np.minimum(north, core.ymax) - np.maximum(south, core.ymin)
     share = wide.clip(0) * high.clip(0) / ((east - west) * (north - south))
-    return round(float(share @ np.array(counts, np.float64)))
+    return round(float(share @ held))
 
 
 def _per_m2(points: Sequence[int], shapes: Sequence[shapely.Geometry]) -> list[float | None]:

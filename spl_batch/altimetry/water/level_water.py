@@ -246,7 +246,10 @@ def _columns(
     around = ndimage.median_filter(near, size=(1, _FLOOR_DEPTHS), mode="mirror")
     # In turbid water noise grows steeply towards the surface: the first two metres hold as much as
     # those below them, seen over a kilometre, let expect.
-    wide = _sums(index, count, REACH_CELLS) * (2 * _FLOOR_CELLS + 1) / (2 * REACH_CELLS + 1)
+    bright = near > around + _FLOOR_SD * np.sqrt(np.maximum(around, 1.0))
+    bright = ndimage.binary_dilation(bright, np.ones((1, 3), np.bool_))
+    seen = np.maximum(_sums(index, np.where(bright, 0.0, 1.0), REACH_CELLS), 1.0)
+    wide = _sums(index, np.where(bright, 0, count), REACH_CELLS) * (2 * _FLOOR_CELLS + 1) / seen
     steeper = np.maximum((wide[:, 2] + 0.1) / (wide[:, 4] + 0.1), 1.0)
     around[:, 0] = np.maximum(around[:, 0], wide[:, 2] * steeper)
     around[:, 1] = np.maximum(around[:, 1], wide[:, 2] * np.sqrt(steeper))

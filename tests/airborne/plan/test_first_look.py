@@ -46,6 +46,26 @@ def refused(survey: Path, *settings: str) -> str:
     return said[0]
 
 
+def test_what_is_refused_names_all_that_is_wrong(survey: Path) -> None:
+    later_s = surveys.START_S + 2 * DAY_S
+    path = survey.parent / "trajectory.csv"
+    surveys.write_trajectory(path, start_s=later_s, stop_s=later_s + 10)
+    (survey.parent / "lines" / "line_3.laz").write_bytes(b"LASF" + bytes(20))
+    said = refused(survey, "survey.trajectory=trajectory.csv")
+    assert "lines/line_3.laz" in said
+    assert "survey.trajectory: " in said
+
+
+def test_files_that_are_not_looked_into_are_not_judged(
+    survey: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(first_look, "SAMPLE_FILES", 1)
+    columns = surveys.flightline(shots=120)
+    columns["gps_time"] = np.zeros(len(columns["x"]))
+    surveys.write_cloud(survey.parent / "lines" / "line_1.laz", columns)
+    assert any("usable gps_time" in text for text in api.plan(survey).warnings)
+
+
 @pytest.mark.parametrize(
     ("dimension", "spoilt", "fault"),
     [

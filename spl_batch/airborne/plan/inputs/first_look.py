@@ -58,6 +58,7 @@ class _Seen:
     channels: dict[str, tuple[int, ...]] = field(default_factory=dict)
     few: list[str] = field(default_factory=list)
     points: int = 0
+    #: Whether all points of all files were looked at.
     whole: bool = True
     numbers: dict[str, dict[str, Numbers]] = field(default_factory=dict)
     unreadable: list[InputError] = field(default_factory=list)
@@ -80,8 +81,8 @@ def first_look(
         holds no beamlet numbers, or the trajectory is of no file's time. One line: fault, remedy.
     """
     held = [source for source in inputs.sources if source.facts.n_points]
-    seen = _Seen()
     some = np.unique(np.linspace(0, len(held) - 1, min(len(held), SAMPLE_FILES)).astype(int))
+    seen = _Seen(whole=len(some) == len(held))
     for k in some.tolist():
         _look_into(held[k], workflow, max(SAMPLE_POINTS, WHOLE_POINTS // len(some)), seen)
     if len(seen.unreadable) == len(held):
@@ -95,7 +96,8 @@ def first_look(
     faults += _no_channels(held, seen, workflow)
     apart, missed = _apart(seen.spans, inputs.trajectory, base)
     if faults or apart:
-        raise WorkflowError("; ".join((*unreadable, *faults, *apart)))
+        reasons = told_together([*inputs.bad, *seen.unreadable])
+        raise WorkflowError("; ".join((*reasons, *faults, *apart)))
     warnings += _few_channels(seen, workflow)
     warnings += unnamed_channels(seen.numbers, workflow.sensor)
     return unreadable, (*warnings, *missed)
