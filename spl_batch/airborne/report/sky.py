@@ -162,9 +162,9 @@ def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
         for band in bands
     )
     yield as_ascii(
-        f"where nothing but noise returns it is not what its model expects: {listed} {of}. The "
-        "noise is not the same all along the gate; where there is more, more of it than "
-        "filter.alpha counts as signal, where there is less, weak signals are lost"
+        f"away from all surfaces the noise is not what its model expects: {listed} {of}. The "
+        "noise changes along the gate. Where there is more of it, the filter keeps more than "
+        "filter.alpha says; where there is less, weak signals are lost"
     )
 
 

@@ -34,11 +34,12 @@ def strip_pairs(done: Receipts) -> tuple[StripPair, ...]:
 
 
 def strip_map(done: Receipts, context: Context) -> Raster | None:
-    """Height between flightlines by place; None where none overlap [m]."""
+    """Height between flightlines by place; None where no two share planar patches [m]."""
     if not done.get("strip_pairs"):
         return None
     found = difference_map(context)
     if found is None:
         return None
     values, (west, east, south, north) = found
-    return Raster(values, (west, east, south, north))
+    raster = Raster(values, (west, east, south, north))
+    return raster if raster.any_value else None

@@ -336,13 +336,16 @@ def _pictures(done: Receipts, context: Context, found: Comparison | None) -> Pic
         d = found.difference
         difference = Raster(d.values, Part(d.values, d.left_m, d.top_m, d.cell_m).extent_m)
         difference = difference if bounds is None else cropped(difference, bounds)
+    strips = strip_map(done, context)
+    if strips is not None and bounds is not None:
+        strips = cropped(strips, bounds)
     return PictureInputs(
         **rasters,
         noise_density=None if noise is None else Raster(noise.values, noise.extent_m),
         difference=difference,
         differences_m=None if found is None else found.differences_m,
         profile=cut_profile(parts["chm"], done, context),
-        strips=strip_map(done, context),
+        strips=strips,
         others=[
             PictureInputs(
                 dtm=_raster(folder / f"dtm{piece.suffix}.tif", piece.bounds_m),

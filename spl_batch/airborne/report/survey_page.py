@@ -51,6 +51,9 @@ PHOTON_KEYS: Final = (
 )
 """Parameters of single-photon lidar alone: nothing reads them where no filter runs."""
 
+_SMALL_KM2: Final = 0.01
+"""A smaller area is given in square metres."""
+
 HOW: Final[Mapping[str, str]] = MappingProxyType(
     {
         "vsaes": (
@@ -162,7 +165,9 @@ def _asked_level(report: Report) -> str:
 def _facts(survey: Survey, *, photons: bool) -> Iterator[str]:
     """What stands below the title."""
     if survey.area_km2 is not None:
-        yield f"{text.significant(survey.area_km2)} km\N{SUPERSCRIPT TWO}"
+        small = survey.area_km2 < _SMALL_KM2
+        area = survey.area_km2 * 1e6 if small else survey.area_km2
+        yield f"{text.significant(area)} {'m' if small else 'km'}\N{SUPERSCRIPT TWO}"
     if survey.pieces:
         yield f"{len(survey.pieces)} pieces"
     if survey.flightlines:

@@ -85,7 +85,7 @@ def test_points_that_a_file_holds_twice_count_once(
     assert not found[size:].any()
     for raster_name, raster in surveys.rasters(small_output).items():
         assert np.array_equal(surveys.rasters(result.output)[raster_name][0], raster[0])
-    (said,) = [text for text in result.report.warnings if "there already" in text]
+    (said,) = [text for text in result.report.warnings if "repeat an earlier one" in text]
     more = int(np.count_nonzero(alone[40:60])) * times
     assert said.startswith(f"{name}: {more} of {grouped(size + 20 * times)} points")
     assert "each counts once" in said

@@ -121,6 +121,13 @@ class TestPage:
     def test_the_same_input_gives_the_same_page(self, page: str) -> None:
         assert render(make_report(), make_pictures(make_inputs(), make_report())) == page
 
+    @pytest.mark.parametrize(
+        ("area_km2", "shown"), [(0.000803, "803 m\u00b2"), (0.0427, "0.0427 km\u00b2")]
+    )
+    def test_a_small_area_is_in_square_metres(self, area_km2: float, shown: str) -> None:
+        survey = make_report().survey.model_copy(update={"area_km2": area_km2})
+        assert f"<span>{shown}</span>" in render(make_report(survey=survey), {})
+
     def test_names_cannot_become_markup(self) -> None:
         evil = "<script>alert(1)</script>\"'&"
         failures = tuple(

@@ -143,9 +143,9 @@ def copies(survey: Survey) -> Iterator[str]:
         (
             Said(
                 name,
-                f"{grouped(count)} of {grouped(source.facts.n_points)} points are there already, "
-                "with the same time, channel, return number and place; each counts once, and its "
-                "copies are delivered as not assessed; write the file without them",
+                f"{grouped(count)} of {grouped(source.facts.n_points)} points repeat an "
+                "earlier one, with the same time, channel, return number and place; each counts "
+                "once, and its copies are delivered as not assessed; write the file without them",
                 count,
             )
             for name, source, count in twice

@@ -56,7 +56,7 @@ def _intensity(raster: Raster | None) -> Picture:
     if raster is None or not raster.any_value:
         return Picture(title, "There are no points to show.")
     top = spread(reduce_raster(raster).values, 1, 99)[1]
-    unit = "detections per interrogation"
+    unit = "detections per look"
     drawn = draw_ramp(raster, title, unit, ramp=style.DENSITY, limits=(0.0, top))
     said = (
         "Detections for each look through a voxel: paint shows, and so do edges, which looks "

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spl_batch.engine.report import style
 from spl_batch.engine.report.maps import WIDTH_IN as MAP_WIDTH_IN
 from spl_batch.engine.report.maps import Raster, draw_ramp, spread
-from spl_batch.engine.report.number_format import metres
+from spl_batch.engine.report.number_format import metres, number
 from spl_batch.engine.report.picture import Picture
 
 Floats = NDArray[np.float64]
@@ -89,6 +89,7 @@ def _histogram(counts: NDArray[np.int64], gate: tuple[int, int]) -> Picture:
         axes.bar(np.arange(first, last), counts[first:last], width=1.0, color=style.SIGNAL)
         axes.axvspan(low - 0.5, high - 0.5, color=style.RULE, zorder=0)
         axes.set(title=title, xlabel="time bin [number]", ylabel="hits [count]", xlim=(first, last))
+        axes.yaxis.set_major_formatter(lambda hits, _: number(hits))
     return _finished(
         drawn, title, f"Grey is the gate, bins {low} to {high - 1}: hits outside are not used."
     )
