@@ -43,7 +43,7 @@ def left_out_warnings(left_out: Mapping[str, int]) -> Iterator[str]:
         yield (
             f"in {grouped(len(cells))} ground cells more than {MOST_PASSES} passes overlap, "
             f"{grouped(cells[worst] + MOST_PASSES)} in {worst}: those with most returns are "
-            "compared, the rest is not; survey.gap_s may be shorter than pauses within a "
+            "compared, the others are not; survey.gap_s may be shorter than pauses within a "
             "flightline, or gps_time jumps"
         )
 
