@@ -117,7 +117,7 @@ def test_fog_is_told_where_most_places_are_filled_with_the_height_that_it_reache
 
 def test_bloom_is_counted_in_one_sentence():
     parts = {"a": receipt(bloom=[2, 180]), "b": receipt(), "c": receipt(bloom=[1, 95])}
-    for removed, fate in ((True, "are noise"), (False, "are kept")):
+    for removed, fate in ((True, "are noise"), (False, "count as signal")):
         (text,) = bloom_warning({"scatter": parts}, removed=removed)
         assert text.startswith("in 3 shots")
         assert f"275 returns at that range {fate}" in text
