@@ -275,7 +275,7 @@ STRIPS: Final = Amount(
     style.DENSITY,
     least=1.0,
     scale=100.0,
-    missing="No two flightlines share planar patches.",
+    missing="No two flightlines share enough planar patches to be compared.",
 )
 
 
