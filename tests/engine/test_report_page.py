@@ -232,7 +232,7 @@ class TestStructure:
 
     def test_the_print_keeps_headings_with_their_tables(self, pages: dict[str, str]) -> None:
         printed = pages["airborne"].split("@media print", 1)[1].split("</style>", 1)[0]
-        assert re.search(r"h2, h3, \.lead \{ break-after: avoid; \}", printed)
+        assert re.search(r"h2, h3, \.lead, [^{}]*\{ break-after: avoid; \}", printed)
         assert "orphans: 1" in printed, "a row of maps may stand alone at the end of a page"
         assert re.search(r"pre\.small \{ font-size: 6pt", printed)
 
@@ -403,7 +403,7 @@ class TestPictures:
         labels = {text for drawn in seen for axes in drawn.axes for text in names(axes)}
         assert len(labels) > 12
         for label in labels:
-            assert re.search(r"\[[^\]]+\]$|detections per interrogation$", label), label
+            assert re.search(r"\[[^\]]+\]$|detections per look$", label), label
             assert "less" not in label
 
 

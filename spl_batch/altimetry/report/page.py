@@ -53,7 +53,9 @@ def _verdicts(report: TrackReport) -> Iterator[Verdict]:
             f"{text.number(counts.points_in)} photons in, {text.number(counts.points_out)} out.",
         )
     if report.ground is None:
-        yield Verdict("neutral", "No reference was given, or none is near: accuracy is not known.")
+        yield Verdict(
+            "neutral", "No reference heights are near: the accuracy of the heights is not known."
+        )
     else:
         spread, middle = (text.metres(v) for v in (report.ground.nmad, report.ground.median))
         yield Verdict(

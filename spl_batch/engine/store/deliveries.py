@@ -183,7 +183,7 @@ def _other_names(gone: Iterable[str], current: Iterable[str]) -> dict[str, str]:
         there.setdefault((Path(name).parts[0], Path(name).name), []).append(name)
     found: dict[str, list[str]] = {}
     for old in gone:
-        top, *_, last = Path(old).parts
+        top, last = Path(old).parts[0], Path(old).name
         for new in there.get((top, last), ()) if old.endswith(".laz") else ():
             short, long = sorted((old.removeprefix(top), new.removeprefix(top)), key=len)
             if long.endswith(short):

@@ -56,10 +56,11 @@ def test_leap_seconds_are_told_as_such(
         shift_m=leap_s * surveys.SPEED_M_S,
     )
     # Further on in the day the trajectory goes on, over another line: it is not refused whole.
-    rest = tmp_path / "trajectory.csv"
-    with rest.open("a") as stream:
-        for t in (surveys.START_S - 500, surveys.START_S + 500):
-            stream.write(f"{t},{surveys.ORIGIN_M[0]},{surveys.ORIGIN_M[1]},{surveys.HEIGHT_M}\n")
+    path = tmp_path / "trajectory.csv"
+    place = f"{surveys.ORIGIN_M[0]},{surveys.ORIGIN_M[1]},{surveys.HEIGHT_M}"
+    head, *rows = path.read_text().splitlines()
+    before, after = (f"{surveys.START_S + far},{place}" for far in (-500, 500))
+    path.write_text("\n".join([head, before, *rows, after, ""]))
     events: list[Event] = []
     surveys.run(surveys.write_workflow(tmp_path), until="shots", listener=events.append)
     texts = [e.text for e in events if isinstance(e, Note)]
