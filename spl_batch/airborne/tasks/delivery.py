@@ -324,7 +324,7 @@ def mosaic(args: Mapping[str, Any], context: Context) -> Produced:
 
 def _told(found: list[Void], context: Context) -> list[Remark]:
     """A warning of voids in the terrain; holes of the area of interest are none."""
-    if context.workflow.aoi is not None:
+    if found and context.workflow.aoi is not None:
         area = read_polygons(context.resolve(context.workflow.aoi), context.crs)
         east, north = (np.array([quanta(one[k]) for one in found], np.int64) for k in (1, 2))
         inside = contains(area, east, north)

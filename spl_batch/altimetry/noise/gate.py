@@ -84,14 +84,11 @@ def stretches(
     least : int
         Cells to each side at least [count].
     """
-    total = np.concatenate([[0], np.cumsum(count)])
     reach = np.full(len(index), STRETCH_CELLS, np.int64)
     seen = np.zeros(len(index), np.int64)
     wider = STRETCH_CELLS
     while True:
-        first = np.searchsorted(index, index - wider)
-        stop = np.searchsorted(index, index + wider, side="right")
-        within = total[stop] - total[first]
+        within = _around(index, count, wider)
         enough = (within >= STRETCH_PHOTONS) | (wider == STRETCH_CELLS)
         reach[enough], seen[enough] = wider, within[enough]
         if wider <= least:
@@ -143,14 +140,15 @@ def narrow_gate(
     away = np.where(up[cell], height > middle[cell], height < middle[cell])
     length = np.where(up, high - middle, middle - low)
     length = np.maximum(length, 0)
-    narrow = _around(index, empty) < _FEW_BINS * _around(index, length)
+    seen, wanted = (_around(index, one, STRETCH_CELLS) for one in (empty, length))
+    narrow = seen < _FEW_BINS * wanted
     return narrow, np.bincount(cell[away], minlength=len(low)), length
 
 
-def _around(index: NDArray[np.int64], values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sums over the longest stretch around each cell, (n,) int64."""
+def _around(index: NDArray[np.int64], values: NDArray[np.int64], reach: int) -> NDArray[np.int64]:
+    """Sums over the cells of an absolute grid within ``reach`` of each, (n,) int64."""
     total = np.concatenate([[0], np.cumsum(values)])
-    first = np.searchsorted(index, index - STRETCH_CELLS)
-    stop = np.searchsorted(index, index + STRETCH_CELLS, side="right")
+    first = np.searchsorted(index, index - reach)
+    stop = np.searchsorted(index, index + reach, side="right")
     sums: NDArray[np.int64] = total[stop] - total[first]
     return sums
