@@ -31,6 +31,7 @@ from benchmarks.airborne.peers import installed
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.plan import space_tasks as places
+from spl_batch.airborne.store.label_tables import Labelled
 from spl_batch.airborne.tasks import space_domain
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
@@ -126,9 +127,9 @@ class Block:
         self.read = len(self.xyz)
         return noise_model(xyz, *args)
 
-    def _keep(
-        self, _: Path, tiles: NDArray[Any], rows: NDArray[Any], labels: dict[str, NDArray[Any]]
-    ) -> None:
+    def _keep(self, _: Path, parts: list[Labelled]) -> None:
+        ((origin, labels),) = parts
+        tiles, rows = origin.tiles[origin.owner], origin.row
         order = np.lexsort((rows, tiles[:, 0], tiles[:, 1]))
         self.labels = {name: values[order] for name, values in labels.items()}
         self.owned = len(rows)

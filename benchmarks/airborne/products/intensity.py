@@ -156,10 +156,10 @@ def estimates(survey: Path, scene: Scene) -> tuple[Products, Detections]:
     cell = Bounds(west, south, west + size[0], south + size[1])
     settings = ProductSettings()
     every = [replace(p, gain=np.where(np.arange(len(p.gain)) > 0, 1.0, 0.0)) for p in parts]
-    full = detections(points, parts, cell, settings)
-    flat = detections(points, parts, cell, settings, ALL_TERMS._replace(incidence=False))
-    level = detections(points, parts, cell, settings, ALL_TERMS._replace(range=False))
-    alike = detections(points, every, cell, settings)
+    full = detections(lambda: (points,), parts, cell, settings)
+    flat = detections(lambda: (points,), parts, cell, settings, ALL_TERMS._replace(incidence=False))
+    level = detections(lambda: (points,), parts, cell, settings, ALL_TERMS._replace(range=False))
+    alike = detections(lambda: (points,), every, cell, settings)
     share = np.minimum(full.seen / full.fired.mean(), 0.995)
     # without a range the number is photo-electrons per area; scaled to the truth's middle
     scaled = level.reflectance * np.nanmedian(full.reflectance) / np.nanmedian(level.reflectance)

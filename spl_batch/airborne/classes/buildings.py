@@ -18,6 +18,7 @@ N. Haala & C. Brenner (1999, *Extraction of buildings and trees in urban environ
 What is flat, high, and no building, as a deck of a bridge, is taken for one.
 """
 
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ from scipy.ndimage import distance_transform_edt
 
 from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, quanta
+
+Heights = NDArray[np.int64]
 
 DOMAIN: Final = "space"
 
@@ -84,26 +87,88 @@ class _Planes(NamedTuple):
     sigma: NDArray[np.float64]  #: Standard deviation about it [quanta].
 
 
-def buildings(table: PointTable, usable: NDArray[np.bool_], region: Bounds) -> NDArray[np.bool_]:
-    """Which returns are of buildings: (n,) bool.
+class Floor:
+    """The ground around buildings: mean of each square metre, gathered part by part.
+
+    Parameters
+    ----------
+    region : Bounds
+        What all points lie in [quanta].
+    """
+
+    def __init__(self, region: Bounds) -> None:
+        self.region = region
+        self._grid = _Grid(region, quanta(GROUND_CELL_M))
+        cells = self._grid.rows * self._grid.columns
+        self._sum, self._count = np.zeros((2, cells), np.int64)
+
+    def add(self, table: PointTable, usable: NDArray[np.bool_]) -> None:
+        """Take the ground of some points in; each comes once.
+
+        Parameters
+        ----------
+        table : PointTable
+            Points with :data:`COLUMNS_NEEDED`.
+        usable : (n,) bool
+            Signal.
+        """
+        ground = usable & (table["ground"] == 1)
+        number = self._grid.number(table["x"][ground], table["y"][ground])
+        np.add.at(self._sum, number, table["z"][ground])
+        np.add.at(self._count, number, 1)
+
+    @property
+    def held(self) -> bool:
+        """Whether there is any ground."""
+        return bool(self._count.any())
+
+    @cached_property
+    def lowest(self) -> int:
+        """Lowest mean of a square [quanta]."""
+        return int(self.levels.min())
+
+    @cached_property
+    def levels(self) -> NDArray[np.int64]:
+        """Height of the nearest ground of each square [quanta]."""
+        mean = self._sum // np.maximum(self._count, 1)
+        shape = self._grid.rows, self._grid.columns
+        void = (self._count == 0).reshape(shape)
+        at = distance_transform_edt(void, return_distances=False, return_indices=True)
+        levels: Heights = mean.reshape(shape)[tuple(at)].ravel()
+        return levels
+
+    def height(self, x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int32]) -> Heights:
+        """Heights above the ground around [quanta]: (n,) int64."""
+        height: Heights = z - self.levels[self._grid.number(x, y)]
+        return height
+
+
+def buildings(table: PointTable, usable: NDArray[np.bool_], floor: Floor) -> NDArray[np.bool_]:
+    """Which returns are of buildings.
 
     Parameters
     ----------
     table : PointTable
-        Points with :data:`COLUMNS_NEEDED`, in any order.
+        Points with :data:`COLUMNS_NEEDED`, in any order; those that are judged and :data:`REACH_M`
+        around them.
     usable : (n,) bool
         Signal; the others are no building and tell nothing.
-    region : Bounds
-        What the points lie in; returns nearer to its edge than :data:`REACH_M` lack neighbours
-        [quanta].
+    floor : Floor
+        The ground of the whole region. Returns nearer to its edge than :data:`REACH_M` lack
+        neighbours.
+
+    Returns
+    -------
+    (n,) bool
     """
     found = np.zeros(len(table), np.bool_)
-    ground = usable & (table["ground"] == 1)
-    if not ground.any():
+    if not floor.held:
         return found
+    ground = usable & (table["ground"] == 1)
     rows = np.flatnonzero(usable & ~ground)
-    rows = rows[_height(table, rows, ground, region) >= quanta(STANDS_M)]
-    corner = (region.xmin, region.ymin, int(table["z"][rows].min(initial=0)))
+    high = floor.height(*(table[axis][rows] for axis in "xyz")) >= quanta(STANDS_M)
+    rows = rows[high]
+    corner = (floor.region.xmin, floor.region.ymin, floor.lowest)
     xyz = np.empty((len(rows), 3), np.int32)
     for k, axis in enumerate("xyz"):
         xyz[:, k] = table[axis][rows].astype(np.int64) - corner[k]
@@ -111,7 +176,7 @@ def buildings(table: PointTable, usable: NDArray[np.bool_], region: Bounds) -> N
     for cell_m in CELLS_M:
         if judged.all():
             break
-        grid = _Grid(region, quanta(cell_m))
+        grid = _Grid(floor.region, quanta(cell_m))
         below = np.bincount(
             grid.number(table["x"][ground], table["y"][ground]), minlength=grid.rows * grid.columns
         ).reshape(grid.rows, grid.columns)
@@ -119,28 +184,6 @@ def buildings(table: PointTable, usable: NDArray[np.bool_], region: Bounds) -> N
         found[rows[building & ~judged]] = True
         judged |= able
     return found
-
-
-def _height(
-    table: PointTable, rows: NDArray[np.intp], ground: NDArray[np.bool_], region: Bounds
-) -> NDArray[np.int64]:
-    """Height above the ground around [quanta]."""
-    edge = quanta(GROUND_CELL_M)
-    grid = _Grid(region, edge)
-    held = grid.number(table["x"][ground], table["y"][ground])
-    order = np.argsort(held, kind="stable")
-    first = np.flatnonzero(np.diff(held[order], prepend=-1))
-    count = np.diff(first, append=len(held))
-    mean = np.add.reduceat(table["z"][ground][order].astype(np.int64), first) // count
-    level = np.zeros(grid.rows * grid.columns, np.int64)
-    void = np.ones(len(level), np.bool_)
-    level[held[order][first]], void[held[order][first]] = mean, False
-    shape = grid.rows, grid.columns
-    at = distance_transform_edt(void.reshape(shape), return_distances=False, return_indices=True)
-    nearest = level.reshape(shape)[tuple(at)].ravel()
-    own = grid.number(table["x"][rows], table["y"][rows])
-    height: NDArray[np.int64] = table["z"][rows] - nearest[own]
-    return height
 
 
 class _Grid:

@@ -4,6 +4,7 @@ Domain: space. The flag "overlap" of a point says that it lies where two or more
 R15, 2.6]; which of them is surplus is left to whoever thins them.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -16,24 +17,39 @@ EDGE_M: Final = 5.0
 [m]."""
 
 
+def lines_by_square(first: NDArray[np.int64], line: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Which flightlines have first returns in which squares.
+
+    Parameters
+    ----------
+    first : (n, 2) int64
+        First signal returns of pulses, in any order [quanta].
+    line : (n,) int64
+        Flightline of each; -1 where none is known.
+
+    Returns
+    -------
+    (2, k) int64
+        Number of a square, and flightline; each pair once.
+    """
+    known = line >= 0
+    return np.unique(np.stack([_square(*first[known].T), line[known]]), axis=1)
+
+
 def overlapping(
-    first: NDArray[np.int64], line: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]
+    covered: Sequence[NDArray[np.int64]], x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Which places lie in squares with first returns of two flightlines or more: (m,) bool.
 
     Parameters
     ----------
-    first : (n, 2) int64
-        First signal returns of pulses, in any order, those of a square around each place among
-        them [quanta].
-    line : (n,) int64
-        Flightline of each; -1 where none is known.
+    covered : sequence of (2, k) int64
+        What :func:`lines_by_square` found, the squares around each place among them.
     x, y : (m,) int64
         The places [quanta].
     """
-    known = line >= 0
-    covered = np.unique(np.stack([_square(*first[known].T), line[known]]), axis=1)[0]
-    square, lines = np.unique(covered, return_counts=True)
+    pairs = np.unique(np.concatenate(covered, axis=1), axis=1)[0]
+    square, lines = np.unique(pairs, return_counts=True)
     return np.isin(_square(x, y), square[lines > 1])
 
 

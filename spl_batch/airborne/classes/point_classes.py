@@ -62,6 +62,7 @@ def classify(
     cell: Bounds,
     dtm: NDArray[np.float32],
     further: Further = NOTHING_FURTHER,
+    level_m: float | None = None,
 ) -> NDArray[np.uint8]:
     """ASPRS class of each point as delivered.
 
@@ -74,6 +75,11 @@ def classify(
         The ground cell [quanta].
     dtm : (rows, cols) float32
         Its DTM, north up [m]; nodata where there is none.
+    further : Further
+        More classes.
+    level_m : float, optional
+        What stands for the surface where the DTM is void, if these are some of a cell's points
+        only [m].
 
     Returns
     -------
@@ -96,7 +102,7 @@ def classify(
     """
     noise_class, given = table["noise_class"], table["input_class"]
     ground, assessed = table["ground"] == 1, noise_class != NOISE_NOT_ASSESSED
-    surface, void = _surface_below(table, cell, dtm)
+    surface, void = _surface_below(table, cell, dtm, level_m)
     height = table["z"] * QUANTUM_M - surface
     at_surface = np.abs(height) <= NEAR_M + np.where(ground, APART_M, 0.0)
     water = table.has(PointFlag.WATER) & (void | at_surface)
@@ -140,8 +146,19 @@ def _add(
             result[open_to & (height >= least_m)] = kind
 
 
+def middle_m(heights: NDArray[np.int32]) -> float:
+    """Median of the heights of signal [m], -inf without any.
+
+    Parameters
+    ----------
+    heights : (n,) int32
+        In any order [quanta].
+    """
+    return float(np.median(heights) * QUANTUM_M) if len(heights) else -np.inf
+
+
 def _surface_below(
-    table: PointTable, cell: Bounds, dtm: NDArray[np.float32]
+    table: PointTable, cell: Bounds, dtm: NDArray[np.float32], level_m: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Height of the surface at each point [m], -inf if nothing is known; where the DTM is void."""
     rows, cols = dtm.shape
@@ -150,7 +167,8 @@ def _surface_below(
     col = np.clip((table["x"] - cell.xmin) // size, 0, cols - 1)
     surface = dtm[row, col].astype(np.float64)
     void = surface == np.float32(NODATA)
-    if void.any():
+    if void.any() and level_m is None:
         signal = (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], cell)
-        surface[void] = np.median(table["z"][signal]) * QUANTUM_M if signal.any() else -np.inf
+        level_m = middle_m(table["z"][signal])
+    surface[void] = level_m
     return surface, void

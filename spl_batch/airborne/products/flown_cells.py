@@ -13,54 +13,54 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+from spl_batch.lattice.tiles import Bounds, inside, quanta
+
+Heights = tuple[int, int]
+"""Lowest and highest [quanta]."""
 
 NEAR_GROUND_M: Final = 10.0
 """Returns so far above the highest and below the lowest ground around count: a beam that leans
 by 15 degrees is 3 m off there [m]."""
 
 
-def flown(
-    table: PointTable, cell: Bounds, settings: ProductSettings, margin: int
-) -> NDArray[np.bool_]:
-    """Raster cells that were flown, from the south: (rows, cols) bool.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points of the cell and around it, in any order, with ``x, y, z, ground``.
-    cell : Bounds
-        The ground cell [quanta].
-    margin : int
-        Raster cells around it of which all points are there; at least those of two voids [count].
-    """
-    size = quanta(settings.cell_m)
-    wide = grow(cell, margin * size)
-    shape = (wide.ymax - wide.ymin) // size, (wide.xmax - wide.xmin) // size
-    there = about_ground(table, wide)
-    held = np.zeros(shape, np.bool_)
-    held[(table["y"][there] - wide.ymin) // size, (table["x"][there] - wide.xmin) // size] = True
-    closed = close(held, quanta(settings.void_max_m) // size)
-    return closed[margin : shape[0] - margin, margin : shape[1] - margin]
-
-
-def about_ground(table: PointTable, region: Bounds) -> NDArray[np.bool_]:
-    """Returns of a region that lie about as high as its ground: (n,) bool.
+def ground_heights(table: PointTable, region: Bounds) -> Heights | None:
+    """Lowest and highest ground of a region [quanta]; None without any.
 
     Parameters
     ----------
     table : PointTable
         Points in any order, with ``x, y, z, ground``.
     region : Bounds
-        Where [quanta]; without ground in it all returns count.
+        Where [quanta].
+    """
+    ground = table["z"][inside(table["x"], table["y"], region) & (table["ground"] == 1)]
+    return (int(ground.min()), int(ground.max())) if len(ground) else None
+
+
+def both(one: Heights | None, other: Heights | None) -> Heights | None:
+    """Lowest and highest ground of two regions."""
+    if one is None or other is None:
+        return one or other
+    return min(one[0], other[0]), max(one[1], other[1])
+
+
+def about_ground(table: PointTable, region: Bounds, ground: Heights | None) -> NDArray[np.bool_]:
+    """Returns of a region that lie about as high as the ground: (n,) bool.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points in any order, with ``x, y, z``.
+    region : Bounds
+        Where [quanta].
+    ground : (int, int), optional
+        Lowest and highest ground around [quanta]; without any all returns count.
     """
     there = inside(table["x"], table["y"], region)
-    ground = there & (table["ground"] == 1)
-    if ground.any():
+    if ground is not None:
         z, near = table["z"], quanta(NEAR_GROUND_M)
-        there &= (z >= z[ground].min() - near) & (z <= z[ground].max() + near)
+        there &= (z >= ground[0] - near) & (z <= ground[1] + near)
     return there
 
 

@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from spl_batch.airborne.products.flown_cells import about_ground, close
+from spl_batch.airborne.products.flown_cells import (
+    Heights,
+    about_ground,
+    both,
+    close,
+    ground_heights,
+)
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import QUANTUM_M
 from spl_batch.lattice.tables import PointTable
@@ -35,67 +41,111 @@ COARSE: Final = 4
 WIDEST_RIM: Final = 20
 """Half the mean spacing of returns, up to which they stand for what lies around [squares]."""
 
-ENOUGH: Final = 100_000
-"""Points that are looked at for that, evenly among more of them [count]."""
-
 Within = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
 """Which places, by easting and northing [quanta], count."""
 
 
-def footprint(
-    table: PointTable, cell: Bounds, settings: ProductSettings, within: Within | None = None
-) -> NDArray[np.bool_]:
-    """Squares of a ground cell that its returns cover.
+class Covered:
+    """Squares of a ground cell that some returns cover; these come part by part.
+
+    Off the edge of a swath, and of a lake, there is noise but no signal: what is covered depends on
+    which returns are asked.
 
     Parameters
     ----------
-    table : PointTable
-        Points of the cell and of twice ``settings.void_max_m`` around it, in any order, with
-        ``x, y, z, ground``.
     cell : Bounds
         The ground cell [quanta].
-    within : callable, optional
-        Takes the centres of squares; those that it refuses do not count.
-
-    Returns
-    -------
-    (rows, cols) bool
-        Squares of :func:`whole_squares`, from the south.
+    settings : ProductSettings
+        The widest void; twice as far around the cell returns are looked at.
     """
-    wide = _squares(grow(cell, quanta(2 * settings.void_max_m)))
-    some = table.select(("x", "y", "ground")).take(slice(None, None, len(table) // ENOUGH + 1))
-    some = some.take(some["ground"] == 1)
 
-    def all_about_ground() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        there = about_ground(table, _quanta(wide))
-        return table["x"][there], table["y"][there]
+    def __init__(self, cell: Bounds, settings: ProductSettings) -> None:
+        self._wide = _squares(grow(cell, quanta(2 * settings.void_max_m)))
+        self._core = _squares(cell)
+        # the margin is that of two discs; a square's own width is taken off them
+        self._reach = quanta(settings.void_max_m) // SQUARE_Q - 1
+        self._held = np.zeros(_shape(self._wide), np.bool_)
+        self._count = 0
 
-    covered = _covered(some["x"], some["y"], all_about_ground, cell, settings)
-    return covered if within is None else refused(covered, cell, within)
+    @property
+    def region(self) -> Bounds:
+        """What is looked at [quanta]."""
+        return _quanta(self._wide)
+
+    def add(self, x: NDArray[np.int64], y: NDArray[np.int64]) -> None:
+        """Look at some returns, in any order [quanta]; each comes once."""
+        near = inside(x, y, self.region)
+        row, column = y[near] // SQUARE_Q, x[near] // SQUARE_Q
+        self._held[row - self._wide.ymin, column - self._wide.xmin] = True
+        self._count += len(row)
+
+    def squares(self) -> NDArray[np.bool_]:
+        """Squares of :func:`whole_squares`, from the south: (rows, cols) bool."""
+        covered = np.zeros(_shape(self._core), np.bool_)
+        if not self._count:
+            return covered
+        if self._all_is_near():
+            return ~covered
+        row, column = (np.flatnonzero(self._held.any(axis=axis)) for axis in (1, 0))
+        west, south = self._wide.xmin, self._wide.ymin
+        hull = Bounds(
+            west + int(column[0]), south + int(row[0]),
+            west + int(column[-1]) + 1, south + int(row[-1]) + 1,
+        )  # fmt: skip
+        # farther out than a disc nothing is covered
+        around = shared(grow(hull, self._reach + 2), self._wide)
+        held = self._held[_place(around, self._wide)]
+        closed = _with_rim(close(held, self._reach), self._count)
+        mine = shared(around, self._core)
+        if mine.area_m2 > 0:
+            covered[_place(mine, self._core)] = closed[_place(mine, around)]
+        return covered
+
+    def _all_is_near(self) -> bool:
+        """Whether coarse squares already tell that no place is far from all returns."""
+        reach = self._reach // COARSE - 2
+        if reach < 1:
+            return False
+        south, west = self._wide.ymin % COARSE, self._wide.xmin % COARSE
+        rows, cols = self._held.shape
+        after = -(south + rows) % COARSE, -(west + cols) % COARSE
+        whole = np.pad(self._held, ((south, after[0]), (west, after[1])))
+        blocks = whole.reshape(len(whole) // COARSE, COARSE, -1, COARSE)
+        held: NDArray[np.bool_] = np.any(blocks, axis=(1, 3))
+        return bool((distance_transform_edt(~held) <= reach).all())
 
 
-def within_returns(
-    x: NDArray[np.int64], y: NDArray[np.int64], cell: Bounds, settings: ProductSettings
-) -> NDArray[np.bool_]:
-    """Squares of a ground cell that some returns cover, such as those of signal.
+class Footprint:
+    """Squares of a ground cell that were flown: covered by returns about as high as its ground.
 
-    Off the edge of a swath, and of a lake, there is noise but no signal.
+    Points come part by part, and twice: all are to be :meth:`look`-ed at before the first of them
+    is :meth:`add`-ed.
 
     Parameters
     ----------
-    x, y : (n,) int64
-        Returns of the cell and of twice ``settings.void_max_m`` around it, in any order [quanta].
-    cell : Bounds
-        The ground cell [quanta].
-
-    Returns
-    -------
-    (rows, cols) bool
-        As of :func:`footprint`.
+    cell, settings
+        As of :class:`Covered`.
     """
-    near = inside(x, y, _quanta(_squares(grow(cell, quanta(2 * settings.void_max_m)))))
-    step = slice(None, None, len(x) // ENOUGH + 1)
-    return _covered(x[step], y[step], lambda: (x[near], y[near]), cell, settings)
+
+    def __init__(self, cell: Bounds, settings: ProductSettings) -> None:
+        self._cell, self._covered = cell, Covered(cell, settings)
+        self._ground: Heights | None = None
+
+    def look(self, table: PointTable, part: Bounds) -> None:
+        """See how high the ground is; points of a part, with ``x, y, z, ground``."""
+        mine = shared(part, self._covered.region)
+        self._ground = both(self._ground, ground_heights(table, mine))
+
+    def add(self, table: PointTable, part: Bounds) -> None:
+        """Take the points of a part in; those beyond it are passed over."""
+        mine = shared(part, self._covered.region)
+        there = about_ground(table, mine, self._ground)
+        self._covered.add(table["x"][there], table["y"][there])
+
+    def squares(self, within: Within | None = None) -> NDArray[np.bool_]:
+        """Squares of :func:`whole_squares`, from the south, without those refused: (r, c) bool."""
+        squares = self._covered.squares()
+        return squares if within is None else refused(squares, self._cell, within)
 
 
 def whole_squares(cell: Bounds) -> Bounds:
@@ -122,58 +172,8 @@ def _quanta(squares: Bounds) -> Bounds:
     return Bounds(*(side * SQUARE_Q for side in squares))
 
 
-def _held(column: NDArray[np.int64], row: NDArray[np.int64], frame: Bounds) -> NDArray[np.bool_]:
-    """Squares of a frame that hold points, from the south."""
-    held = np.zeros((frame.ymax - frame.ymin, frame.xmax - frame.xmin), np.bool_)
-    held[row - frame.ymin, column - frame.xmin] = True
-    return held
-
-
-def _covered(
-    some_x: NDArray[np.int64],
-    some_y: NDArray[np.int64],
-    everything: Callable[[], tuple[NDArray[np.int64], NDArray[np.int64]]],
-    cell: Bounds,
-    settings: ProductSettings,
-) -> NDArray[np.bool_]:
-    """Squares that returns cover; all of them are looked at where some do not tell."""
-    wide, core = _squares(grow(cell, quanta(2 * settings.void_max_m))), _squares(cell)
-    # the margin is that of two discs; a square's own width is taken off them
-    reach = quanta(settings.void_max_m) // SQUARE_Q - 1
-    if _cover_all(some_x, some_y, wide, reach // COARSE - 2):
-        return np.ones((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
-    return _closed(*everything(), wide, core, reach)
-
-
-def _cover_all(x: NDArray[np.int64], y: NDArray[np.int64], wide: Bounds, reach: int) -> bool:
-    """Whether some of the returns already tell that no place is far from all of them."""
-    there = inside(x, y, _quanta(wide))
-    if reach < 1 or not there.any():
-        return False
-    edge = SQUARE_Q * COARSE
-    frame = Bounds(
-        wide.xmin // COARSE, wide.ymin // COARSE, -(-wide.xmax // COARSE), -(-wide.ymax // COARSE)
-    )
-    held = _held(x[there] // edge, y[there] // edge, frame)
-    return bool((distance_transform_edt(~held) <= reach).all())
-
-
-def _closed(
-    x: NDArray[np.int64], y: NDArray[np.int64], wide: Bounds, core: Bounds, reach: int
-) -> NDArray[np.bool_]:
-    """Squares of the core that returns cover, as far as returns reach."""
-    covered = np.zeros((core.ymax - core.ymin, core.xmax - core.xmin), np.bool_)
-    column, row = x // SQUARE_Q, y // SQUARE_Q
-    if not len(column):
-        return covered
-    hull = Bounds(int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1)
-    # farther out than a disc nothing is covered
-    around = shared(grow(hull, reach + 2), wide)
-    closed = _with_rim(close(_held(column, row, around), reach), len(column))
-    mine = shared(around, core)
-    if mine.area_m2 > 0:
-        covered[_place(mine, core)] = closed[_place(mine, around)]
-    return covered
+def _shape(squares: Bounds) -> tuple[int, int]:
+    return squares.ymax - squares.ymin, squares.xmax - squares.xmin
 
 
 def _with_rim(closed: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:

@@ -32,7 +32,7 @@ def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool
     return usable & ~off_surface(table, usable)
 
 
-def makes_surfaces(table: PointTable) -> PointTable:
+def makes_surfaces(table: PointTable, bare: Bare | None = None) -> PointTable:
     """Points that a raster may rest on, or that say how much noise there is.
 
     A point that no unit has labelled, or that lies outside the area, is none.
@@ -41,8 +41,11 @@ def makes_surfaces(table: PointTable) -> PointTable:
     ----------
     table : PointTable
         ``x, y, z, flags, noise_class, ground``, and what intensity is made of where it is there.
+    bare : Bare, optional
+        Where signals are stray, if these are some of a cell's points only.
     """
-    chosen = known(table) & ~stray(table, spare_above=True)
+    chosen = known(table)
+    chosen &= ~(stray(table, spare_above=True) if bare is None else bare.holds(table))
     optional = (*surface_rasters.COLUMNS_OF_INTENSITY, "afterpulse")
     also = [name for name in optional if name in table]
     return table.select((*surface_rasters.COLUMNS_NEEDED, *also)).take(chosen)

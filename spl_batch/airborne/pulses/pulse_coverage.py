@@ -42,66 +42,85 @@ class Coverage(NamedTuple):
 
 
 def reach_q() -> int:
-    """How far around a region :func:`coverage` looks [quanta]."""
+    """How far around a region :class:`EmptySquares` looks [quanta]."""
     return (MARGIN + 2) * max(SPACINGS.values())
 
 
-def coverage(
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    core: Bounds,
-    flown: NDArray[np.bool_],
-    spacing: int,
-) -> tuple[Coverage, NDArray[np.bool_]]:
-    """Squares of a region by one spacing.
+class EmptySquares:
+    """Squares of the nominal spacings in and around a region that hold no first return.
 
     Parameters
     ----------
-    x, y : (n,) int64
-        First returns of the region and of :func:`reach_q` around it, in any order [quanta].
     core : Bounds
         The region [quanta].
-    flown : (rows, cols) bool
-        Which of its raster cells were flown and are no water, row 0 southernmost.
-    spacing : int
-        Nominal pulse spacing, even [quanta].
-
-    Returns
-    -------
-    coverage : Coverage
-        Counts of the squares whose centres lie in the region.
-    void : (rows, cols) bool
-        Which raster cells have their centre in a data void, row 0 southernmost.
     """
-    i, j, empty = _empty(x, y, core, spacing)
-    void = _opened(empty, VOID_SPACINGS)
-    size = (core.xmax - core.xmin) // flown.shape[1]
-    places, in_void = _counted(void, i, j, spacing, core, flown, size)
-    # Two by two squares, the first of them of even number.
-    pairs = empty[j % 2 :, i % 2 :]
-    rows, cols = (side // 2 * 2 for side in pairs.shape)
-    quarters = pairs[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
-    bare: NDArray[np.bool_] = np.all(quarters, axis=(1, 3))
-    west, south = (i + i % 2) // 2, (j + j % 2) // 2
-    squares, unfilled = _counted(bare, west, south, 2 * spacing, core, flown, size)
-    col = (np.arange(core.xmin + size // 2, core.xmax, size) // spacing) - i
-    row = (np.arange(core.ymin + size // 2, core.ymax, size) // spacing) - j
-    of_cells = void[np.ix_(row, col)] & flown
-    return Coverage(squares, squares - unfilled, places, in_void), of_cells
+
+    def __init__(self, core: Bounds) -> None:
+        self._core = core
+        self._whole = {spacing: _whole(core, spacing) for spacing in SPACINGS.values()}
+        self._empty = {
+            spacing: np.ones(
+                ((whole.ymax - whole.ymin) // spacing, (whole.xmax - whole.xmin) // spacing),
+                np.bool_,
+            )
+            for spacing, whole in self._whole.items()
+        }
+
+    def add(self, x: NDArray[np.int64], y: NDArray[np.int64]) -> None:
+        """Look at some first returns of the region and of :func:`reach_q` around it, in any order.
+
+        Parameters
+        ----------
+        x, y : (n,) int64
+            Places [quanta].
+        """
+        for spacing, whole in self._whole.items():
+            near = inside(x, y, whole)
+            row, col = (y[near] - whole.ymin) // spacing, (x[near] - whole.xmin) // spacing
+            self._empty[spacing][row, col] = False
+
+    def coverage(
+        self, flown: NDArray[np.bool_], spacing: int
+    ) -> tuple[Coverage, NDArray[np.bool_]]:
+        """Squares of the region by one spacing.
+
+        Parameters
+        ----------
+        flown : (rows, cols) bool
+            Which of its raster cells were flown and are no water, row 0 southernmost.
+        spacing : int
+            Nominal pulse spacing [quanta].
+
+        Returns
+        -------
+        coverage : Coverage
+            Counts of the squares whose centres lie in the region.
+        void : (rows, cols) bool
+            Which raster cells have their centre in a data void, row 0 southernmost.
+        """
+        core, empty, whole = self._core, self._empty[spacing], self._whole[spacing]
+        i, j = whole.xmin // spacing, whole.ymin // spacing
+        void = _opened(empty, VOID_SPACINGS)
+        size = (core.xmax - core.xmin) // flown.shape[1]
+        places, in_void = _counted(void, i, j, spacing, core, flown, size)
+        # Two by two squares, the first of them of even number.
+        pairs = empty[j % 2 :, i % 2 :]
+        rows, cols = (side // 2 * 2 for side in pairs.shape)
+        quarters = pairs[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
+        bare: NDArray[np.bool_] = np.all(quarters, axis=(1, 3))
+        west, south = (i + i % 2) // 2, (j + j % 2) // 2
+        squares, unfilled = _counted(bare, west, south, 2 * spacing, core, flown, size)
+        col = (np.arange(core.xmin + size // 2, core.xmax, size) // spacing) - i
+        row = (np.arange(core.ymin + size // 2, core.ymax, size) // spacing) - j
+        of_cells = void[np.ix_(row, col)] & flown
+        return Coverage(squares, squares - unfilled, places, in_void), of_cells
 
 
-def _empty(
-    x: NDArray[np.int64], y: NDArray[np.int64], core: Bounds, spacing: int
-) -> tuple[int, int, NDArray[np.bool_]]:
-    """First column and row, and which squares around a region hold no return."""
+def _whole(core: Bounds, spacing: int) -> Bounds:
+    """Whole squares that decide on those of a region [quanta]."""
     wide = grow(core, MARGIN * spacing)
-    i, j = wide.xmin // spacing, wide.ymin // spacing
-    cols, rows = wide.xmax // spacing + 1 - i, wide.ymax // spacing + 1 - j
-    whole = Bounds(i * spacing, j * spacing, (i + cols) * spacing, (j + rows) * spacing)
-    near = inside(x, y, whole)
-    empty = np.ones((rows, cols), np.bool_)
-    empty[y[near] // spacing - j, x[near] // spacing - i] = False
-    return i, j, empty
+    west, south = (low // spacing * spacing for low in wide[:2])
+    return Bounds(west, south, *((high // spacing + 1) * spacing for high in wide[2:]))
 
 
 def _opened(empty: NDArray[np.bool_], edge: int) -> NDArray[np.bool_]:

@@ -12,56 +12,79 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, VOID_SPACINGS, coverage
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, VOID_SPACINGS, EmptySquares
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.lattice.tiles import Bounds, inside
 
 NAMES: Final = ("first_returns", "last_returns", "voids", "swaths")
-"""Rasters that :func:`pulse_maps` makes."""
+"""Rasters that :class:`PulseMaps` makes."""
 
 
-def pulse_maps(
-    first: NDArray[np.int64],
-    last: NDArray[np.int64],
-    line: NDArray[np.int64],
-    core: Bounds,
-    flown: NDArray[np.bool_],
-) -> dict[str, NDArray[np.float32]]:
-    """Maps of a region.
+class PulseMaps:
+    """Maps of a region, made of its pulses part by part.
 
     Parameters
     ----------
-    first, last : (n, 2) int64
-        Places of first and of last returns, the first of those that lie around the region too
-        [quanta].
-    line : (n,) int64
-        Flightline of each first return; -1 where none is known.
     core : Bounds
         The region [quanta].
-    flown : (rows, cols) bool
-        Which of its raster cells were flown, row 0 southernmost.
-
-    Returns
-    -------
-    dict of str to (rows, cols) float32
-        Row 0 northernmost, nodata where nothing was flown: ``first_returns`` and ``last_returns``
-        [1/m2]; ``voids``, edge of the largest empty square of four nominal spacings that covers the
-        cell's centre, 0 without any [m]; ``swaths``, flightlines with a first return in the cell
-        [count], nodata everywhere where no flightlines are known.
+    size : int
+        Edge of a raster cell [quanta].
     """
-    size = (core.xmax - core.xmin) // flown.shape[1]
-    area_m2 = (size * QUANTUM_M) ** 2
-    voids = np.zeros(flown.shape)
-    for spacing in sorted(SPACINGS.values()):
-        _, empty = coverage(first[:, 0], first[:, 1], core, flown, spacing)
-        voids[empty] = VOID_SPACINGS * spacing * QUANTUM_M
-    found = {
-        "first_returns": _counts(first, core, flown.shape) / area_m2,
-        "last_returns": _counts(last, core, flown.shape) / area_m2,
-        "voids": voids,
-        "swaths": _swaths(first, line, core, flown.shape),
-    }
-    return {name: _delivered(values, flown) for name, values in found.items()}
+
+    def __init__(self, core: Bounds, size: int) -> None:
+        self._core, self._size = core, size
+        self._shape = (core.ymax - core.ymin) // size, (core.xmax - core.xmin) // size
+        self._empty = EmptySquares(core)
+        self._first, self._last, self._swaths = np.zeros((3, *self._shape))
+        self._known = False
+
+    def add(
+        self, first: NDArray[np.int64], last: NDArray[np.int64], line: NDArray[np.int64]
+    ) -> None:
+        """Take some pulses in.
+
+        Parameters
+        ----------
+        first, last : (n, 2) int64
+            Places of first and of last returns, the first of those that lie around the region too;
+            all of a raster cell come at once [quanta].
+        line : (n,) int64
+            Flightline of each first return; -1 where none is known.
+        """
+        self._empty.add(first[:, 0], first[:, 1])
+        self._first += _counts(first, self._core, self._shape)
+        self._last += _counts(last, self._core, self._shape)
+        self._swaths += _swaths(first, line, self._core, self._shape)
+        self._known |= bool((line >= 0).any())
+
+    def rasters(self, flown: NDArray[np.bool_]) -> dict[str, NDArray[np.float32]]:
+        """What was made.
+
+        Parameters
+        ----------
+        flown : (rows, cols) bool
+            Which raster cells were flown, row 0 southernmost.
+
+        Returns
+        -------
+        dict of str to (rows, cols) float32
+            Row 0 northernmost, nodata where nothing was flown: ``first_returns`` and
+            ``last_returns`` [1/m2]; ``voids``, edge of the largest empty square of four nominal
+            spacings that covers the cell's centre, 0 without any [m]; ``swaths``, flightlines with
+            a first return in the cell [count], nodata everywhere where no flightlines are known.
+        """
+        area_m2 = (self._size * QUANTUM_M) ** 2
+        voids = np.zeros(self._shape)
+        for spacing in sorted(SPACINGS.values()):
+            _, empty = self._empty.coverage(flown, spacing)
+            voids[empty] = VOID_SPACINGS * spacing * QUANTUM_M
+        found = {
+            "first_returns": self._first / area_m2,
+            "last_returns": self._last / area_m2,
+            "voids": voids,
+            "swaths": self._swaths if self._known else np.full(self._shape, np.nan),
+        }
+        return {name: _delivered(values, flown) for name, values in found.items()}
 
 
 def _cells(xy: NDArray[np.int64], core: Bounds, shape: tuple[int, ...]) -> NDArray[np.int64]:
@@ -81,8 +104,6 @@ def _swaths(
     xy: NDArray[np.int64], line: NDArray[np.int64], core: Bounds, shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
     mine = inside(xy[:, 0], xy[:, 1], core) & (line >= 0)
-    if not (line >= 0).any():
-        return np.full(shape, np.nan)
     cells = shape[0] * shape[1]
     pairs = np.unique(line[mine] * cells + _cells(xy[mine], core, shape))
     return np.bincount(pairs % cells, minlength=cells).reshape(shape).astype(np.float64)

@@ -94,7 +94,10 @@ def smooth_sums(first: NDArray[np.int64], line: NDArray[np.int64], core: Bounds)
     if not len(place):
         return {name: np.zeros((STEPS, 3), np.int64) for name in CELLS}
     xyz = xyz[enough]
-    x, y, z = (xyz - (whole.xmin, whole.ymin, int(xyz[:, 2].min()))).T
+    # Heights above the lowest return of their place: what lies elsewhere changes no rounding.
+    low = np.full(int(place.max()) + 1, int(xyz[:, 2].max()))
+    np.minimum.at(low, place, xyz[:, 2])
+    x, y, z = xyz[:, 0] - whole.xmin, xyz[:, 1] - whole.ymin, xyz[:, 2] - low[place]
     number = (place * parts + y % square // edge) * parts + x % square // edge
     shape = (int(place.max()) + 1, parts, parts)
     highest, lowest = np.full(np.prod(shape), -1), np.full(np.prod(shape), int(z.max()) + 1)

@@ -6,7 +6,6 @@ otherwise than the tiles (ground cells, blocks) need no join to find their point
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
@@ -56,49 +55,57 @@ class Origin(NamedTuple):
     owner: NDArray[np.unsignedinteger[Any]]
     row: NDArray[np.uint32]  #: (n,): row of each point in its tile's file.
 
-    def of(self, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-        """Tile (m, 2) and row (m,) of some points, given as (n,) bool."""
-        return self.tiles[self.owner[chosen]], self.row[chosen]
+    def of(self, chosen: NDArray[np.bool_]) -> "Origin":
+        """Where some of them lie, given as (n,) bool."""
+        return Origin(self.tiles, self.owner[chosen], self.row[chosen])
 
 
-def write_labels(
-    path: Path,
-    tiles: NDArray[np.int32],
-    rows: NDArray[np.uint32],
-    labels: Mapping[str, NDArray[Any]],
-) -> None:
-    """Write labels atomically, sorted by tile and row.
+Labelled = tuple[Origin, Mapping[str, NDArray[Any]]]
+"""Where some points lie, and their labels by column name."""
+
+
+def write_labels(path: Path, parts: Sequence[Labelled]) -> None:
+    """Write labels atomically, sorted by tile and row; no more than a tile's are held again.
 
     Parameters
     ----------
-    tiles : (n, 2) int32
-        Column and row of each point's tile.
-    rows : (n,) uint32
-        Row in the tile's file.
-    labels : mapping of str to (n,) ndarray
-        Values by column name.
+    path : Path
+        Final name.
+    parts : sequence of (Origin, mapping of str to (n,) ndarray)
+        Points in any order, each in one part, and their labels.
     """
-    i, j = (np.ascontiguousarray(axis) for axis in tiles.T)
-    columns = {"tile_i": i, "tile_j": j, "row": rows}
-    columns |= {k: np.asarray(v, COLUMNS[k].dtype) for k, v in labels.items()}
-    keys = (j, i, rows)
-    if not in_order(keys):
-        order = lexicographic_order(keys)
+    names = list(parts[0][1])
+    dtypes: dict[str, Any] = {"tile_i": np.int32, "tile_j": np.int32, "row": np.uint32}
+    dtypes |= {name: COLUMNS[name].dtype for name in names}
+    tiles = {CellId(*tile) for origin, _ in parts for tile in origin.tiles.tolist()}
+    held = (_of_tile(tile, parts) for tile in sorted(tiles, key=lambda tile: (tile.j, tile.i)))
+    nothing = {name: np.empty(0, dtype) for name, dtype in dtypes.items()}
+    written = 0
+    with writing(path, dtypes, sought=("tile_i", "tile_j", "row")) as writer:
+        for found in held:
+            count = len(found["row"])
+            columns = {name: np.asarray(found[name], dtype) for name, dtype in dtypes.items()}
+            for first in range(0, count, GROUP_ROWS):
+                writer.write({k: v[first : first + GROUP_ROWS] for k, v in columns.items()})
+            written += count
+        if not written:
+            writer.write(nothing)
+
+
+def _of_tile(tile: CellId, parts: Sequence[Labelled]) -> dict[str, NDArray[Any]]:
+    """Labels of the points of a tile, by row."""
+    found = []
+    for origin, labels in parts:
+        (number,) = np.nonzero((origin.tiles == tile).all(axis=1))
+        mine = np.flatnonzero(np.isin(origin.owner, number))
+        found.append({"row": origin.row[mine], **{k: v[mine] for k, v in labels.items()}})
+    columns = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+    rows = columns["row"]
+    if len(rows) and not in_order([rows]):
+        order = lexicographic_order([rows])
         columns = {name: values[order] for name, values in columns.items()}
-    cuts = _tile_starts(columns).tolist()
-    dtypes = {k: v.dtype for k, v in columns.items()}
-    sought = ("tile_i", "tile_j", "row")
-    with writing(path, dtypes, sought=sought) as writer:
-        for start, end in pairwise([0, *cuts, len(rows)]):
-            for first in range(start, max(end, start + 1), GROUP_ROWS):
-                last = min(first + GROUP_ROWS, end)
-                writer.write({k: v[first:last] for k, v in columns.items()})
-
-
-def _tile_starts(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.intp]:
-    """Rows at which another tile's points begin."""
-    i, j = columns["tile_i"], columns["tile_j"]
-    return np.flatnonzero((i[1:] != i[:-1]) | (j[1:] != j[:-1])) + 1
+    place = np.broadcast_to(np.array(tile, np.int32)[:, None], (2, len(rows)))
+    return {"tile_i": place[0], "tile_j": place[1], **columns}
 
 
 class _LabelFile:

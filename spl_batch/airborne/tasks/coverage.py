@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.products.footprint import footprint
+from spl_batch.airborne.products.footprint import Within
 from spl_batch.constants import NODATA
 from spl_batch.formats.polygons import contains, read_polygons
-from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds
 
 _SQUARES: Final = "footprint"
 """Fact of a ground cell: squares that returns cover [count]."""
@@ -34,21 +32,12 @@ UNSURE_M: Final = 0.5
 """Terrain that may be off by more than this is not known well [m]."""
 
 
-def flown_squares(table: PointTable, core: Bounds, context: Context) -> NDArray[np.bool_]:
-    """Squares of a ground cell that returns cover, within the area of interest.
-
-    Parameters
-    ----------
-    table : PointTable
-        Points of the cell and around it that its rasters are made of.
-    core : Bounds
-        The cell [quanta].
-    """
+def of_interest(context: Context) -> Within | None:
+    """Which places lie within the area of interest; None where there is none."""
     aoi = context.workflow.aoi
-    within = (
-        None if aoi is None else partial(contains, read_polygons(context.resolve(aoi), context.crs))
-    )
-    return footprint(table, core, context.workflow.products, within)
+    if aoi is None:
+        return None
+    return partial(contains, read_polygons(context.resolve(aoi), context.crs))
 
 
 def covered(
@@ -59,7 +48,7 @@ def covered(
     Parameters
     ----------
     squares : (rows, cols) bool
-        Its squares that returns cover, of :func:`flown_squares`.
+        Its squares that returns cover, within the area of interest.
     arrays : mapping of str to (rows, cols) float32
         Its rasters; ``dtm``, ``dtm_quality`` and ``density`` are looked at.
     """

@@ -1,28 +1,24 @@
 """First returns of a ground cell: how densely and how evenly they cover what was flown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.classes.overlap import lines_by_square
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.products.footprint import (
-    SQUARE_Q,
-    refused,
-    whole_squares,
-    within_returns,
-)
+from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, refused, whole_squares
 from spl_batch.airborne.products.surface_rasters import margin_cells
-from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, coverage, not_flown, reach_q
-from spl_batch.airborne.pulses.pulse_maps import flightline_of, pulse_maps
-from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, pulse_ends
-from spl_batch.airborne.pulses.smooth_surfaces import smooth_sums
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not_flown, reach_q
+from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
+from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
+from spl_batch.airborne.pulses.smooth_surfaces import SQUARE_M, STEPS, smooth_sums
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
-from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
-from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
+from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
+from spl_batch.lattice.tiles import Bounds, inside, quanta, shared
 
 PULSES: Final = "pulses"
 """Fact of a ground cell: first returns on flown squares with signal around, no water [count]."""
@@ -41,6 +37,10 @@ spacing."""
 SMOOTH: Final = "smooth"
 """Fact of a ground cell: sums of :mod:`~spl_batch.airborne.pulses.smooth_surfaces` by spacing; of
 each thickness that is there: its number, places, cells, squared differences [quanta2]."""
+
+STEP_Q: Final = quanta(SQUARE_M)
+"""Parts of a cell are cut at multiples of this: a place of smooth ground is judged as one
+[quanta]."""
 
 PASS_S: Final = 60.0
 """Returns of one point source id in the same minute are of one pass [s]."""
@@ -65,88 +65,125 @@ def usable(table: PointTable) -> NDArray[np.bool_]:
     return found & ~table.has(EXCLUDED | PointFlag.OUTSIDE_AOI)
 
 
-def pulse_returns(table: PointTable, core: Bounds, products: ProductSettings) -> PulseReturns:
-    """First and last signal returns in and around a ground cell.
+def reach(products: ProductSettings) -> int:
+    """How far around a ground cell returns are looked at [quanta].
+
+    Returns of one pulse lie side by side: what leans across the margin counts on its own side.
+    """
+    return max(margin_cells(products) * quanta(products.cell_m), reach_q())
+
+
+def returns_of(table: PointTable, ends: Ends) -> PulseReturns:
+    """First and last returns of pulses.
 
     Parameters
     ----------
     table : PointTable
-        Points of the cell and around it that are :func:`usable`, with :data:`COLUMNS`.
-    core : Bounds
-        The cell [quanta].
+        Points with :data:`COLUMNS`.
+    ends : ((n,) bool, (n,) bool)
+        Which of them are first and last returns.
     """
-    # Returns of one pulse lie side by side: what leans across the margin counts on its own side.
-    margin = max(margin_cells(products) * quanta(products.cell_m), reach_q())
-    near = inside(table["x"], table["y"], grow(core, margin))
-    signal = table.select(COLUMNS).take(rows_of(near))
-    first, last = pulse_ends(signal)
-    xyz = np.column_stack([signal[axis][first] for axis in "xyz"]).astype(np.int64)
-    xy = np.column_stack([signal[axis][last] for axis in "xy"])
-    of_first = (signal[name][first] for name in ("gps_time", "point_source_id"))
+    first, last = ends
+    xyz = np.column_stack([table[axis][first] for axis in "xyz"]).astype(np.int64)
+    xy = np.column_stack([table[axis][last] for axis in "xy"])
+    of_first = (table[name][first] for name in ("gps_time", "point_source_id"))
     return PulseReturns(xyz, xy, *of_first)
 
 
-def pulse_facts(
-    returns: PulseReturns, core: Bounds, squares: NDArray[np.bool_], context: Context
-) -> dict[str, Any]:
-    """What the report needs to know: whole numbers, so that sums do not depend on their order.
+class Pulses:
+    """What the pulses of a ground cell tell; their returns come part by part.
 
-    Nothing here depends on the raster's cells: at the edge of a survey coarse ones would count
-    ground that nobody has flown.
+    Parts are rectangles whose edges lie at multiples of :data:`STEP_Q` and between raster cells.
 
     Parameters
     ----------
     core : Bounds
         The cell [quanta].
-    squares : (rows, cols) bool
-        Its squares that were flown (:mod:`~spl_batch.airborne.products.footprint`).
+    passes : sequence of (int, float, float)
+        Point source id, first and last time of each flightline [s].
+    context : Context
+        The run.
     """
-    x, y, _ = returns.first.T
-    dry = squares
-    if context.workflow.water is not None:
-        polygons = read_polygons(context.resolve(context.workflow.water), context.crs)
-        dry = refused(squares, core, lambda east, north: ~contains(polygons, east, north))
-    signal = within_returns(x, y, core, context.workflow.products)
-    flown, region = dry & signal, whole_squares(core)
-    levels: Mapping[str, Any] = {
-        level: coverage(x, y, region, flown, spacing)[0] for level, spacing in SPACINGS.items()
-    }
-    own = inside(x, y, region)
-    counted = flown[(y[own] - region.ymin) // SQUARE_Q, (x[own] - region.xmin) // SQUARE_Q]
-    return {
-        PULSES: int(np.count_nonzero(counted)),
-        FLOWN: int(np.count_nonzero(flown)),
-        BARE: int(np.count_nonzero(dry & ~signal)),
-        LEVELS: {level: list(found) for level, found in levels.items()},
-        SMOOTH: {
-            level: [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
-            for level, sums in smooth_sums(returns.first, _passes(returns), core).items()
-        },
-    }
+
+    def __init__(
+        self, core: Bounds, passes: Sequence[tuple[int, float, float]], context: Context
+    ) -> None:
+        self._core, self._passes, self._context = core, passes, context
+        workflow = context.workflow
+        self._region = whole_squares(core)
+        self._signal, self._empty = Covered(core, workflow.products), EmptySquares(self._region)
+        self._count = np.zeros(self._signal.squares().shape, np.int64)
+        self._smooth = {level: np.zeros((STEPS, 3), np.int64) for level in SPACINGS}
+        size = quanta(workflow.products.cell_m)
+        self._maps = PulseMaps(core, size) if workflow.products.maps else None
+        self._overlap = workflow.classes.overlap
+        self.lines: list[NDArray[np.int64]] = []
+
+    def add(self, returns: PulseReturns, part: Bounds) -> None:
+        """Take in the returns of a part."""
+        x, y, _ = returns.first.T
+        self._signal.add(x, y)
+        self._empty.add(x, y)
+        own, region = inside(x, y, self._region), self._region
+        np.add.at(
+            self._count,
+            ((y[own] - region.ymin) // SQUARE_Q, (x[own] - region.xmin) // SQUARE_Q),
+            1,
+        )
+        sums = smooth_sums(returns.first, _passes(returns), shared(part, self._core))
+        for level, found in sums.items():
+            self._smooth[level] += found
+        if self._maps is None and not self._overlap:
+            return
+        line = flightline_of(returns.point_source_id, returns.time_s, self._passes)
+        if self._maps is not None:
+            self._maps.add(returns.first[:, :2], returns.last, line)
+        if self._overlap:
+            self.lines.append(lines_by_square(returns.first[:, :2], line))
+
+    def facts(self, squares: NDArray[np.bool_]) -> dict[str, Any]:
+        """What the report needs to know: whole numbers, so that sums do not depend on their order.
+
+        Nothing here depends on the raster's cells: at the edge of a survey coarse ones would count
+        ground that nobody has flown.
+
+        Parameters
+        ----------
+        squares : (rows, cols) bool
+            The cell's squares that were flown (:mod:`~spl_batch.airborne.products.footprint`).
+        """
+        context, dry = self._context, squares
+        if context.workflow.water is not None:
+            polygons = read_polygons(context.resolve(context.workflow.water), context.crs)
+            dry = refused(squares, self._core, lambda x, y: ~contains(polygons, x, y))
+        signal = self._signal.squares()
+        flown = dry & signal
+        return {
+            PULSES: int(self._count[flown].sum()),
+            FLOWN: int(np.count_nonzero(flown)),
+            BARE: int(np.count_nonzero(dry & ~signal)),
+            LEVELS: {
+                level: list(self._empty.coverage(flown, spacing)[0])
+                for level, spacing in SPACINGS.items()
+            },
+            SMOOTH: {
+                level: [[k, *sums[k].tolist()] for k in np.flatnonzero(sums[:, 0]).tolist()]
+                for level, sums in self._smooth.items()
+            },
+        }
+
+    def rasters(self, density: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        """Maps of the cell, where they are asked for.
+
+        Parameters
+        ----------
+        density : (rows, cols) float32
+            Its raster of density, nodata where nothing was flown.
+        """
+        return {} if self._maps is None else self._maps.rasters(~not_flown(density))
 
 
 def _passes(returns: PulseReturns) -> NDArray[np.int64]:
     """A number for each pass of a flightline: one that turns comes back some minutes later."""
     minute = np.nan_to_num(np.floor(returns.time_s / PASS_S), nan=-1.0).astype(np.int64)
     return minute * 2**16 + returns.point_source_id
-
-
-def pulse_rasters(
-    returns: PulseReturns,
-    core: Bounds,
-    density: NDArray[np.float32],
-    passes: Sequence[tuple[int, float, float]],
-) -> dict[str, NDArray[np.float32]]:
-    """Maps of a ground cell.
-
-    Parameters
-    ----------
-    core : Bounds
-        The cell [quanta].
-    density : (rows, cols) float32
-        Its raster of density, nodata where nothing was flown.
-    passes : sequence of (int, float, float)
-        Point source id, first and last time of each flightline [s].
-    """
-    line = flightline_of(returns.point_source_id, returns.time_s, passes)
-    return pulse_maps(returns.first[:, :2], returns.last, line, core, ~not_flown(density))

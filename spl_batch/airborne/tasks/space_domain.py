@@ -1,9 +1,10 @@
 """Stages ``denoise`` and ``ground``: a place with its halo, all flightlines."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from math import lcm
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,10 @@ from spl_batch.lattice.tiles import (
 
 Units = dict[CellId, list[tuple[str, str]]]
 
+T = TypeVar("T")
+
+_LABELS: Final = ("noise_class", "ground", "noise_density", "wire")
+
 _GROUND_COLUMNS = ("x", "y", "z", "flags", "afterpulse", "range_sigma")
 
 
@@ -38,24 +43,23 @@ def denoise(args: Mapping[str, Any], context: Context) -> Produced:
     """Decide which points of a block are noise, part by part where not all of it fits in memory."""
     core = Bounds(*args["core"])
     parts = [_judged(args, context, Bounds(*part)) for part in args.get("parts") or [core]]
-    labels = {k: np.concatenate([part.labels[k] for part in parts]) for k in parts[0].labels}
-    tiles, rows = (np.concatenate([part.place[k] for part in parts]) for k in (0, 1))
     path = context.store.labels("noise", args["block"])
-    write_labels(path, tiles, rows, labels)
-    kinds, counts = np.unique(labels["noise_class"], return_counts=True)
+    write_labels(path, [(part.place, part.labels) for part in parts])
+    kind = np.concatenate([part.labels["noise_class"] for part in parts])
+    kinds, counts = np.unique(kind, return_counts=True)
     facts = {
         "core": list(core),
         "noise_class": dict(zip(map(str, kinds.tolist()), counts.tolist(), strict=True)),
         **facts_of([part.look for part in parts]),
     }
-    return Produced([path], facts, len(labels["noise_class"]))
+    return Produced([path], facts, len(kind))
 
 
 class _Judged(NamedTuple):
     """Labels of the points of a part of a block, where they lie, and what its air is like."""
 
     labels: dict[str, NDArray[Any]]
-    place: tuple[NDArray[np.int32], NDArray[np.uint32]]
+    place: Origin
     look: Look
 
 
@@ -123,19 +127,19 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
         bare = bare_cells(lambda: (read(band, ("x", "y", "z"))[0] for band in bands))
         given = partial(points, bare=bare)
         found = list(map(_owned, grounding.ground_in_bands(lambda: map(given, bands))))
-    tiles, rows, labels = (np.concatenate(some) for some in zip(*found, strict=True))
-    del found
     path = context.store.labels("ground", args["cell"])
-    write_labels(path, tiles, rows, {"ground": labels})
-    return Produced([path], {"ground": int(np.count_nonzero(labels))}, len(labels))
+    write_labels(path, found)
+    labels = [part["ground"] for _, part in found]
+    counted = {"ground": int(sum(map(np.count_nonzero, labels)))}
+    return Produced([path], counted, sum(map(len, labels)))
 
 
 def _owned(
     found: tuple[grounding.Band, NDArray[np.bool_]],
-) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.bool_]]:
-    """Tile, row and label of the points of a band that its cell owns."""
+) -> tuple[Origin, dict[str, NDArray[np.bool_]]]:
+    """Where the points of a band lie that its cell owns, and their labels."""
     band, mask = found
-    return *band.origin.of(band.asked), mask[band.asked]
+    return band.origin.of(band.asked), {"ground": mask[band.asked]}
 
 
 def _bands(region: Bounds, tiles: Sequence[CellId], tile_q: int, count: int) -> list[Bounds]:
@@ -159,3 +163,45 @@ def label_units(units: Mapping[str, Sequence[Sequence[str]]]) -> Units:
     return {
         parse_cell(tile): [(kind, name) for kind, name in listed] for tile, listed in units.items()
     }
+
+
+class Cell(NamedTuple):
+    """A ground cell: what its task was told, and where its points lie."""
+
+    args: Mapping[str, Any]
+    context: Context
+    core: Bounds
+
+    def parts(self, region: Bounds, *steps: int) -> list[Bounds]:
+        """Strips from west to east; raster cells, and squares of these edges [quanta], are whole.
+
+        Tiles are read by easting: a strip reads little else.
+        """
+        step = lcm(quanta(self.context.workflow.products.cell_m), *steps)
+        first, past = region.xmin // step, -(-region.xmax // step)
+        count = self.args.get("strips", 1)
+        cuts = {first + (past - first) * k // count for k in range(1, count)} - {first}
+        ends = [region.xmin, *(step * cut for cut in sorted(cuts)), region.xmax]
+        return [region._replace(xmin=west, xmax=east) for west, east in pairwise(ends)]
+
+    def read(
+        self,
+        region: Bounds,
+        columns: Sequence[str],
+        keep: Callable[[PointTable], NDArray[np.bool_]] | None = None,
+    ) -> tuple[PointTable, Origin]:
+        """Points of a region [quanta], tile by tile, and where they lie."""
+        noise, ground = (label_units(self.args[kind]) for kind in ("noise", "ground"))
+        labels = {k: ground if k == "ground" else noise for k in columns if k in _LABELS}
+        return read_region(
+            self.context.store, tile_cells(self.args["tiles"]), region,
+            [k for k in columns if k not in labels], labels, ordered=False, keep=keep,
+        )  # fmt: skip
+
+
+def once(parts: Sequence[Bounds], read: Callable[[Bounds], T]) -> Callable[[Bounds], T]:
+    """Read what is asked for; where there is one part only, once."""
+    if len(parts) > 1:
+        return read
+    only = read(parts[0])
+    return lambda _: only

@@ -12,6 +12,7 @@ from spl_batch.airborne.classes.buildings import (
     STANDS_M,
     STEEPEST,
     WIDE,
+    Floor,
     _planes,
     buildings,
 )
@@ -24,6 +25,13 @@ GROUND, ROOF, CROWN, WIRE = range(4)
 
 def terrain(x, y):
     return 0.15 * x - 0.1 * y + 1.5 * np.sin(x / 20)
+
+
+def found_in(points: PointTable, usable):
+    """Which points are of buildings."""
+    floor = Floor(REGION)
+    floor.add(points, usable)
+    return buildings(points, usable, floor)
 
 
 def scene(seed: int, per_m2: float = 12.0):
@@ -66,7 +74,7 @@ REGION = Bounds(5_000_000, -3_000_000, 5_100_000, -2_900_000)
 @pytest.mark.parametrize(("per_m2", "least"), [(12.0, 0.97), (2.0, 0.93), (0.5, 0.85)])
 def test_roofs_are_found_and_crowns_are_not(per_m2: float, least: float) -> None:
     xyz, kind = scene(1, per_m2)
-    found = buildings(table(xyz, kind), np.ones(len(kind), np.bool_), REGION)
+    found = found_in(table(xyz, kind), np.ones(len(kind), np.bool_))
     right = np.count_nonzero(found & (kind == ROOF))
     f1 = 2 * right / (np.count_nonzero(found) + np.count_nonzero(kind == ROOF))
     assert f1 > least
@@ -80,17 +88,17 @@ def test_neither_order_nor_noise_nor_a_seam_matters(seed: int) -> None:
     rng = np.random.default_rng(seed)
     xyz, kind = scene(seed, 1.0)
     points, usable = table(xyz, kind), rng.random(len(kind)) < 0.9
-    whole = buildings(points, usable, REGION)
+    whole = found_in(points, usable)
     assert not whole[~usable].any()
     order = rng.permutation(len(kind))
-    assert np.array_equal(whole[order], buildings(points.take(order), usable[order], REGION))
+    assert np.array_equal(whole[order], found_in(points.take(order), usable[order]))
     # Ground is known around all of what stands: what is read beyond the reach changes nothing.
     core = Bounds(5_030_000, -2_970_000, 5_060_000, -2_940_000)
     near = core.xmin - quanta(REACH_M), core.ymin - quanta(REACH_M)
     part = Bounds(*near, core.xmax + quanta(REACH_M), core.ymax + quanta(REACH_M))
     held = inside(points["x"], points["y"], part) | (kind == GROUND)
     mine = inside(points["x"], points["y"], core)
-    parts = buildings(points.take(held), usable[held], REGION)
+    parts = found_in(points.take(held), usable[held])
     assert np.array_equal(whole[mine], parts[mine[held]])
 
 
@@ -132,7 +140,7 @@ def test_conductors_side_by_side_are_no_roof() -> None:
     xyz = np.concatenate([np.column_stack([x, y, np.zeros(n)]), wires])
     xyz[:, 2] += rng.normal(0, 0.05, len(xyz))
     kind = np.repeat([GROUND, WIRE], [n, 1200])
-    found = buildings(table(xyz, kind), np.ones(len(kind), np.bool_), REGION)
+    found = found_in(table(xyz, kind), np.ones(len(kind), np.bool_))
     assert found.mean() == 0
 
 
@@ -141,8 +149,8 @@ def test_what_is_low_and_what_has_no_ground_is_none() -> None:
     low = kind == ROOF
     xyz[low, 2] = terrain(*xyz[low, :2].T) + STANDS_M - 1.4
     everything = np.ones(len(kind), np.bool_)
-    assert not buildings(table(xyz, kind), everything, REGION)[low].any()
+    assert not found_in(table(xyz, kind), everything)[low].any()
     alone = np.full(len(kind), ROOF)
-    assert not buildings(table(xyz, alone), everything, REGION).any()
+    assert not found_in(table(xyz, alone), everything).any()
     nothing = table(xyz[:0], kind[:0])
-    assert not len(buildings(nothing, everything[:0], REGION))
+    assert not len(found_in(nothing, everything[:0]))

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.classes.overlap import overlapping
+from spl_batch.airborne.classes.overlap import lines_by_square, overlapping
 
 
 @settings(max_examples=40)
@@ -19,4 +19,6 @@ def test_each_square_is_looked_at_by_itself(seed: int, n: int) -> None:
             seen.setdefault((east // 5000, north // 5000), set()).add(one)
     places = zip((x // 5000).tolist(), (y // 5000).tolist(), strict=True)
     wanted = [len(seen.get(place, ())) > 1 for place in places]
-    assert overlapping(first, line, x, y).tolist() == wanted
+    k = len(line) // 2
+    halves = [lines_by_square(first[:k], line[:k]), lines_by_square(first[k:], line[k:])]
+    assert overlapping(halves, x, y).tolist() == wanted

@@ -10,11 +10,11 @@ import pytest
 import rasterio
 from numpy.typing import NDArray
 
-from spl_batch.airborne.products.footprint import SQUARE_M2, footprint
+from spl_batch.airborne.products.footprint import SQUARE_M2, Covered, Footprint, Within
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.constants import NODATA
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import Bounds
+from spl_batch.lattice.tiles import Bounds, inside
 from tests import surveys
 
 SIDE_M = 120.0
@@ -107,9 +107,18 @@ def table(x: NDArray[np.int64], y: NDArray[np.int64]) -> PointTable:
     return PointTable({"x": x, "y": y, "z": np.zeros(n, np.int32), "ground": np.ones(n, np.uint8)})
 
 
-def squares(*args: Any) -> int:
-    """Squares that returns cover [count]."""
-    return int(np.count_nonzero(footprint(*args)))
+def squares(
+    points: PointTable, cell: Bounds, settings: ProductSettings, within: Within | None = None
+) -> int:
+    """Squares that returns cover, seen in two parts [count]."""
+    found = Footprint(cell, settings)
+    middle = (cell.xmin + cell.xmax) // 2
+    everywhere = Bounds(-1_000_000, -1_000_000, 1_000_000, 1_000_000)
+    parts = everywhere._replace(xmax=middle), everywhere._replace(xmin=middle)
+    for take in (found.look, found.add):
+        for part in parts:
+            take(points.take(inside(points["x"], points["y"], part)), part)
+    return int(np.count_nonzero(found.squares(within)))
 
 
 def test_ground_cells_share_the_area_among_them() -> None:
@@ -130,14 +139,14 @@ def test_ground_cells_share_the_area_among_them() -> None:
     assert whole * SQUARE_M2 == pytest.approx(np.pi * 44.0**2, rel=0.02)
 
 
-def test_what_some_of_the_ground_tells_is_what_all_points_tell(
+def test_what_coarse_squares_tell_is_what_all_squares_tell(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rng = np.random.default_rng(4)
     found = table(*rng.integers(-80_000, 180_000, (2, 40_000)))
     cell = Bounds(0, 0, 100_000, 100_000)
     soon = squares(found, cell, SETTINGS)
-    monkeypatch.setattr("spl_batch.airborne.products.footprint._cover_all", lambda *_: False)
+    monkeypatch.setattr(Covered, "_all_is_near", lambda _: False)
     assert squares(found, cell, SETTINGS) == soon == 100_000**2 // 250**2
 
 

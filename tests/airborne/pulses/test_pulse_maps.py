@@ -12,7 +12,7 @@ from rasterio.enums import ColorInterp
 
 from spl_batch.airborne.products import hillshade
 from spl_batch.airborne.products.product_table import SWATHS
-from spl_batch.airborne.pulses.pulse_maps import NAMES, flightline_of, pulse_maps
+from spl_batch.airborne.pulses.pulse_maps import NAMES, PulseMaps, flightline_of
 from spl_batch.constants import NODATA
 from spl_batch.lattice.tiles import Bounds
 from tests import surveys
@@ -26,7 +26,10 @@ def test_each_cell_counts_its_own(seed: int, n: int) -> None:
     first, last = rng.integers(-6_000, 14_000, (2, n, 2))
     line = rng.integers(-1, 4, n)
     flown = rng.random((3, 4)) < 0.8
-    maps = pulse_maps(first, last, line, core, flown)
+    made = PulseMaps(core, 2000)
+    for south in (first[:, 1] < 8000, first[:, 1] >= 8000):
+        made.add(first[south], last[south], line[south])
+    maps = made.rasters(flown)
     for row in range(3):
         for col in range(4):
             west, south = core.xmin + 2000 * col, core.ymin + 2000 * row

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spl_batch.airborne.products.footprint import within_returns
-from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, coverage
+from spl_batch.airborne.products.footprint import Covered
+from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, Coverage, EmptySquares
 from spl_batch.airborne.pulses.pulse_returns import MOST_RETURNS, pulse_ends
 from spl_batch.airborne.settings import ProductSettings
 from spl_batch.lattice.tables import PointTable
@@ -87,6 +87,14 @@ def by_hand(x, y, core, flown, spacing):
     return found
 
 
+def coverage(x, y, core, flown, spacing) -> tuple[Coverage, np.ndarray]:
+    """What is found in two parts, one of every second return."""
+    empty = EmptySquares(core)
+    for start in (0, 1):
+        empty.add(x[start::2], y[start::2])
+    return empty.coverage(flown, spacing)
+
+
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(SPACINGS)), st.integers(0, 400))
 def test_squares_and_voids_equal_loops(seed: int, level: str, n: int) -> None:
@@ -119,6 +127,9 @@ def test_a_wide_hole_lies_beyond_the_signal(gap_m: int) -> None:
     side = np.arange(-150_000, 350_000, 500)
     x, y = (grid.ravel() for grid in np.meshgrid(side, side))
     kept = np.maximum(abs(x - 100_000), abs(y - 100_000)) > gap_m * 500
-    inside = within_returns(x[kept], y[kept], core, products)
+    covered = Covered(core, products)
+    for start in (0, 1):
+        covered.add(x[kept][start::2], y[kept][start::2])
+    inside = covered.squares()
     assert inside.all() == (gap_m < 40)
     assert inside[400, 400] == (gap_m < 40)

@@ -12,6 +12,8 @@ from spl_batch.airborne.store.label_tables import (
     GROUP_ROWS,
     OPEN_FILES,
     LabelFiles,
+    Labelled,
+    Origin,
     read_labelled_tile,
     read_region,
     write_labels,
@@ -64,8 +66,7 @@ def test_labels_of_other_units_come_back_to_each_point(
         near = [t for t in tiles if t in set(cells_touching(core, TILE))]
         found, origin = read_region(store, near, core, CANONICAL_ORDER, {})
         # The label is a function of the point alone, so that it can be recomputed.
-        all_of_it = origin.of(np.ones(len(found), np.bool_))
-        write_labels(store.labels("ground", str(u)), *all_of_it, {"ground": found["index"] % 7})
+        write_labels(store.labels("ground", str(u)), [(origin, {"ground": found["index"] % 7})])
     holders = {
         t: [("ground", str(u)) for u in cells_touching(cell_bounds(t, TILE), unit) if u in units]
         for t in tiles
@@ -97,14 +98,16 @@ def test_points_as_they_lie_are_the_same_and_labelled_alike(
     paths, seen = [], []
     for number, ordered in enumerate((True, False)):
         table, origin = read_region(store, tiles, region, CANONICAL_ORDER, {}, ordered=ordered)
-        names, rows = origin.of(np.ones(len(table), np.bool_))
         value = table["index"] % 7
+        half = np.arange(len(table)) % 2 == 0
         if other is not None and len(table) > 1:  # neither order: two neighbours changed places
             swap = np.arange(len(table))
             swap[[other, -1]] = swap[[-1, other]]
-            names, rows, value = names[swap], rows[swap], value[swap]
+            origin = Origin(origin.tiles, origin.owner[swap], origin.row[swap])
+            value = value[swap]
         paths.append(folder / f"{number}.parquet")
-        write_labels(paths[-1], names, rows, {"ground": value})
+        parts = [(origin.of(some), {"ground": value[some]}) for some in (half, ~half)]
+        write_labels(paths[-1], parts if number else [(origin, {"ground": value})])
         seen.append(table["index"][canonical_order(table)].tolist())
     assert seen[0] == seen[1]
     assert paths[0].read_bytes() == paths[1].read_bytes()
@@ -125,14 +128,20 @@ def test_points_without_labels_say_so(tmp_path: Path) -> None:
 def test_a_unit_with_nothing_in_a_tile(tmp_path: Path) -> None:
     store = Store(tmp_path)
     path = store.labels("ground", "u")
-    write_labels(path, np.empty((0, 2), np.int32), np.empty(0, np.uint32), {"ground": np.empty(0)})
+    write_labels(path, [labelled(np.empty((0, 2)), np.empty(0), np.empty(0))])
     assert len(labels_of(store, "u", CellId(0, 0))["row"]) == 0
     tiles = np.array([[1, 0], [0, 1], [1, 0]], np.int32)
-    write_labels(path, tiles, np.array([7, 3, 2], np.uint32), {"ground": np.array([1, 2, 3])})
+    write_labels(path, [labelled(tiles, np.array([7, 3, 2]), np.array([1, 2, 3]))])
     back = labels_of(store, "u", CellId(1, 0))
     assert back["row"].tolist() == [2, 7]
     assert back["ground"].tolist() == [3, 1]
     assert len(labels_of(store, "u", CellId(1, 1))["row"]) == 0
+
+
+def labelled(tiles: NDArray[Any], rows: NDArray[Any], ground: NDArray[Any]) -> Labelled:
+    named, owner = np.unique(tiles, axis=0, return_inverse=True)
+    place = Origin(named.astype(np.int32), owner.ravel().astype(np.uint16), rows.astype(np.uint32))
+    return place, {"ground": ground}
 
 
 def labels_of(
@@ -150,7 +159,7 @@ def test_of_a_long_tile_only_the_rows_in_question_are_read(tmp_path: Path) -> No
     gaps = np.delete(whole, [4, 2 * GROUP_ROWS + 9])
     for unit, row in {"whole": whole, "gaps": gaps}.items():
         tiles = np.zeros((len(row), 2), np.int32)
-        write_labels(store.labels("ground", unit), tiles, row, {"ground": ground[row]})
+        write_labels(store.labels("ground", unit), [labelled(tiles, row, ground[row])])
         for low, high in ((0, 0), (GROUP_ROWS - 1, GROUP_ROWS), (3 * GROUP_ROWS, count - 1)):
             back = labels_of(store, unit, CellId(0, 0), (low, high))
             assert np.array_equal(back["ground"], ground[back["row"]])
@@ -162,8 +171,8 @@ def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
     store, tile = Store(tmp_path), CellId(0, 0)
     units = [f"u{k}" for k in range(OPEN_FILES + 2)]
     for k, unit in enumerate(units):
-        label = {"ground": np.array([k])}
-        write_labels(store.labels("ground", unit), np.array([tile]), np.array([0]), label)
+        label = labelled(np.array([tile]), np.array([0]), np.array([k]))
+        write_labels(store.labels("ground", unit), [label])
     with LabelFiles(store) as files:
         for k, unit in [*enumerate(units), *enumerate(units)]:
             back = files.read(("ground", unit), tile, ["ground"], (0, 0))
@@ -172,5 +181,4 @@ def test_more_units_than_files_that_may_be_open(tmp_path: Path) -> None:
 
 def test_no_tiles_make_an_empty_region(tmp_path: Path) -> None:
     table, origin = read_region(Store(tmp_path), [], Bounds(0, 0, 9, 9), CANONICAL_ORDER, {})
-    tiles, rows = origin.of(np.empty(0, np.bool_))
-    assert len(table) == len(tiles) == len(rows) == 0
+    assert len(table) == len(origin.row) == len(origin.owner) == 0

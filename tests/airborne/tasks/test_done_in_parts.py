@@ -12,7 +12,7 @@ from spl_batch.airborne.plan.block_size import Sizes, count_blocks
 from spl_batch.airborne.plan.space_units import Unit, parts_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.settings.workflow import parse_workflow
-from spl_batch.airborne.tasks import space_domain
+from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare
@@ -44,7 +44,7 @@ def finished(tiny_output: Path, tmp_path_factory: pytest.TempPathFactory) -> tup
     survey, context = prepared.ledger, prepared.context
     copied = tmp_path_factory.mktemp("parts") / "out"
     shutil.copytree(tiny_output / "store", copied / "store")
-    for kind in ("index_file", "scatter", "build_tile", "denoise", "ground"):
+    for kind in ("index_file", "scatter", "build_tile", "denoise", "ground", "surface"):
         for receipt in read_receipts(context.store, kind):
             survey.of(kind).put(receipt)
     return survey, replace(context, output=copied)
@@ -61,6 +61,8 @@ def only_task(survey: Survey, kind: str) -> Task:
         ("denoise", {"parts": None}),
         ("ground", {"bands": 3}),
         ("ground", {"bands": 200}),
+        ("surface", {"strips": 3}),
+        ("surface", {"strips": 200}),
     ],
 )
 def test_parts_give_the_same_labels(
@@ -73,11 +75,12 @@ def test_parts_give_the_same_labels(
         middle, third = (west + east) // 2 + 7, south + (north - south) // 3
         how = {"parts": [[west, south, middle, north], [middle, south, east, third],
                          [middle, third, east, north]]}  # fmt: skip
-    labels = {"denoise": "noise", "ground": "ground"}[kind]
+    labels = {"denoise": "noise", "ground": "ground", "surface": "classes"}[kind]
+    work = {"surface": surfaces.surface}.get(kind) or getattr(space_domain, kind)
     path = context.store.labels(labels, task.args.get("block") or task.args["cell"])
     before = path.read_bytes()
     path.unlink()
-    produced = getattr(space_domain, kind)({**task.args, **how}, context)
+    produced = work({**task.args, **how}, context)
     assert path.read_bytes() == before
     assert produced.points == task.points
     (receipt,) = (r for r in read_receipts(context.store, kind) if r.name == task.name)

@@ -155,9 +155,9 @@ def match_points(
     number : (shots,) int64
         Row of each shot in ``top``; -1 for shots that do not matter.
     top : (k, c) int64
-        Filled with the height and cell of each beamlet's first return, or :data:`SILENT`.
+        Height and cell of each beamlet's first return so far, :data:`SILENT` at the beginning;
+        lifted where a return is higher.
     """
-    top[:] = SILENT
     highest, channels = top.reshape(-1), top.shape[1]
     aim = np.empty(9)
     west, south, size, cols = cells

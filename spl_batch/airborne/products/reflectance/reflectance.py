@@ -30,7 +30,8 @@ that of a Lambertian surface in their place. It may exceed one, and is not cut: 
 dark.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -54,6 +55,9 @@ from spl_batch.lattice.tiles import Bounds, grow, inside, quanta
 
 DOMAIN: Final = "space"
 COLUMNS_NEEDED: Final = ("x", "y", "z", "gps_time", "channel", "noise_class")
+
+Tables = Callable[[], Iterable[PointTable]]
+"""Gives the points of a place table by table."""
 
 FIRED_MIN: Final = 5
 """Cells that fewer beamlets were fired at hold nothing [count]."""
@@ -84,21 +88,21 @@ class Detections(NamedTuple):
 
 
 def raster(
-    table: PointTable, parts: Sequence[FiredPart], cell: Bounds, settings: ProductSettings
+    tables: Tables, parts: Sequence[FiredPart], cell: Bounds, settings: ProductSettings
 ) -> NDArray[np.float32]:
     """Reflectance of a ground cell, north up; nodata where too little was fired.
 
     Parameters
     ----------
-    table, parts, cell, settings
+    tables, parts, cell, settings
         As in :func:`detections`.
     """
-    values = detections(table, parts, cell, settings).reflectance[::-1]
+    values = detections(tables, parts, cell, settings).reflectance[::-1]
     return np.ascontiguousarray(np.where(np.isnan(values), NODATA, values), dtype=np.float32)
 
 
 def detections(
-    table: PointTable,
+    tables: Tables,
     parts: Sequence[FiredPart],
     cell: Bounds,
     settings: ProductSettings,
@@ -108,8 +112,9 @@ def detections(
 
     Parameters
     ----------
-    table : PointTable
-        Points of the cell and of a fixed margin, in any order, with :data:`COLUMNS_NEEDED`.
+    tables : callable
+        Gives the points of the cell and of a fixed margin, in any order, table by table, each point
+        once, with :data:`COLUMNS_NEEDED`; it is called twice, and holds no table itself.
     parts : sequence of FiredPart
         Stretches that may have fired at it, in any order.
     cell : Bounds
@@ -118,14 +123,11 @@ def detections(
     size = quanta(settings.cell_m)
     margin = _margin_cells(settings)
     wide = grow(cell, margin * size)
-    signal = np.flatnonzero(
-        (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], wide)
-    )
     shape = (cell.ymax - cell.ymin) // size, (cell.xmax - cell.xmin) // size
     fired, silent = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     nothing = Detections(np.full(shape, np.nan), fired, fired.copy())
     parts = [p for p in parts if len(p.first)]
-    z = table["z"][signal]
+    z = np.concatenate([*map(partial(_heights, wide), tables())])
     if not len(z) or not parts:
         return nothing
     blocks = _join(parts, wide)
@@ -135,13 +137,17 @@ def detections(
     tau = np.empty(shots)
     edges = (np.array(cell) - [wide.xmin, wide.ymin, wide.xmin, wide.ymin]) * QUANTUM_M
     near = shots_near(blocks, level, depth, tuple(edges.tolist()), number, block, tau)
-    top = np.empty((near, blocks.pattern.shape[1]), dtype=np.int64)
+    del z
+    top = np.full((near, blocks.pattern.shape[1]), SILENT)
     longest = float(np.max((blocks.last - blocks.first + 1) / blocks.prf_hz))
     cells = shape[0] + 2 * margin, shape[1] + 2 * margin
-    match_points(
-        table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]), signal,
-        (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number, top,
-    )  # fmt: skip
+    for table in tables():
+        match_points(
+            table["gps_time"], table["channel"], (table["x"], table["y"], table["z"]),
+            _signal(table, wide), (wide.xmin, wide.ymin, size, cells[1]), blocks, longest, number,
+            top,
+        )  # fmt: skip
+        del table
     first = top[top != SILENT]
     grid = first_surface(first & CELL_BITS, (first >> 32).astype(np.int32), cells, settings)
     seen_cell = np.empty(len(first), dtype=np.int64)
@@ -153,6 +159,19 @@ def detections(
         fired, seen_cell, amount,
     )  # fmt: skip
     return _estimate(seen_cell[:count], amount[:count], silent, fired)
+
+
+def _heights(region: Bounds, table: PointTable) -> NDArray[np.int32]:
+    """Heights of the signal of a region [quanta]."""
+    heights: NDArray[np.int32] = table["z"][_signal(table, region)]
+    return heights
+
+
+def _signal(table: PointTable, region: Bounds) -> NDArray[np.intp]:
+    """Rows of a table that are signal of a region."""
+    return np.flatnonzero(
+        (table["noise_class"] == NOISE_SIGNAL) & inside(table["x"], table["y"], region)
+    )
 
 
 def _estimate(
