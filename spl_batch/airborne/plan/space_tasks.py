@@ -24,6 +24,7 @@ from spl_batch.airborne.plan.task_memory import (
     longer_side,
     points_within,
     refusal,
+    surface_strips,
 )
 from spl_batch.airborne.products.product_table import (
     ABOVE_GEOID,
@@ -170,8 +171,11 @@ def surface(survey: Survey) -> Iterator[Task]:
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
         needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
-        refused = refusal("surface", cell.held, survey.memory_bytes)
-        yield Task("surface", cell.name, args, needs, cell.points, refused)
+        side, limit = cell.core.xmax - cell.core.xmin + 2 * halo, survey.memory_bytes
+        strips, needed = surface_strips(cell.held, side, limit)
+        refused = refusal("surface", cell.held, limit, needed)
+        how = {"strips": strips}
+        yield Task("surface", cell.name, args, needs, cell.points, refused, how)
 
 
 def knows_reflectance(survey: Survey) -> bool:

@@ -50,6 +50,16 @@ BAND_BYTES: Final = 300
 """Memory of a ground cell that is done in bands, by each point of a band: twice that of a cell at
 once, as tiles are read whole [byte]."""
 
+GATHERED_BYTES: Final = 62
+"""Memory of a surface cell that is done in strips, by each of its points: what all strips tell
+[byte]."""
+
+STRIP_BYTES: Final = 150
+"""And by each point of a strip [byte]."""
+
+LEAST_STRIP_Q: Final = quanta(10.0)
+"""Least width of a strip: a narrower one would read little but what lies around it [quanta]."""
+
 BANDED_LABEL_BYTES: Final = 60
 """And by each point that the cell owns, whose labels are put in order [byte]."""
 
@@ -138,6 +148,36 @@ def ground_bands(
     return bands, needed
 
 
+def surface_strips(points: float, side_q: int, limit: int) -> tuple[int, int]:
+    """Fewest strips in which a surface cell fits into memory: 1 where all of it does.
+
+    Parameters
+    ----------
+    points : float
+        Points of the cell and its margin [count].
+    side_q : int
+        Its width, margin included [quanta].
+    limit : int
+        Memory limit of a worker [byte].
+
+    Returns
+    -------
+    strips : int
+        How many [count].
+    memory_bytes : int
+        What the task needs in them, its worker included [byte].
+    """
+    needed = task_bytes("surface", points)
+    if needed <= usable_bytes(limit):
+        return 1, needed
+    gathered = WORKER_BASE_BYTES + int(points * GATHERED_BYTES)
+    for strips in range(2, max(side_q // LEAST_STRIP_Q, 2) + 1):
+        needed = gathered + int(points / strips * STRIP_BYTES)
+        if needed <= usable_bytes(limit):
+            break
+    return strips, needed
+
+
 def stretch_points(limit: int) -> int:
     """Points that a stretch should hold on average under a memory limit [count].
 
@@ -191,6 +231,9 @@ def needs(
             side = longer_side(peak.core)
             owned = peak.points * (side / (side + 2 * reach)) ** 2
             _, needed = ground_bands(peak.points, owned, side + 2 * reach, workflow, limit)
+        else:
+            side = longer_side(peak.core) + 2 * reach
+            _, needed = surface_strips(peak.points, side, limit)
         found.append(_need(kind, peak, needed))
     points = sum(files)
     stretch = min(points, UNEVEN * stretch_points)

@@ -11,6 +11,7 @@ from spl_batch.airborne.plan import phases
 from spl_batch.airborne.plan.block_size import Sizes, count_blocks
 from spl_batch.airborne.plan.space_units import Unit, parts_of
 from spl_batch.airborne.plan.survey_ledger import Survey
+from spl_batch.airborne.plan.task_memory import surface_strips
 from spl_batch.airborne.settings.workflow import parse_workflow
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.engine.store.working_store import read_receipts
@@ -62,7 +63,7 @@ def only_task(survey: Survey, kind: str) -> Task:
         ("ground", {"bands": 3}),
         ("ground", {"bands": 200}),
         ("surface", {"strips": 3}),
-        ("surface", {"strips": 200}),
+        ("surface", {"strips": 8}),
     ],
 )
 def test_parts_give_the_same_labels(
@@ -98,6 +99,14 @@ def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Co
     assert only_task(dry, "ground").how["bands"] > 1
     assert only_task(dry, "ground").args == wet.args
     assert len(only_task(short, "denoise").how["parts"]) > 1
+
+
+def test_a_surface_cell_of_five_million_points_fits_into_one_gibibyte() -> None:
+    strips, needed = surface_strips(4_800_000, 280_000, 1 << 30)
+    assert 1 < strips <= 28
+    assert needed <= 0.9 * 2**30
+    assert surface_strips(4_800_000, 280_000, 2 << 30)[0] == 1
+    assert surface_strips(30_000_000, 280_000, 1 << 30)[1] > 2**30, "too much is refused"
 
 
 def test_a_plan_counts_what_parts_read() -> None:
