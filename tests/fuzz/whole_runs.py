@@ -142,11 +142,11 @@ def attempt(name: str, mutants: Sequence[bytes], folder: Path) -> int:
         (folder / path).write_bytes(content)
     for number, content in enumerate(mutants, start=1):
         (folder / what.place.replace("1", str(number))).write_bytes(content)
-    begin_s = time.monotonic()
+    begin_s = time.process_time()
     with little_memory():
         ended = surveys.command("run", folder / "workflow.yaml", "--workers", 0)
     try:
-        _judge(what, ended, time.monotonic() - begin_s, folder)
+        _judge(what, ended, time.process_time() - begin_s, folder)
     except BrokenPromiseError as error:
         raise BrokenPromiseError(f"{error}\n{ended.text[-4000:]}") from error
     finally:

@@ -90,7 +90,9 @@ def vary(paths: Sequence[Path]) -> None:
 def _found(scene: Scene) -> Mask:
     x, y = scene.table["x"], scene.table["y"]
     region = Bounds(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
-    return module.buildings(scene.table, scene.usable, region)
+    floor = module.Floor(region)
+    floor.add(scene.table, scene.usable)
+    return module.buildings(scene.table, scene.usable, floor)
 
 
 def _table(las: laspy.LasData, ground: Mask | None, usable: Mask) -> PointTable:

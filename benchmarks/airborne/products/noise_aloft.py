@@ -23,8 +23,7 @@ from rasterio.transform import from_origin
 
 from benchmarks.airborne import quality
 from spl_batch.airborne.arrays.surfaces import Rasters, rasterize
-from spl_batch.airborne.products import surface_rasters
-from spl_batch.airborne.products.noise_aloft import noise_by_cell
+from spl_batch.airborne.products.noise_aloft import RefusedReturns
 from spl_batch.constants import NODATA
 
 Float = NDArray[np.float64]
@@ -41,9 +40,8 @@ def surface(clouds: list[laspy.LasData], way: Callable[[Float], Float]) -> Raste
     xyz = np.concatenate([cloud.xyz for cloud in clouds])
     labels = np.concatenate([np.asarray(cloud["noise_class"]) for cloud in clouds])
     ground = np.concatenate([np.asarray(cloud.classification) == 2 for cloud in clouds])
-    with mock.patch.object(
-        surface_rasters, "noise_by_cell", lambda *given: way(noise_by_cell(*given))
-    ):
+    plain = RefusedReturns.by_cell
+    with mock.patch.object(RefusedReturns, "by_cell", lambda *given: way(plain(*given))):
         return rasterize(xyz, labels, ground)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.products.footprint import SQUARE_M2
 from spl_batch.airborne.report.model import Density
-from spl_batch.airborne.tasks.coverage import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS, UNSURE_M
+from spl_batch.airborne.tasks.pulses import _CELLS, _HEIGHTS, _SQUARES, _UNSURE, _VOIDS, UNSURE_M
 from spl_batch.engine.report.run_record import Receipts
 
 UNSURE_SHARE: Final = 0.02

@@ -1,6 +1,7 @@
-"""First returns of a ground cell: how densely and how evenly they cover what was flown."""
+"""What the returns of a ground cell cover, how densely and evenly; added up for the report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -8,17 +9,35 @@ from numpy.typing import NDArray
 
 from spl_batch.airborne.classes.overlap import lines_by_square
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, refused, whole_squares
+from spl_batch.airborne.products.footprint import SQUARE_Q, Covered, Within, refused, whole_squares
 from spl_batch.airborne.products.surface_rasters import margin_cells
 from spl_batch.airborne.pulses.pulse_coverage import SPACINGS, EmptySquares, not_flown, reach_q
 from spl_batch.airborne.pulses.pulse_maps import PulseMaps, flightline_of
 from spl_batch.airborne.pulses.pulse_returns import COLUMNS_NEEDED, Ends
 from spl_batch.airborne.pulses.smooth_surfaces import SQUARE_M, STEPS, smooth_sums
 from spl_batch.airborne.settings import ProductSettings
-from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
+from spl_batch.constants import NODATA, NOISE_NOT_ASSESSED, NOISE_SIGNAL
 from spl_batch.formats.polygons import contains, read_polygons
 from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable
 from spl_batch.lattice.tiles import Bounds, inside, quanta, shared
+
+_SQUARES: Final = "footprint"
+"""Fact of a ground cell: squares that returns cover [count]."""
+
+_CELLS: Final = "cells_by_returns"
+"""Fact of a ground cell: raster cells that were flown, by the signal returns in them [count]."""
+
+_VOIDS: Final = "voids"
+"""Fact of a ground cell: raster cells that were flown and have no terrain height [count]."""
+
+_HEIGHTS: Final = "heights"
+"""Fact of a ground cell: raster cells with a terrain height [count]."""
+
+_UNSURE: Final = "unsure"
+"""Fact of a ground cell: those whose standard deviation is more than :data:`UNSURE_M` [count]."""
+
+UNSURE_M: Final = 0.5
+"""Terrain that may be off by more than this is not known well [m]."""
 
 PULSES: Final = "pulses"
 """Fact of a ground cell: first returns on flown squares with signal around, no water [count]."""
@@ -47,6 +66,39 @@ PASS_S: Final = 60.0
 
 COLUMNS: Final = (*COLUMNS_NEEDED, "point_source_id")
 """What is looked at, and ``noise_class, flags``."""
+
+
+def of_interest(context: Context) -> Within | None:
+    """Which places lie within the area of interest; None where there is none."""
+    aoi = context.workflow.aoi
+    if aoi is None:
+        return None
+    return partial(contains, read_polygons(context.resolve(aoi), context.crs))
+
+
+def covered(
+    squares: NDArray[np.bool_], arrays: Mapping[str, NDArray[np.float32]], context: Context
+) -> dict[str, Any]:
+    """Facts of a ground cell: whole numbers, so that sums do not depend on their order.
+
+    Parameters
+    ----------
+    squares : (rows, cols) bool
+        Its squares that returns cover, within the area of interest.
+    arrays : mapping of str to (rows, cols) float32
+        Its rasters; ``dtm``, ``dtm_quality`` and ``density`` are looked at.
+    """
+    products = context.workflow.products
+    flown = arrays["density"] != NODATA
+    returns = np.rint(arrays["density"][flown].astype(np.float64) * products.cell_m**2)
+    values, counts = np.unique(returns.astype(np.int64), return_counts=True)
+    return {
+        _SQUARES: int(np.count_nonzero(squares)),
+        _CELLS: dict(zip(map(str, values.tolist()), counts.tolist(), strict=True)),
+        _VOIDS: int(np.count_nonzero(arrays["dtm"][flown] == NODATA)),
+        _HEIGHTS: int(np.count_nonzero(arrays["dtm"] != NODATA)),
+        _UNSURE: int(np.count_nonzero(arrays["dtm_quality"] > UNSURE_M)),
+    }
 
 
 class PulseReturns(NamedTuple):

@@ -25,7 +25,6 @@ from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.pulses.pulse_returns import ends_in_parts
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import cell_classes, pulses
-from spl_batch.airborne.tasks.coverage import covered, of_interest
 from spl_batch.airborne.tasks.space_domain import Cell, once
 from spl_batch.constants import NODATA, NOISE_SIGNAL
 from spl_batch.engine.store.working_store import forget_receipt, read_receipt
@@ -49,7 +48,7 @@ def surface(args: Mapping[str, Any], context: Context) -> Produced:
     banks = _flatten(arrays, core, context)
     if workflow.aoi is not None:
         _mask_outside(arrays, core, context)
-    counted = covered(squares, arrays, context)
+    counted = pulses.covered(squares, arrays, context)
     found = _pulses(cell)
     counted |= found.facts(squares)
     arrays |= found.rasters(arrays["density"])
@@ -108,7 +107,7 @@ def _surfaces(cell: Cell) -> tuple[Rasters, NDArray[np.bool_]]:
     for take in (look, add):
         for part in parts:
             take(part)
-    return made.rasters(), flown.squares(of_interest(cell.context))
+    return made.rasters(), flown.squares(pulses.of_interest(cell.context))
 
 
 def _pulses(cell: Cell) -> pulses.Pulses:

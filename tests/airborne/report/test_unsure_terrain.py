@@ -7,7 +7,7 @@ import numpy as np
 
 from spl_batch.airborne.report.coverage import unsure_terrain
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.airborne.tasks.coverage import covered
+from spl_batch.airborne.tasks.pulses import covered
 from spl_batch.constants import NODATA
 
 
