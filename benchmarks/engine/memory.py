@@ -1,11 +1,16 @@
 """What tasks hold in memory.
 
-Run ``python -m benchmarks.engine.memory tasks|areas|trajectory|coincidence``.
+Run ``python -m benchmarks.engine.memory tasks|strips|areas|trajectory|coincidence``.
 
 ``tasks WORKFLOW [KEY=VALUE ...]`` runs a workflow in this process, into a folder of its
 own, and prints for each kind of task the highest resident memory above what the process
 held before it, by the points that the plan counts for it: what the constants of
 :mod:`spl_batch.airborne.plan.task_memory` are taken from.
+
+``strips WORKFLOW [KEY=VALUE ...]`` runs a workflow up to its surfaces and does its fullest surface
+cell again, at once and in 4, 8 and 16 strips: memory above what the process held before it, by the
+points of the cell and its margin, processor time, and whether the bytes are the same. A line
+through these gives the bytes of a point of the cell and of a strip in the same module.
 
 ``areas FOLDER`` flies strips of once, twice, four and eight times the area and runs each
 with two workers under a limit: peak memory by stage, which follows the largest stretch or block
@@ -40,6 +45,8 @@ from pyproj import CRS
 
 from spl_batch import api
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.plan import space_tasks
+from spl_batch.airborne.plan.halo import surface_reach_m
 from spl_batch.airborne.simulate import simulate
 from spl_batch.airborne.simulate.scene.scene_file import Scene
 from spl_batch.airborne.store import label_tables
@@ -48,17 +55,22 @@ from spl_batch.engine.flow import job
 from spl_batch.engine.store.working_store import Store, read_receipts
 from spl_batch.engine.tasks import runner
 from spl_batch.engine.tasks.task import Receipt, Task
+from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.formats.trajectory.positions import PointExtent, gathering, write_trajectory
 from spl_batch.formats.trajectory.sbet import BLOCK_RECORDS, SBET_RECORD
 from spl_batch.geiger.coincidence.formats import l1_files
 from spl_batch.geiger.coincidence.settings import ArraySettings
 from spl_batch.geiger.coincidence.tables import Attitudes
+from spl_batch.lattice.tiles import quanta
 
 AREAS = (1, 2, 4, 8)
 """Lengths of the strips, in lengths of the shortest."""
 
 LENGTH_M, WIDTH_M = 200.0, 100.0
 """Size of the shortest strip [m]."""
+
+STRIPS = (1, 4, 8, 16)
+"""Into how many strips a surface cell is cut [count]."""
 
 FILE_POINTS = 250_000
 """Points of a file [count]."""
@@ -135,6 +147,42 @@ def tasks(workflow: Path, overrides: Sequence[str]) -> None:
             f"{kind:14s}{len(listed):7d}{points:14,d}{most / 2**20:8.0f}{each:15.0f}"
             f"{before / 2**20:8.0f}"
         )
+
+
+def strips(workflow: Path, overrides: Sequence[str]) -> None:
+    """Print the memory of the fullest surface cell, in more and more strips."""
+    result = api.run(workflow, workers=0, until="surfaces", overrides=overrides)
+    if result.exit_status:
+        raise SystemExit(f"{workflow}: the run failed")
+    task, held, context = _fullest(workflow, overrides)
+    print(f"{'strips':>8s}{'points':>14s}{'MiB':>8s}{'bytes each':>12s}{'s':>8s}  bytes")
+    whole = None
+    for count in STRIPS:
+        begin_s = time.process_time()
+        with Peak().watching() as peak:
+            produced = surfaces.surface({**task.args, "strips": count}, context)
+        spent_s = time.process_time() - begin_s
+        found = [path.read_bytes() for path in produced.outputs], produced.facts
+        whole = whole or found
+        more = peak.highest - peak.before
+        same = "same" if found == whole else "OTHERS"
+        print(f"{count:8d}{held:14,.0f}{more / 2**20:8.0f}{more / held:12.0f}{spent_s:8.1f}"
+              f"  {same}",
+              flush=True)  # fmt: skip
+
+
+def _fullest(workflow: Path, overrides: Sequence[str]) -> tuple[Task, float, Context]:
+    """Surface task that holds most points, how many, and what it runs in."""
+    prepared = prepare(workflow, overrides)
+    survey, context = prepared.ledger, prepared.context
+    for kind in ("index_file", "scatter", "build_tile", "denoise", "ground"):
+        for receipt in read_receipts(context.store, kind):
+            survey.of(kind).put(receipt)
+    reach = quanta(surface_reach_m(context.workflow))
+    units = survey.ground_cells.units(survey.counts, survey.tile_q, reach)
+    held = {unit.name: unit.held for unit in units}
+    task = max(space_tasks.surface(survey), key=lambda task: held[task.name])
+    return task, held[task.name], context
 
 
 def areas(folder: Path, memory: str) -> None:
@@ -288,6 +336,9 @@ def main() -> None:
     of_tasks = verbs.add_parser("tasks")
     of_tasks.add_argument("workflow", type=Path)
     of_tasks.add_argument("overrides", nargs="*")
+    of_strips = verbs.add_parser("strips")
+    of_strips.add_argument("workflow", type=Path)
+    of_strips.add_argument("overrides", nargs="*")
     of_areas = verbs.add_parser("areas")
     of_areas.add_argument("folder", type=Path)
     of_areas.add_argument("--memory", default="1GiB")
@@ -300,6 +351,8 @@ def main() -> None:
         _give_back_freed_memory()
     if given.verb == "tasks":
         tasks(given.workflow, given.overrides)
+    elif given.verb == "strips":
+        strips(given.workflow, given.overrides)
     elif given.verb == "trajectory":
         trajectory(given.records)
     elif given.verb == "coincidence":

@@ -96,8 +96,8 @@ def _of_tile(tile: CellId, parts: Sequence[Labelled]) -> dict[str, NDArray[Any]]
     """Labels of the points of a tile, by row."""
     found = []
     for origin, labels in parts:
-        (number,) = np.nonzero((origin.tiles == tile).all(axis=1))
-        mine = np.flatnonzero(np.isin(origin.owner, number))
+        number = np.flatnonzero((origin.tiles == tile).all(axis=1))
+        mine = np.flatnonzero((origin.owner == number[:, None]).any(axis=0))
         found.append({"row": origin.row[mine], **{k: v[mine] for k, v in labels.items()}})
     columns = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     rows = columns["row"]

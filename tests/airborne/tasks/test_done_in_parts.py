@@ -3,7 +3,9 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Final
 
+import pyarrow.parquet as pq
 import pytest
 
 from spl_batch.airborne.context import Context
@@ -13,12 +15,16 @@ from spl_batch.airborne.plan.space_units import Unit, parts_of
 from spl_batch.airborne.plan.survey_ledger import Survey
 from spl_batch.airborne.plan.task_memory import surface_strips
 from spl_batch.airborne.settings.workflow import parse_workflow
+from spl_batch.airborne.simulate import preset_scene, simulate
 from spl_batch.airborne.tasks import space_domain, surfaces
 from spl_batch.engine.store.working_store import read_receipts
 from spl_batch.engine.tasks.task import Task
 from spl_batch.engine.verbs.preparing import prepare
 from spl_batch.lattice.density import from_counts
 from spl_batch.lattice.tiles import Bounds, CellId
+from tests import surveys
+
+FLAGS: Final = ("building", "overlap", "withheld")
 
 CORE = Bounds(0, 0, 40_000, 100_000)
 
@@ -88,6 +94,42 @@ def test_parts_give_the_same_labels(
     assert {k: v for k, v in produced.facts.items() if k != "layers"} == {
         k: v for k, v in receipt.facts.items() if k != "layers"
     }
+
+
+@pytest.fixture(scope="module", params=[11, 12])
+def cell(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Task, Context]:
+    """The surface task of a small survey of its own, with all that may be asked of it."""
+    folder = tmp_path_factory.mktemp("cell")
+    tiny = preset_scene("tiny")
+    sparse = tiny.acquisition.model_copy(update={"prf_hz": 10_000.0})
+    less = {"extent_m": (60.0, 40.0), "seed": request.param, "acquisition": sparse}
+    workflow = simulate(tiny.model_copy(update=less), folder).workflow
+    asked = ["products.maps=true", *(f"classes.{name}=true" for name in FLAGS),
+             "classes.vegetation.low=0.3"]  # fmt: skip
+    surveys.run(workflow, *asked, until="surfaces")
+    prepared = prepare(workflow, asked)
+    for kind in ("index_file", "scatter", "build_tile", "denoise", "ground"):
+        for receipt in read_receipts(prepared.context.store, kind):
+            prepared.ledger.of(kind).put(receipt)
+    return only_task(prepared.ledger, "surface"), prepared.context
+
+
+def test_a_surface_cell_has_the_same_bytes_in_any_strips(cell: tuple[Task, Context]) -> None:
+    task, context = cell
+    strips: list[dict[str, Any]] = []
+    for count in (1, 2, 3, 8):
+        produced = surfaces.surface({**task.args, "strips": count}, context)
+        files = {path.name: path.read_bytes() for path in produced.outputs}
+        strips.append({**files, **produced.facts, "points": produced.points})
+    whole, *others = strips
+    assert set(whole["rasters"]) >= {"dtm", "dsm", "intensity", "noise", "swaths", "voids"}
+    labels = pq.read_table(context.store.labels("classes", task.args["cell"]))
+    assert {1, 2, 6, 9} <= set(labels["classification"].to_pylist())
+    assert len(set(labels["set_flags"].to_pylist())) > 2
+    for other in others:
+        assert {k: v for k, v in other.items() if v != whole[k]} == {}
 
 
 def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Context]) -> None:
