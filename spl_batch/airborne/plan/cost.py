@@ -1,6 +1,6 @@
 """What a run will do and cost: stretches, tiles, blocks, tasks, disk, memory, time."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -13,7 +13,7 @@ from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.inputs.point_boxes import point_boxes
 from spl_batch.airborne.plan.survey_ledger import Survey
-from spl_batch.airborne.plan.task_memory import Need, needs
+from spl_batch.airborne.plan.task_memory import Need, needs, strips_cost
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, products
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.index import parts_of
@@ -65,6 +65,7 @@ class SurveyCost(Cost):
     #: Where blocks read much: a memory limit of twice or four times the bytes with which they read
     #: less than :data:`MUCH_READ`, and what they read then.
     roomier: tuple[int, float] | None
+    strips: int  #: In how many strips the fullest surface cell is done [count].
     halo_m: float  #: Halo of a block, the sum of the reaches of the filter's steps [m].
 
 
@@ -81,10 +82,13 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
     tiles = sum(piece.units(survey.tile_q) for piece in pieces)
     cells = _ground_cells(boxes, workflow)
     stretches = sum(-(-s.facts.n_points // survey.stretch_points) for s in sources)
-    heaviest = _heaviest(survey, pieces, boxes)
+    held = _needs(survey, pieces, boxes)
+    heaviest = max(held, key=lambda need: need.memory_bytes)
+    strips = max(need.parts for need in held if need.kind == "surface")
     typical = {
         **RATES_POINTS_PER_S,
         "denoise": RATES_POINTS_PER_S["denoise"] * CORE_COST / (CORE_COST - 1 + blocks.read),
+        "surfaces": RATES_POINTS_PER_S["surfaces"] / strips_cost(strips),
     }
     rates, measured = measured_rates(typical, context)
     compared = sum(facts.n_points for facts in survey.inputs.reference)
@@ -108,6 +112,7 @@ def estimate(survey: Survey, context: Context | None = None) -> SurveyCost:
         block_tiles=blocks.tiles,
         block_reads=blocks.read,
         roomier=_roomier(survey, pieces) if blocks.read > MUCH_READ else None,
+        strips=strips,
         halo_m=halo_m(workflow),
         tasks=tasks,
         disk_bytes=points * (STORE_BYTES_PER_POINT + _copies(workflow) * DELIVERED_BYTES_PER_POINT)
@@ -160,9 +165,9 @@ def _ground_cells(boxes: Sequence[Box], workflow: Workflow) -> int:
     return sum(piece.units(cells.edge) for piece in density.from_boxes(kept, cells.edge))
 
 
-def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> Need:
+def _needs(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> list[Need]:
     inputs = survey.inputs
-    found: Iterable[Need] = needs(
+    return needs(
         pieces,
         survey.workflow,
         survey.stretch_points,
@@ -171,4 +176,3 @@ def _heaviest(survey: Survey, pieces: Sequence[Piece], boxes: Sequence[Box]) -> 
         boxes=boxes,
         trajectory=inputs.trajectory,
     )
-    return max(found, key=lambda need: need.memory_bytes)

@@ -32,6 +32,7 @@ from spl_batch.airborne.products.product_table import (
     is_piece,
     products,
 )
+from spl_batch.airborne.tasks.surfaces import strip_q
 from spl_batch.engine.tasks.task import Task
 from spl_batch.lattice.tiles import Bounds, CellId, cell_runs, grow, parse_cell, quanta
 
@@ -171,8 +172,8 @@ def surface(survey: Survey) -> Iterator[Task]:
         }
         labels = (*label_needs("denoise", noise), *label_needs("ground", ground_of))
         needs = (*tile_needs(cell), *labels, *(("scatter", n) for n in parts or ()))
-        side, limit = cell.core.xmax - cell.core.xmin + 2 * halo, survey.memory_bytes
-        strips, needed = surface_strips(cell.held, side, limit)
+        width, limit = cell.core.xmax - cell.core.xmin + 2 * halo, survey.memory_bytes
+        strips, needed = surface_strips(cell.held, width, strip_q(survey.workflow), limit)
         refused = refusal("surface", cell.held, limit, needed)
         how = {"strips": strips}
         yield Task("surface", cell.name, args, needs, cell.points, refused, how)

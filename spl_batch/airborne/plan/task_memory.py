@@ -15,6 +15,7 @@ from spl_batch.airborne.plan.halo import halo_m, surface_reach_m
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.tasks.delivery import PASS_POINTS
 from spl_batch.airborne.tasks.index import CHUNK_POINTS
+from spl_batch.airborne.tasks.surfaces import strip_q
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.plan.worker_memory import (
     USABLE_SHARE,
@@ -57,8 +58,8 @@ GATHERED_BYTES: Final = 62
 STRIP_BYTES: Final = 150
 """And by each point of a strip [byte]."""
 
-LEAST_STRIP_Q: Final = quanta(10.0)
-"""Least width of a strip: a narrower one would read little but what lies around it [quanta]."""
+STRIP_COST: Final = 0.06
+"""Time that a surface cell takes longer with each further strip, over that of one at once."""
 
 BANDED_LABEL_BYTES: Final = 60
 """And by each point that the cell owns, whose labels are put in order [byte]."""
@@ -97,6 +98,8 @@ class Need(NamedTuple):
     task: str  #: What it is, and where.
     memory_bytes: int
     remedy: str  #: How to make it lighter, beside more memory.
+    kind: str = ""  #: Of a ground cell: what is done with it.
+    parts: int = 1  #: And in how many parts [count].
 
 
 def task_bytes(kind: str, points: float) -> int:
@@ -148,15 +151,17 @@ def ground_bands(
     return bands, needed
 
 
-def surface_strips(points: float, side_q: int, limit: int) -> tuple[int, int]:
+def surface_strips(points: float, width_q: int, narrowest_q: int, limit: int) -> tuple[int, int]:
     """Fewest strips in which a surface cell fits into memory: 1 where all of it does.
 
     Parameters
     ----------
     points : float
         Points of the cell and its margin [count].
-    side_q : int
+    width_q : int
         Its width, margin included [quanta].
+    narrowest_q : int
+        Width of the narrowest strip (:func:`~spl_batch.airborne.tasks.surfaces.strip_q`) [quanta].
     limit : int
         Memory limit of a worker [byte].
 
@@ -171,11 +176,16 @@ def surface_strips(points: float, side_q: int, limit: int) -> tuple[int, int]:
     if needed <= usable_bytes(limit):
         return 1, needed
     gathered = WORKER_BASE_BYTES + int(points * GATHERED_BYTES)
-    for strips in range(2, max(side_q // LEAST_STRIP_Q, 2) + 1):
+    for strips in range(2, max(width_q // narrowest_q, 2) + 1):
         needed = gathered + int(points / strips * STRIP_BYTES)
         if needed <= usable_bytes(limit):
             break
     return strips, needed
+
+
+def strips_cost(strips: int) -> float:
+    """Time of a surface cell in strips, over that of one at once."""
+    return 1.0 + STRIP_COST * (strips - 1)
 
 
 def stretch_points(limit: int) -> int:
@@ -226,15 +236,14 @@ def needs(
         reach = quanta(reach_m)
         squares = (piece.peak(quanta(workflow.ground.cell_m), reach) for piece in pieces)
         peak = largest([largest(squares), cells.fullest_joined(boxes, reach)])
-        needed = None
         if kind == "ground":
             side = longer_side(peak.core)
             owned = peak.points * (side / (side + 2 * reach)) ** 2
-            _, needed = ground_bands(peak.points, owned, side + 2 * reach, workflow, limit)
+            parts, needed = ground_bands(peak.points, owned, side + 2 * reach, workflow, limit)
         else:
-            side = longer_side(peak.core) + 2 * reach
-            _, needed = surface_strips(peak.points, side, limit)
-        found.append(_need(kind, peak, needed))
+            width = peak.core.xmax - peak.core.xmin + 2 * reach
+            parts, needed = surface_strips(peak.points, width, strip_q(workflow), limit)
+        found.append(_need(kind, peak, needed)._replace(kind=kind, parts=parts))
     points = sum(files)
     stretch = min(points, UNEVEN * stretch_points)
     labels = min(points, PASS_POINTS) * BYTES_PER_LABEL

@@ -1,6 +1,7 @@
 """Classes of the points that a ground cell owns, and what is seen of noise among them."""
 
 from collections.abc import Sequence
+from math import lcm
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from spl_batch.airborne.filter import kept_noise
 from spl_batch.airborne.products import near_ground
 from spl_batch.airborne.products.cell_values import add_up_finite
 from spl_batch.airborne.products.raster_grid import cell_number, columns_of
+from spl_batch.airborne.settings import ClassSettings
 from spl_batch.airborne.store.label_tables import Labelled, Origin, write_labels
 from spl_batch.airborne.tasks.space_domain import Cell, once
 from spl_batch.constants import (
@@ -59,6 +61,12 @@ class _Told(NamedTuple):
     filled: list[int]
 
 
+def step_q(asked: ClassSettings) -> int:
+    """Parts of a cell are cut at multiples of this: places that are judged as one [quanta]."""
+    squares_m = (near_ground.SQUARE_M, *(CELLS_M if asked.building else ()))
+    return lcm(*map(quanta, squares_m))
+
+
 def classes(
     cell: Cell, arrays: Rasters, lines: Sequence[NDArray[np.int64]]
 ) -> tuple[Path, dict[str, Any], int]:
@@ -86,7 +94,7 @@ def classes(
     wires = ("wire",) if workflow.filter.wires.classify else ()
     columns = (*point_classes.COLUMNS_NEEDED, *wires, "noise_density")
     reach = quanta(max(kept_noise.EDGE_M, REACH_M if building else 0.0))
-    parts = cell.parts(cell.core, quanta(near_ground.SQUARE_M), quanta(max(CELLS_M)))
+    parts = cell.parts(cell.core, step_q(workflow.classes))
     points = once(parts, lambda part: cell.read(grow(part, reach), columns))
     noise = _Noise(cell.core, quanta(workflow.products.cell_m))
     for part in parts:

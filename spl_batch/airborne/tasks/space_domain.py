@@ -172,12 +172,12 @@ class Cell(NamedTuple):
     context: Context
     core: Bounds
 
-    def parts(self, region: Bounds, *steps: int) -> list[Bounds]:
-        """Strips from west to east; raster cells, and squares of these edges [quanta], are whole.
+    def parts(self, region: Bounds, step: int = 1) -> list[Bounds]:
+        """Strips from west to east; raster cells, and squares of an edge [quanta], are whole.
 
         Tiles are read by easting: a strip reads little else.
         """
-        step = lcm(quanta(self.context.workflow.products.cell_m), *steps)
+        step = lcm(quanta(self.context.workflow.products.cell_m), step)
         first, past = region.xmin // step, -(-region.xmax // step)
         count = self.args.get("strips", 1)
         cuts = {first + (past - first) * k // count for k in range(1, count)} - {first}

@@ -8,6 +8,7 @@ raster cell and point has the same value as in a cell at once.
 
 import hashlib
 from collections.abc import Mapping
+from math import lcm
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from spl_batch.airborne.products.footprint import Footprint
 from spl_batch.airborne.products.reflectance import reflectance
 from spl_batch.airborne.products.reflectance.fired_beamlets import FiredPart
 from spl_batch.airborne.pulses.pulse_returns import ends_in_parts
+from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.airborne.store.raster_cells import write_cell
 from spl_batch.airborne.tasks import cell_classes, pulses
 from spl_batch.airborne.tasks.space_domain import Cell, once
@@ -36,6 +38,12 @@ from spl_batch.lattice.tables import PointTable
 from spl_batch.lattice.tiles import Bounds, CellId, cells_touching, grow, overlap, quanta
 
 Rasters = dict[str, NDArray[np.float32]]
+
+
+def strip_q(workflow: Workflow) -> int:
+    """Width that a strip of a cell has at the least in each of the looks [quanta]."""
+    cell = quanta(workflow.products.cell_m)
+    return max(lcm(cell, pulses.STEP_Q), lcm(cell, cell_classes.step_q(workflow.classes)))
 
 
 def surface(args: Mapping[str, Any], context: Context) -> Produced:

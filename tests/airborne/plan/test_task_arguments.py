@@ -41,7 +41,7 @@ def test_a_task_reads_as_far_as_its_plan_says(
         raise ReadError
 
     tasks = surfaces if kind == "surface" else space_domain
-    monkeypatch.setattr(tasks, "read_region", read)
+    monkeypatch.setattr(space_domain, "read_region", read)
     workflow = load_workflow(surveys.write_workflow(tmp_path))
     context = Context(workflow, tmp_path, tmp_path / "out", "", "code")
     args = {
