@@ -79,6 +79,11 @@ class Page:
         """Write what is to be seen."""
         path.write_bytes(base64.b64decode(self._ask("Page.captureScreenshot")["data"]))
 
+    def accessible(self) -> list[dict[str, Any]]:
+        """What a screen reader is told of."""
+        nodes: list[dict[str, Any]] = self._ask("Accessibility.getFullAXTree")["nodes"]
+        return [node for node in nodes if not node["ignored"]]
+
     def pdf(self) -> bytes:
         """The page as it is printed."""
         return base64.b64decode(self._ask("Page.printToPDF", printBackground=True)["data"])

@@ -34,7 +34,6 @@ from spl_batch.airborne.plan.survey_ledger import Survey, mosaic_parts
 from spl_batch.airborne.plan.task_memory import REMEDIES, strips_cost
 from spl_batch.airborne.precompile import compile_share
 from spl_batch.airborne.products.product_table import ABOVE_GEOID, HILLSHADE, NAMES, PRODUCTS
-from spl_batch.airborne.report import CLIP_PAGE
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.verdicts import screen_summary
 from spl_batch.airborne.settings.workflow import Workflow
@@ -90,7 +89,7 @@ class Imaging(Receiver[Survey, Context]):
     essential: ClassVar[frozenset[str]] = frozenset({"trajectory"})
     delivered: ClassVar[tuple[str, ...]] = (
         *("laz/**/*", "tiles/*", "copc/**/*", f"{stac.FOLDER}/*.json"),
-        *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml", CLIP_PAGE),
+        *(virtual_cloud.NAME, index_layers.NAME, metadata.NAME, qgis.NAME, "*.qml"),
         *(
             f"{p.name}{piece}.tif"
             for p in (*PRODUCTS, HILLSHADE, *ABOVE_GEOID)
@@ -279,7 +278,7 @@ class Imaging(Receiver[Survey, Context]):
     def results(self, output: Path) -> list[tuple[str, list[Path]]]:
         """What a user looks at first."""
         return [
-            ("report", [output / "report.html", output / CLIP_PAGE]),
+            ("report", [output / "report.html"]),
             (
                 "rasters",
                 [output / "dtm.tif", output / "dsm.tif", *_of_further_pieces(output)],

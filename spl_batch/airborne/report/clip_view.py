@@ -1,20 +1,22 @@
-"""A page on which a square of the survey can be turned, with its points as they were labelled.
+"""A square of the survey that can be turned in the report, with its points as they were labelled.
 
-It is one file beside the report, opens without a network, and holds the only script that a run
-writes: the report itself has none. Where there is no WebGL the page shows the report's profile.
+It holds the only script of the page, which begins when a reader asks for it. Where there is no
+WebGL, where scripts may not run and in print there is a still picture from the same place.
 """
 
 import base64
+import hashlib
+import io
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from spl_batch.airborne.context import Context
-from spl_batch.airborne.report import CLIP_PAGE
 from spl_batch.airborne.report.profile_strips import labelled_points, tallest_strip
 from spl_batch.constants import (
     CLASS_GROUND,
@@ -23,10 +25,9 @@ from spl_batch.constants import (
     NOISE_SIGNAL,
     QUANTUM_M,
 )
-from spl_batch.engine.report.page import environment
+from spl_batch.engine.report.number_format import number
 from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.tasks.task import Receipt
-from spl_batch.formats.files.atomic import write_bytes
 from spl_batch.formats.rasters.parts import Part
 from spl_batch.lattice.tiles import Bounds, quanta
 
@@ -38,6 +39,19 @@ AROUND_M: Final = 30.0
 
 MOST: Final = 150_000
 """Points that the page holds; of more an even share, 7 bytes each [count]."""
+
+STILL_PX: Final = (1600, 800)
+"""Width and height of the still picture."""
+
+CAMERA: Final = {"azimuth": 0.5, "tilt": 1.1, "near": 1.3, "east": 0.0, "up": 0.0}
+"""Where the square is first seen from: turned and tilted [rad], half the view's height in radii of
+the points, inverted, and shifted [m]."""
+
+SCRIPT: Final = files(__package__ or "").joinpath("clip_view.js").read_text(encoding="utf-8")
+"""What turns the points. It is the same in every report: nothing of a file is in it."""
+
+SCRIPT_HASH: Final = "sha256-" + base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+"""Names that script to the browser, which runs no other one of the page."""
 
 KINDS: Final = (
     ("ground", "#a5793f"),
@@ -116,42 +130,69 @@ def _kinds(noise_class: NDArray[np.uint8], classes: NDArray[np.uint8]) -> NDArra
     return kind
 
 
-def render_clip(title: str, clip: Clip, still: Picture) -> str:
-    """The page.
+class Kind(NamedTuple):
+    """Points of one kind, in the legend."""
 
-    Parameters
-    ----------
-    title : str
-        Name of the survey.
-    clip : Clip
-        What can be turned.
-    still : Picture
-        What is shown where nothing can.
-    """
+    number: int
+    name: str
+    colour: str
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClipView:
+    """What the page shows of a square; its template is ``clip_view.html.j2``."""
+
+    points: int
+    #: Points as base64: (n, 3) uint16 shares of the extent, then (n,) uint8 kinds.
+    packed: str
+    extent_m: list[float]
+    kinds: list[Kind]
+    still: Picture
+    colours: tuple[str, ...] = tuple(colour for _, colour in KINDS)
+    camera: Mapping[str, float] = field(default_factory=lambda: CAMERA)
+    script: str = SCRIPT
+
+
+def view_of(clip: Clip) -> ClipView:
+    """What the page shows of a square."""
     low, high = clip.xyz_m.min(axis=0), clip.xyz_m.max(axis=0)
     extent = np.maximum(high - low, 0.001)
     whole = np.rint((clip.xyz_m - low) / extent * 65_535).astype("<u2")
-    data = base64.b64encode(whole.tobytes() + clip.kind.tobytes()).decode("ascii")
     counts = np.bincount(clip.kind, minlength=len(KINDS)).tolist()
-    return (
-        environment(__package__ or "")
-        .get_template("clip_view.html.j2")
-        .render(
-            title=title,
-            data=data,
-            points=len(clip.kind),
-            of=clip.of,
-            extent=[round(float(e), 3) for e in extent],
-            heights=(float(low[2]), float(high[2])),
-            corner=clip.corner_m,
-            kinds=[(*kind, n) for kind, n in zip(KINDS, counts, strict=True) if n],
-            colours=[colour for _, colour in KINDS],
-            still=still,
-        )
+    kinds = [Kind(k, *KINDS[k], n) for k, n in enumerate(counts) if n]
+    shown, east, north = len(clip.kind), *clip.corner_m
+    caption = (
+        f"{number(shown)}{f' of {number(clip.of)}' if clip.of > shown else ''} points of a square "
+        f"of {EDGE_M:.0f} m from {east:.0f} E, {north:.0f} N, around the profile; heights "
+        f"{low[2]:.0f} to {high[2]:.0f} m. Noise farther above and below is left out."
     )
+    title = "The points, seen from above at an angle"
+    alt = f"{title}: {', '.join(f'{number(kind.points)} {kind.name}' for kind in kinds)}."
+    still = Picture(title, caption, alt, _still(whole / 65_535 * extent, clip.kind), *STILL_PX)
+    packed = base64.b64encode(whole.tobytes() + clip.kind.tobytes()).decode("ascii")
+    return ClipView(shown, packed, [round(float(e), 3) for e in extent], kinds, still)
 
 
-def write_clip(out: Path, title: str, clip: Clip | None, still: Picture) -> None:
-    """Write the page into an output folder, if there is anything to show."""
-    if clip is not None:
-        write_bytes(out / CLIP_PAGE, render_clip(title, clip, still).encode())
+def _still(xyz_m: NDArray[np.float64], kind: NDArray[np.uint8]) -> bytes:
+    """PNG of the points as the script first draws them: the near ones hide the far ones."""
+    width, height = STILL_PX
+    extent = xyz_m.max(axis=0)
+    (s, st), (c, ct) = ([f(CAMERA[k]) for k in ("azimuth", "tilt")] for f in (np.sin, np.cos))
+    turn = np.array([[c, -s, 0.0], [s * ct, c * ct, st], [-s * st, -c * st, ct]])
+    seen = (xyz_m - extent / 2) @ turn.T
+    order = np.argsort(seen[:, 2], kind="stable")
+    per_m = height / 2 * CAMERA["near"] / (float(np.linalg.norm(extent)) / 2)
+    column = (width / 2 + seen[order, 0] * per_m).astype(np.int64)
+    row = (height / 2 - seen[order, 1] * per_m).astype(np.int64)
+    # Each is a square of three pixels; of those on one pixel the last, which is the nearest, stays.
+    columns = column[:, None] + np.tile([-1, 0, 1], 3)
+    rows = row[:, None] + np.repeat([-1, 0, 1], 3)
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    pixels = np.zeros((height, width), np.uint8)
+    pixels[rows[inside], columns[inside]] = np.repeat(kind[order] + 1, 9)[inside.ravel()]
+    image = Image.fromarray(pixels, "P")
+    image.putpalette(b"\0\0\0" + b"".join(bytes.fromhex(colour[1:]) for _, colour in KINDS))
+    stream = io.BytesIO()
+    image.save(stream, format="PNG", transparency=0)
+    return stream.getvalue()

@@ -9,7 +9,7 @@ import numpy as np
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter.kept_noise import PARTS
 from spl_batch.airborne.hydro.flattening import bank_warnings
-from spl_batch.airborne.report.clip_view import cut_clip, write_clip
+from spl_batch.airborne.report.clip_view import cut_clip
 from spl_batch.airborne.report.coverage import area_km2, density, unsure_terrain
 from spl_batch.airborne.report.good_enough import checkpoint_report, judged
 from spl_batch.airborne.report.model import (
@@ -98,8 +98,7 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
     )
     pictures = make_pictures(_pictures(done, context, found), report)
     clip = cut_clip(_tallest(done, context), done, context)
-    write_clip(context.output, report.survey.name, clip, pictures["profile"])
-    write_report(context.output, report, pictures)
+    write_report(context.output, report, pictures, clip)
     remember(done, context, facts)
     return report
 

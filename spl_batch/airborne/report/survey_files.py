@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING
 from spl_batch.airborne.report.model import Report
 
 if TYPE_CHECKING:  # matplotlib is loaded only where one draws
+    from spl_batch.airborne.report.clip_view import Clip
     from spl_batch.engine.report.picture import Picture
 from spl_batch.engine.report.write import write_both
 
 
-def write_report(out: Path, report: Report, pictures: Mapping[str, "Picture"]) -> None:
+def write_report(
+    out: Path, report: Report, pictures: Mapping[str, "Picture"], clip: "Clip | None" = None
+) -> None:
     """Write both files of the report into a folder.
 
     Parameters
@@ -22,6 +25,8 @@ def write_report(out: Path, report: Report, pictures: Mapping[str, "Picture"]) -
         What is said.
     pictures : mapping of str to Picture
         What is shown; any may be missing.
+    clip : Clip, optional
+        Points that a reader can turn.
 
     Raises
     ------
@@ -32,4 +37,4 @@ def write_report(out: Path, report: Report, pictures: Mapping[str, "Picture"]) -
     """
     from spl_batch.airborne.report.survey_page import render  # noqa: PLC0415
 
-    write_both(out, report, render(report, pictures))
+    write_both(out, report, render(report, pictures, clip))

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import Final
 
 from spl_batch.airborne.accuracy.requirements import answers
-from spl_batch.airborne.report import CLIP_PAGE
+from spl_batch.airborne.report.clip_view import SCRIPT_HASH, Clip, view_of
 from spl_batch.airborne.report.model import Counts, Report, Survey
 from spl_batch.airborne.report.verdicts import (
     noise_removed,
@@ -90,7 +90,7 @@ HOW: Final[Mapping[str, str]] = MappingProxyType(
 """What each noise filter does, for a reader of the report."""
 
 
-def render(report: Report, pictures: Mapping[str, Picture]) -> str:
+def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = None) -> str:
     """The page of an airborne survey.
 
     Parameters
@@ -99,6 +99,8 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
         What is shown.
     pictures : mapping of str to Picture
         As :func:`~spl_batch.airborne.report.pictures.make_pictures` gives them; any may be missing.
+    clip : Clip, optional
+        Points that a reader can turn.
 
     Returns
     -------
@@ -127,7 +129,8 @@ def render(report: Report, pictures: Mapping[str, Picture]) -> str:
             for layer in layers(_layer_keys(report, photons=photons), pictures, report.failures)
             if layer.picture.png or layer.key != "strips"  # the section on flightlines says why
         ],
-        clip_page=CLIP_PAGE,
+        clip=None if clip is None else view_of(clip),
+        script_hash="" if clip is None else SCRIPT_HASH,
         shares=_shares(report.counts),
         set_aside=_set_aside(report.counts),
         kept_noise_share=_kept_noise_share(report),

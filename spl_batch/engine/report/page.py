@@ -64,12 +64,21 @@ class Front:
 
 
 def render_page(
-    template: str, report: AnyReport, front: Front, *, package: str = HOME, **more: Any
+    template: str,
+    report: AnyReport,
+    front: Front,
+    *,
+    package: str = HOME,
+    script_hash: str = "",
+    **more: Any,
 ) -> str:
     """The page of a report.
 
     Parameters
     ----------
+    script_hash : str
+        Names the one script that the page may run, as a content security policy does; none may
+        where it is empty.
     **more
         What the template needs beside it; ``pictures``, a mapping of str to
         :class:`~spl_batch.engine.report.picture.Picture`, is always among it.
@@ -97,6 +106,7 @@ def render_page(
             parameters=_compact(used),
             left_out=bool(front.unused),
             longest=LONGEST_TABLE,
+            script_hash=script_hash,
             **more,
         )
     )

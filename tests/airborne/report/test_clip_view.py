@@ -1,39 +1,38 @@
-"""The square that can be turned: the delivered points, in one small file that loads nothing."""
+"""The square that can be turned: the delivered points, small, and no script but our own."""
 
 import base64
+import hashlib
+import io
 import re
-import subprocess
+from html import unescape
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
+from PIL import Image
 
-from spl_batch.airborne.report import CLIP_PAGE
-from spl_batch.airborne.report.clip_view import KINDS, MOST, Clip, render_clip
-from spl_batch.engine.report.picture import Picture
-from tests.browser import CHROMIUM, needs_chromium
-
-STILL = Picture("profile", "caption", "what it shows", b"\x89PNG", 10, 10)
-GPU = ("--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader")
+from spl_batch.airborne.report.clip_view import KINDS, MOST, Clip, view_of
+from spl_batch.airborne.report.survey_page import render
+from tests.report_data import make_report
 
 
 def data(page: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places from 0 to 1, kinds, and extent [m] of a page."""
-    found = re.search(r'id="points">([^<]*)<', page)
-    count, extent = re.search(r"count = (\d+), extent = \[([^]]*)\]", page).groups()  # type: ignore[union-attr]
-    content, n = base64.b64decode(found[1]), int(count)  # type: ignore[index]
-    places = np.frombuffer(content, "<u2", 3 * n).reshape(n, 3) / 65_535
+    packed = re.search(r'id="clip-points">([^<]*)<', page)[1]  # type: ignore[index]
+    count = int(re.search(r'data-count="(\d+)"', page)[1])  # type: ignore[index]
+    extent = re.search(r'data-extent="\[([^]]*)\]"', page)[1]  # type: ignore[index]
+    content = base64.b64decode(packed)
+    places = np.frombuffer(content, "<u2", 3 * count).reshape(count, 3) / 65_535
     return (
         places,
-        np.frombuffer(content, np.uint8, offset=6 * n),
+        np.frombuffer(content, np.uint8, offset=6 * count),
         np.array([float(e) for e in extent.split(",")]),
     )
 
 
 def test_the_page_holds_the_delivered_points_of_its_square(tiny_output: Path) -> None:
-    page = (tiny_output / CLIP_PAGE).read_text(encoding="utf-8")
-    assert len(page) < 2e6
+    page = (tiny_output / "report.html").read_text(encoding="utf-8")
     places, kind, extent = data(page)
     west, south = map(int, re.search(r"from (\d+) E, (-?\d+) N", page).groups())  # type: ignore[union-attr]
     clouds = [laspy.read(path) for path in sorted(tiny_output.glob("laz/**/*.laz"))]
@@ -63,43 +62,35 @@ def test_the_page_holds_the_delivered_points_of_its_square(tiny_output: Path) ->
             )
 
 
-def test_the_largest_page_is_small() -> None:
+def test_the_largest_square_is_small() -> None:
     places = np.random.default_rng(0).uniform(0, 100, (MOST, 3))
-    page = render_clip("many", Clip(places, np.zeros(MOST, np.uint8), (0.0, 0.0), 10**7), STILL)
-    assert len(page) < 1.6e6
-    assert len(data(page)[1]) == MOST
-    assert re.search(r"of 10\W000\W000", page)
+    view = view_of(Clip(places, np.zeros(MOST, np.uint8), (0.0, 0.0), 10**7))
+    assert len(view.packed) + len(view.still.data_uri) < 2e6
+    assert len(base64.b64decode(view.packed)) == 7 * MOST
+    assert re.search(r"of 10\W000\W000", view.still.caption)
 
 
-def test_texts_of_files_are_only_shown() -> None:
+def test_the_still_picture_shows_what_is_nearest() -> None:
+    toward = np.array([-np.sin(0.5) * np.sin(1.1), -np.cos(0.5) * np.sin(1.1), np.cos(1.1)])
+    along = np.arange(-40, 41)
+    kind = np.where(along == 40, 3, 0).astype(np.uint8)
+    for order in (slice(None), slice(None, None, -1)):
+        clip = Clip((50.0 + along[:, None] * toward)[order], kind[order], (0.0, 0.0), 81)
+        drawn = np.asarray(Image.open(io.BytesIO(view_of(clip).still.png)))
+        assert drawn[400, 800] == 4
+        assert np.count_nonzero(drawn == 1) < 9, "but for rounding it hides all others"
+
+
+def test_the_page_runs_our_script_alone() -> None:
     clip = Clip(np.eye(3), np.array([0, 1, 2], np.uint8), (1.0, 2.0), 3)
-    page = render_clip("</title><script>alert(1)</script>", clip, STILL)
-    assert page.count("<script") == 2  # the data, and our own
-    assert "default-src 'none'" in page
-    assert not re.search(r"https?://|@import|url\(", page)
-
-
-@pytest.mark.slow
-@needs_chromium
-@pytest.mark.parametrize(("switches", "turns"), [(GPU, "live"), (("--disable-3d-apis",), "")])
-def test_a_browser_draws_it_or_shows_the_profile(
-    switches: tuple[str, ...], turns: str, tiny_output: Path, tmp_path: Path
-) -> None:
-    found = subprocess.run(  # noqa: S603
-        [
-            *(
-                str(CHROMIUM),
-                "--headless",
-                "--no-sandbox",
-                f"--user-data-dir={tmp_path}",
-                *switches,
-            ),
-            *("--virtual-time-budget=3000", "--dump-dom", f"file://{tiny_output / CLIP_PAGE}"),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
+    evil = "</title><script>alert(1)</script>"
+    survey = make_report().survey.model_copy(update={"name": evil})
+    page = render(make_report(survey=survey), {}, clip)
+    scripts = re.findall(r"<script([^>]*)>(.*?)</script>", page, re.DOTALL)
+    assert [kind for kind, _ in scripts] == [' type="text/plain" id="clip-points"', ""]
+    named = base64.b64encode(hashlib.sha256(scripts[1][1].encode()).digest()).decode()
+    policy = unescape(re.search(r'Content-Security-Policy" content="([^"]*)"', page)[1])  # type: ignore[index]
+    assert policy == (
+        f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{named}'"
     )
-    assert ('<body class="live">' in found.stdout) == bool(turns)
-    assert ('data-error="0"' in found.stdout) == bool(turns)
+    assert not re.search(r"https?://|@import|url\(", page)

@@ -4,8 +4,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from spl_batch.airborne.report.clip_view import Clip
 from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
 from spl_batch.airborne.report.survey_page import render
 from tests.browser import Page, browser, needs_chromium
@@ -20,6 +22,18 @@ SHOWN = (
 FOCUS = "document.activeElement.id || document.activeElement.className"
 
 
+WEBGL = ("--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader")
+
+
+def make_clip() -> Clip:
+    """Ground, and background noise above it."""
+    rng = np.random.default_rng(5)
+    xyz = rng.uniform(0, (100, 100, 40), (4000, 3))
+    kind = np.repeat(np.array([0, 2], np.uint8), 2000)
+    xyz[kind == 0, 2] = 5.0
+    return Clip(xyz, kind, (500_000.0, 3_300_000.0), 4000)
+
+
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     inputs = make_inputs()
@@ -29,13 +43,13 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     report = make_report(failures=(failed,))
     made = tmp_path_factory.mktemp("page") / "report.html"
-    made.write_text(render(report, make_pictures(part, report)), encoding="utf-8")
+    made.write_text(render(report, make_pictures(part, report), make_clip()), encoding="utf-8")
     return made
 
 
 @pytest.fixture(scope="module")
 def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("profile")) as opened:
+    with browser(tmp_path_factory.mktemp("profile"), *WEBGL) as opened:
         yield opened
 
 
@@ -81,7 +95,65 @@ def test_keys_choose_a_map_and_its_size(page: Page) -> None:
     assert width(page, "#map figure.wide img") < 1100, "the profile has a size of its own"
 
 
-def test_it_runs_no_script_and_asks_for_nothing(page: Page, path: Path) -> None:
+DRAWN = """new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => {
+  const drawn = document.querySelector('#clip canvas'), flat = document.createElement('canvas');
+  [flat.width, flat.height] = [drawn.width, drawn.height];
+  const pen = flat.getContext('2d');
+  pen.drawImage(drawn, 0, 0);
+  const data = pen.getImageData(0, 0, flat.width, flat.height).data;
+  const count = (r, g, b) => {
+    let n = 0;
+    for (let i = 0; i < data.length; i += 4)
+      n += data[i + 3] == 255 && data[i] == r && data[i + 1] == g && data[i + 2] == b;
+    return n;
+  };
+  done([count(0xa5, 0x79, 0x3f), count(0xe0, 0x7b, 0x54)]);
+})))"""
+"""Pixels of ground and of background noise."""
+
+
+def test_points_are_turned_and_noise_is_hidden_by_keys(page: Page) -> None:
+    still = "document.querySelector('#clip img').checkVisibility()"
+    form = "document.querySelector('#clip form').checkVisibility()"
+    assert page.ask(still)
+    assert not page.ask(form), "nothing begins before a reader asks"
+    page.ask("document.querySelector('#clip .start').focus()")
+    page.press("Space")
+    assert page.ask("document.activeElement.tagName") == "CANVAS"
+    assert page.ask(f"[{still}, {form}]") == [False, True]
+    ground, noise = page.ask(DRAWN)
+    assert min(ground, noise) > 500
+    page.press("ArrowRight", times=5)
+    assert page.ask(DRAWN) != [ground, noise]
+    page.ask("document.querySelector('#clip [name=kind][value=\"2\"]').focus()")
+    page.press("Space")
+    assert page.ask(DRAWN)[1] == 0
+    assert page.ask(DRAWN)[0] >= 500
+    assert page.ask("document.querySelector('#clip canvas').dataset.error") == "0"
+    page.media("print")
+    assert page.ask(f"[{still}, {form}]") == [True, False]
+
+
+def test_without_webgl_the_still_picture_stays(path: Path, tmp_path: Path) -> None:
+    with browser(tmp_path, "--disable-3d-apis") as page:
+        page.open(path)
+        assert page.ask("document.querySelector('#clip img').checkVisibility()")
+        assert not page.ask("document.querySelector('#clip .start').checkVisibility()")
+
+
+def test_every_control_has_a_name(page: Page) -> None:
+    page.ask("document.querySelector('#clip .start').click()")
+    named = [
+        node["name"]["value"]
+        for node in page.accessible()
+        if node["role"]["value"]
+        in {"application", "button", "checkbox", "image", "link", "radio", "region", "slider"}
+    ]
+    assert len(named) > 25
+    assert all(named)
+
+
+def test_it_runs_no_other_script_and_asks_for_nothing(page: Page, path: Path) -> None:
     asked = [said for said in page.said if not said.startswith("data:image/png;base64,")]
     assert asked == [path.as_uri()]
     page.ask(
