@@ -32,53 +32,30 @@ NOT_ASSESSED: Final = 255
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """Noise rate that a product states.
+    """Noise rate that a product states."""
 
-    Parameters
-    ----------
-    along_m : (m,) float64
-        Where, increasing [m].
-    per_m2 : (m,) float64
-        Noise photons per metre of track and metre of height [1/m2].
-    """
-
-    along_m: NDArray[np.float64]
+    along_m: NDArray[np.float64]  #: (m,): where, increasing [m].
+    #: (m,): noise photons per metre of track and metre of height [1/m2].
     per_m2: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Cells of the absolute along-track grid that hold photons, in order.
+    """Cells of the absolute along-track grid that hold photons, in order."""
 
-    Parameters
-    ----------
-    index : (n,) int64
-        Cell number; it covers ``[index, index + 1)`` cell lengths.
-    count : (n,) int64
-        Photons [count].
-    low, high : (n,) int32
-        Ends of the gate [quanta].
-    peak : (n,) int32
-        Height of the densest bins: the surface, where there is one [quanta].
-    empty_count, empty_length : (n,) int64
-        Photons, and length of gate, away from it [count, quanta].
-    level : (n,) int32
-        Water surface [quanta]; the least int32 where there is none.
-    column : (n, d) float32
-        Noise by metre of depth below it [1/m2].
-    slope : (n,) float32
-        Steps between the densest layers of cells next to each other, their median [m/m].
-    """
-
-    index: NDArray[np.int64]
-    count: NDArray[np.int64]
+    index: NDArray[np.int64]  #: (n,): cell number; it covers ``[index, index + 1)`` cell lengths.
+    count: NDArray[np.int64]  #: (n,): photons [count].
+    #: (n,): ends of the gate [quanta].
     low: NDArray[np.int32]
     high: NDArray[np.int32]
+    #: (n,): height of the densest bins: the surface, where there is one [quanta].
     peak: NDArray[np.int32]
+    #: (n,): photons, and length of gate, away from it [count, quanta].
     empty_count: NDArray[np.int64]
     empty_length: NDArray[np.int64]
-    level: NDArray[np.int32]
-    column: NDArray[np.float32]
+    level: NDArray[np.int32]  #: (n,): water surface [quanta]; the least int32 where there is none.
+    column: NDArray[np.float32]  #: (n, d): noise by metre of depth below it [1/m2].
+    #: (n,): steps between the densest layers of cells next to each other, their median [m/m].
     slope: NDArray[np.float32]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -98,43 +75,26 @@ class Scale:
 
     One unit of the scaled plane is ``unit_m`` in height and holds ``alpha`` noise photons
     per square; along the track it is as long as that takes.
-
-    Parameters
-    ----------
-    index : (n,) int64
-        Cell numbers.
-    start : (n,) float64
-        Scaled position of the cell's start [units].
-    per_m : (n,) float64
-        Units per metre of track within the cell [1/m].
-    cap : (n,) float64
-        Farthest neighbour that counts; nowhere farther along the track than the reach [units].
-    alpha : (n,) float64
-        Noise photons per square unit; 1 unless the reach is what limits a unit's length.
-    noise, below : (n,) float64
-        Noise photons expected in the cell, and those of them below a water surface [count].
-    density : (n,) float64
-        Noise photons above a water surface, or anywhere [1/m2].
-    level, column : (n,) int32, (n, d) float32
-        Water surface and noise below it, as of :class:`Cells`.
-    stretch, stretched_m : (n,) float64
-        Noise over the reference, water or not, and the start of the cell on that axis [m].
-    unit_m, reference : float
-        Height of a unit [m]; noise density that gives a unit its aspect [1/m2].
     """
 
-    index: NDArray[np.int64]
-    start: NDArray[np.float64]
-    per_m: NDArray[np.float64]
+    index: NDArray[np.int64]  #: (n,): cell numbers.
+    start: NDArray[np.float64]  #: (n,): scaled position of the cell's start [units].
+    per_m: NDArray[np.float64]  #: (n,): units per metre of track within the cell [1/m].
+    #: (n,): farthest neighbour that counts; nowhere farther along the track than the reach [units].
     cap: NDArray[np.float64]
+    #: (n,): noise photons per square unit; 1 unless the reach is what limits a unit's length.
     alpha: NDArray[np.float64]
+    #: (n,): noise photons expected in the cell, and those of them below a water surface [count].
     noise: NDArray[np.float64]
     below: NDArray[np.float64]
-    density: NDArray[np.float64]
+    density: NDArray[np.float64]  #: (n,): noise photons above a water surface, or anywhere [1/m2].
+    #: (n,): water surface and noise below it, as of :class:`Cells`.
     level: NDArray[np.int32]
     column: NDArray[np.float32]
+    #: (n,): noise over the reference, water or not, and the start of the cell on that axis [m].
     stretch: NDArray[np.float64]
     stretched_m: NDArray[np.float64]
+    #: Height of a unit [m]; noise density that gives a unit its aspect [1/m2].
     unit_m: float
     reference: float
 

@@ -313,8 +313,6 @@ def estimate(tracks: Tracks, context: Context | None = None) -> TrackCost:
 
     Parameters
     ----------
-    tracks : Tracks
-        Inputs and limits.
     context : Context, optional
         Where measured rates may lie.
     """

@@ -96,8 +96,6 @@ def scene(kind: Kind, colour: Colour, seed: int, **changes: float) -> TrackScene
         California or Missouri.
     colour : {"green", "infrared"}
         Little signal and much noise, or the other way round.
-    seed : int
-        Of all random numbers.
     **changes
         Other values of :class:`TrackScene`.
     """
@@ -116,38 +114,20 @@ def scene(kind: Kind, colour: Colour, seed: int, **changes: float) -> TrackScene
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Simulated photons in the order of their shots, with truth.
+    """Simulated photons in the order of their shots, with truth."""
 
-    Parameters
-    ----------
-    along_m, height_m : (n,) float64
-        Photons [m].
-    truth : (n,) uint8
-        0 noise, 1 ground, 2 canopy.
-    ground_m : (n,) float64
-        Height of the ground below each photon [m].
-    background : Background
-        What the product states.
-    reference_m : (m, 2) float64
-        Along-track distance and height of the ground, every metre [m].
-    """
-
+    #: (n,): photons [m].
     along_m: NDArray[np.float64]
     height_m: NDArray[np.float64]
-    truth: NDArray[np.uint8]
-    ground_m: NDArray[np.float64]
+    truth: NDArray[np.uint8]  #: (n,): 0 noise, 1 ground, 2 canopy.
+    ground_m: NDArray[np.float64]  #: (n,): height of the ground below each photon [m].
     background: Background
+    #: (m, 2): along-track distance and height of the ground, every metre [m].
     reference_m: NDArray[np.float64]
 
 
 def simulate_track(scene: TrackScene) -> Track:
-    """Draw a track's photons; the same scene gives the same photons.
-
-    Parameters
-    ----------
-    scene : TrackScene
-        What it looks like.
-    """
+    """Draw a track's photons; the same scene gives the same photons."""
     reference = _terrain(np.random.default_rng([scene.seed, 0]), scene)
     rng = np.random.default_rng([scene.seed, 1, scene.stream])
     coarse = _smooth(reference[:, 1], 1001)
@@ -232,20 +212,10 @@ def _canopy(
 
 @dataclass(frozen=True, slots=True)
 class TrackSummary:
-    """What was written.
-
-    Parameters
-    ----------
-    out : Path
-        Folder.
-    workflow : Path
-        Workflow file, ready to run.
-    photons : dict of str to int
-        Photons of each channel [count].
-    """
+    """What was written."""
 
     out: Path
-    workflow: Path
+    workflow: Path  #: Workflow file, ready to run.
     photons: dict[str, int]
 
     @property

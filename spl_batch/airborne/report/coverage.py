@@ -17,29 +17,13 @@ UNSURE_SHARE: Final = 0.02
 
 
 def area_km2(done: Receipts) -> float | None:
-    """Area that the returns of all pieces of a survey cover [km2]; None where nobody counted.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    """
+    """Area that the returns of all pieces of a survey cover [km2]; None where nobody counted."""
     facts = _facts(done)
     return None if facts is None else sum(f[_SQUARES] for f in facts) * SQUARE_M2 / 1e6
 
 
 def density(done: Receipts, context: Context, ground: int) -> Density:
-    """How densely returns cover all pieces of a survey.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
-    ground : int
-        Ground points [count].
-    """
+    """How densely returns cover all pieces of a survey."""
     facts, area = _facts(done), area_km2(done)
     if facts is None or not area:
         return Density()
@@ -62,13 +46,7 @@ def density(done: Receipts, context: Context, ground: int) -> Density:
 
 
 def unsure_terrain(done: Receipts) -> tuple[str, ...]:
-    """A warning where much of the terrain is not known well.
-
-    Parameters
-    ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    """
+    """A warning where much of the terrain is not known well."""
     share = _unsure_share(done)
     if share is None or share <= UNSURE_SHARE:
         return ()

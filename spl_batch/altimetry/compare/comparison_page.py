@@ -44,10 +44,6 @@ def write(out: Path, report: TrackComparison, disputed: Disputed | None) -> None
 
     Parameters
     ----------
-    out : Path
-        Folder.
-    report : TrackComparison
-        The table.
     disputed : Disputed or None
         Where the methods disagree about most photons.
     """

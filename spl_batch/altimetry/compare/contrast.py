@@ -20,39 +20,23 @@ _COLUMNS: Final = ("along_track", "height", "signal")
 
 @dataclass(frozen=True, slots=True)
 class Disputed:
-    """A stretch of a beam as several methods see it.
-
-    Parameters
-    ----------
-    beam : str
-        File and beam.
-    along_m, height_m : (n,) float64
-        Its photons [m].
-    signal : dict of str to (n,) bool
-        Signal by method.
-    """
+    """A stretch of a beam as several methods see it."""
 
     beam: str
+    #: (n,): its photons [m].
     along_m: NDArray[np.float64]
     height_m: NDArray[np.float64]
-    signal: dict[str, NDArray[np.bool_]]
+    signal: dict[str, NDArray[np.bool_]]  #: dict of str to (n,) bool: signal by method.
 
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Methods against the first of them.
+    """Methods against the first of them."""
 
-    Parameters
-    ----------
-    kept_only, removed_only : dict of str to int
-        Photons that each method keeps and the first removes, and the other way round [count].
-    disputed : Disputed or None
-        Stretch in which they disagree about most photons.
-    """
-
+    #: Photons that each method keeps and the first removes, and the other way round [count].
     kept_only: dict[str, int]
     removed_only: dict[str, int]
-    disputed: Disputed | None
+    disputed: Disputed | None  #: Stretch in which they disagree about most photons.
 
 
 def contrast(outputs: Mapping[str, Path]) -> Contrast:

@@ -60,12 +60,8 @@ def places(
 
     Parameters
     ----------
-    cells, scale : Cells, Scale
-        Of the beam.
     owned : (cells,) bool
         Cells that get places.
-    rate : RateSettings
-        The cells.
 
     Returns
     -------
@@ -112,8 +108,6 @@ def score_places(
         As of :func:`spl_batch.altimetry.filter.signal.score`.
     table : Ratios
         Likelihoods, those that the photons are scored by.
-    settings : SignalSettings
-        Neighbours that count.
     """
     u, v, cell = scaled(*at, scale, rate)
     others = np.stack(scaled(*photons, scale, rate)[:2], axis=1)
@@ -162,8 +156,6 @@ def noise_alone(taken: float, noise: float, share: float, neighbours: int) -> fl
         Photons taken, and noise photons expected among them.
     share : float
         Share of noise among all photons, taken or not.
-    neighbours : int
-        Neighbours that count.
     """
     if not taken:
         return 1.0

@@ -35,22 +35,13 @@ _STEPS: Final = 200
 
 
 class Ratios(NamedTuple):
-    """Logarithms of the likelihood of signal over that of noise.
+    """Logarithms of the likelihood of signal over that of noise."""
 
-    Parameters
-    ----------
-    within, beyond : (K, m) float64
-        For neighbour k at x, and beyond x.
-    first : float
-        ln x of the first column.
-    step : float
-        Columns per unit of ln x.
-    """
-
+    #: (K, m): for neighbour k at x, and beyond x.
     within: NDArray[np.float64]
     beyond: NDArray[np.float64]
-    first: float
-    step: float
+    first: float  #: ln x of the first column.
+    step: float  #: Columns per unit of ln x.
 
 
 def _log_share(k: int, x: NDArray[np.float64], contrast_max: float) -> NDArray[np.float64]:
@@ -68,8 +59,6 @@ def ratios(neighbours: int, contrast_max: float) -> Ratios:
 
     Parameters
     ----------
-    neighbours : int
-        Largest k [count].
     contrast_max : float
         C, largest density of signal over that of noise.
     """

@@ -57,10 +57,6 @@ def scaled(
     ----------
     along, height : (n,) int64, (n,) int32
         Photons [quanta].
-    scale : Scale
-        Of their beam.
-    rate : RateSettings
-        The cells.
 
     Returns
     -------
@@ -145,8 +141,6 @@ def score(
         Photons of a piece of track and of ``reach_m`` to each side [quanta].
     query : (n,) bool
         Photons whose score is wanted.
-    scale : Scale
-        Of the beam.
     prior : (cells,) float64
         From :func:`log_prior`.
     rate, settings : RateSettings, SignalSettings
@@ -256,8 +250,6 @@ def mdbscan(
     ----------
     along, height : (n,) int64, (n,) int32
         Photons of a piece of track and of two semi-axes to each side [quanta].
-    scale : Scale
-        Of the beam.
     mean : (cells,) float64
         From :func:`mean_density` [1/m2].
     rate, settings : RateSettings, BaselineSettings

@@ -39,40 +39,20 @@ class Segments:
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """Consecutive photons of an ATL08 file, and the photons of the ATL03 beam among which they lie.
+    """Consecutive photons of an ATL08 file, and the ATL03 photons among which they lie."""
 
-    Parameters
-    ----------
-    at : (int, int)
-        Where in the ATL08 file: first, stop.
-    rows : (int, int)
-        Where in the ATL03 beam, to whole segments: first, stop.
-    """
-
-    at: tuple[int, int]
-    rows: tuple[int, int]
+    at: tuple[int, int]  #: Where in the ATL08 file: first, stop.
+    rows: tuple[int, int]  #: Where in the ATL03 beam, to whole segments: first, stop.
 
 
 @dataclass(frozen=True, slots=True)
 class PhotonClasses:
-    """What an ATL08 file says of the photons of an ATL03 beam, read a stretch at a time.
+    """What an ATL08 file says of the photons of an ATL03 beam, read a stretch at a time."""
 
-    Parameters
-    ----------
-    path : Path
-        The ATL08 file.
-    beam : str
-        The beam.
-    segments : Segments
-        Of the ATL03 file.
-    slices : tuple of Slice
-        The parts of the ATL08 file that speak of it.
-    """
-
-    path: Path
+    path: Path  #: The ATL08 file.
     beam: str
-    segments: Segments
-    slices: tuple[Slice, ...]
+    segments: Segments  #: Of the ATL03 file.
+    slices: tuple[Slice, ...]  #: The parts of the ATL08 file that speak of it.
 
     @property
     def rows(self) -> tuple[int, int]:

@@ -91,16 +91,8 @@ def add_dataset(
     ----------
     group : h5py.Group
         Where.
-    name : str
-        Its name.
-    size : int
-        Values [count].
     fill : float
         What values are that nothing is written to.
-    attributes : mapping
-        Its attributes.
-    dtype : dtype
-        Of its values.
     """
     if name in group:
         del group[name]

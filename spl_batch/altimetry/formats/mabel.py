@@ -119,8 +119,6 @@ def write_mabel(
         Channel -> delta_time, elev, latitude, longitude, and whatever else.
     rates : mapping
         Channel -> delta_time, noise_rate.
-    prf_hz : float
-        Pulse repetition frequency [Hz].
     """
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["prf_hz"] = prf_hz

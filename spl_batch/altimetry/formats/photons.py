@@ -25,24 +25,12 @@ _ALONG_MAX_M: Final = 1e9
 
 @dataclass(frozen=True, slots=True)
 class BeamFacts:
-    """What a file's header says of a beam.
+    """What a file's header says of a beam."""
 
-    Parameters
-    ----------
-    name : str
-        As the product calls it.
-    photons : int
-        Photons, or an estimate where only reading tells [count].
-    group : str
-        Group of its photons in an HDF5 file.
-    background : bool
-        Whether the product states a noise rate.
-    """
-
-    name: str
-    photons: int
-    group: str = ""
-    background: bool = False
+    name: str  #: As the product calls it.
+    photons: int  #: Photons, or an estimate where only reading tells [count].
+    group: str = ""  #: Group of its photons in an HDF5 file.
+    background: bool = False  #: Whether the product states a noise rate.
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,28 +46,15 @@ class TrackFile:
 
 @dataclass(frozen=True, slots=True)
 class Photons:
-    """Photons of a slice that can be placed.
+    """Photons of a slice that can be placed."""
 
-    Parameters
-    ----------
-    row : (n,) int64
-        Position in the file.
-    along : (n,) int64
-        Along-track distance [quanta].
-    height : (n,) int32
-        Height [quanta].
-    latitude, longitude : (n,) float64
-        Where [deg]; NaN where the file does not tell.
-    read : int
-        Photons of the slice, placed or not [count].
-    """
-
-    row: NDArray[np.int64]
-    along: NDArray[np.int64]
-    height: NDArray[np.int32]
+    row: NDArray[np.int64]  #: (n,): position in the file.
+    along: NDArray[np.int64]  #: (n,): along-track distance [quanta].
+    height: NDArray[np.int32]  #: (n,): height [quanta].
+    #: (n,): where [deg]; NaN where the file does not tell.
     latitude: NDArray[np.float64]
     longitude: NDArray[np.float64]
-    read: int
+    read: int  #: Photons of the slice, placed or not [count].
 
 
 def inspect(path: Path, prf_hz: float | None) -> TrackFile:

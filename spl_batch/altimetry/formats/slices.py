@@ -8,20 +8,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """Consecutive photons.
+    """Consecutive photons."""
 
-    Parameters
-    ----------
-    start : int
-        Position of the first one in the file.
-    along_m, height_m : (n,) float64
-        Along-track distance and height [m]; not finite where unknown.
-    latitude, longitude : (n,) float64
-        Where [deg]; NaN where unknown.
-    """
-
-    start: int
+    start: int  #: Position of the first one in the file.
+    #: (n,): along-track distance and height [m]; not finite where unknown.
     along_m: NDArray[np.float64]
     height_m: NDArray[np.float64]
+    #: (n,): where [deg]; NaN where unknown.
     latitude: NDArray[np.float64]
     longitude: NDArray[np.float64]

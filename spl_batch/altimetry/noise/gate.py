@@ -50,8 +50,6 @@ def gates(
         Photons [quanta].
     peak : (n,) int64
         Surface of each cell; photons farther than a height bin from it are noise [quanta].
-    settings : RateSettings
-        Height bins.
     """
     n = len(index)
     away = np.abs(height - peak[cell]) > quanta(settings.slice_m)
@@ -81,8 +79,6 @@ def stretches(
     ----------
     index, count : (n,) int64
         Cells, and noise photons seen in each [count].
-    least : int
-        Cells to each side at least [count].
     """
     reach = np.full(len(index), STRETCH_CELLS, np.int64)
     seen = np.zeros(len(index), np.int64)
@@ -115,8 +111,6 @@ def narrow_gate(
         As in :func:`gates`.
     gate : ((n,) int32, (n,) int32)
         Lower and upper end [quanta].
-    water : Water
-        Of the cells.
     empty : (n,) int64
         Length of the empty bins [quanta].
 

@@ -60,8 +60,6 @@ def observe(along: NDArray[np.int64], height: NDArray[np.int32], settings: RateS
         Along-track distance [quanta].
     height : (n,) int32
         Height [quanta].
-    settings : RateSettings
-        Cells and bins.
 
     Returns
     -------
@@ -186,10 +184,6 @@ def of_window(
         Cells.
     values : (m, n) float64
         Of each cell.
-    settings : RateSettings
-        The cells.
-    window_m : float
-        Length of a window [m].
 
     Returns
     -------
@@ -286,8 +280,6 @@ def scale(
 
     Parameters
     ----------
-    cells : Cells
-        All cells of a beam.
     density : (n,) float64
         Noise density of each [1/m2].
     rate, signal : RateSettings, SignalSettings

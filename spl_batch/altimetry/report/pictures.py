@@ -17,26 +17,13 @@ MOST_PHOTONS: Final = 120_000
 
 @dataclass(frozen=True, slots=True)
 class BeamPictures:
-    """Plain arrays of one beam; along-track distance in every first column [m].
-
-    Parameters
-    ----------
-    name : str
-        File and beam.
-    photons : (n, 3) float64
-        Height [m] and label.
-    profile : (c, 3) float64
-        Ground and canopy top [m].
-    rate : (r, 2) float64
-        Noise density [1/m2].
-    differences : (d, 3) float64 or None
-        Ground minus reference, ours and mDBSCAN's [m].
-    """
+    """Plain arrays of one beam; along-track distance in every first column [m]."""
 
     name: str
-    photons: NDArray[np.float64]
-    profile: NDArray[np.float64]
-    rate: NDArray[np.float64]
+    photons: NDArray[np.float64]  #: (n, 3): height [m] and label.
+    profile: NDArray[np.float64]  #: (c, 3): ground and canopy top [m].
+    rate: NDArray[np.float64]  #: (r, 2): noise density [1/m2].
+    #: (d, 3) float64 or None: ground minus reference, ours and mDBSCAN's [m].
     differences: NDArray[np.float64] | None
 
 

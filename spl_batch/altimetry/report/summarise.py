@@ -40,10 +40,6 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> TrackReport:
 
     Parameters
     ----------
-    done : mapping of str to mapping of str to Receipt
-        Finished tasks by kind and name.
-    context : Context
-        The run.
     facts : RunFacts
         What the receipts do not say.
     """

@@ -56,25 +56,17 @@ _FLOOR_SD: Final = 3.0
 
 
 class Water(NamedTuple):
-    """What cells show of water.
+    """What cells show of water."""
 
-    Parameters
-    ----------
-    level : (n,) int32
-        Height of the surface [quanta]; ``NO_WATER`` where there is none.
-    column : (n, DEPTHS) float32
-        Noise by metre of depth, from the surface down [1/m2]; 0 where there is no water.
-    slope : (n,) float32
-        Steps between the densest layers of cells next to each other, their median [m/m]; 1 where
-        too few are.
-    fullest : (n,) int64
-        Middle of the densest metre [quanta].
-    """
-
+    #: (n,): height of the surface [quanta]; ``NO_WATER`` where there is none.
     level: NDArray[np.int32]
+    #: (n, DEPTHS): noise by metre of depth, from the surface down [1/m2]; 0 where there is no
+    #: water.
     column: NDArray[np.float32]
+    #: (n,): steps between the densest layers of cells next to each other, their median [m/m]; 1
+    #: where too few are.
     slope: NDArray[np.float32]
-    fullest: NDArray[np.int64]
+    fullest: NDArray[np.int64]  #: (n,): middle of the densest metre [quanta].
 
 
 def find_water(
@@ -96,8 +88,6 @@ def find_water(
         Photons [quanta].
     gate : ((n,) int32, (n,) int32)
         Lower and upper end of each cell's gate [quanta].
-    cell_m : float
-        Length of a cell [m].
     """
     n = len(index)
     water = Water(
