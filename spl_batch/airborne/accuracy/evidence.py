@@ -86,8 +86,11 @@ class Evidence:
     swaths: SwathDifferences | None  #: None where no flightlines were compared.
     #: Smooth places of single flightlines; None where there are none, or nobody looked.
     smooth: Repeatability | None
+    range_sigma_m: float  #: Ranging noise that the sensor is known to have [m].
     flightlines: int
-    classes: Mapping[int, int]
+    classes: Mapping[int, int]  #: Points by class [count].
+    withheld_unclassified: int  #: Those of class 0 that the vendor withheld [count].
     filtered: bool  #: Whether a noise filter ran.
+    has_crs: bool  #: Whether the survey's CRS is known.
     vertical_datum: str | None  #: Name of the vertical datum of the CRS.
     time_standard: str | None  #: GPS time of the points, in words.

@@ -191,6 +191,14 @@ SURE: Final = 3.0
 """A difference is larger than a limit if it is by so many of its standard deviations."""
 
 
+FEWEST_PLACES: Final = 5
+"""Smooth squares that a verdict on repeatability rests on, at least [count]."""
+
+HARD: Final = 2.0
+"""The smoothest squares are hard where their returns spread by at most so many times the sensor's
+ranging noise; heath and forest floor spread by more."""
+
+
 def _not_overlapping(known: Evidence) -> str:
     if known.flightlines < 2:
         return "there are no two flightlines to be compared"
@@ -238,26 +246,40 @@ def _repeatability(known: Evidence) -> Requirement:
     if smooth is None:
         why = "no flightline has returns in all parts of a level square of 8 m"
         return Requirement(*place, "not measured", "cannot tell", why, LBS, _SMOOTH)
+    found = f"RMSDz {centimetres(smooth.rmsd_m)}"
+    squares = f"{number(smooth.places)} smooth square{'s' * (smooth.places != 1)} of 8 m"
+    if smooth.places < FEWEST_PLACES:
+        why = f"{squares}: a verdict needs {FEWEST_PLACES}"
+        return Requirement(*place, found, "cannot tell", why, LBS, _SMOOTH)
+    if smooth.noise_m > HARD * known.range_sigma_m:
+        why = (
+            f"no level square of 8 m is hard: about the smoothest planes first returns spread by "
+            f"{centimetres(smooth.noise_m)}, the sensor's ranges by "
+            f"{centimetres(known.range_sigma_m)}"
+        )
+        return Requirement(*place, found, "cannot tell", why, LBS, _SMOOTH)
     answer: Answer = "pass" if smooth.rmsd_m <= limit else "fail"
     why = (
-        f"ranges of height in {number(smooth.cells)} cells of {number(smooth.places)} smooth "
-        f"squares of 8 m, each of one flightline; about their planes first returns spread by up to "
-        f"{centimetres(TWICE * smooth.noise_m)}"
+        f"ranges of height in {number(smooth.cells)} cells of {squares}, each of one flightline; "
+        f"about their planes first returns spread by up to {centimetres(TWICE * smooth.noise_m)}"
     )
-    found = f"RMSDz {centimetres(smooth.rmsd_m)}"
     return Requirement(*place, found, answer, why, LBS, _SMOOTH)
 
 
 def _class_zero(known: Evidence) -> Requirement:
-    left = known.classes.get(NEVER_CLASSIFIED, 0)
+    withheld = known.withheld_unclassified
+    left = known.classes.get(NEVER_CLASSIFIED, 0) - withheld
     why = (
-        "withheld, without a time, or outside the area: they keep the class of the input"
+        "without a time, or outside the area: they keep the class of the input"
         if left
-        else "every point has a class"
+        else "every point that is not withheld has a class"
     )
+    if withheld:
+        why += f"; {number(withheld)} withheld ones in class 0 do not count"
     return Requirement(
-        "Points never classified", "none in class 0", number(left) if left else "none",
-        "fail" if left else "pass", why, LBS, f"{PROCESSING}, Point Classification",
+        "Points never classified", "none in class 0, but withheld ones",
+        number(left) if left else "none", "fail" if left else "pass", why, LBS,
+        f"{PROCESSING}, Point Classification",
     )  # fmt: skip
 
 
@@ -287,6 +309,8 @@ def _vertical_datum(known: Evidence) -> Requirement:
         "the coordinate reference system is a compound one"
         if named_datum
         else "the CRS of the input has no vertical part: name it in survey.vertical_crs"
+        if known.has_crs
+        else "no CRS is known: name it in survey.crs, with a vertical part"
     )
     return Requirement(
         "Vertical datum", "named by the CRS", known.vertical_datum or "none",

@@ -52,6 +52,11 @@ CLASSES: Final = (
 """Class, label and colour."""
 
 
+OUTLINES: Final = {"failures": "#e31a1c", "blocks": "#1f4e79", "tiles": "#6b6b6b",
+                   "flightlines": "#b35806", "files": "#542788"}  # fmt: skip
+"""Colour of the outline of a layer of areas: what lies below stays in sight."""
+
+
 class LayerFile(NamedTuple):
     """A layer of the file."""
 
@@ -107,8 +112,8 @@ def _layers(
     """Topmost first."""
     for name in layers:
         source = f"./{index}|layername={name}"
-        yield LayerFile(f"index_{name}", f"index: {name}", source, "ogr", "vector", [],
-                        name in {"checkpoints", "failures"})  # fmt: skip
+        yield LayerFile(f"index_{name}", f"index: {name}", source, "ogr", "vector",
+                        [_symbol(name)], name in {"checkpoints", "failures"})  # fmt: skip
     if vpc is not None:
         style = [_classes()]
         yield LayerFile("clouds", "clouds by class", f"./{vpc}", "vpc", "point-cloud", style,
@@ -146,6 +151,32 @@ def _layer(layer: LayerFile, crs: CRS | None) -> ET.Element:
     if layer.blend:  # QGIS looks for it here, not in the pipe
         ET.SubElement(element, "blendMode").text = layer.blend
     return element
+
+
+def _symbol(name: str) -> ET.Element:
+    """White dots for checkpoints, outlines for areas."""
+    if name in OUTLINES:
+        red, green, blue = _channels(OUTLINES[name])
+        kind, drawn = "fill", "SimpleFill"
+        said = {"style": "no", "outline_color": f"{red},{green},{blue},255",
+                "outline_style": "solid", "outline_width": "0.5"}  # fmt: skip
+    else:
+        kind, drawn = "marker", "SimpleMarker"
+        said = {"name": "circle", "size": "2.2", "color": "255,255,255,255",
+                "outline_color": "0,0,0,255", "outline_style": "solid"}  # fmt: skip
+    renderer = ET.Element("renderer-v2", type="singleSymbol", symbollevels="0")
+    symbol = ET.SubElement(ET.SubElement(renderer, "symbols"), "symbol", name="0", type=kind)
+    layer = ET.SubElement(symbol, "layer", {"class": drawn}, enabled="1", locked="0")
+    options = ET.SubElement(layer, "Option", type="Map")
+    for key, value in said.items():
+        ET.SubElement(options, "Option", name=key, type="QString", value=value)
+    return renderer
+
+
+def _channels(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of ``#rrggbb``."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
 
 
 def _pipe(renderer: ET.Element) -> ET.Element:
@@ -208,7 +239,7 @@ def _classes() -> ET.Element:
     )  # fmt: skip
     categories = ET.SubElement(renderer, "categories")
     for number, label, colour in CLASSES:
-        red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+        red, green, blue = _channels(colour)
         ET.SubElement(
             categories, "category", value=str(number), label=label, render="1", pointSize="0",
             color=f"{red},{green},{blue},255",

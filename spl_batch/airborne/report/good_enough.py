@@ -61,9 +61,15 @@ def judged(done: Receipts, context: Context) -> tuple[RequirementReport, ...]:
         water_known=workflow.water is not None,
         swaths=_swaths(strip_pairs(done)),
         smooth=_smooth(done, limits.spacing),
+        range_sigma_m=workflow.sensor.range_sigma_m,
         flightlines=len(flown),
         classes=_classes(done),
+        withheld_unclassified=sum(
+            done["index_file"][key].facts["withheld_unclassified"]
+            for key in done.get("deliver_file", {})
+        ),
         filtered=workflow.filter.method != "none",
+        has_crs=crs is not None,
         vertical_datum=None if datum is None else datum.name,
         time_standard=_time_standard(flown),
     )

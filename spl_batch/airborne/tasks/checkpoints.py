@@ -9,10 +9,10 @@ import numpy as np
 from spl_batch.airborne.accuracy import Raster
 from spl_batch.airborne.context import Context
 from spl_batch.engine.tasks.context import Produced
-from spl_batch.errors import Remark, named
+from spl_batch.errors import Remark, grouped, named
 from spl_batch.formats.checkpoints import Checkpoint, read_checkpoints
 from spl_batch.formats.crs import parse_crs
-from spl_batch.formats.rasters.parts import read_part
+from spl_batch.formats.rasters.parts import read_part, windows
 
 
 def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
@@ -25,7 +25,9 @@ def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
     known, remarks = read_checkpoints(path, context.crs, own, accuracy_m)
     found = [_record(point, _terrain_m(point, args["rasters"], context)) for point in known]
     beyond = [one["id"] for one in found if one["error_m"] is None]
-    if beyond:
+    if known and len(beyond) == len(known):
+        remarks.append(_all_beyond(known, context.output / f"{args['rasters'][0]}.tif"))
+    elif beyond:
         noun = "checkpoint lies" if len(beyond) == 1 else "checkpoints lie"
         remarks.append(
             f"{len(beyond)} {noun} where the terrain model has no value, outside of the survey or "
@@ -38,6 +40,25 @@ def checkpoints(args: Mapping[str, Any], context: Context) -> Produced:
         "warnings": [Remark(text) for text in remarks],
     }
     return Produced([], facts, len(known))
+
+
+def _all_beyond(points: Sequence[Checkpoint], terrain: Path) -> str:
+    """Where all checkpoints lie and where the terrain does: a wrong CRS shows at once."""
+    with windows(terrain) as model:
+        rows, columns = model.shape
+        west_m, north_m = model.left_m, model.top_m
+        survey = _box((west_m, west_m + columns * model.cell_m),
+                      (north_m - rows * model.cell_m, north_m))  # fmt: skip
+    mine = _box([point.x_m for point in points], [point.y_m for point in points])
+    return (
+        f"none of {len(points)} checkpoints lies on the terrain: they lie within {mine}, the "
+        f"terrain within {survey}; name their CRS in reference.checkpoints_crs if it is another"
+    )
+
+
+def _box(x_m: Sequence[float], y_m: Sequence[float]) -> str:
+    east, north = (f"{grouped(min(v))} to {grouped(max(v))}" for v in (x_m, y_m))
+    return f"{east} E, {north} N"
 
 
 def _terrain_m(point: Checkpoint, rasters: Iterable[str], context: Context) -> float | None:

@@ -20,7 +20,9 @@ from spl_batch.lattice.tables import EXCLUDED, PointFlag, PointTable, rows_of
 
 Track = dict[str, NDArray[np.int64]]
 
-_COUNTED: Final = ("points", "timeless", "withheld", "vendor_noise", "excluded")
+_COUNTED: Final = (
+    "points", "timeless", "withheld", "withheld_unclassified", "vendor_noise", "excluded",
+)  # fmt: skip
 
 YEAR_S: Final = 365.25 * 86_400
 """A few times that are farther from the middle of a file's times are none of them [s]."""
@@ -62,7 +64,10 @@ class Tally:
         excluded = table.has(EXCLUDED)
         self.counts["points"] += len(table)
         self.counts["timeless"] += int(np.count_nonzero(~valid & ~excluded))
-        self.counts["withheld"] += int(np.count_nonzero(table.has(PointFlag.WITHHELD)))
+        withheld = table.has(PointFlag.WITHHELD)
+        unclassified = withheld & (table["input_class"] == 0)
+        self.counts["withheld"] += int(np.count_nonzero(withheld))
+        self.counts["withheld_unclassified"] += int(np.count_nonzero(unclassified))
         self.counts["vendor_noise"] += int(np.count_nonzero(table.has(PointFlag.VENDOR_NOISE)))
         self.counts["excluded"] += int(np.count_nonzero(excluded))
         for axis, name in enumerate("xyz"):

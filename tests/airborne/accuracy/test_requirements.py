@@ -19,12 +19,16 @@ NOTHING = Evidence(
     water_known=True,
     swaths=None,
     smooth=None,
+    range_sigma_m=0.05,
     flightlines=3,
     classes={1: 10, 2: 20, 7: 3, 18: 4},
+    withheld_unclassified=0,
     filtered=True,
+    has_crs=True,
     vertical_datum="NAVD88 height",
     time_standard="adjusted",
 )
+SMOOTH = "Smooth surface repeatability"
 LARGEST = "Swath overlap, largest difference"
 GOOD = PulseTotals(pulses=2000, area_m2=1000.0, squares=500, filled=450, void_m2=0.0, bare_m2=0.0)
 
@@ -97,9 +101,13 @@ def test_what_nobody_measured_cannot_be_told() -> None:
         ({"swaths": SwathDifferences(0.01, 0.16, 0.02, 3, 9, "")}, LARGEST, "pass"),
         ({"swaths": SwathDifferences(0.01, 0.21, 0.02, 3, 9, "")}, LARGEST, "cannot tell"),
         ({"swaths": SwathDifferences(0.01, 0.23, 0.02, 3, 9, "")}, LARGEST, "fail"),
-        ({"smooth": Repeatability(0.06, 5, 80, 0.02)}, "Smooth surface repeatability", "pass"),
-        ({"smooth": Repeatability(0.061, 5, 80, 0.02)}, "Smooth surface repeatability", "fail"),
+        ({"smooth": Repeatability(0.06, 5, 80, 0.02)}, SMOOTH, "pass"),
+        ({"smooth": Repeatability(0.061, 5, 80, 0.02)}, SMOOTH, "fail"),
+        ({"smooth": Repeatability(0.7, 4, 64, 0.02)}, SMOOTH, "cannot tell"),
+        ({"smooth": Repeatability(0.7, 9, 99, 0.11)}, SMOOTH, "cannot tell"),
         ({"classes": {0: 1}}, "Points never classified", "fail"),
+        ({"classes": {0: 3}, "withheld_unclassified": 3}, "Points never classified", "pass"),
+        ({"classes": {0: 4}, "withheld_unclassified": 3}, "Points never classified", "fail"),
         ({"classes": {12: 1}}, "Overlap by flag", "fail"),
         ({"filtered": False}, "Noise", "cannot tell"),
         ({"vertical_datum": None}, "Vertical datum", "fail"),

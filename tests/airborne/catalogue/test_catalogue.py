@@ -3,8 +3,10 @@
 import datetime as dt
 import json
 import sqlite3
+import subprocess
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -25,6 +27,8 @@ from referencing.jsonschema import DRAFT7
 from spl_batch import api
 from spl_batch.airborne.catalogue.catalogues import write_catalogues
 from spl_batch.airborne.catalogue.delivered_files import utc_span
+from spl_batch.airborne.tasks.checkpoints import checkpoints as compare_checkpoints
+from spl_batch.errors import grouped
 from tests import surveys
 from tests.formats.test_geoid import by_hand, write_grid
 
@@ -229,6 +233,21 @@ def test_checkpoint_errors_are_those_of_the_raster(output: Path) -> None:
     assert report["statement"].startswith("Insufficient for a statement: 6 of the 30")
 
 
+def test_checkpoints_that_all_lie_elsewhere_are_told_with_both_places(
+    output: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "degrees.csv"
+    path.write_text("id,x,y,z,surface,accuracy_m\nA,-93.2,44.9,20,open,0.01\n")
+    context = SimpleNamespace(workflow=SimpleNamespace(reference=None), crs=None, output=output)
+    args = {"name": path.name, "path": str(path), "rasters": ["dtm"]}
+    (warning,) = compare_checkpoints(args, context).facts["warnings"]
+    with rasterio.open(output / "dtm.tif") as source:
+        west, _, east, _ = source.bounds
+    for said in ("none of 1 checkpoints", "-93 to -93 E, 45 to 45 N", "reference.checkpoints_crs",
+                 f"{grouped(west)} to {grouped(east)} E"):  # fmt: skip
+        assert said in warning.text
+
+
 def xml(path: Path) -> ET.Element:
     return ET.fromstring(path.read_bytes())  # noqa: S314 - of our own making
 
@@ -244,6 +263,10 @@ def test_layers_and_styles_are_xml_whose_sources_exist(output: Path) -> None:
     # QgsRasterLayer::readSymbology looks for the blend mode beside the pipe
     relief = next(layer for layer in root.iter("maplayer") if layer.findtext("id") == "relief")
     assert relief.findtext("blendMode") == "6"
+    areas = [layer for layer in root.iter("maplayer") if layer.get("geometry") == "Polygon"]
+    filled = [option.get("value") for layer in areas for option in layer.iter("Option")
+              if option.get("name") == "style"]  # fmt: skip
+    assert filled == ["no"] * len(areas)  # an area hides no terrain
     with rasterio.open(output / "swaths.tif") as swaths:
         table = swaths.colormap(1)
     entries = xml(output / "swaths.qml").findall("pipe/rasterrenderer/colorPalette/paletteEntry")
@@ -256,6 +279,38 @@ def test_layers_and_styles_are_xml_whose_sources_exist(output: Path) -> None:
         shades = [float(item.get("value")) for item in style.iter("item")]
         assert shades == sorted(shades)
     assert xml(output / "metadata.xml").tag.endswith("MD_Metadata")
+
+
+def test_qgis_opens_every_layer(output: Path) -> None:
+    system = Path("/usr/bin/python3")
+    if (
+        not system.exists()
+        or subprocess.run(  # noqa: S603 - a program of the system
+            [system, "-c", "import qgis.core"], capture_output=True, check=False
+        ).returncode
+    ):
+        pytest.skip("the system's Python has no QGIS: apt install python3-qgis qgis-providers")
+    said = subprocess.run(  # noqa: S603 - the same
+        [system, "-c", QGIS, output / "survey.qlr"], capture_output=True, text=True, check=True,
+        env={"QT_QPA_PLATFORM": "offscreen", "PATH": "/usr/bin", "HOME": str(output.parent)},
+    ).stdout  # fmt: skip
+    version, *layers = json.loads(said.splitlines()[-1])
+    assert len(layers) >= 8
+    unreadable = ["clouds by class"] if version < 33200 else []  # virtual clouds came with 3.32
+    assert [name for name, valid in layers if not valid] == unreadable
+
+
+QGIS = """
+import json, sys
+from qgis.core import Qgis, QgsApplication, QgsLayerDefinition, QgsProject
+app = QgsApplication([], False); app.initQgis()
+project = QgsProject.instance(); root = project.layerTreeRoot()
+assert QgsLayerDefinition().loadLayerDefinition(sys.argv[1], project, root)[0]
+print(json.dumps([Qgis.QGIS_VERSION_INT] +
+                 [[one.name(), one.layer().isValid()] for one in root.findLayers()]), flush=True)
+import os; os._exit(0)
+"""
+"""Run by the Python that QGIS comes with: opens a layer file, prints which layers are valid."""
 
 
 def test_a_run_owns_its_catalogues(output: Path) -> None:
