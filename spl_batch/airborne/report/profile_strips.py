@@ -1,8 +1,10 @@
 """Vertical strips that a report shows: where they lie, and their points."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.report.plots import Profile
@@ -18,6 +20,12 @@ WIDTH_M = 3.0
 
 _TALLEST_M = 30.0
 """Heights count up to this: one mast is no reason [m]."""
+
+_LOW_M = 0.5
+"""Surfaces up to this are the ground or lie on it [m]."""
+
+_GROUND_SHARE = 0.2
+"""Part of the covered cells that such surfaces are, at which a strip shows enough of the ground."""
 
 _COVER_M = 1.0
 """What a cell with a surface counts for besides: a picture shows no empty place [m]."""
@@ -104,13 +112,22 @@ def labelled_points(
 
 
 def tallest_strip(height: Part) -> Bounds:
-    """Covered strip with the largest sum of heights above ground; the first of equals."""
+    """Covered strip with the largest sum of heights above ground; the first of equals.
+
+    Heights count in full where the strip also shows :data:`_GROUND_SHARE` of ground: under a closed
+    canopy there is hardly any, and a profile of leaves alone tells nothing of the terrain.
+    """
     known = height.values > NODATA
-    capped = np.minimum(height.values.astype(np.float64), _TALLEST_M)
-    values = np.where(known, capped + _COVER_M, 0.0)
-    length = min(max(round(LENGTH_M / height.cell_m), 1), values.shape[1])
-    total = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
-    score = total[:, length:] - total[:, :-length]
+    capped = np.where(known, np.clip(height.values.astype(np.float64), 0.0, _TALLEST_M), 0.0)
+    length = min(max(round(LENGTH_M / height.cell_m), 1), known.shape[1])
+
+    def sums(values: NDArray[Any]) -> NDArray[np.float64]:
+        total = np.cumsum(np.pad(values.astype(np.float64), ((0, 0), (1, 0))), axis=1)
+        return np.asarray(total[:, length:] - total[:, :-length])
+
+    cover, low = sums(known), sums(known & (capped <= _LOW_M))
+    open_share = np.minimum(low / np.maximum(cover, 1.0) / _GROUND_SHARE, 1.0)
+    score = _COVER_M * cover + sums(capped) * open_share
     row, column = np.unravel_index(int(np.argmax(score)), score.shape)
     west = quanta(height.left_m + float(column) * height.cell_m)
     middle = quanta(height.top_m - (float(row) + 0.5) * height.cell_m)

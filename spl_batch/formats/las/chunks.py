@@ -198,11 +198,13 @@ class RecordReader:
         self._table: ChunkTable | None = None
         self.laszip = b""
         self._n_layers = 0
+        self._layers_head = struct.Struct("")
         self._held: tuple[int, NDArray[Any]] = (-1, np.empty(0, self._dtype))
         try:
             if header.compressed:
                 self.laszip = _laszip_data(header)
                 self._n_layers = count_layers(self.laszip)
+                self._layers_head = struct.Struct(f"<{1 + self._n_layers}I")
                 self._table = read_chunk_table(header, self._file)
         except BaseException:
             self._file.close()
@@ -259,6 +261,31 @@ class RecordReader:
             found.append((start, out))
         return found
 
+    def heads(self, most: int) -> Iterator[tuple[int, NDArray[Any]]]:
+        """First record of up to ``most`` chunks, evenly among more, and its number.
+
+        A chunk begins with it as it is, so that nothing is decoded. Of an uncompressed file they are
+        evenly spaced records.
+
+        Raises
+        ------
+        InputError
+            If the sizes of a chunk's layers do not fit it.
+        """
+        table, n = self._table, self.header.n_points
+        places = range(n) if table is None else np.flatnonzero(np.diff(table.points)).tolist()
+        for place in places[:: max(-(-len(places) // most), 1)]:
+            if table is None:
+                yield place, self.read(place, place + 1)
+                continue
+            first = int(table.points[place])
+            try:
+                packed = self._packed(table, place, self._dtype.itemsize + self._layers_head.size)[2]
+            except OSError as error:
+                raise self._unreadable(first, error) from None
+            if len(packed) >= self._dtype.itemsize:
+                yield first, np.frombuffer(packed, self._dtype, 1)
+
     def _unreadable(self, start: int, error: OSError) -> InputError:
         return InputError(
             str(self.path), f"points from {start} on cannot be read: {error.strerror}"
@@ -294,25 +321,24 @@ class RecordReader:
                 str(self.path), f"ends before point {start + got // self._dtype.itemsize}"
             )
 
-    def _check_layers(self, packed: bytes, begin: int, end: int) -> None:
-        """Compare a chunk's layer sizes with its bytes.
+    def _check_layers(self, packed: bytes, size: int, begin: int, end: int) -> None:
+        """Compare a chunk's layer sizes with its bytes, of which the first are enough.
 
         The decoder would believe sizes of damaged layers and allocate gigabytes. A chunk
         is its first point, the number of points, the size of each layer, the layers.
         """
         if self._n_layers == 0:
             return
-        start = self._dtype.itemsize
-        head = struct.Struct(f"<{1 + self._n_layers}I")
+        start, head = self._dtype.itemsize, self._layers_head
         fits = len(packed) >= start + head.size
         if fits:
             n_points, *sizes = head.unpack_from(packed, start)
-            fits = n_points == end - begin and start + head.size + sum(sizes) == len(packed)
+            fits = n_points == end - begin and start + head.size + sum(sizes) == size
         if not fits:
             raise InputError(
                 str(self.path),
                 f"points {begin} to {end - 1} have layers that do not fit their"
-                f" {len(packed)} bytes: it is damaged, copy it again",
+                f" {size} bytes: it is damaged, copy it again",
             )
 
     def _decode(self, chunk: int, out: NDArray[Any]) -> None:
@@ -340,10 +366,12 @@ class RecordReader:
                 raise self._unreadable(int(table.points[chunk]), error) from None
             yield found
 
-    def _packed(self, table: ChunkTable, chunk: int) -> tuple[int, int, bytes]:
+    def _packed(
+        self, table: ChunkTable, chunk: int, most: int | None = None
+    ) -> tuple[int, int, bytes]:
         begin, end = (int(v) for v in table.points[chunk : chunk + 2])
         low, high = (int(v) for v in table.bytes[chunk : chunk + 2])
         self._file.seek(low)
-        packed = self._file.read(high - low)
-        self._check_layers(packed, begin, end)
+        packed = self._file.read(high - low if most is None else min(most, high - low))
+        self._check_layers(packed, high - low, begin, end)
         return begin, end, packed

@@ -25,6 +25,13 @@ def test_runs_through_the_trees() -> None:
     assert found.xmax >= 2 * 200
 
 
+def test_leaves_without_ground_are_passed_over() -> None:
+    height = np.zeros((60, 300))
+    height[20] = 25.0  # a closed canopy
+    height[40, 30:200:2] = 18.0
+    assert strip(height).ymin == 2 * 18
+
+
 def test_a_bare_survey_is_cut_where_it_is_covered() -> None:
     height = np.full((60, 300), NODATA)
     height[40, 150:290] = 0.0
