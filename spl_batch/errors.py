@@ -116,7 +116,8 @@ def shared(told: Iterable[Said], nouns: str = "", noun: str = "") -> Iterator[st
         names = named([one.name for one in ordered], 3)
         count = [f"{len(ordered)} {nouns}"] if nouns else []
         if all(one.text == worst.text for one in ordered):
-            yield ": ".join([*count, names, worst.text])
+            each = ", each" if count and graded and _NUMBER.search(worst.text) else ""
+            yield ": ".join([*(one + each for one in count), names, worst.text])
             continue
         listed = ", ".join([*count, "worst first"])
         yield f"{listed}: {names}: {worst.text} (the numbers of {worst.name})"

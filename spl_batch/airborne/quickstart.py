@@ -5,6 +5,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
+from spl_batch.airborne.plan.task_memory import task_bytes
 from spl_batch.engine.plan.budget import Cost, refuse_too_large
 from spl_batch.engine.store.simulated_folders import mark_quickstart, quickstarted
 from spl_batch.engine.verbs.conclusion import RunResult
@@ -13,18 +14,21 @@ from spl_batch.engine.verbs.running import run
 from spl_batch.engine.verbs.simulation import simulate
 from spl_batch.engine.watch.events import Listener, ignore
 
+_POINTS: Final = 1_789_819
+"""Points of the survey [count]; they lie in one ground cell, the heaviest task."""
+
 _COST: Final = Cost(
-    points=1_789_819,
+    points=_POINTS,
     tasks=52,
     disk_bytes=135 * 2**20,
-    memory_bytes=970 * 2**20,
+    memory_bytes=task_bytes("ground", _POINTS),
     heaviest="a ground cell of the quickstart",
     remedy="",
     stages_s={},
     workers=1,
     measured=False,
 )
-"""What the survey takes of a worker that has little memory, as its plan tells."""
+"""What the survey takes of a worker that has little memory, as its plan tells before it is there."""
 
 
 def quickstart(

@@ -124,7 +124,7 @@ def bars(stages: Iterable[StageStatus]) -> Table:
             Text(f"{stage.total - stage.left}/{stage.total}", style="green"),
             Text(speed(rate) if rate else "", style="cyan"),
             Text(taken(stage) if stage.total else "", style="yellow"),
-            Text(f"{duration(stage.left_s)} left") if stage.left else failed,
+            Text(f"{duration(stage.left_s)} left") if round(stage.left_s) else failed,
         )
     return table
 

@@ -61,7 +61,10 @@ def print_comparison(result: "ComparisonResult") -> None:
     """Print how several methods did, and where the rest is."""
     table = Table(*result.titles, box=None)
     table.columns[0].no_wrap = True
-    table.columns[0].min_width = max(len(row[0]) for row in result.rows)
+    for column, title, cells in zip(
+        table.columns, result.titles, zip(*result.rows, strict=True), strict=True
+    ):
+        column.min_width = max(map(len, (*title.split(), *cells)))  # nothing is cut off
     for row in result.rows:
         table.add_row(*row)
     _OUT.print(table)
@@ -79,6 +82,8 @@ def print_beginning(begun: "Beginning") -> None:
     _pairs(begun.found)
     for label, text in begun.unknown:
         _lines(f"not told: {label}: {text}", "yellow")
+    for text in begun.left_out:
+        _lines(f"left out: {text}", "yellow")
     _path("workflow", begun.workflow)
 
 
@@ -127,12 +132,16 @@ def _finished(left: "Left | None") -> list[tuple[str, str]]:
     if not left.counted:
         return [("finished", f"up to {grouped(left.finished)} tasks; a run tells what is left")]
     if not left.stage:
-        return [("finished", f"all {grouped(left.finished)} tasks; nothing is left to do")]
+        return [("finished", f"all {_tasks(left.finished)}; nothing is left to do")]
     behind = "" if left.stage == "report" else ", and what depends on it"
     return [
-        ("finished", f"{grouped(left.finished)} tasks"),
+        ("finished", _tasks(left.finished)),
         ("left", f"{left.stage}: {grouped(left.tasks)} of {grouped(left.of)} tasks{behind}"),
     ]
+
+
+def _tasks(count: int) -> str:
+    return f"{grouped(count)} task{'s' * (count != 1)}"
 
 
 def _time_left(left: "Left | None") -> str:

@@ -11,7 +11,7 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 
-from spl_batch.errors import WorkflowError
+from spl_batch.errors import WorkflowError, grouped
 
 WKT_KEY: Final = ("LASF_Projection", 2112)
 GEO_KEYS: Final = (
@@ -246,15 +246,19 @@ def look_like_degrees(
     return fits and bool((np.ptp(corners, axis=0) < DEGREES_ACROSS).all())
 
 
+def _spans(mins_m: Sequence[float], maxs_m: Sequence[float]) -> str:
+    ends = zip("xyz", mins_m, maxs_m, strict=True)
+    return ", ".join(f"{axis} {grouped(low)} to {grouped(high)}" for axis, low, high in ends)
+
+
 def _geocentric(crs: CRS, mins_m: Sequence[float] | None, maxs_m: Sequence[float] | None) -> str:
     sentence = f"CRS {crs_name(crs)} is geocentric"
     if mins_m is not None and maxs_m is not None:
         radius = float(np.linalg.norm((np.asarray(mins_m) + np.asarray(maxs_m)) / 2))
         if not _EARTH_RADII_M[0] <= radius <= _EARTH_RADII_M[1]:
             return (
-                f"{sentence}, but the coordinates (x {mins_m[0]:.0f} to {maxs_m[0]:.0f},"
-                f" y {mins_m[1]:.0f} to {maxs_m[1]:.0f}, z {mins_m[2]:.0f} to {maxs_m[2]:.0f})"
-                f" lie {radius / 1000:.0f} km from the centre of the earth and look projected:"
+                f"{sentence}, but the coordinates ({_spans(mins_m, maxs_m)})"
+                f" lie {grouped(radius / 1000)} km from the centre of the earth and look projected:"
                 " the CRS record is wrong, name the right one as survey.crs or write it there"
             )
     return f"{sentence}, coordinates must be projected: reproject the files, e.g. to UTM"

@@ -157,9 +157,7 @@ LAZ_FAULTS: dict[str, Callable[[bytearray, tuple[int, int, int]], None]] = {
     "LASzip compressor is 9": lambda c, p: struct.pack_into("<H", c, p[0], 9),
     "points of a LAZ chunk is 0": lambda c, p: struct.pack_into("<I", c, p[0] + 12, 0),
     "bytes of all LASzip items": lambda c, p: struct.pack_into("<H", c, p[0] + 36, 99),
-    "byte of its LAZ chunk table is 1000000000": lambda c, p: struct.pack_into(
-        "<q", c, p[1], 10**9
-    ),
+    "it is cut off: it has ": lambda c, p: struct.pack_into("<q", c, p[1], 10**9),
     "byte of its LAZ chunk table is -5": lambda c, p: struct.pack_into("<q", c, p[1], -5),
     "number of chunks in the LAZ chunk table is 4294967295": lambda c, p: struct.pack_into(
         "<I", c, p[2] + 4, 2**32 - 1

@@ -20,8 +20,8 @@ from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.report.number_format import (
     as_ascii,
     centimetres,
-    number,
     percent,
+    share,
     significant,
 )
 from spl_batch.engine.store.links import share_finished
@@ -81,12 +81,11 @@ def _share(source: Store, target: Store, settings: Workflow, method: str) -> set
 
 def _row(method: MethodResult) -> tuple[str, ...]:
     values = (
-        number(method.signal),
         *(
             percent(part / method.points if method.points else None)
-            for part in (method.background, method.afterpulse)
+            for part in (method.signal, method.background, method.afterpulse)
         ),
-        percent(method.far_share, 3),
+        share(method.far_share),
         centimetres(method.dtm_rmse_m),
         centimetres(method.dsm_rmse_m),
         significant(method.denoise_s_per_million),

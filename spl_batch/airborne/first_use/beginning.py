@@ -22,6 +22,7 @@ class Beginning:
     workflow: Path
     found: tuple[tuple[str, str], ...]  #: Key or word, and what the files tell of it.
     unknown: tuple[tuple[str, str], ...]  #: Key, and what they do not tell.
+    left_out: tuple[str, ...]  #: Files that the workflow does not name, and why.
 
 
 def init(folder: Path | str, *, force: bool = False) -> Beginning:
@@ -45,4 +46,6 @@ def init(folder: Path | str, *, force: bool = False) -> Beginning:
         )
     proposal = propose(look_through(place, load_preset(SENSOR)))
     write_bytes(target, proposal.text.encode())
-    return Beginning(target, tuple(proposal.found), tuple(proposal.unknown))
+    return Beginning(
+        target, tuple(proposal.found), tuple(proposal.unknown), tuple(proposal.left_out)
+    )

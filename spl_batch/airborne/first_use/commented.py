@@ -33,6 +33,7 @@ class Proposal:
     #: Key and what was seen; key and what files do not tell.
     found: list[tuple[str, str]] = field(default_factory=list)
     unknown: list[tuple[str, str]] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)  #: Files that it does not name, and why.
 
     @property
     def text(self) -> str:
@@ -74,7 +75,8 @@ def propose(folder: Folder) -> Proposal:
     )
     made.section("survey")
     made.lines += _key("name", folder.path.resolve().name or "survey", "  ")
-    made.known("flightlines", _patterns(folder, _paths(folder.lines)), _clouds(folder.lines))
+    lines = [*_paths(folder.lines), *folder.damaged_lines]
+    made.known("flightlines", _patterns(folder, lines), _clouds(folder.lines))
     _times(made, folder)
     _crs(made, folder)
     made.supposed("sensor", SENSOR, "no file tells the instrument: spl100, hrqls, or its facts")
@@ -87,8 +89,7 @@ def propose(folder: Folder) -> Proposal:
     _polygons(made, folder)
     made.lines += ["", "output: out"]
     _filter(made, folder, channel)
-    for text in _left_out(folder):
-        made.unknown.append(("left out", text))
+    made.left_out += _left_out(folder)
     return made
 
 
@@ -110,7 +111,7 @@ def _times(made: Proposal, folder: Folder) -> None:
     standards = sorted({look.standard for look in folder.lines if look.span_s is not None})
     first, last = min(low for low, _ in spans), max(high for _, high in spans)
     kind = " and ".join(STANDARDS[one] for one in standards)
-    seen = f"gps_time: {kind}, {first:.0f} to {last:.0f} s"
+    seen = f"gps_time: {kind}, {grouped(first)} to {grouped(last)} s"
     made.found.append(("gps_time", seen.removeprefix("gps_time: ")))
     made.lines.append(f"  # {seen}")
     if folder.trajectories:
@@ -176,6 +177,8 @@ def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
         "# acquisition: {prf_hz: 60000, gate_m: 300}",
     ]
     if channel.value is None:
+        why = "linear-mode lidar has no such noise: for such, use the last lines of the workflow"
+        made.unknown.append(("filter", why))
         made.lines += [
             "",
             "# Conventional (linear-mode) lidar has no such noise; for ground and surfaces alone:",
@@ -187,7 +190,8 @@ def _filter(made: Proposal, folder: Folder, channel: Guess) -> None:
 def _left_out(folder: Folder) -> Iterator[str]:
     """Files that the workflow does not name, and why."""
     for error in folder.bad:
-        yield str(error)
+        if Path(error.path) not in folder.damaged_lines:
+            yield str(error)
     for paths, why in (
         (_paths(folder.others), "no times or beamlet numbers like the others', no ground"),
         (folder.results, "delivered by a run"),

@@ -61,6 +61,13 @@ class Folder:
     polygons: list[Path] = field(default_factory=list)
     foreign: list[Path] = field(default_factory=list)
 
+    @property
+    def damaged_lines(self) -> list[Path]:
+        """Clouds that cannot be read, beside flightlines: a run names them as failures."""
+        places = {look.facts.path.parent for look in self.lines}
+        paths = [Path(error.path) for error in self.bad]
+        return [path for path in paths if path.parent in places and path.exists()]
+
     def named(self, path: Path) -> str:
         """What the workflow calls a file."""
         return path.relative_to(self.path).as_posix()
@@ -80,7 +87,8 @@ def look_through(path: Path, sensor: Sensor) -> Folder:
         If it is no folder, or no cloud in it can be used.
     """
     if not path.is_dir():
-        raise WorkflowError(f"{path}: no such folder; name the one that holds the files")
+        what = "is a file" if path.exists() else "no such folder"
+        raise WorkflowError(f"{path}: {what}; name the folder that holds the files")
     found = Folder(path)
     files = sorted(_files(path))
     _sort_clouds([file for file in files if file.suffix.lower() in CLOUDS], sensor, found)

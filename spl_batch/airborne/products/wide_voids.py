@@ -134,7 +134,7 @@ def void_sentence(found: Sequence[Void], void_max_m: float) -> str:
     if len(found) > 1:
         said += f" in all, the largest {_area(largest.area_m2)}"
     return (
-        f"{said} at {largest.east_m:.0f}, {largest.north_m:.0f}: no ground within "
+        f"{said} at {grouped(largest.east_m)} E, {grouped(largest.north_m)} N: no ground within "
         f"products.void_max_m ({void_max_m:g} m), so that there are no heights. Water gets its "
         "level by breaklines; a larger products.void_max_m fills roofs and woods"
     )

@@ -31,6 +31,7 @@ from spl_batch.airborne.report.strip_pairs import strip_pairs
 from spl_batch.airborne.tasks import checkpoints, pulses
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.report.run_record import Receipts
+from spl_batch.errors import grouped
 from spl_batch.formats.crs import vertical
 from spl_batch.formats.gps_clock import time_standard
 
@@ -159,14 +160,14 @@ def _swaths(pairs: Sequence[StripPair]) -> SwathDifferences | None:
     places = sum(count for count, *_ in known)
     squares = sum(count * rmsd**2 for count, rmsd, *_ in known)
     *_, largest_m, worst = max(known, key=lambda one: one[2])
-    east, north = worst.largest_at_m or worst.centre_m
+    east, north = (grouped(m or 0.0) for m in worst.largest_at_m or worst.centre_m)
     return SwathDifferences(
         rmsd_m=math.sqrt(squares / places),
         largest_m=largest_m,
         largest_sd_m=worst.largest_sd_m or 0.0,
         pairs=len(known),
         places=places,
-        where=f"{worst.first} and {worst.second} at {east or 0:.0f}, {north or 0:.0f}",
+        where=f"{worst.first} and {worst.second} at {east} E, {north} N",
     )
 
 

@@ -215,7 +215,7 @@ def _cards(report: Report) -> list[tuple[str, str, str]]:
         ("Ground", text.large(counts.ground), text.of_all(counts.ground, whole)),
         (
             "Signal density" if photons else "Density",
-            f"{text.significant(density.mean_per_m2)} /m\N{SUPERSCRIPT TWO}",
+            f"{text.significant(density.mean_per_m2)} per m\N{SUPERSCRIPT TWO}",
             (
                 f"median {text.significant(density.median_per_m2)}, "
                 f"ground {text.significant(density.ground_per_m2)}"

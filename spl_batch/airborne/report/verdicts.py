@@ -144,16 +144,16 @@ def _accuracy_verdict(report: Report) -> Verdict:
         tone: Tone = "neutral" if why == _NO_REFERENCE else "attention"
         return Verdict(tone, f"{why[0].upper()}{why[1:]}: accuracy is not known.")
     rmse = terrain[1].rmse or 0.0
-    opening = f"DTM {terrain_accuracy(report)}, against linear-mode lidar and not check points: "
+    opening = f"DTM {terrain_accuracy(report)}, against linear-mode lidar and not checkpoints: "
     for limit, level in USGS_LIMITS:
         if rmse <= limit:
             return Verdict(
                 "good",
-                f"{opening}within the {centimetres(limit)} that USGS {level} allows at check "
-                "points.",
+                f"{opening}within the {centimetres(limit)} that USGS {level} allows at "
+                "checkpoints.",
             )
     least = centimetres(USGS_LIMITS[-1][0])
-    return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows at check points.")
+    return Verdict("attention", f"{opening}above the {least} that USGS QL3 allows at checkpoints.")
 
 
 def _without_accuracy(report: Report) -> str:

@@ -5,6 +5,7 @@ and signs, a console plain ones: :func:`as_ascii` makes the one of the other.
 """
 
 import re
+from collections.abc import Sequence
 from typing import Final
 
 from spl_batch.errors import grouped
@@ -16,6 +17,7 @@ MINUS: Final = "\N{MINUS SIGN}"
 _RAISED: Final = "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"
 _SUPERSCRIPT: Final = str.maketrans("0123456789-", _RAISED)
 _LOWERED: Final = str.maketrans(_RAISED, "0123456789-")
+_UNIT: Final = re.compile(r"((?:\d|per) k?m)([23])(?!\.?\w)")
 _POWER: Final = re.compile(f"(?<=10)[{_RAISED}]+")
 
 
@@ -29,18 +31,34 @@ def number(value: float | None, digits: int = 0) -> str:
     return text
 
 
-def significant(value: float | None, figures: int = 3) -> str:
-    """Three significant figures, without an exponent where six digits do."""
+def significant(value: float | None, figures: int = 3, *, power: bool = False) -> str:
+    """Three significant figures; an exponent where six digits do not do, or with ``power``."""
     if value is None:
         return DASH
     if value == 0:
         return "0"
-    if not 1e-4 <= abs(value) < 1e6:
+    if power or _needs_power(value):
         mantissa, exponent = f"{value:.{figures - 1}e}".split("e")
         return f"{mantissa}\N{MULTIPLICATION SIGN}10{_raised(int(exponent))}".replace("-", MINUS)
     rounded = float(f"{value:.{figures - 1}e}")
     digits = max(0, figures - 1 - int(f"{rounded:e}".split("e")[1]))
     return number(rounded, digits)
+
+
+def _needs_power(value: float) -> bool:
+    return value != 0 and not 1e-4 <= abs(value) < 1e6
+
+
+def alike(values: Sequence[float | None], factor: float = 1.0) -> list[str]:
+    """A column of :func:`significant`, all with an exponent where one needs it."""
+    column = [None if value is None else value * factor for value in values]
+    power = any(value is not None and _needs_power(value) for value in column)
+    return [significant(value, power=power) for value in column]
+
+
+def typeset(sentence: str) -> str:
+    """A sentence of a log or a console with the units that a page has: ``12 m2`` as ``12 m²``."""
+    return _UNIT.sub(lambda found: found[1] + found[2].translate(_SUPERSCRIPT), sentence)
 
 
 def _raised(exponent: int) -> str:
@@ -61,6 +79,11 @@ def percent(part: float | None, digits: int = 1) -> str:
     if 0 < part * 100 < least / 2:
         return f"<{THIN}{least:.{digits}f}{THIN}%"
     return f"{number(part * 100, digits)}{THIN}%"
+
+
+def share(part: float | None) -> str:
+    """Share of anything from all to hardly any, as a percentage of three significant figures."""
+    return DASH if part is None else f"{significant(part * 100)}{THIN}%"
 
 
 def large(value: float | None) -> str:

@@ -103,7 +103,9 @@ class Performance(Part):
         "did it [s].",
     )
     points_per_s: Number = Field(
-        None, description="Input points per second, end to end; null where wall_s is a part [1/s]."
+        None,
+        description="Input points per second, end to end but for compiling; null where wall_s "
+        "is a part [1/s].",
     )
     peak_rss_mb: Number = Field(None, description="Highest resident memory of a worker [MB].")
     workers: Count | None = Field(None, description="Workers [count].")

@@ -188,7 +188,9 @@ def performance(facts: RunFacts, points: int) -> Performance:
         wall_s=facts.wall_s,
         earlier_wall_s=facts.earlier_s,
         compile_s=facts.compile_s,
-        points_per_s=points / facts.wall_s if whole else None,
+        points_per_s=points / max(facts.wall_s - (facts.compile_s or 0.0), 0.001)
+        if whole
+        else None,
         peak_rss_mb=max((c.peak_rss_mb for c in facts.costs.values()), default=None),
         workers=facts.workers,
         stages={

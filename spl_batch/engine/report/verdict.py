@@ -43,15 +43,17 @@ def _failed(failure: Failure) -> str:
     """What has failed, why, and what helps."""
     named = failure.place in failure.reason
     what = failure.reason if named else f"{failure.task or failure.place}: {failure.reason}"
-    said = failure.remedy is None or failure.remedy.split(" or ", maxsplit=1)[0] in what
-    return what if said else f"{what}; {failure.remedy}"
+    first, _, more = (failure.remedy or "").partition(" or ")
+    helps = f"or {more}" if first in what and more else failure.remedy
+    return f"{what}; {helps}" if helps and helps not in what else what
 
 
 def _of_which(work: Performance, noun: str) -> str:
     """Speed of a run, and what it took itself where it went on with the work of others."""
     if work.part_alone:
         return f" for this part alone; the rest was finished before{_compiling(work)}"
-    speed = f" ({large(work.points_per_s)} {noun}/s)"
+    apart = " apart from compiling" if work.compile_s else ""
+    speed = f" ({large(work.points_per_s)} {noun}/s{apart})"
     if not work.earlier_wall_s or work.wall_s is None:
         return speed + _compiling(work)
     own = duration(work.wall_s - work.earlier_wall_s)

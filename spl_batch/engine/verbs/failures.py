@@ -73,6 +73,8 @@ class Failed:
     command: str
 
 
+AGAIN: Final = "run again: only what failed is tried"
+
 COPY: Final = "copy it again"
 """What a reason says that names a damaged file."""
 
@@ -86,7 +88,7 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
             stage="index",
             place=bad.path,
             reason=reason,
-            remedy=f"{COPY} or remove it" if COPY in reason else "mend or remove it",
+            remedy=f"{COPY if COPY in reason else 'mend'} or remove it, then {AGAIN}",
             inputs=(bad.path,),
         )
     names = {str(s.key): s.name for s in ledger.inputs.sources}
@@ -149,10 +151,9 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
 
 
 def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
-    again = "run again: only what failed is tried"
     if COPY in one.receipt.reason:
-        return f"{COPY}, then {again}"
+        return f"{COPY} or remove it, then {AGAIN}"
     if not one.receipt.reason.startswith(OUT_OF_MEMORY):
-        return again
+        return AGAIN
     helping = filter(None, ("raise --memory", remedies.get(one.task.kind)))
-    return f"{' or '.join(helping)}, and {again}"
+    return f"{' or '.join(helping)}, and {AGAIN}"

@@ -18,7 +18,7 @@ import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.errors import InputError, is_fault
+from spl_batch.errors import InputError, grouped, is_fault
 from spl_batch.formats.declared import bounded, refuse_bomb
 from spl_batch.formats.las.header import LasHeader, open_input
 from spl_batch.formats.las.records import RecordLayout, record_layout
@@ -160,6 +160,12 @@ def _table_place(header: LasHeader, file: BinaryIO, start_byte: int) -> int:
         # Written as a stream: the place of the table is the file's last 8 bytes.
         file.seek(size - 8)
         place = int.from_bytes(file.read(8), "little", signed=True)
+    if size - 8 < place < 2**48:
+        raise InputError(
+            str(header.path),
+            f"it is cut off: it has {grouped(size)} bytes, and its LAZ chunk table begins at byte "
+            f"{grouped(place)}; copy it again",
+        )
     bounded(header.path, "byte of its LAZ chunk table", place, least=start_byte, most=size - 8)
     file.seek(place)
     return place
@@ -264,8 +270,8 @@ class RecordReader:
     def heads(self, most: int) -> Iterator[tuple[int, NDArray[Any]]]:
         """First record of up to ``most`` chunks, evenly among more, and its number.
 
-        A chunk begins with it as it is, so that nothing is decoded. Of an uncompressed file they are
-        evenly spaced records.
+        A chunk begins with it as it is: nothing is decoded. Of an uncompressed file they are evenly
+        spaced records.
 
         Raises
         ------
@@ -280,7 +286,9 @@ class RecordReader:
                 continue
             first = int(table.points[place])
             try:
-                packed = self._packed(table, place, self._dtype.itemsize + self._layers_head.size)[2]
+                packed = self._packed(table, place, self._dtype.itemsize + self._layers_head.size)[
+                    2
+                ]
             except OSError as error:
                 raise self._unreadable(first, error) from None
             if len(packed) >= self._dtype.itemsize:

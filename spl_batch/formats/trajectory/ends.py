@@ -6,6 +6,7 @@ when the file is read (:mod:`spl_batch.formats.trajectory.records`).
 
 import csv
 import io
+import math
 import os
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -20,11 +21,11 @@ from spl_batch.formats.trajectory.records import PARQUET_SUFFIXES, columns_of, c
 from spl_batch.formats.trajectory.sbet import SBET_RECORD, SBET_SUFFIXES
 
 _END_BYTES: Final = 1 << 16
-"""What is read of each end of a CSV [byte]."""
+"""What is read of the end of a CSV, and half of what is read of its start [byte]."""
 
 
 def ends(path: Path) -> tuple[float, float] | None:
-    """Smaller and larger of the first and the last time of a trajectory.
+    """First and last time of a trajectory in time order, as far as its ends tell.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ def ends(path: Path) -> tuple[float, float] | None:
     Returns
     -------
     (float, float) or None
-        As the file has them [s]; None where the ends do not tell.
+        As the file has them [s]; None where the ends do not tell, as where rows are in no order.
 
     Raises
     ------
@@ -42,12 +43,16 @@ def ends(path: Path) -> tuple[float, float] | None:
         If the file cannot be opened, or has no such columns.
     """
     with as_input_fault(path):
-        found = _first_and_last(path)
-    times = [time for time in found if np.isfinite(time)]
-    return (min(times), max(times)) if len(times) > 1 else None
+        times = np.array(_at_both_ends(path))
+    known = times[np.isfinite(times)]
+    tell = len(times) > 0 and bool(
+        np.isfinite(times[[0, -1]]).all() and (np.diff(known) >= 0).all()
+    )
+    return (float(known[0]), float(known[-1])) if tell else None
 
 
-def _first_and_last(path: Path) -> list[float]:
+def _at_both_ends(path: Path) -> list[float]:
+    """Times from both ends of a file, in its order."""
     suffix = path.suffix.lower()
     if suffix in PARQUET_SUFFIXES:
         return _of_parquet(path)
@@ -63,7 +68,7 @@ def _of_parquet(path: Path) -> list[float]:
             time = [file.read_row_group(k, names).column(0).to_numpy() for k in sorted(groups)]
     except (OSError, pa.ArrowException):
         return []  # the run says what is wrong with it
-    return [float(values[k]) for values in time if len(values) for k in (0, -1)]
+    return [float(value) for values in time for value in values]
 
 
 def _of_sbet(file: BinaryIO) -> list[float]:
@@ -78,17 +83,17 @@ def _of_sbet(file: BinaryIO) -> list[float]:
 def _of_csv(path: Path, file: BinaryIO) -> list[float]:
     given, delimiter = csv_head(file)
     column = given.index(columns_of(path, given)[0])
-    first = file.read(_END_BYTES)
-    start = max(file.seek(0, os.SEEK_END) - _END_BYTES, 0)
-    file.seek(start)
-    last = file.read()
-    lines = [first.split(b"\n", 1)[0], last.rstrip().rsplit(b"\n", 1)[-1]]
-    found = []
-    for line in lines:
-        text = line.decode("utf-8", errors="replace")
-        row = next(csv.reader(io.StringIO(text), delimiter=delimiter), [])
-        try:
-            found.append(float(row[column]))
-        except (IndexError, ValueError):
-            continue
-    return found
+    text = file.read(2 * _END_BYTES)
+    left = os.fstat(file.fileno()).st_size - file.tell()
+    if left:
+        file.seek(-min(left, _END_BYTES), os.SEEK_END)
+        text = text[: text.rfind(b"\n") + 1] + file.read().partition(b"\n")[2]
+    rows = csv.reader(io.StringIO(text.decode("utf-8", errors="replace")), delimiter=delimiter)
+    return [_number(row[column]) if len(row) > column else math.nan for row in rows if any(row)]
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

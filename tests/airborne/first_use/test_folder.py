@@ -69,16 +69,19 @@ def test_files_of_other_kinds_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
     (tmp_path / "poscal.out").write_bytes(b"a log of another program")
     (tmp_path / "broken.laz").write_bytes(b"LASF")
+    (tmp_path / "raw [1]" / "cut.laz").write_bytes(b"LASF")
     (tmp_path / ".hidden.laz").write_bytes(b"")
     surveys.write_cloud(tmp_path / "earlier" / "laz" / "a.laz", line)
     (tmp_path / "earlier" / "delivered.json").write_text("{}")
     found, content = begun(tmp_path)
     assert content["survey"]["flightlines"] == "raw [[]1]/*.laz"
     summary = api.plan(found.workflow)
-    assert (summary.files, summary.faults) == (2, ())
+    assert summary.files == 2
+    (fault,) = summary.faults
+    assert "cut.laz" in fault, "a damaged file beside flightlines is one that a run names"
     assert content["survey"]["trajectory"] == "flight.csv"
     assert content["reference"] == {"points": "lidar/c.laz", "checkpoints": "marks.csv"}
-    left = [text for label, text in found.unknown if label == "left out"]
+    left = found.left_out
     assert any("broken.laz" in text for text in left)
     assert any(text.startswith("old.las: ") for text in left)
     assert "other.csv: times of another flight" in left
@@ -94,7 +97,7 @@ def test_a_delivered_cloud_is_no_flightline(tmp_path: Path) -> None:
     write_classified(raw, tmp_path / "b.laz", labels=labels, diagnostics=False, crs=None)
     found, content = begun(tmp_path)
     assert content["survey"]["flightlines"] == "a.laz"
-    assert ("left out", "b.laz: delivered by a run") in found.unknown
+    assert "b.laz: delivered by a run" in found.left_out
     raw.unlink()
     with pytest.raises(WorkflowError, match=r"run delivered alone, such as b\.laz"):
         api.init(tmp_path, force=True)
@@ -135,6 +138,9 @@ def test_a_folder_without_a_survey_is_refused(tmp_path: Path, name: str, said: s
         (tmp_path / name).write_bytes(b"something")
     with pytest.raises(WorkflowError, match=said):
         api.init(tmp_path)
+    if name:
+        with pytest.raises(WorkflowError, match="is a file; name the folder"):
+            api.init(tmp_path / name)
     with pytest.raises(WorkflowError, match="no such folder"):
         api.init(tmp_path / "nowhere")
     assert not (tmp_path / "workflow.yaml").exists()

@@ -61,8 +61,8 @@ def test_the_sentence_names_number_place_consequence_and_remedy() -> None:
     found = [Void(1234.4, 500_060.2, 4_000_062.5), Void(0.25, 1.0, 1.0)]
     said = void_sentence(found, 20.0)
     for words in (
-        "2 voids", "1 235 m2 in all", "the largest 1 234 m2 at 500060, 4000062", "(20 m)",
+        "2 voids", "1 235 m2 in all", "the largest 1 234 m2 at 500 060 E, 4 000 062 N", "(20 m)",
         "no heights", "breaklines", "larger products.void_max_m",
     ):  # fmt: skip
         assert words in said.replace("\N{NARROW NO-BREAK SPACE}", " "), said
-    assert void_sentence(found[1:], 20.0).startswith("1 void of the terrain, 1 m2 at 1, 1: ")
+    assert void_sentence(found[1:], 20.0).startswith("1 void of the terrain, 1 m2 at 1 E, 1 N: ")

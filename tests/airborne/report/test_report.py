@@ -259,11 +259,11 @@ class TestSummary:
         ]
         said = second.model_copy(
             update={"reason": f"{second.place}: cut off, copy it again",
-                    "remedy": "copy it again or remove it"}
+                    "remedy": "copy it again or remove it, then run again"}
         )  # fmt: skip
         rows = screen_summary(make_report(failures=(said, first, first, first, second)))
         failed = [value for label, value in rows if label == "failed"]
-        assert failed[0] == said.reason, "as named, with its remedy"
+        assert failed[0] == f"{said.reason}; or remove it, then run again", "nothing twice"
         assert len(failed) == 3
         assert ("", "and 2 more, see the report") in rows
 
@@ -271,7 +271,9 @@ class TestSummary:
         work = make_report().performance.model_copy(update={"compile_s": 31.0})
         report = make_report(performance=work)
         rows = dict(screen_summary(report))
-        assert rows["run time"] == "1 min 44 s (108 k points/s), 31.0 s of it compiling, once"
+        assert rows["run time"] == (
+            "1 min 44 s (108 k points/s apart from compiling), 31.0 s of it compiling, once"
+        )
         page = render(report, {})
         assert f"{text.duration(31.0)} of that time went into compiling for this machine" in page
 

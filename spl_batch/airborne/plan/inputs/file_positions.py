@@ -47,7 +47,7 @@ def without_degrees(
     alike = [facts for facts in silent if look_like_degrees(facts.mins_m, facts.maxs_m)]
     corners = [corner[:2] for facts in alike for corner in (facts.mins_m, facts.maxs_m)]
     found = {f.path for f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)}
-    text = f"{LIKE_DEGREES}, or set survey.crs"
+    text = f"{LIKE_DEGREES}, or set survey.crs (--set survey.crs=EPSG:...)"
     bad = [InputError(str(facts.path), text) for facts in alike if facts.path in found]
     return [facts for facts in files if facts.path not in found], bad
 

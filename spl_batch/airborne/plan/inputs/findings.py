@@ -12,7 +12,7 @@ from spl_batch.airborne.beams.geometry import Ahead
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
-from spl_batch.airborne.plan.inputs.first_look import holds_few, too_few
+from spl_batch.airborne.plan.inputs.first_look import holds_few, in_files, too_few
 from spl_batch.airborne.plan.phases import PHASES
 from spl_batch.airborne.plan.survey_ledger import Survey, timeless_sources
 from spl_batch.airborne.plan.task_memory import stretch_bytes
@@ -125,7 +125,7 @@ def _check_channels(survey: Survey) -> None:
         return
     files = [str(r.facts["name"]) for r in indexed]
     raise WorkflowError(
-        too_few((k for k in range(256) if seen >> k & 1), points, files, survey.workflow)
+        too_few((k for k in range(256) if seen >> k & 1), in_files(points, files), survey.workflow)
     )
 
 

@@ -109,31 +109,29 @@ def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
     return enough and FEW_CHANNELS * channels <= sensor.beamlets
 
 
-def too_few(values: Iterable[int], points: int, files: Sequence[str], workflow: Workflow) -> str:
+def too_few(values: Iterable[int], where: str, workflow: Workflow) -> str:
     """That the dimension that is named holds too few values, and what helps.
 
     Parameters
     ----------
     values : iterable of int
         What it holds.
-    points : int
-        Points that were looked at [count].
-    files : sequence of str
-        Their files.
+    where : str
+        Points that were looked at, in words.
     workflow : Workflow
         The settings.
     """
-    listed = ", ".join(map(str, sorted(values)))
+    key, sensor = workflow.survey.channel_dimension, workflow.sensor
     return (
-        f"survey.channel_dimension: {workflow.survey.channel_dimension} holds only {listed} in "
-        f"{grouped(points)} points ({named(files, 3)}), and {workflow.sensor.name} has "
-        f"{workflow.sensor.beamlets} beamlets; {_NAME_ANOTHER}"
+        f"survey.channel_dimension: {key} holds only {', '.join(map(str, sorted(values)))} in "
+        f"{where}, and {sensor.name} has {sensor.beamlets} beamlets; name the dimension that holds "
+        "their numbers, or leave the key out: a shot is one beamlet then"
     )
 
 
-_NAME_ANOTHER: Final = (
-    "name the dimension that holds their numbers, or leave the key out: a shot is one beamlet then"
-)
+def in_files(points: int, files: Sequence[str]) -> str:
+    """So many points of these files, as :func:`too_few` has it."""
+    return f"{grouped(points)} points ({named(files, 3)})"
 
 
 def _look_into(source: Source, workflow: Workflow, count: int, seen: _Seen) -> None:
@@ -195,7 +193,7 @@ def _no_channels(held: Sequence[Source], seen: _Seen, workflow: Workflow) -> lis
             return []  # the task that reads the file tells of it, and of what other files hold
     if not holds_few(len(values), seen.points, workflow.sensor):
         return []
-    return [too_few(values, seen.points, [*seen.channels], workflow)]
+    return [too_few(values, in_files(seen.points, [*seen.channels]), workflow)]
 
 
 def _spread(source: Source, workflow: Workflow) -> Iterator[PointTable]:
@@ -213,15 +211,10 @@ def _spread(source: Source, workflow: Workflow) -> Iterator[PointTable]:
 
 def _few_channels(seen: _Seen, workflow: Workflow) -> Iterator[str]:
     """Which files have fewer channels than others, as far as their ends tell."""
-    sensor, key = workflow.sensor, workflow.survey.channel_dimension
 
     def told(name: str) -> Said:
         values = seen.channels[name]
-        text = (
-            f"survey.channel_dimension {key} holds only {', '.join(map(str, values))} in the first "
-            f"and last points, and {sensor.name} has {sensor.beamlets} beamlets; {_NAME_ANOTHER}"
-        )
-        return Said(name, text, -len(values))
+        return Said(name, too_few(values, "the first and last points", workflow), -len(values))
 
     yield from shared(map(told, seen.few), "files")
 
@@ -255,10 +248,10 @@ def _apart(
     none = len(far) == len(spans)
     follows = "no point could be filtered" if none else "such points stay unfiltered"
     text = (
-        f"{named(list(far), 3)}: gps_time of the first and last points, {low:.0f} to {high:.0f} s, "
-        f"is {min(far.values()):.1f} s or more outside {names}, {min(known)[0]:.0f} to "
-        f"{max(end for _, end in known):.0f} s: {follows}; name the trajectory of this "
-        "flight, or none"
+        f"{named(list(far), 3)}: gps_time of the first and last points, {grouped(low)} to "
+        f"{grouped(high)} s, is {grouped(min(far.values()), 1)} s or more outside {names}, "
+        f"{grouped(min(known)[0])} to {grouped(max(end for _, end in known))} s: "
+        f"{follows}; name the trajectory of this flight, or none"
     )
     return ([f"survey.trajectory: {text}"], []) if none else ([], [text])
 
