@@ -28,7 +28,7 @@ _COST: Final = Cost(
     workers=1,
     measured=False,
 )
-"""What the survey takes of a worker that has little memory, as its plan tells before it is there."""
+"""What the survey takes of a worker that has little memory, as its plan will tell."""
 
 
 def quickstart(

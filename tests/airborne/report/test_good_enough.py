@@ -23,6 +23,6 @@ def test_pairs_count_by_their_places() -> None:
     squares = 10 * 0.03**2 + 30 * 0.05**2
     assert found.rmsd_m == pytest.approx(math.sqrt(squares / 40))
     assert (found.largest_m, found.largest_sd_m) == (0.2, pytest.approx(0.02))
-    assert found.where == "1 and 2 at 12, 34"
+    assert found.where == "1 and 2 at 12 E, 34 N"
     assert (found.pairs, found.places) == (2, 40)
     assert _swaths([pair("1", "3", 0, None, 0.3)]) is None
