@@ -1,7 +1,6 @@
 """The working store on an object store: S3 as moto speaks it on the loopback."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -41,17 +40,22 @@ def bucket() -> Iterator[str]:
     server.stop()
 
 
-@pytest.fixture
-def survey(tmp_path: Path) -> Path:
-    surveys.write_cloud(tmp_path / "lines" / "1.laz", surveys.flightline(shots=60))
-    surveys.write_trajectory(tmp_path / "trajectory.csv")
-    return surveys.write_workflow(tmp_path, ground={"cell_m": 100, "buffer_m": 20})
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flown")
+    surveys.write_cloud(folder / "lines" / "1.laz", surveys.flightline(shots=60))
+    surveys.write_trajectory(folder / "trajectory.csv")
+    return surveys.write_workflow(folder, ground={"cell_m": 100, "buffer_m": 20})
+
+
+@pytest.fixture(scope="module")
+def expected(flown: Path) -> Results:
+    return surveys.results(surveys.run(flown, until="deliver").output)
 
 
 @pytest.fixture
-def expected(survey: Path) -> Results:
-    copied = surveys.copy_of(survey, survey.parent / "local")
-    return surveys.results(surveys.run(copied, until="deliver").output)
+def survey(flown: Path, tmp_path: Path) -> Path:
+    return surveys.copy_of(flown, tmp_path)
 
 
 def keys(prefix: str) -> list[str]:
@@ -107,24 +111,12 @@ def test_results_are_those_of_a_local_store(
 
 
 @pytest.mark.slow
-def test_workers_share_it_and_a_killed_run_continues(
-    survey: Path, expected: Results, bucket: str
-) -> None:
-    command = [sys.executable, "-m", "spl_batch", "run", str(survey), "--workers", "2"]
-    command += ["--set", f"outputs.store={bucket}/two", "--until", "deliver"]
-    with subprocess.Popen(  # noqa: S603
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as process:
-        deadline = time.monotonic() + 150
-        while (
-            len(keys("two/receipts")) < 4 and process.poll() is None and time.monotonic() < deadline
-        ):
-            time.sleep(0.05)
-        process.send_signal(signal.SIGKILL)
-    assert len(keys("two/receipts")) >= 4
-    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=250)  # noqa: S603
-    assert ended.returncode == 0, ended.stderr
-    assert surveys.results(survey.parent / "out") == expected
+def test_workers_share_it(survey: Path, expected: Results, bucket: str) -> None:
+    place = [f"outputs.store={bucket}/two"]
+    result = api.run(survey, workers=2, memory="2GiB", overrides=place, until="deliver")
+    assert result.exit_status == 0
+    assert surveys.results(result.output) == expected
+    assert keys("two/receipts")
 
 
 def test_a_store_belongs_to_one_output(survey: Path) -> None:
