@@ -125,7 +125,7 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
         of_it = "" if ground is None else f", {significant(ground)} of it ground"
         what = "signal density" if photon_counting(report) else "density"
         rows.append((what, f"{significant(report.density.mean_per_m2)} per m2{of_it}"))
-    accuracy = terrain_accuracy(report)
+    accuracy = terrain_accuracy(report) or _at_checkpoints(report)
     if accuracy is None:
         told = any(warning.endswith("`spl-batch run` computes it") for warning in report.warnings)
         remedy = "; `spl-batch run` does it" if told else ""
@@ -140,7 +140,9 @@ def screen_summary(report: Report) -> list[tuple[str, str]]:
 def _accuracy_verdict(report: Report) -> Verdict:
     terrain = terrain_statistics(report)
     if terrain is None:
-        why = _without_accuracy(report)
+        why, fit = _without_accuracy(report), _at_checkpoints(report)
+        if fit is not None and why == _NO_REFERENCE:
+            return Verdict("neutral", f"DTM {fit}; no reference lidar was given.")
         tone: Tone = "neutral" if why == _NO_REFERENCE else "attention"
         return Verdict(tone, f"{why[0].upper()}{why[1:]}: accuracy is not known.")
     rmse = terrain[1].rmse or 0.0
@@ -166,7 +168,17 @@ def _without_accuracy(report: Report) -> str:
 
 
 def _reference_given(report: Report) -> bool:
-    return report.provenance.parameters.get("reference") is not None
+    """Whether the workflow names reference lidar; checkpoints alone are none."""
+    reference = report.provenance.parameters.get("reference")
+    return isinstance(reference, Mapping) and bool(reference.get("points"))
+
+
+def _at_checkpoints(report: Report) -> str | None:
+    """How well the terrain fits the open checkpoints; None where there are none on it."""
+    if report.checkpoints is None or report.checkpoints.nva.rmse_v1_m is None:
+        return None
+    nva = report.checkpoints.nva
+    return f"RMSE {centimetres(nva.rmse_v1_m)} at {number(nva.n)} open checkpoints"
 
 
 def _conservation_verdict(report: Report) -> Verdict:

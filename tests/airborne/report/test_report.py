@@ -14,7 +14,14 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from spl_batch.airborne.accuracy.accuracy_report import USGS_LEVELS
-from spl_batch.airborne.report.model import Accuracy, Counts, Report, Survey
+from spl_batch.airborne.report.model import (
+    Accuracy,
+    Checkpoints,
+    CheckpointStatistics,
+    Counts,
+    Report,
+    Survey,
+)
 from spl_batch.airborne.report.survey_page import render
 from spl_batch.airborne.report.verdicts import (
     USGS_LIMITS,
@@ -189,6 +196,22 @@ class TestVerdicts:
         shown = render(report, {})
         assert "were not compared with the reference.</p>" in shown
         assert "No reference was given" not in shown
+
+    def test_checkpoints_alone_tell_the_accuracy(self) -> None:
+        nva = CheckpointStatistics(
+            n=34, mean_m=0.0, sd_m=0.018, rmse_v1_m=0.018, rmse_v2_m=0.02, rmse_v_m=0.027,
+            outliers=(),
+        )  # fmt: skip
+        none = nva.model_copy(update={"n": 0, "rmse_v1_m": None})
+        known = Checkpoints(statement="", nva=nva, vva=none, points=())
+        report = make_report(accuracy=None).model_copy(update={"checkpoints": known})
+        parameters = {**report.provenance.parameters, "reference": {"checkpoints": "c.csv"}}
+        whole = report.provenance.model_copy(update={"parameters": parameters})
+        report = report.model_copy(update={"provenance": whole})
+        assert "1.8" in verdicts(report)[0].text
+        assert "34 open checkpoints; no reference lidar was given" in verdicts(report)[0].text
+        assert dict(screen_summary(report))["DTM accuracy"] == "RMSE 1.8 cm at 34 open checkpoints"
+        assert "were not compared with the reference" not in render(report, {})
 
     def test_lost_points_come_first(self) -> None:
         first = verdicts(make_report(counts=Counts(points_in=100, points_out=97)))[0]
