@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.settings.workflow import Workflow, parse_workflow
-from spl_batch.constants import QUANTA_PER_M
-from spl_batch.errors import InputError, WorkflowError
+from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
+from spl_batch.errors import InputError, WorkflowError, grouped
+from spl_batch.formats.crs import look_like_degrees
+from spl_batch.formats.gps_clock import usable_times
 from spl_batch.lattice.tables import PointFlag, PointTable
 
 HIGHEST_M: Final = 1e6
@@ -23,6 +25,9 @@ FARTHEST_M: Final = 1e9
 
 COARSE_M: Final = 0.01
 """Coordinates that are held in coarser steps have lost what a filter and a terrain need [m]."""
+
+MOST_OF_A_SHOT: Final = 10_000
+"""Returns of one time above which it is no shot's: 100 beamlets return some hundreds [count]."""
 
 Numbers = NDArray[Any]
 
@@ -117,6 +122,45 @@ def _misplaced(place: Numbers) -> list[str]:
         value = ", ".join(f"{v:g}" for v in place[far[0]])
         faults.append(f"point number {far[0]} lies at {value}; give metres in a projected CRS")
     return faults
+
+
+def require_metres(table: PointTable) -> None:
+    """Refuse longitudes and latitudes, which a run refuses in files that name no CRS.
+
+    Raises
+    ------
+    InputError
+        If the coordinates look like degrees.
+    """
+    if not len(table):
+        return
+    low, high = ([float(f(table[axis])) * QUANTUM_M for axis in "xy"] for f in (np.min, np.max))
+    if look_like_degrees(low, high):
+        raise InputError(
+            "xyz",
+            "the coordinates look like degrees; reproject to metres, with pyproj for instance, or "
+            "add 1000 to x where they are metres from a corner of your own",
+        )
+
+
+def require_shots(gps_time: NDArray[np.float64]) -> None:
+    """Refuse times that tell no shots: a run refuses files of such.
+
+    Raises
+    ------
+    InputError
+        If no time is finite, or one time holds more returns than a shot can have.
+    """
+    times, counts = np.unique(gps_time[usable_times(gps_time)], return_counts=True)
+    remedy = "leave it out, and the noise is measured where the cloud is empty"
+    if len(gps_time) and not len(times):
+        raise InputError("gps_time", f"no time is usable; {remedy}")
+    if len(times) and counts[most := int(counts.argmax())] > MOST_OF_A_SHOT:
+        raise InputError(
+            "gps_time",
+            f"{grouped(int(counts[most]))} points have the time {times[most]:g}, and no shot has "
+            f"so many; set it to NaN where it is not known, or {remedy}",
+        )
 
 
 def coarse(xyz: ArrayLike) -> tuple[str, ...]:

@@ -7,12 +7,20 @@ It is given, or follows from the beams as in a run, or is measured in the cloud'
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spl_batch.airborne.arrays.checked import coarse, densities, points_of, settings_of
+from spl_batch.airborne.arrays.checked import (
+    coarse,
+    densities,
+    points_of,
+    require_metres,
+    require_shots,
+    settings_of,
+)
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
@@ -33,6 +41,18 @@ CONTRADICTED: Final = 1.4
 
 FEW: Final = 0.5
 """Share of the points around which the density is measured below which a user is told."""
+
+
+_BASES: Final[Mapping[Basis, str]] = MappingProxyType(
+    {
+        "given": "as given",
+        "beams": "from shots and their lines of sight",
+        "intersection": "from shots, with the sensor where lines of sight meet",
+        "vertical": "from shots, taken as vertical",
+        "cloud": "measured where the cloud is empty",
+    }
+)
+"""Where the expected noise is from, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,12 +97,12 @@ class Labels:
         return len(self.noise_class)
 
     def __repr__(self) -> str:
-        kinds = {"signal": NOISE_SIGNAL, "background": NOISE_BACKGROUND}
-        kinds["afterpulse"] = NOISE_AFTERPULSE
+        kinds = {"signal": NOISE_SIGNAL, "background noise": NOISE_BACKGROUND}
+        kinds["afterpulses"] = NOISE_AFTERPULSE
         counts = [int(np.count_nonzero(self.noise_class == value)) for value in kinds.values()]
         said = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
         said += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
-        said += [f"noise density {self.basis}"]
+        said += [f"noise density {_BASES[self.basis]}"]
         counted = f"Labels({grouped(len(self))} points: {', '.join(said)})"
         return "\n".join([counted, *(f"warning: {text}" for text in self.warnings)])
 
@@ -266,7 +286,7 @@ def _table(
         for name, values in (("channel", channel), ("flightline", flightline)):
             if values is not None:
                 raise InputError(name, "it tells shots apart with gps_time alone; give both")
-    return points_of(
+    table = points_of(
         xyz,
         water=water,
         gps_time=np.float64(0.0) if gps_time is None else np.asarray(gps_time, np.float64),
@@ -276,6 +296,10 @@ def _table(
         source=np.uint64(0),
         index=np.arange(len(np.atleast_1d(np.asarray(xyz))), dtype=np.uint32),
     )
+    require_metres(table)
+    if gps_time is not None:
+        require_shots(table["gps_time"])
+    return table
 
 
 def _whole(name: str, values: ArrayLike | None, most: int, dtype: Any) -> NDArray[Any]:

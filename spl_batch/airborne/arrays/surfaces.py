@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spl_batch.airborne.arrays.checked import points_of, settings_of
+from spl_batch.airborne.arrays.checked import points_of, require_metres, settings_of
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.filtering import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
@@ -43,6 +43,15 @@ class Rasters:
     west_m: float
     north_m: float
     cell_m: float
+
+    def __repr__(self) -> str:
+        rows, columns = self.dtm.shape
+        known = self.dtm[np.isfinite(self.dtm)]
+        terrain = f"{known.min():.2f} to {known.max():.2f} m" if len(known) else "without a value"
+        return (
+            f"Rasters(dtm, dsm, chm, density: {rows} x {columns} cells of {self.cell_m:g} m from "
+            f"west {self.west_m:.2f}, north {self.north_m:.2f}; terrain {terrain})"
+        )
 
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:
@@ -209,6 +218,7 @@ def _labelled(
 ) -> PointTable:
     """Points with what is known of their noise."""
     table = points_of(xyz, water=water)
+    require_metres(table)
     if isinstance(labels, Labels):
         noise_class, chance = labels.noise_class, labels.afterpulse
     else:

@@ -20,6 +20,7 @@ from spl_batch.airborne.first_use.clouds import (
     look_at,
 )
 from spl_batch.airborne.sensors.sensor import load_preset
+from spl_batch.engine.report.number_format import as_ascii, of_all
 from spl_batch.engine.settings.workflow_file import load_any
 from spl_batch.engine.store.working_store import Store, read_json, read_receipts, write_json
 from spl_batch.engine.tasks.task import Receipt
@@ -232,7 +233,7 @@ def _counts(delivered: Receipt, *, ground: bool) -> Iterator[tuple[str, str]]:
     yield "points", f"{whole} in, {whole} out"
     for name, n in counts:
         if n or name != "not assessed":
-            yield name, f"{grouped(n)} ({100 * n / delivered.points:.1f} % of all points)"
+            yield name, f"{grouped(n)} ({as_ascii(of_all(n, delivered.points))})"
 
 
 def _doubt(delivered: Receipt) -> Iterator[tuple[str, str]]:

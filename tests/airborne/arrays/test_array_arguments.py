@@ -27,7 +27,7 @@ def test_a_cloud_alone_is_filtered_and_says_what_its_noise_is_from() -> None:
     assert np.median(labels.noise_density) == pytest.approx(len(NOISE) / (40 * 40 * 120), rel=0.05)
     assert len(labels) == len(CLOUD)
     assert repr(labels).startswith("Labels(11 000 points: ")
-    assert "afterpulse" in repr(labels)
+    assert "0 afterpulses, noise density measured where the cloud is empty)" in repr(labels)
 
 
 def test_coordinates_that_lost_their_decimals_are_told() -> None:
@@ -73,6 +73,7 @@ def test_terrain_of_a_cloud_that_nobody_filtered() -> None:
     assert (made.x[0], made.y[0], made.cell_m) == (1.0, 39.0, 2.0)
     assert made.transform == (2.0, 0.0, 0.0, 0.0, -2.0, 40.0)
     assert np.nanmean(made.density) == pytest.approx(5.0, rel=0.01)
+    assert repr(made).startswith("Rasters(dtm, dsm, chm, density: 20 x 20 cells of 2 m from west 0")
 
 
 def test_a_mask_a_class_and_labels_mean_the_same() -> None:
@@ -119,7 +120,10 @@ def test_expected_noise_elsewhere_needs_beams() -> None:
         ({"xyz": [[0.0, 0.0, 2e7]]}, "point number 0 lies at 0, 0, 2e\\+07"),
         ({"noise_density": -1.0}, "-1 .* 0 or more"),
         ({"noise_density": [0.1, 0.2]}, r"shape \(2,\)"),
+        ({"xyz": CLOUD * [5e-5, 5e-5, 1] + [8.5, 47.3, 0]}, "look like degrees; reproject"),
         ({"gps_time": [0.0, 1.0]}, "gps_time has shape"),
+        ({"gps_time": 0.0}, "11 000 points have the time 0, and no shot has so many"),
+        ({"gps_time": np.nan}, "no time is usable; leave it out"),
         ({"channel": np.zeros(len(CLOUD))}, "give both"),
         ({"gps_time": 0.0, "channel": np.full(len(CLOUD), 300)}, "from 300 to 300"),
         ({"beam_origin": [0.0, 0.0, 1e3]}, "give gps_time"),
@@ -144,6 +148,11 @@ def test_each_fault_names_the_array_and_the_remedy(arguments: dict[str, Any], sa
 def test_each_wrong_setting_is_named(arguments: dict[str, Any], said: str) -> None:
     with pytest.raises(WorkflowError, match=said):
         spl_batch.filter_points(CLOUD, **arguments)
+
+
+def test_terrain_of_degrees_is_refused() -> None:
+    with pytest.raises(InputError, match="look like degrees"):
+        spl_batch.ground_points(CLOUD * [5e-5, 5e-5, 1] + [8.5, 47.3, 0])
 
 
 def test_a_missing_package_is_named_with_its_extra() -> None:
