@@ -10,16 +10,13 @@ from spl_batch.engine.watch.log_follower import Follower, status
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 
 if TYPE_CHECKING:
-    from spl_batch.airborne.arrays.filtering import (
-        ExpectedNoise,
-        Labels,
-        expected_noise,
-        filter_points,
-    )
+    from spl_batch.airborne.arrays.filtering import expected_noise, filter_points
+    from spl_batch.airborne.arrays.labels import ExpectedNoise, Labels
     from spl_batch.airborne.arrays.surfaces import Rasters, ground_points, rasterize
     from spl_batch.airborne.first_use.beginning import Beginning, init
     from spl_batch.airborne.first_use.one_file import denoise
     from spl_batch.airborne.quickstart import quickstart
+    from spl_batch.cli.watching import watching
     from spl_batch.engine.verbs.alone import AloneResult, run_alone
     from spl_batch.engine.verbs.comparing import ComparisonResult, compare
     from spl_batch.engine.verbs.conclusion import RunResult
@@ -55,11 +52,12 @@ __all__ = [
     "run_alone",
     "simulate",
     "status",
+    "watching",
 ]
 
 _HOMES = {
-    "ExpectedNoise": "spl_batch.airborne.arrays.filtering",
-    "Labels": "spl_batch.airborne.arrays.filtering",
+    "ExpectedNoise": "spl_batch.airborne.arrays.labels",
+    "Labels": "spl_batch.airborne.arrays.labels",
     "expected_noise": "spl_batch.airborne.arrays.filtering",
     "filter_points": "spl_batch.airborne.arrays.filtering",
     "Rasters": "spl_batch.airborne.arrays.surfaces",
@@ -80,6 +78,7 @@ _HOMES = {
     "denoise": "spl_batch.airborne.first_use.one_file",
     "quickstart": "spl_batch.airborne.quickstart",
     "simulate": "spl_batch.engine.verbs.simulation",
+    "watching": "spl_batch.cli.watching",
 }
 
 

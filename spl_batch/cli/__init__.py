@@ -47,7 +47,7 @@ def quickstart(folder: Path, workers: int, memory: str | None) -> int:
     """Simulate a small survey into FOLDER and run the whole chain on it."""
     from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
     from spl_batch.cli import screen  # noqa: PLC0415
-    from spl_batch.cli.view import watching  # noqa: PLC0415
+    from spl_batch.cli.watching import watching  # noqa: PLC0415
 
     with watching() as view:
         result = api.quickstart(
@@ -68,7 +68,7 @@ def simulate(scene: Path, output: Path) -> int:
     """Fly a synthetic survey of SCENE into OUTPUT, with truth for every point."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
-    from spl_batch.cli.view import watching  # noqa: PLC0415
+    from spl_batch.cli.watching import watching  # noqa: PLC0415
 
     with watching() as view:
         summary = api.simulate(scene, output, progress=view.simulated)
@@ -133,7 +133,7 @@ def run(
     with saying_if_slow(_LOADING) as begun:
         from spl_batch import api  # noqa: PLC0415
         from spl_batch.cli import screen  # noqa: PLC0415
-        from spl_batch.cli.view import watching  # noqa: PLC0415
+        from spl_batch.cli.watching import watching  # noqa: PLC0415
 
         if only is not None:
             if scheduler or fresh or verify or until or as_json:
@@ -184,7 +184,7 @@ def compare(
     """Run several methods on the inputs of WORKFLOW: a table, and profiles side by side."""
     from spl_batch import api  # noqa: PLC0415
     from spl_batch.cli import screen  # noqa: PLC0415
-    from spl_batch.cli.view import watching  # noqa: PLC0415
+    from spl_batch.cli.watching import watching  # noqa: PLC0415
 
     with watching() as view:
         result = api.compare(

@@ -40,7 +40,7 @@ def denoise(
     with saying_if_slow("loading"):
         from spl_batch import api  # noqa: PLC0415 - heavy imports stay out of --help
         from spl_batch.cli import screen  # noqa: PLC0415
-        from spl_batch.cli.view import watching  # noqa: PLC0415
+        from spl_batch.cli.watching import watching  # noqa: PLC0415
 
     with watching() as view:
         result = api.denoise(

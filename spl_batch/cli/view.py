@@ -1,16 +1,12 @@
-"""Watching a run: drawn where somebody sits before it, plain lines where a log is kept."""
+"""Views of a run: drawn where somebody sits before it, plain lines where a log is kept."""
 
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 from rich.console import Console, Group, RenderableType
-from rich.live import Live
 from rich.text import Text
 
-from spl_batch.cli.console import PlainConsole, is_screen
 from spl_batch.cli.lines import screen_lines
 from spl_batch.cli.live import bars, details, duration, speed
 from spl_batch.engine.watch.events import (
@@ -25,11 +21,6 @@ from spl_batch.engine.watch.events import (
 )
 from spl_batch.engine.watch.status import RunStatus, StageStatus
 from spl_batch.errors import grouped
-
-_ERR = PlainConsole(stderr=True)
-
-REFRESH_PER_S = 4.0
-"""How often the view is drawn; events between are only counted [1/s]."""
 
 LINE_S = 30.0
 """How often a log that is not a terminal is told how far a stage is [s]."""
@@ -192,32 +183,3 @@ class PlainView(View):
     def _say(self, text: str) -> None:
         self._printed_s, self._patience_s = time.monotonic(), BEAT_S
         self._print(text, "")
-
-
-@contextmanager
-def watching() -> Iterator[View]:
-    """Show on standard error what happens while the block runs."""
-    if not is_screen(_ERR):
-        plain, over = PlainView(_ERR), threading.Event()
-
-        def beat() -> None:
-            while not over.wait(BEAT_S / 10):
-                plain.beat()
-
-        threading.Thread(target=beat, daemon=True).start()
-        try:
-            yield plain
-        finally:
-            over.set()
-        return
-    view = View(_ERR)
-    with Live(
-        console=_ERR,
-        get_renderable=view.draw,
-        refresh_per_second=REFRESH_PER_S,
-        vertical_overflow="crop",
-    ):
-        try:
-            yield view
-        finally:
-            view.over()

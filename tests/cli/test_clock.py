@@ -7,13 +7,20 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
-from spl_batch.cli import view
+from spl_batch.cli import view, watching
 from spl_batch.cli.clock import CommandClock, process_age_s, saying_if_slow
-from spl_batch.engine.watch.events import Compiling, PhaseStarted, RunStarted, TaskStarted
+from spl_batch.engine.watch.events import (
+    Compiling,
+    Note,
+    PhaseStarted,
+    RunStarted,
+    TaskStarted,
+)
 from tests import surveys
 
 
@@ -123,6 +130,25 @@ def test_compiling_that_is_piped_says_how_far_it_is_now_and_then(
         plain.on_event(Compiling(k, 70))
         clock[0] += 1.0
     assert lines_of(console) == [f"compiling: {ready} of 70 kernels ready" for ready in (31, 62)]
+
+
+def test_a_notebook_has_one_output_that_is_drawn_anew(
+    clock: list[float], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[dict[str, str]] = []
+    handle = SimpleNamespace(update=lambda data, **_: drawn.append(data))
+    ipython = SimpleNamespace(display=lambda data, **_: drawn.append(data) or handle)
+    monkeypatch.setitem(sys.modules, "IPython.display", ipython)
+    monkeypatch.setattr(watching, "_ERR", SimpleNamespace(is_jupyter=True))
+    with watching.watching() as shown:
+        for k in range(100):
+            shown.simulated(k / 100)
+            clock[0] += 0.05
+        shown.on_event(Note("warning", "a cloud <b>"))
+    assert 8 < len(drawn) < 14, "twice a second, and at the end"
+    assert "simulate" in drawn[-1]["text/plain"]
+    assert drawn[-1]["text/html"].startswith("<pre")
+    assert capsys.readouterr().out == "warning: a cloud <b>\n"
 
 
 def test_a_silence_that_is_piped_is_broken_ever_more_rarely(

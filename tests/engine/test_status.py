@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from spl_batch import api
-from spl_batch.cli import live, screen, view
+from spl_batch.cli import live, screen, view, watching
 from spl_batch.engine.store.output_lock import holder, lock_file, locked
 from spl_batch.engine.store.working_store import IDENTITY, Store, write_receipt
 from spl_batch.engine.tasks.task import Receipt, Task
@@ -433,21 +433,21 @@ def test_a_terminal_sees_the_map_and_a_log_plain_lines(monkeypatch: pytest.Monke
     monkeypatch.setenv("TERM", "xterm-256color")
     out = Screen()
     terminal = Console(file=out, color_system="256", width=100, height=40)
-    monkeypatch.setattr(view, "_ERR", terminal)
-    with view.watching() as watching:
-        watching.simulated(0.5)
+    monkeypatch.setattr(watching, "_ERR", terminal)
+    with watching.watching() as shown:
+        shown.simulated(0.5)
         for event in a_run():
-            watching.on_event(event)
-        assert "blocks of 100 m" in drawn(watching.draw())
-        watching.on_event(Note("warning", "look out"))
+            shown.on_event(event)
+        assert "blocks of 100 m" in drawn(shown.draw())
+        shown.on_event(Note("warning", "look out"))
     assert "warning: look out" in out.getvalue()
-    assert "blocks of" not in drawn(watching.draw()), "the stages stay, the map goes"
+    assert "blocks of" not in drawn(shown.draw()), "the stages stay, the map goes"
     plain = Console(file=io.StringIO(), width=100)
-    monkeypatch.setattr(view, "_ERR", plain)
-    with view.watching() as watching:
+    monkeypatch.setattr(watching, "_ERR", plain)
+    with watching.watching() as shown:
         monkeypatch.setattr(view, "LINE_S", -1.0)
         for event in a_run():
-            watching.on_event(event)
+            shown.on_event(event)
     assert isinstance(plain.file, io.StringIO)
     lines = plain.file.getvalue().splitlines()
     assert "denoise: denoise: 5 tasks, 1 finished before" in lines
@@ -461,17 +461,17 @@ def test_colours_that_are_forced_make_no_screen_of_a_pipe(
 ) -> None:
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("FORCE_COLOR", "1")  # as a notebook does for the commands of its cells
-    for module, name in ((view, "_ERR"), (screen, "_OUT")):
+    for module, name in ((watching, "_ERR"), (screen, "_OUT")):
         monkeypatch.setattr(module, name, Console(file=io.StringIO(), width=100))
-    with view.watching() as watching:
+    with watching.watching() as shown:
         for event in a_run():
-            watching.on_event(event)
-        watching.on_event(Note("warning", "look out"))
+            shown.on_event(event)
+        shown.on_event(Note("warning", "look out"))
     here = {"pid": 1, "host": "here", "started": "now"}
     states = [replace(fed(a_run()), holder=here), fed([*a_run(), RunEnded(0)])]
     follower = SimpleNamespace(update=lambda: states.pop(0))
     screen.watch_status(cast("api.Follower", follower), every_s=0.0)
-    for console in (view._ERR, screen._OUT):
+    for console in (watching._ERR, screen._OUT):
         text = cast("io.StringIO", console.file).getvalue()
         assert text.strip()
         codes = set(re.findall(r"\x1b\[[0-9;?]*([A-Za-z])", text))
@@ -481,20 +481,20 @@ def test_colours_that_are_forced_make_no_screen_of_a_pipe(
 def test_a_view_says_what_goes_on_where_no_task_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = 1000.0
     monkeypatch.setattr(view.time, "time", lambda: clock)
-    watching = view.View(Console(file=io.StringIO()))
-    assert "getting ready" not in drawn(watching.draw()), "not at once"
+    shown = view.View(Console(file=io.StringIO()))
+    assert "getting ready" not in drawn(shown.draw()), "not at once"
     clock += 7
-    assert "getting ready, 7 s" in drawn(watching.draw())
+    assert "getting ready, 7 s" in drawn(shown.draw())
     for event in a_run():
-        watching.on_event(event)
+        shown.on_event(event)
     clock += 7
-    assert "getting ready" not in drawn(watching.draw()), "a task runs"
-    watching.on_event(ended("2_1"))
-    watching.on_event(ReportStarted())
+    assert "getting ready" not in drawn(shown.draw()), "a task runs"
+    shown.on_event(ended("2_1"))
+    shown.on_event(ReportStarted())
     clock += 3
-    assert "writing the report, 3 s" in drawn(watching.draw())
-    watching.on_event(RunEnded(0))
-    assert "1/1" in drawn(watching.draw()), "the report is done"
+    assert "writing the report, 3 s" in drawn(shown.draw())
+    shown.on_event(RunEnded(0))
+    assert "1/1" in drawn(shown.draw()), "the report is done"
 
 
 def test_a_run_tells_what_it_begins_and_how_it_ends(small: Path) -> None:

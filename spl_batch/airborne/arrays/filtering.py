@@ -6,9 +6,8 @@ It is given, or follows from the beams as in a run, or is measured in the cloud'
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Any, Final, Literal, NamedTuple
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,109 +22,22 @@ from spl_batch.airborne.arrays.checked import (
 )
 from spl_batch.airborne.arrays.compiling import telling
 from spl_batch.airborne.arrays.empty_space import EmptySpace, empty_space
+from spl_batch.airborne.arrays.labels import Basis, ExpectedNoise, Labels
 from spl_batch.airborne.arrays.time_domain import Assessed, assess
 from spl_batch.airborne.filter import denoise
 from spl_batch.airborne.filter.air import look_at_air, noise_in_air
 from spl_batch.airborne.filter.expected_noise import Expected
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
-from spl_batch.constants import NOISE_AFTERPULSE, NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.errors import InputError, grouped
 from spl_batch.lattice.tables import PointFlag, PointTable, canonical_order
 from spl_batch.lattice.tiles import Bounds
-
-Basis = Literal["given", "beams", "intersection", "vertical", "cloud"]
 
 CONTRADICTED: Final = 1.4
 """Times the expected noise that empty space may hold: afterpulses of noise make it 1.15."""
 
 FEW: Final = 0.5
 """Share of the points around which the density is measured below which a user is told."""
-
-
-_BASES: Final[Mapping[Basis, str]] = MappingProxyType(
-    {
-        "given": "as given",
-        "beams": "from shots and their lines of sight",
-        "intersection": "from shots, with the sensor where lines of sight meet",
-        "vertical": "from shots, taken as vertical",
-        "cloud": "measured where the cloud is empty",
-    }
-)
-"""Where the expected noise is from, in words."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Labels:
-    """What the filter says of n points, in the caller's order.
-
-    Parameters
-    ----------
-    noise_class : (n,) uint8
-        0 signal, 1 background noise, 2 afterpulse, 255 not assessed: its beam is not known.
-    p_value : (n,) float32
-        Share of pure noise with as much evidence of being a surface; NaN where there is none.
-    noise_density : (n,) float32
-        Expected background noise [1/m3].
-    wire : (n,) bool
-        What is surely a conductor.
-    afterpulse : (n,) float32
-        Probability of being an afterpulse by its own shot [0..1]; 0 where beams are not known.
-    basis : str
-        Where the expected noise is from: ``given`` by the caller; ``beams`` by the sensor's
-        positions; ``intersection`` where lines of sight meet; ``vertical`` beams; ``cloud``, the
-        empty space of the cloud itself, without any beams.
-    warnings : tuple of str
-        What the caller should know: what it is about, its place and what follows.
-    """
-
-    noise_class: NDArray[np.uint8]
-    p_value: NDArray[np.float32]
-    noise_density: NDArray[np.float32]
-    wire: NDArray[np.bool_]
-    afterpulse: NDArray[np.float32]
-    basis: Basis
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def signal(self) -> NDArray[np.bool_]:
-        """Which points are signal: (n,) bool, as a mask for the caller's arrays."""
-        found: NDArray[np.bool_] = self.noise_class == NOISE_SIGNAL
-        return found
-
-    def __len__(self) -> int:
-        return len(self.noise_class)
-
-    def __repr__(self) -> str:
-        kinds = {"signal": NOISE_SIGNAL, "background noise": NOISE_BACKGROUND}
-        kinds["afterpulses"] = NOISE_AFTERPULSE
-        counts = [int(np.count_nonzero(self.noise_class == value)) for value in kinds.values()]
-        said = [f"{grouped(n)} {name}" for n, name in zip(counts, kinds, strict=True)]
-        said += [f"{grouped(left)} not assessed"] if (left := len(self) - sum(counts)) else []
-        said += [f"noise density {_BASES[self.basis]}"]
-        counted = f"Labels({grouped(len(self))} points: {', '.join(said)})"
-        return "\n".join([counted, *(f"warning: {text}" for text in self.warnings)])
-
-
-class ExpectedNoise(NamedTuple):
-    """Noise that is expected at places.
-
-    Parameters
-    ----------
-    density : (m,) float64
-        Of the part of a voxel that is listened to: what a filter should test a point with [1/m3].
-    mean : (m,) float64
-        Of the whole voxel around the place, silence beyond the gate included [1/m3].
-    basis : str
-        As in :class:`Labels`.
-    warnings : tuple of str
-        As in :class:`Labels`.
-    """
-
-    density: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    basis: Basis
-    warnings: tuple[str, ...]
 
 
 @telling

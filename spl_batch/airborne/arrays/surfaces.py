@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spl_batch.airborne.arrays.checked import points_of, require_metres, settings_of
 from spl_batch.airborne.arrays.compiling import telling
-from spl_batch.airborne.arrays.filtering import Labels
+from spl_batch.airborne.arrays.labels import Labels
 from spl_batch.airborne.ground.ground_methods import ground_mask
 from spl_batch.airborne.plan.ground_cells import GroundCells
 from spl_batch.airborne.products import surface_points, surface_rasters
