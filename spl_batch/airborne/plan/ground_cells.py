@@ -114,7 +114,7 @@ class GroundCells(NamedTuple):
         points = np.array([box.points for box in boxes])
         sides = np.maximum(bounds[:, 2:] - bounds[:, :2], 1.0)
         found = []
-        for cell in self._rim():
+        for cell in self._rim([grow(box.bounds, reach) for box in boxes]):
             core = self.core(cell)
             near = np.array(grow(core, reach), np.float64)
             shared = np.minimum(bounds[:, 2:], near[2:]) - np.maximum(bounds[:, :2], near[:2])
@@ -122,14 +122,18 @@ class GroundCells(NamedTuple):
             found.append(Peak(float(parts @ points), core))
         return largest(found)
 
-    def _rim(self) -> Iterator[CellId]:
-        """Cells that own more than their square."""
-        first, last = self.low, self.high
-        for j in range(first.j, last.j + 1):
-            outer = j in {first.j, last.j}
-            for i in range(first.i, last.i + 1) if outer else sorted({first.i, last.i}):
-                if self.core(CellId(i, j)) != cell_bounds(CellId(i, j), self.edge):
-                    yield CellId(i, j)
+    def _rim(self, regions: Iterable[Bounds]) -> list[CellId]:
+        """Cells that own more than their square and share area with a region, row by row."""
+        found: set[CellId] = set()
+        for region in regions:
+            west, south, east, north = (edge // self.edge for edge in region)
+            low, high = self.keeper(CellId(west, south)), self.keeper(CellId(east, north))
+            for j in {self.low.j, self.high.j} & {low.j, high.j}:
+                found.update(CellId(i, j) for i in range(low.i, high.i + 1))
+            for i in {self.low.i, self.high.i} & {low.i, high.i}:
+                found.update(CellId(i, j) for j in range(low.j, high.j + 1))
+        joined = (cell for cell in found if self.core(cell) != cell_bounds(cell, self.edge))
+        return sorted(joined, key=lambda cell: (cell.j, cell.i))
 
     def units(self, counts: Mapping[CellId, int], tile_q: int, halo_q: int) -> Iterator[Unit]:
         """Cells that share area with a tile, with what they read; in their order.

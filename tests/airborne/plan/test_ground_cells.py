@@ -191,6 +191,15 @@ def test_the_fullest_joined_cell_is_found(listed: list[Bounds], reach: int) -> N
     assert found.points == pytest.approx(max(held.values(), default=0.0))
 
 
+def test_only_cells_near_a_file_are_looked_at() -> None:
+    far = [
+        Bounds(0, 0, 10, 10),
+        Bounds(10**6 * EDGE, 10**6 * EDGE, 10**6 * EDGE + 10, 10**6 * EDGE + 10),
+    ]
+    cells = GroundCells.of_boxes(far, EDGE, BUFFER)
+    assert len(cells._rim(far)) == 2, "of four million along the edges"
+
+
 def test_strips_are_not_joined_where_squares_hold_many_raster_cells() -> None:
     survey = {"name": "s", "flightlines": "*.laz", "trajectory": "t.txt"}
 
