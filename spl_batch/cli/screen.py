@@ -59,7 +59,7 @@ def _whole_time(took_s: float | None) -> list[tuple[str, str]]:
 
 def print_comparison(result: "ComparisonResult") -> None:
     """Print how several methods did, and where the rest is."""
-    table = Table(*result.titles, box=None)
+    table = Table(*result.titles, box=None, padding=(0, 1, 0, 0), pad_edge=False)
     table.columns[0].no_wrap = True
     for column, title, cells in zip(
         table.columns, result.titles, zip(*result.rows, strict=True), strict=True
@@ -175,7 +175,7 @@ def watch_status(follower: "Follower", every_s: float = 1.0) -> "RunStatus":
 def _whole(status: "RunStatus") -> RenderableType:
     """State by stage as a table, and all else that the live view shows."""
     done = "done" if status.delivered is None else "was done"
-    table = Table("stage", done, "failed", "left", "points/s", "time", "time left", box=None)
+    table = Table("stage", done, "failed", "left", "points/s", "elapsed", "time left", box=None)
     for stage in status.stages.values():
         table.add_row(
             stage.stage,

@@ -81,7 +81,8 @@ class View:
                 self._compiled = None
         if isinstance(event, Note):
             style = {"warning": "yellow", "error": "red"}.get(event.level, "dim")
-            self._print(f"{event.level}: {event.text}", style)
+            word = {"error": "unusable"}.get(event.level, event.level)  # as a plan calls it
+            self._print(f"{word}: {event.text}", style)
         elif isinstance(event, TaskEnded) and event.reason and not event.stops:
             called = event.called or f"{event.kind} {event.name}"
             self._print(f"failed: {called}: {event.reason}", "red")

@@ -136,11 +136,14 @@ def test_a_broken_file_among_good_ones_is_named(
     shutil.copy(survey.parent / "lines/good.laz", bad)
     spoil(bad)
     promised = 0 if spoil is not cut_in_half else len(surveys.cloud(bad.parent / "good.laz")["X"])
-    failed(run(survey), survey, "bad.laz")
+    ended = run(survey)
+    failed(ended, survey, "bad.laz")
+    assert f"unusable: {bad}: " in ended.err
     report = json.loads((survey.parent / "out/report.json").read_text(encoding="utf-8"))
     assert report["counts"]["not_read"] == promised, "what a sound header says is missed"
     ended = surveys.command("plan", survey)
-    assert ended.status in {0, 1}
+    assert ended.status == 1
+    assert f"unusable: {bad}: " in ended.out
     bad.unlink()
     assert run(survey).status == 0
 

@@ -265,8 +265,8 @@ class TestWords:
 
     def test_a_level_is_named_with_what_it_was_measured_against(self) -> None:
         said = verdicts(make_report())[0].text
-        assert "against linear-mode lidar and not check points" in said
-        assert "allows at check points" in said
+        assert "against linear-mode lidar and not checkpoints" in said
+        assert "allows at checkpoints" in said
 
     def test_the_surface_leads_with_what_gross_errors_do_not_move(
         self, pages: dict[str, str]

@@ -149,7 +149,7 @@ def test_a_bad_file_is_named_and_the_rest_goes_on(survey: Path) -> None:
     assert result.exit_status == 1
     reasons = {Path(f.place).name: f.reason for f in result.report.failures}
     assert set(reasons) == {"zz_detections.parquet", "yy_detections.parquet"}
-    assert "no Parquet file" in reasons["zz_detections.parquet"]
+    assert "no whole Parquet file" in reasons["zz_detections.parquet"]
     assert (
         "1 detections are of frames that no frames file has, the first is 5"
         in (reasons["yy_detections.parquet"])

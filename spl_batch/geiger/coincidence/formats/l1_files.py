@@ -68,7 +68,9 @@ def inspect(path: Path, columns: Sequence[str]) -> int:
         reason = error.strerror or " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read: {reason}") from error
     except pa.ArrowException as error:
-        raise InputError(str(path), f"no Parquet file: {' '.join(str(error).split())}") from error
+        raise InputError(
+            str(path), f"no whole Parquet file ({' '.join(str(error).split())}); copy it again"
+        ) from error
     with file:
         names = file.schema_arrow.names
         faults = [
