@@ -1,7 +1,9 @@
 """Compile kernels before they are needed, a share on each worker.
 
 numba compiles a kernel when it is first called, and keeps the code on disk. In the first run on
-a machine all workers would compile the same at the same time, each of them everything.
+a machine all workers would compile the same at the same time, each of them everything. A process
+that has compiled keeps some 250 MiB of what the compiler needed; so a worker has a process of
+its own compile, and loads the code.
 ``signatures.json`` lists the kernels that the airborne chain calls, with the types of their
 arguments; ``python -m benchmarks.airborne.signatures`` writes it.
 """
@@ -9,12 +11,18 @@ arguments; ``python -m benchmarks.airborne.signatures`` writes it.
 import importlib
 import json
 import re
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Final
 
 from numba import types
 from numba.core.dispatcher import Dispatcher
+
+from spl_batch.errors import StoppedError
+from spl_batch.numerics.compiled import is_kept
 
 _ARRAY: Final = re.compile(r"(readonly )?array\((\w+), (\d)d, ([ACF])\)")
 
@@ -26,12 +34,16 @@ def signatures() -> dict[str, list[str]]:
     return found
 
 
+Tell = Callable[[int, int], None]
+"""Told how many kernels of how many are compiled."""
+
+
 def _tell_nobody(_done: int, _of: int) -> None:
     """Listen to no progress."""
 
 
-def compile_share(share: int, shares: int, tell: Callable[[int, int], None] = _tell_nobody) -> int:
-    """Compile some of the kernels, or load what is compiled.
+def compile_share(share: int, shares: int, tell: Tell = _tell_nobody) -> int:
+    """Have some of the kernels compiled by a process that ends, and load them.
 
     Parameters
     ----------
@@ -44,8 +56,42 @@ def compile_share(share: int, shares: int, tell: Callable[[int, int], None] = _t
     Returns
     -------
     int
-        Kernels that were compiled and not loaded [count].
+        Kernels that were compiled [count].
+
+    Raises
+    ------
+    StoppedError
+        That process has failed; its last line says why.
     """
+    listed = signatures()
+    names = divided(listed, shares)[share]
+    if all(is_kept(find(name), parse(text, find(name))) for name in names for text in listed[name]):
+        return _compile(share, shares, tell)
+    compiled = _elsewhere(share, shares, tell)
+    return compiled + _compile(share, shares, _tell_nobody)
+
+
+def _elsewhere(share: int, shares: int, tell: Tell) -> int:
+    """Compile in another process; kernels that were compiled [count]."""
+    command = (sys.executable, "-m", __name__, str(share), str(shares))
+    last = "0"
+    with tempfile.TemporaryFile("w+") as errors:
+        with subprocess.Popen(  # noqa: S603 - this project's own module
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, text=True
+        ) as child:
+            for line in child.stdout or ():
+                *steps, last = line.split()
+                if steps:
+                    tell(int(steps[0]), int(last))
+        if child.returncode:
+            errors.seek(0)
+            said = errors.read().strip().splitlines() or [f"exit status {child.returncode}"]
+            raise StoppedError(f"kernels were not compiled ahead: {said[-1]}")
+    return int(last)
+
+
+def _compile(share: int, shares: int, tell: Tell) -> int:
+    """Compile here, or load what is compiled; kernels that were compiled and not loaded [count]."""
     compiled, listed = 0, signatures()
     # Those that call few others first: each step is short then, and what is told moves evenly.
     names = divided(listed, shares)[share][::-1]
@@ -129,3 +175,13 @@ def _called(kernel: Dispatcher) -> Iterator[str]:
             yield name
             values = map(function.__globals__.get, function.__code__.co_names)
             waiting.extend(v for v in values if isinstance(v, Dispatcher))
+
+
+if __name__ == "__main__":
+    mine, of_all = map(int, sys.argv[1:])
+
+    def _say(done: int, of: int) -> None:
+        sys.stdout.write(f"{done} {of}\n")
+        sys.stdout.flush()
+
+    sys.stdout.write(f"{_compile(mine, of_all, _say)}\n")

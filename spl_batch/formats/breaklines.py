@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pyogrio
 import shapely
 from numpy.typing import NDArray
-from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS
 
 from spl_batch.errors import InputError
@@ -63,6 +61,8 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
         With all faults of the file: none of its polygons, no CRS, units other than metres, heights
         of another vertical datum, a polygon without one height and without a line.
     """
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
     if not path.exists():
         raise InputError(str(path), "no such file; check the path")
     names: list[str] = []
@@ -75,7 +75,11 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
             names += [f"{layer} {k}" for k in range(1, len(shapes) + 1)]
             parts.append(in_crs(path, shapes, own, crs, heights=True))
             fields.append(heights)
-    except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
+    except (
+        pyogrio.errors.DataSourceError,
+        pyogrio.errors.DataLayerError,
+        shapely.errors.GEOSException,
+    ) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read as breaklines: {reason}") from None
     if not parts:
@@ -100,6 +104,8 @@ def read_breaklines(path: Path, crs: CRS | None) -> list[Water]:
 
 def _layers(path: Path) -> Iterator[tuple[str, Geometries, Heights, str | None]]:
     """Name, lines and polygons, field of heights (NaN without), and CRS of each layer."""
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
     for name, _ in pyogrio.list_layers(path):
         meta, _, wkb, columns = pyogrio.raw.read(path, layer=name)
         shapes = shapely.from_wkb([] if wkb is None else wkb)

@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-import pyogrio
 import shapely
 from numpy.typing import NDArray
-from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
@@ -134,6 +132,8 @@ def _refuse_without(path: Path, names: Iterable[str]) -> None:
 
 
 def _vector_rows(path: Path) -> list[_Row]:
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
     rows: list[_Row] = []
     try:
         for layer, kind in pyogrio.list_layers(path):
@@ -151,7 +151,11 @@ def _vector_rows(path: Path) -> list[_Row]:
                 row |= {} if flat else {"z": shapely.get_z(point)}
                 row[PARTS] = shapely.get_num_geometries(point)
                 rows.append({"crs": meta["crs"], **row})
-    except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
+    except (
+        pyogrio.errors.DataSourceError,
+        pyogrio.errors.DataLayerError,
+        shapely.errors.GEOSException,
+    ) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read as points: {reason}") from None
     return rows

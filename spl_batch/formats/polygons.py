@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyogrio
 import shapely
 from numpy.typing import NDArray
-from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
@@ -35,13 +33,19 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
     InputError
         If the file is missing, no vector file, or has no polygons or no CRS.
     """
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
     if not path.exists():
         raise InputError(str(path), "no such file; check the path")
     parts = []
     try:
         for shapes, own in _layers(path):
             parts.append(in_crs(path, shapely.force_2d(shapes), own, crs))
-    except (DataSourceError, DataLayerError, shapely.errors.GEOSException) as error:
+    except (
+        pyogrio.errors.DataSourceError,
+        pyogrio.errors.DataLayerError,
+        shapely.errors.GEOSException,
+    ) as error:
         reason = " ".join(str(error).split())
         raise InputError(str(path), f"cannot be read as polygons: {reason}") from None
     if not parts:
@@ -53,6 +57,8 @@ def read_polygons(path: Path, crs: CRS | None) -> shapely.Geometry:
 
 def _layers(path: Path) -> Iterator[tuple[NDArray[Any], str | None]]:
     """Polygons of each layer that holds some, and their CRS."""
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
     # What GDAL remarks of a damaged file is no line for a screen: that no polygon is left is told.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)

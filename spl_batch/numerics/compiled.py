@@ -17,7 +17,7 @@ as long as no file of the project that its own file imports, directly or not, ha
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from itertools import count
 from pathlib import Path
@@ -100,6 +100,16 @@ class KeptCode(caching.IndexDataCacheFile):
             name = overloads.get(key) or next(free)
             self._save_data(name, data)
             self._save_index({**overloads, key: name})
+
+
+def is_kept(kernel: Any, types: Iterable[Any]) -> bool:
+    """Whether a kernel's code for some types lies on disk, for this processor and this version.
+
+    ``kernel``: of :func:`njit`. ``types``: those of its arguments, as numba names them.
+    """
+    known = kernel._cache  # noqa: SLF001 - there is no other way
+    key = known._index_key(tuple(types), kernel.targetctx.codegen())  # noqa: SLF001
+    return key in known._cache_file._load_index()  # noqa: SLF001
 
 
 @cache

@@ -1,5 +1,6 @@
 """Compiling ahead: what is listed is what the chain calls, and each worker gets its share."""
 
+import shutil
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ import pytest
 from spl_batch.airborne import precompile
 from spl_batch.engine.flow.cluster import SETTINGS
 from spl_batch.engine.flow.executor import Ahead
+from spl_batch.errors import StoppedError
 
 Tell = Callable[[int, int], None]
 ROOT = Path(__file__).parents[2]
@@ -55,7 +57,8 @@ def test_shares_are_all_kernels_once_and_about_equal(shares: int) -> None:
         assert sum(sizes) < 1.1 * len(every), "what calls the same is compiled together"
 
 
-def test_a_share_that_is_compiled_is_loaded_by_another_process() -> None:
+def test_a_share_that_another_process_compiles_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(precompile, "is_kept", lambda *_: False)
     told: list[tuple[int, int]] = []
     precompile.compile_share(15, 16, lambda done, of: told.append((done, of)))
     names = precompile.divided(precompile.signatures(), 16)[15]
@@ -78,6 +81,9 @@ def test_a_share_that_is_compiled_is_loaded_by_another_process() -> None:
         check=True,
     )
     assert ended.stdout.split() == ["0"]
+    monkeypatch.setattr(sys, "executable", shutil.which("false"))
+    with pytest.raises(StoppedError, match="exit status 1"):
+        precompile.compile_share(15, 16)
 
 
 class Told:

@@ -158,7 +158,7 @@ def test_a_stretch_is_read_from_the_parts_that_hold_its_flightline_then() -> Non
 
 def test_only_the_unit_that_cannot_fit_is_refused() -> None:
     limit = 2**30
-    full = int((usable_bytes(limit) - worker_memory.WORKER_BASE_BYTES) / 0.9)
+    full = int((usable_bytes(limit) - worker_memory.LOADED_BASE_BYTES) / 0.9)
     known = survey(limit)
     bounds = [0, 0, 0, 5_099_999, 5_099_999, 1]
     known.of("index_file").put(receipt("index_file", "1", bounds=bounds))

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import pyogrio
 import shapely
 from pyproj import CRS
 
@@ -38,6 +37,8 @@ def write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path:
 
     ``crs``: of the coordinates; :data:`UNDEFINED` where it is None.
     """
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
     path = output / NAME
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WRITTEN})
     try:
@@ -53,6 +54,8 @@ def write_index(output: Path, layers: Sequence[Layer], crs: CRS | None) -> Path:
 
 
 def _write(path: Path, layer: Layer, crs: CRS | None) -> None:
+    import pyogrio  # noqa: PLC0415 - 28 MiB of every worker, and few read such files
+
     shapes = np.asarray(layer.shapes, object)
     kinds = {shape.geom_type for shape in layer.shapes}
     pyogrio.raw.write(

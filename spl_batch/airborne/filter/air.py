@@ -28,6 +28,10 @@ CUBES_MOST: Final = 2_000_000
 """Cubes that are counted at once, 60 bytes each [count]: those of a wide block with few points
 would take more than its points do."""
 
+STRIPS: Final = 4
+"""Into how many strips a block is cut at the least, where they are no narrower than their margin
+[count]: what is counted of a strip takes 32 bytes a point."""
+
 MARGIN: Final = round(REACH_M / CUBE_M)
 """What a strip reads on each side [cubes]."""
 
@@ -53,7 +57,7 @@ def look_at_air(
     if model is None or not denoising.asks_for_air(workflow.filter, workflow.noise):
         return Look(core)
     counted = ~table.has(EXCLUDED | PointFlag.NO_BEAM) & ~dependents(table)
-    x, y, z = (table[axis].astype(np.int64, copy=False) for axis in "xyz")
+    x, y, z = (table[axis] for axis in "xyz")
     looks = [_look_at(span, (x, y, z), counted, model, core) for span in _strips((x, y, z))]
     airs = [look.air for look in looks if look.air is not None]
     layers = [look.layers for look in looks if look.layers is not None]
@@ -69,7 +73,8 @@ def _strips(xyz: Axes) -> Iterator[tuple[int, int]]:
         (int(axis.min()) // edge, int(axis.max()) // edge + 1) for axis in xyz
     )
     layers = int(np.count_nonzero(np.bincount(xyz[2] // edge - low)))
-    wide = max(CUBES_MOST // ((north - south) * layers) - 2 * MARGIN, MARGIN)
+    wide = min(CUBES_MOST // ((north - south) * layers) - 2 * MARGIN, (east - west) // STRIPS)
+    wide = max(wide, MARGIN)
     for first in range(west, east, wide):
         yield first * edge, min(first + wide, east) * edge
 

@@ -115,7 +115,7 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
 
     Parameters
     ----------
-    xyz : three of (n,) int64
+    xyz : three of (n,) integer
         Absolute coordinates [quanta].
     counted : (n,) bool
         Returns that count: independent ones.
@@ -123,7 +123,7 @@ def count_cubes(xyz: Axes, counted: NDArray[np.bool_]) -> Counts | None:
     rows = np.flatnonzero(counted)
     if not len(rows):
         return None
-    x, y, z = (axis[rows] for axis in xyz)
+    x, y, z = (axis[rows].astype(np.int64, copy=False) for axis in xyz)
     return _count((x, y, z))
 
 

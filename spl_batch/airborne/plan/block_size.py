@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from spl_batch.airborne.plan.block_layout import ORIGIN, Block, Layout, around, parse_block
 from spl_batch.airborne.plan.halo import halo_m
 from spl_batch.airborne.plan.space_units import parts_of, unit_within
-from spl_batch.airborne.plan.task_memory import LEAST_PART_Q, points_within
+from spl_batch.airborne.plan.task_memory import LEAST_PART_Q, part_points, points_within
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.store.working_store import Store, read_json, write_json
 from spl_batch.engine.tasks.task import Receipt
@@ -182,7 +182,7 @@ def _read(layout: Layout, block: Block, memory_bytes: int) -> int:
         named = (str(block), CellId(block.i, block.j))
         return unit_within(part, layout.counts, layout.tile_q, layout.halo_q, named).held
 
-    most = points_within("denoise", memory_bytes)
+    most = part_points(memory_bytes)
     return sum(map(held, parts_of(layout.unit(block), held, most, LEAST_PART_Q)))
 
 

@@ -22,9 +22,10 @@ from spl_batch.airborne.plan.task_memory import (
     LEAST_PART_Q,
     ground_bands,
     longer_side,
-    points_within,
+    part_points,
     refusal,
     surface_strips,
+    task_bytes,
 )
 from spl_batch.airborne.products.product_table import (
     ABOVE_GEOID,
@@ -114,14 +115,15 @@ def denoise(survey: Survey) -> Iterator[Task]:
         )
         cut = _parts(block, survey)
         held = max(_held(part, survey) for part in cut)
-        refused = refusal("denoise", held, survey.memory_bytes)
+        needed = task_bytes("denoise" if len(cut) == 1 else "denoise_part", held)
+        refused = refusal("denoise", held, survey.memory_bytes, needed)
         how = {"parts": [list(part) for part in cut]}
         yield Task("denoise", block.name, args, needs, block.points, refused, how)
 
 
 def _parts(block: Unit, survey: Survey) -> list[Bounds]:
     """What of a block is judged at once: all of it, where that fits into memory."""
-    most = points_within("denoise", survey.memory_bytes)
+    most = part_points(survey.memory_bytes)
     return parts_of(block, lambda part: _held(part, survey), most, LEAST_PART_Q)
 
 

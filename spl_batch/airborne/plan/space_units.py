@@ -82,16 +82,21 @@ def unit_within(
     return Unit(*named, core, tuple(near), int(owned), math.ceil(round(held, 6)))
 
 
-def parts_of(unit: Unit, held: Callable[[Bounds], int], most: int, least_q: int) -> list[Bounds]:
+def parts_of(
+    unit: Unit, held: Callable[[Bounds], int], most: tuple[int, int], least_q: int
+) -> list[Bounds]:
     """Parts of what a unit owns: halves of it, and of these, while one reads too much.
 
-    ``most``: points that may be held at once [count]. ``least_q``: no side is cut to less [quanta].
+    ``most``: points that may be held of all of it, and of a part [count]. ``least_q``: no side is
+    cut to less [quanta].
     """
+    if held(unit.core) <= most[0]:
+        return [unit.core]
     whole, waiting = [], [unit.core]
     while waiting:
         part = waiting.pop()
         wide, high = part.xmax - part.xmin, part.ymax - part.ymin
-        if held(part) <= most or max(wide, high) < 2 * least_q:
+        if (part != unit.core and held(part) <= most[1]) or max(wide, high) < 2 * least_q:
             whole.append(part)
         elif wide >= high:
             middle = part.xmin + wide // 2

@@ -1,6 +1,6 @@
 """What tasks hold in memory, and which of them cannot fit into a worker.
 
-A task's need is that of a worker that has compiled its kernels and the points that the
+A task's need is that of a worker that has loaded its kernels and the points that the
 task holds at once times the bytes of each; `benchmarks/engine/memory.py` measures them.
 """
 
@@ -18,8 +18,8 @@ from spl_batch.airborne.tasks.index import CHUNK_POINTS
 from spl_batch.airborne.tasks.surfaces import strip_q
 from spl_batch.constants import QUANTUM_M
 from spl_batch.engine.plan.worker_memory import (
+    LOADED_BASE_BYTES,
     USABLE_SHARE,
-    WORKER_BASE_BYTES,
     enough_mib,
     usable_bytes,
 )
@@ -37,6 +37,7 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
         "scatter": 540,
         "build_tile": 280,
         "denoise": 150,
+        "denoise_part": 100,
         "ground": 215,
         "strip_patches": 80,
         "surface": 150,
@@ -47,13 +48,17 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
 )
 """Peak memory of a task by each of the points that it holds at once [byte]."""
 
-BAND_BYTES: Final = 300
-"""Memory of a ground cell that is done in bands, by each point of a band: twice that of a cell at
-once, as tiles are read whole [byte]."""
+BAND_BYTES: Final = 100
+"""Memory of a ground cell that is done in bands, by each point of a band [byte]."""
 
-GATHERED_BYTES: Final = 62
-"""Memory of a surface cell that is done in strips, by each of its points: what all strips tell
-[byte]."""
+BANDED_LABEL_BYTES: Final = 76
+"""And by each point that the cell owns, as tiles are read whole [byte]."""
+
+CELL_BYTES: Final = 72 * 2**20
+"""Memory of a surface cell that is done in strips: its rasters and squares, whatever it holds."""
+
+GATHERED_BYTES: Final = 33
+"""And by each of its points: what all strips tell [byte]."""
 
 STRIP_BYTES: Final = 150
 """And by each point of a strip [byte]."""
@@ -61,15 +66,15 @@ STRIP_BYTES: Final = 150
 STRIP_COST: Final = 0.06
 """Time that a surface cell takes longer with each further strip, over that of one at once."""
 
-BANDED_LABEL_BYTES: Final = 60
-"""And by each point that the cell owns, whose labels are put in order [byte]."""
-
-LEAST_PART_Q: Final = quanta(25.0)
+LEAST_PART_Q: Final = quanta(12.5)
 """Least side of a part that a block is cut into where memory is short [quanta]: smaller ones would
 read little but their halo."""
 
-BYTES_PER_LABEL: Final = 12
+BYTES_PER_LABEL: Final = 3
 """Labels of a point of the file that is delivered [byte]."""
+
+BYTES_PER_DIAGNOSTIC: Final = 9
+"""And where diagnostics are delivered [byte]."""
 
 BYTES_PER_RECORD: Final = 200
 """A trajectory's record that waits for its place in time [byte]."""
@@ -104,7 +109,7 @@ class Need(NamedTuple):
 
 def task_bytes(kind: str, points: float) -> int:
     """Memory of a task that holds so many points, its worker included [byte]."""
-    return WORKER_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
+    return LOADED_BASE_BYTES + int(points * BYTES_PER_POINT[kind])
 
 
 def stretch_bytes(points: int) -> int:
@@ -114,7 +119,15 @@ def stretch_bytes(points: int) -> int:
 
 def points_within(kind: str, limit: int) -> int:
     """Points that a task can hold within a worker's memory limit [count]."""
-    return max(usable_bytes(limit) - WORKER_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
+    return max(usable_bytes(limit) - LOADED_BASE_BYTES, 0) // BYTES_PER_POINT[kind]
+
+
+def part_points(limit: int) -> tuple[int, int]:
+    """Points that a denoise block may hold, and that a part of one may [count].
+
+    A part is small beside its halo, of which the outer half is looked at for haze alone.
+    """
+    return points_within("denoise", limit), points_within("denoise_part", limit)
 
 
 def ground_bands(
@@ -143,7 +156,7 @@ def ground_bands(
         return 1, whole
     if workflow.ground.method != "multiscale" or workflow.water is not None:
         return 1, whole
-    labels = WORKER_BASE_BYTES + int(owned * BANDED_LABEL_BYTES)
+    labels = LOADED_BASE_BYTES + int(owned * BANDED_LABEL_BYTES)
     for bands in range(2, max(side_q // quanta(BLOCK_M), 2) + 1):
         needed = labels + int(points / bands * BAND_BYTES)
         if needed <= usable_bytes(limit):
@@ -175,7 +188,7 @@ def surface_strips(points: float, width_q: int, narrowest_q: int, limit: int) ->
     needed = task_bytes("surface", points)
     if needed <= usable_bytes(limit):
         return 1, needed
-    gathered = WORKER_BASE_BYTES + int(points * GATHERED_BYTES)
+    gathered = LOADED_BASE_BYTES + CELL_BYTES + int(points * GATHERED_BYTES)
     for strips in range(2, max(width_q // narrowest_q, 2) + 1):
         needed = gathered + int(points / strips * STRIP_BYTES)
         if needed <= usable_bytes(limit):
@@ -227,7 +240,7 @@ def needs(
     """
     tile_q = quanta(workflow.tiling.tile_m)
     tiles = largest(piece.peak(tile_q, 0) for piece in pieces)
-    found = [_need("build_tile", tiles), _need("denoise", _part(pieces, workflow, limit))]
+    found = [_need("build_tile", tiles), _part(pieces, workflow, limit)]
     cells = GroundCells.of_workflow((box.bounds for box in boxes), workflow)
     for kind, reach_m in (
         ("ground", workflow.ground.buffer_m),
@@ -246,7 +259,8 @@ def needs(
         found.append(_need(kind, peak, needed)._replace(kind=kind, parts=parts))
     points = sum(files)
     stretch = min(points, UNEVEN * stretch_points)
-    labels = min(points, PASS_POINTS) * BYTES_PER_LABEL
+    labels = min(max(files, default=0), PASS_POINTS) * BYTES_PER_LABEL
+    labels += labels // BYTES_PER_LABEL * BYTES_PER_DIAGNOSTIC * workflow.outputs.diagnostics
     chunk = min(points, CHUNK_POINTS)
     records = sum(_records(path) for path in trajectory)
     if workflow.outputs.copc:
@@ -264,7 +278,7 @@ def needs(
         ),
         Need(
             f"a trajectory of about {grouped(records)} records",
-            WORKER_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
+            LOADED_BASE_BYTES + min(records, WAITING_RECORDS) * BYTES_PER_RECORD,
             "",
         ),
     ]
@@ -322,15 +336,17 @@ def longer_side(region: Bounds) -> int:
     return max(region.xmax - region.xmin, region.ymax - region.ymin)
 
 
-def _part(pieces: Sequence[Piece], workflow: Workflow, limit: int) -> Peak:
+def _part(pieces: Sequence[Piece], workflow: Workflow, limit: int) -> Need:
     """The fullest denoise block, or the fullest of the largest parts of blocks that fit."""
     edge = (workflow.tiling.block_tiles or 1) * quanta(workflow.tiling.tile_m)
-    halo, most = quanta(halo_m(workflow)), points_within("denoise", limit)
+    halo, most = quanta(halo_m(workflow)), points_within("denoise_part", limit)
     peak = largest(piece.peak(edge, halo) for piece in pieces)
+    if peak.points <= points_within("denoise", limit):
+        return _need("denoise", peak)
     while peak.points > most and edge >= 2 * LEAST_PART_Q:
         edge //= 2
         peak = largest(piece.peak(edge, halo) for piece in pieces)
-    return peak
+    return _need("denoise", peak, task_bytes("denoise_part", peak.points))
 
 
 def _need(kind: str, peak: Peak, needed: int | None = None) -> Need:

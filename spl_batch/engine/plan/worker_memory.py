@@ -6,6 +6,8 @@ from typing import Final
 WORKER_BASE_BYTES: Final = 600 * 2**20
 """Resident memory of a worker that has compiled its kernels, rounded up [byte]."""
 
+LOADED_BASE_BYTES: Final = 400 * 2**20
+"""The same of a worker whose kernels another process has compiled [byte]."""
 
 USABLE_SHARE: Final = 0.9
 """Part of a worker's limit that the plan uses: dask ends a worker at 95 %."""

@@ -30,15 +30,15 @@ CORE = Bounds(0, 0, 40_000, 100_000)
 def test_parts_are_halves_and_cover_the_whole() -> None:
     unit = Unit("u", CellId(0, 0), CORE, (), 0, 0)
     parts = parts_of(
-        unit, lambda part: part.xmax - part.xmin + part.ymax - part.ymin, 70_000, 25_000
+        unit, lambda part: part.xmax - part.xmin + part.ymax - part.ymin, (70_000, 70_000), 25_000
     )
     assert sorted(parts) == [
         Bounds(0, 0, 40_000, 25_000),
         *(Bounds(0, low, 40_000, low + 25_000) for low in (25_000, 50_000, 75_000)),
     ]
-    assert parts_of(unit, lambda _: 1, 1, 1) == [CORE]
+    assert parts_of(unit, lambda _: 1, (1, 1), 1) == [CORE]
     # what holds too much at any size is cut down to the least side, and no further
-    least = parts_of(unit, lambda _: 2, 1, 20_000)
+    least = parts_of(unit, lambda _: 2, (1, 1), 20_000)
     assert {(p.xmax - p.xmin, p.ymax - p.ymin) for p in least} == {(20_000, 25_000)}
 
 
@@ -118,7 +118,7 @@ def test_a_surface_cell_has_the_same_bytes_in_any_strips(finished: tuple[Survey,
 
 def test_memory_decides_on_the_parts_and_is_in_no_key(finished: tuple[Survey, Context]) -> None:
     survey, _ = finished
-    short = replace(survey, memory_bytes=620 << 20)
+    short = replace(survey, memory_bytes=450 << 20)
     wet = only_task(short, "ground")
     dry = replace(short, workflow=survey.workflow.model_copy(update={"water": None}))
     assert wet.how == only_task(survey, "ground").how == {"bands": 1}, "a level asks for all of it"
@@ -132,6 +132,9 @@ def test_a_surface_cell_of_five_million_points_fits_into_one_gibibyte() -> None:
     assert 1 < strips <= 28
     assert needed <= 0.9 * 2**30
     assert surface_strips(4_800_000, 280_000, 10_000, 2 << 30)[0] == 1
+    strips, needed = surface_strips(11_800_000, 280_000, 10_000, 1 << 30)
+    assert 1 < strips <= 28, "150 returns per m2"
+    assert needed <= 0.9 * 2**30
     assert surface_strips(30_000_000, 280_000, 10_000, 1 << 30)[1] > 2**30, "too much is refused"
 
 
@@ -139,5 +142,5 @@ def test_a_plan_counts_what_parts_read() -> None:
     counts = {CellId(i, j): 1_000_000 for i in range(2) for j in range(2)}
     pieces = list(from_counts(counts, 100_000))
     workflow = parse_workflow({"survey": {"flightlines": "a"}, "output": "o"}, "w")
-    reads = [count_blocks(pieces, workflow, memory, Sizes(1)).read for memory in (8 << 30, 1 << 30)]
+    reads = [count_blocks(pieces, workflow, memory, Sizes(1)).read for memory in (8 << 30, 3 << 28)]
     assert reads[1] > 2 * reads[0]

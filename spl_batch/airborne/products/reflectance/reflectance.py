@@ -149,15 +149,18 @@ def detections(
         )  # fmt: skip
         del table
     first = top[top != SILENT]
-    grid = first_surface(first & CELL_BITS, (first >> 32).astype(np.int32), cells, settings)
-    seen_cell = np.empty(len(first), dtype=np.int64)
-    amount = np.empty(len(first))
+    height = (first >> 32).astype(np.int32)
+    first &= CELL_BITS  # in place: of a dense cell each column is tens of megabytes
+    grid = first_surface(first, height, cells, settings)
+    seen_cell, amount = np.empty(len(first), dtype=np.int64), np.empty(len(first))
+    del first, height
     inner = (margin, margin + shape[0], margin, margin + shape[1])
     count = expose_cells(
         (block[:near], tau[:near]), blocks, top, grid, inner,
         level, settings.extinction_per_m, (terms.range, terms.incidence), FIXED_POINT, silent,
         fired, seen_cell, amount,
     )  # fmt: skip
+    del top, blocks, number, block, tau
     return _estimate(seen_cell[:count], amount[:count], silent, fired)
 
 
