@@ -223,10 +223,12 @@ def status(output: Path, watch: bool, as_json: bool) -> int:  # noqa: FBT001 - c
 @OUTPUT
 def report(output: Path) -> int:
     """Write the report of OUTPUT again from what is on disk."""
-    from spl_batch import api  # noqa: PLC0415
-    from spl_batch.cli import screen  # noqa: PLC0415
+    with saying_if_slow("writing the report"):
+        from spl_batch import api  # noqa: PLC0415
+        from spl_batch.cli import screen  # noqa: PLC0415
 
-    screen.print_result(api.report(output))
+        result = api.report(output)
+    screen.print_result(result)
     return 0
 
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 import spl_batch
 from spl_batch.airborne.tasks.kinds import STAGES
 from spl_batch.cli import _STAGES, cli, live, main
+from spl_batch.cli.clock import saying_if_slow
 from spl_batch.engine.flow import cluster
 from spl_batch.errors import InputError, PlanError, SplBatchError, StoppedError, StoreError, storage
 from tests import surveys
@@ -85,6 +87,16 @@ def test_every_error_has_its_status(
     assert ended.status == status
     assert str(error) in ended.err
     assert len(ended.err.strip().splitlines()) == 1
+
+
+def test_a_report_that_takes_long_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        time.sleep(0.1)
+        raise StoreError("damaged")
+
+    monkeypatch.setattr("spl_batch.api.report", fail)
+    monkeypatch.setattr("spl_batch.cli.saying_if_slow", partial(saying_if_slow, after_s=0.0))
+    assert surveys.command("report", ".").err.startswith("info: writing the report\n")
 
 
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])

@@ -185,6 +185,7 @@ def test_the_state_of_a_run_in_its_middle() -> None:
     status.feed(as_record(RunEnded(1)))
     assert status.running == {}
     assert "time left" not in drawn(live.draw(status))
+    assert " 0 s left" not in drawn(live.draw(status)), "what is unknown is no 0"
     status.feed(as_record(RunStarted("w.yaml", 2, "0.1+x")))
     assert (status.ended, status.stages["denoise"].done) == (None, 2), "nothing is known anew"
     status.feed(as_record(PhaseStarted("index", "index_file", 1, 0, 5)))

@@ -224,6 +224,8 @@ def test_degrees_without_a_crs_are_refused(tmp_path: Path, verb: str) -> None:
     for word in ("lines/1.laz", "lines/2.laz", "look like degrees; reproject", "set survey.crs"):
         assert word in line
     assert line.count("look like degrees") == 1, "once for both files"
+    begun = api.init(tmp_path, force=True)
+    assert "coordinates look like degrees" in dict(begun.unknown)["crs"], "not taken as metres"
     assert not (tmp_path / "out").exists()
 
 
