@@ -1,12 +1,13 @@
 """What one file without a workflow costs beside a run: the seconds of one and the other.
 
-    python -m benchmarks.airborne.one_file FOLDER [--side-m 150] [--repeats 3]
+    python -m benchmarks.airborne.one_file FOLDER [--side-m 150] [--repeats 3] [--memory 16GiB]
 
 Simulates one pass over a square of the kind of :mod:`benchmarks.airborne.whole_survey` into FOLDER,
 once. Then it runs `spl-batch run` on a workflow of it and `spl-batch denoise --ground --dtm` on its
 file with the same trajectory, in turn, in one process each and with kernels compiled before. Prints
 processor seconds per million returns of both, which other work on the machine changes less than
-wall time, their ratio, and the most memory that each process held.
+wall time, their ratio, and the most memory that each process held. Two sides and one --memory show
+whether memory is bounded: the larger file takes no more.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from benchmarks.airborne.end_to_end import survey
 from benchmarks.airborne.whole_survey import scene
 
 
-def main(folder: Path, side_m: float, repeats: int) -> None:
+def main(folder: Path, side_m: float, repeats: int, memory: str) -> None:
     """Print both times and their ratio."""
     content = scene(side_m)
     content["flights"] = [{"heading_deg": 0, "offset_m": 0}]
@@ -30,11 +31,12 @@ def main(folder: Path, side_m: float, repeats: int) -> None:
     (source,) = workflow.parent.glob("flightlines/*.laz")
     trajectory = workflow.parent / "trajectory.csv"
     cloud, dtm = folder / "clean.laz", folder / "dtm.tif"
+    bound = ("--memory", memory)
     ways: dict[str, list[object]] = {
-        "run": ["run", workflow, "--fresh"],
+        "run": ["run", workflow, "--fresh", *bound],
         "denoise": [
             *("denoise", source, cloud, "--trajectory", trajectory, "--ground", "--dtm", dtm),
-            "--force",
+            *("--force", *bound),
         ],
     }
     cost(ways["run"])  # compiles, and touches memory for the first time
@@ -70,5 +72,6 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path)
     parser.add_argument("--side-m", type=float, default=150.0)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--memory", default="16GiB")
     given = parser.parse_args()
-    main(given.folder, given.side_m, given.repeats)
+    main(given.folder, given.side_m, given.repeats, given.memory)
