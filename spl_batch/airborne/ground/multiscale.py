@@ -25,8 +25,10 @@ from spl_batch.airborne.ground.multiscale_surface import (
     low_outliers,
     points_below,
 )
+from spl_batch.airborne.ground.node_grids import lowest_nodes
 from spl_batch.airborne.ground.point_spacing import Squares, added_up, in_squares, spacing_at_m
 from spl_batch.airborne.ground.ptd import Limits, densify
+from spl_batch.airborne.ground.steep_ground import continued
 from spl_batch.numerics.cell_groups import Cells, group_by_cell
 from spl_batch.numerics.triangulation.tin import Tin, heights_and_slopes, triangulate, vertex_slopes
 
@@ -134,7 +136,9 @@ def multiscale_masks(
     """
     xyz, hard = _nodes(map(_evidence, strips()), sigma_m)
     chosen = agreeing_nodes(xyz, ~low_outliers(xyz))
-    ground = _joined(xyz, chosen & hard, ground_nodes(xyz, chosen))
+    ground = ground_nodes(xyz, chosen)
+    ground = continued(xyz, lowest_nodes(xyz, chosen, CELL_M), ground, CELL_M)
+    ground = _joined(xyz, chosen & hard, ground)
     surface = _surface(xyz[ground])
     looked = filter(None, map(partial(_look, surface), strips()))
     depth, number, points = (added_up(some) for some in zip(*looked, strict=True))

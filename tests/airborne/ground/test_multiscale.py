@@ -13,6 +13,15 @@ from spl_batch.airborne.ground.multiscale_surface import (
     points_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
+from spl_batch.airborne.ground.steep_ground import (
+    FEWEST,
+    FLAT,
+    NEAR_M,
+    REACH_M,
+    ROUNDS,
+    STEEP,
+    continued,
+)
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
 
@@ -161,3 +170,84 @@ def test_shrubs_of_a_dense_heath_are_no_ground() -> None:
     assert found[~shrub].mean() > 0.95
     assert found[height > 0.3].mean() < 0.01
     assert np.median(height[found & ~shrub]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_ground_goes_on_to_crests_and_decks_and_houses_do_not() -> None:
+    """A ridge of 55 degrees, and a house and a bridge over a flat valley beside it."""
+    x, y = places(60_000, 90)
+    rng = np.random.default_rng(8)
+    slope = np.tan(np.radians(55))
+    ground = np.maximum(28 - slope * np.abs(x - 30), 0) - 6.0 * (np.abs(x - 70) < 8)
+    deck = (np.abs(x - 70) < 8) & (np.abs(y - 40) < 4)
+    house = (np.abs(x - 56) < 4) & (np.abs(y - 70) < 8)
+    z = ground + 6.0 * deck + 4.0 * house + rng.normal(0, 0.03, len(x))
+    leaf = (rng.random(len(x)) < 0.5) & (y < 30) & (x < 50)
+    z[leaf] += rng.uniform(1, 12, leaf.sum())
+    found = default_ground(x, y, z)
+    crest = (np.abs(x - 30) < 8) & ~leaf & (np.abs(y - 45) < 42)
+    assert found[crest].mean() > 0.9
+    inside = (np.abs(x - 70) < 6) & (np.abs(y - 40) < 3)
+    assert found[(deck & inside) | house].mean() < 0.01
+    assert found[leaf & (z > ground + 2.5)].mean() < 0.01
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nodes_that_ground_goes_on_to_are_those_of_a_slow_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = (v.ravel() + rng.uniform(0, 1, 400) for v in np.meshgrid(np.arange(20), np.arange(20)))
+    height = np.maximum(12 - 1.4 * np.abs(x - 10), 0)
+    xyz = np.column_stack(
+        [x, y, height + rng.choice([0, 0, 0, 1.5], 400) + rng.normal(0, 0.1, 400)]
+    )
+    grid = lowest_nodes(xyz, rng.random(400) < 0.9, 1.0)
+    ground = (np.abs(x - 10) > 5) & (rng.random(400) < 0.8)
+    found = continued(xyz, grid, ground, 1.0)
+    assert np.array_equal(found, _continued(xyz, grid, ground))
+    assert found.sum() > ground.sum() + 20
+
+
+def _continued(xyz: Float, grid: NDArray[np.int64], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Round by round, every node against planes by least squares, one for each side of it."""
+    cells = {int(grid[*cell]): cell for cell in np.argwhere(grid >= 0)}
+    state = {i: int(ground[i]) for i in cells}
+    fresh = [i for i in cells if state[i]]
+    for _ in range(ROUNDS):
+        beside = np.array([cells[i] for i in fresh])
+        joins = [
+            i for i in cells
+            if not state[i] and (np.abs(beside - cells[i]).max(axis=1) <= 2).any()
+            and _goes_on(xyz, cells, state, i)
+        ]  # fmt: skip
+        if not joins:
+            break
+        state.update(dict.fromkeys(joins, 2))
+        fresh = joins
+    out = ground.copy()
+    out[[i for i, known in state.items() if known == 2]] = True
+    return out
+
+
+def _goes_on(
+    xyz: Float, cells: dict[int, NDArray[np.int64]], state: dict[int, int], i: int
+) -> bool:
+    for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        side = [
+            j for j, known in state.items()
+            if known and (cells[j] - cells[i]) @ step >= 0
+            and np.hypot(*(xyz[j, :2] - xyz[i, :2])) <= REACH_M
+        ]  # fmt: skip
+        if len(side) < FEWEST:
+            continue
+        off = xyz[side] - xyz[i]
+        spread = np.cov(off[:, :2].T, bias=True)
+        if np.linalg.det(spread) < FLAT * np.trace(spread) ** 2:
+            continue
+        design = np.column_stack([np.ones(len(off)), off[:, :2]])
+        plane, *gradient = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
+        slope = np.hypot(*gradient)
+        if slope < STEEP and 2 * sum(state[j] == 2 for j in side) < len(side):
+            continue
+        nearest = np.hypot(*off[:, :2].T).min()
+        if -NEAR_M <= plane <= slope * nearest + NEAR_M:
+            return True
+    return False

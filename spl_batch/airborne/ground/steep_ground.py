@@ -1,0 +1,162 @@
+"""Ground that goes on where an opening has cut it off: crests, edges and tops of steep slopes.
+
+An opening takes a crest that is narrower than its window for an object: both stand out. An object
+stands behind walls, though, and steep ground goes on from what was left of it. Here ground grows
+from cell to cell where the plane through the ground nodes around is steep and the next node lies on
+it, or below it and no lower than those nodes, as over a crest. What has grown goes on over level
+ground as well: tops of banks. Ground that is level all around grows nowhere, so neither decks nor
+the roofs of a town are reached.
+
+The plane is that of one side, so that the two flanks of a crest do not level each other out. No
+source has this: [Axelsson 2000] mirrors points at the nearest one of the ground there.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spl_batch.numerics.compiled import njit
+
+REACH_M: Final = 4.0
+"""Ground nodes up to this far tell the plane [m]."""
+
+FEWEST: Final = 6
+"""Fewer nodes tell none [count]."""
+
+STEEP: Final = 0.5
+"""Rise of the plane from which on ground grows [rise/run]."""
+
+NEAR_M: Final = 0.2
+"""A node farther above the plane is something else's [m]."""
+
+FLAT: Final = 0.02
+"""Places of nodes that lie nearer to one line than this tell no plane: product of their variances
+along and across over the square of their sum."""
+
+ROUNDS: Final = 40
+"""Cells that ground grows by at the most: the largest window of the opening [count]."""
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+def continued(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
+    """Ground nodes, and those of a grid that go on from them: (n,) bool.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+        Nodes [m].
+    grid : (rows, columns) int64
+        A node for each cell, or -1, as :func:`~spl_batch.airborne.ground.node_grids.lowest_nodes`
+        finds them.
+    ground : (n,) bool
+        Nodes of the ground.
+    cell_m : float
+        Edge of a cell [m].
+    """
+    state = np.full(grid.shape, _EMPTY, dtype=np.uint8)
+    held = grid >= 0
+    state[held] = np.where(ground[grid[held]], _GROUND, _OTHER)
+    _grow(xyz, grid, round(REACH_M / cell_m), state)
+    out = ground.copy()
+    out[grid[state == _GROWN]] = True
+    return out
+
+
+_EMPTY: Final = 0
+_OTHER: Final = 1
+_GROUND: Final = 2
+_GROWN: Final = 3
+
+
+@njit()
+def _grow(xyz: Float, grid: Index, reach: int, state: NDArray[np.uint8]) -> None:
+    """Let ground grow round by round, each from what the last one left."""
+    rows, columns = grid.shape
+    fresh = state == _GROUND
+    for _ in range(ROUNDS):
+        joins = np.zeros(grid.shape, dtype=np.bool_)
+        for r in range(rows):
+            for c in range(columns):
+                if state[r, c] == _OTHER and _beside(fresh, r, c, 2):
+                    joins[r, c] = _goes_on(xyz, grid, state, reach, r, c)
+        if not joins.any():
+            break
+        for r in range(rows):
+            for c in range(columns):
+                if joins[r, c]:
+                    state[r, c] = _GROWN
+        fresh = joins
+
+
+@njit()
+def _beside(fresh: Mask, row: int, column: int, far: int) -> bool:
+    """Whether a cell that has just become ground is near."""
+    rows, columns = fresh.shape
+    for r in range(max(row - far, 0), min(row + far + 1, rows)):
+        for c in range(max(column - far, 0), min(column + far + 1, columns)):
+            if fresh[r, c]:
+                return True
+    return False
+
+
+@njit()
+def _goes_on(
+    xyz: Float, grid: Index, state: NDArray[np.uint8], reach: int, row: int, column: int
+) -> bool:
+    """Whether a node lies where the ground on one side of it goes on."""
+    for east, north in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        if _on_plane(xyz, grid, state, reach, row, column, east, north):
+            return True
+    return False
+
+
+@njit()
+def _on_plane(
+    xyz: Float,
+    grid: Index,
+    state: NDArray[np.uint8],
+    reach: int,
+    row: int,
+    column: int,
+    to_east: int,
+    to_north: int,
+) -> bool:
+    """Whether a node lies on the plane through the ground on its side towards east or north."""
+    rows, columns = grid.shape
+    i = grid[row, column]
+    n, grown, nearest = 0, 0, np.inf
+    x, y, z, xx, xy, yy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+        for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
+            if state[r, c] < _GROUND or (c - column) * to_east + (r - row) * to_north < 0:
+                continue
+            j = grid[r, c]
+            dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
+            away = dx * dx + dy * dy
+            if away > REACH_M**2:
+                continue
+            n += 1
+            grown += state[r, c] == _GROWN
+            nearest = min(nearest, away)
+            x, y, z = x + dx, y + dy, z + dz
+            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+            xz, yz = xz + dx * dz, yz + dy * dz
+    if n < FEWEST:
+        return False
+    x, y, z = x / n, y / n, z / n
+    xx, yy, xy = xx / n - x * x, yy / n - y * y, xy / n - x * y
+    xz, yz = xz / n - x * z, yz / n - y * z
+    scale = xx * yy - xy * xy
+    if scale < FLAT * (xx + yy) ** 2:
+        return False
+    east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+    slope = np.hypot(east, north)
+    if slope < STEEP and 2 * grown < n:
+        return False
+    # The node is the origin: so far the plane lies above it.
+    plane = z - east * x - north * y
+    return bool(-NEAR_M <= plane <= slope * np.sqrt(nearest) + NEAR_M)
