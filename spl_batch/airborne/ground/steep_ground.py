@@ -30,6 +30,10 @@ STEEP: Final = 0.5
 NEAR_M: Final = 0.2
 """A node farther above the plane is something else's [m]."""
 
+ROUGH_M: Final = 0.3
+"""Nodes that scatter by more around their plane are on both sides of a step: a wall or an edge goes
+on nowhere [m]."""
+
 FLAT: Final = 0.02
 """Places of nodes that lie nearer to one line than this tell no plane: product of their variances
 along and across over the square of their sum."""
@@ -129,7 +133,7 @@ def _on_plane(
     rows, columns = grid.shape
     i = grid[row, column]
     n, grown, nearest = 0, 0, np.inf
-    x, y, z, xx, xy, yy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    x, y, z, xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
         for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
             if state[r, c] < _GROUND or (c - column) * to_east + (r - row) * to_north < 0:
@@ -144,18 +148,20 @@ def _on_plane(
             nearest = min(nearest, away)
             x, y, z = x + dx, y + dy, z + dz
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-            xz, yz = xz + dx * dz, yz + dy * dz
+            xz, yz, zz = xz + dx * dz, yz + dy * dz, zz + dz * dz
     if n < FEWEST:
         return False
     x, y, z = x / n, y / n, z / n
     xx, yy, xy = xx / n - x * x, yy / n - y * y, xy / n - x * y
-    xz, yz = xz / n - x * z, yz / n - y * z
+    xz, yz, zz = xz / n - x * z, yz / n - y * z, zz / n - z * z
     scale = xx * yy - xy * xy
     if scale < FLAT * (xx + yy) ** 2:
         return False
     east, north = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
     slope = np.hypot(east, north)
     if slope < STEEP and 2 * grown < n:
+        return False
+    if zz - east * xz - north * yz > ROUGH_M**2:
         return False
     # The node is the origin: so far the plane lies above it.
     plane = z - east * x - north * y

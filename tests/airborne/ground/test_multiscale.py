@@ -179,7 +179,7 @@ def test_ground_goes_on_to_crests_and_decks_and_houses_do_not() -> None:
     slope = np.tan(np.radians(55))
     ground = np.maximum(28 - slope * np.abs(x - 30), 0) - 6.0 * (np.abs(x - 70) < 8)
     deck = (np.abs(x - 70) < 8) & (np.abs(y - 40) < 4)
-    house = (np.abs(x - 56) < 4) & (np.abs(y - 70) < 8)
+    house = (np.abs(x - 52) < 4) & (np.abs(y - 70) < 8)
     z = ground + 6.0 * deck + 4.0 * house + rng.normal(0, 0.03, len(x))
     leaf = (rng.random(len(x)) < 0.5) & (y < 30) & (x < 50)
     z[leaf] += rng.uniform(1, 12, leaf.sum())
