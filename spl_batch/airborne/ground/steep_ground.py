@@ -9,6 +9,11 @@ the roofs of a town are reached.
 
 The plane is that of one side, so that the two flanks of a crest do not level each other out. No
 source has this: [Axelsson 2000] mirrors points at the nearest one of the ground there.
+
+A roof on a hillside is steep as well, and the opening leaves its uphill eave. But a roof ends: on
+the contour line through it the surface falls by a step on both sides, as it does not from a crest,
+a cliff or a terrace, which follow the contour. Nodes that stand so are no ground, and none grows
+there (:func:`standing`).
 """
 
 from typing import Final
@@ -16,6 +21,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
+from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
 from spl_batch.numerics.compiled import njit
 
 REACH_M: Final = 4.0
@@ -41,6 +48,19 @@ along and across over the square of their sum."""
 ROUNDS: Final = 40
 """Cells that ground grows by at the most: the largest window of the opening [count]."""
 
+TILT: Final = 0.2
+"""Rise of the trend from which on it tells the contour line [rise/run]."""
+
+ASIDE_M: Final = 20.0
+"""How far along the contour the ends of an object are looked for: half of the largest window
+[m]."""
+
+EAVE_M: Final = 1.0
+"""Fall within :data:`EDGE_M` at the end of an object; above the trend it stands half as far [m]."""
+
+EDGE_M: Final = 2.0
+"""Length over which the surface falls there [m]."""
+
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
@@ -61,19 +81,86 @@ def continued(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     cell_m : float
         Edge of a cell [m].
     """
-    state = np.full(grid.shape, _EMPTY, dtype=np.uint8)
-    held = grid >= 0
+    stands = standing(xyz, grid, ground, cell_m)
+    state = np.full(grid.shape, _BARRED, dtype=np.uint8)
+    held = (grid >= 0) & ~stands
     state[held] = np.where(ground[grid[held]], _GROUND, _OTHER)
     _grow(xyz, grid, round(REACH_M / cell_m), state)
     out = ground.copy()
+    out[grid[stands]] = False
     out[grid[state == _GROWN]] = True
     return out
 
 
-_EMPTY: Final = 0
+_BARRED: Final = 0
 _OTHER: Final = 1
 _GROUND: Final = 2
 _GROWN: Final = 3
+
+
+def standing(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
+    """Cells whose node stands above a step on both sides along the contour: (rows, columns) bool.
+
+    Parameters
+    ----------
+    xyz, grid, ground, cell_m
+        As :func:`continued` has them.
+    """
+    held = grid >= 0
+    nodes = grid[held]
+    x, y, z = xyz[nodes].T
+    stands = np.zeros(grid.shape, dtype=np.bool_)
+    if not ground.any():
+        return stands
+    trend = fit_trend(xyz[ground], x, y)
+    north, east = (
+        trend_at(Trend(np.gradient(trend.height, TREND_M, axis=axis), *trend[1:]), x, y)
+        for axis in (0, 1)
+    )
+    above, aside = np.full(grid.shape, np.nan), np.zeros((*grid.shape, 2))
+    above[held] = z - trend_at(trend, x, y)
+    steep = np.hypot(north, east)
+    tilted = steep > TILT
+    along = np.column_stack([-east, north])[tilted] / steep[tilted, None]
+    aside[np.nonzero(held)[0][tilted], np.nonzero(held)[1][tilted]] = along
+    _stand(above, aside, cell_m, stands)
+    return stands
+
+
+@njit()
+def _stand(above: Float, aside: Float, cell_m: float, out: Mask) -> None:
+    """Cells between two steps; ``aside`` is along the contour to north and east, or zero."""
+    rows, columns = above.shape
+    for r in range(rows):
+        for c in range(columns):
+            north, east = aside[r, c]
+            # Where there is no node the height is NaN.
+            if above[r, c] > EAVE_M / 2 and (north != 0.0 or east != 0.0):
+                out[r, c] = _falls(above, r, c, north, east, cell_m) and _falls(
+                    above, r, c, -north, -east, cell_m
+                )
+
+
+@njit()
+def _falls(
+    above: Float, row: int, column: int, north: float, east: float, cell_m: float
+) -> bool:
+    """Whether the surface falls by a step on the way from a cell."""
+    rows, columns = above.shape
+    top, at = above[row, column], 0
+    edge, last = round(EDGE_M / cell_m), above[row, column]
+    before = last
+    for step in range(1, round(ASIDE_M / cell_m) + 1):
+        r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
+        if r < 0 or c < 0 or r >= rows or c >= columns:
+            return False
+        height = above[r, c]
+        if np.isnan(height):
+            continue
+        if height <= min(top, max(last, before)) - EAVE_M and step - at <= edge:
+            return True
+        before, last, at = last, height, step
+    return False
 
 
 @njit()
