@@ -12,8 +12,8 @@ source has this: [Axelsson 2000] mirrors points at the nearest one of the ground
 
 A roof on a hillside is steep as well, and the opening leaves its uphill eave. But a roof ends: on
 the contour line through it the surface falls by a step on both sides, as it does not from a crest,
-a cliff or a terrace, which follow the contour. Nodes that stand so are no ground, and none grows
-there (:func:`standing`).
+a cliff or a terrace, which follow the contour. From nodes that stand so no ground grows, and none
+grows there (:func:`standing`).
 """
 
 from typing import Final
@@ -87,7 +87,6 @@ def continued(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     state[held] = np.where(ground[grid[held]], _GROUND, _OTHER)
     _grow(xyz, grid, round(REACH_M / cell_m), state)
     out = ground.copy()
-    out[grid[stands]] = False
     out[grid[state == _GROWN]] = True
     return out
 
@@ -142,9 +141,7 @@ def _stand(above: Float, aside: Float, cell_m: float, out: Mask) -> None:
 
 
 @njit()
-def _falls(
-    above: Float, row: int, column: int, north: float, east: float, cell_m: float
-) -> bool:
+def _falls(above: Float, row: int, column: int, north: float, east: float, cell_m: float) -> bool:
     """Whether the surface falls by a step on the way from a cell."""
     rows, columns = above.shape
     top, at = above[row, column], 0

@@ -13,14 +13,22 @@ from spl_batch.airborne.ground.multiscale_surface import (
     points_below,
 )
 from spl_batch.airborne.ground.node_grids import lowest_nodes, plane_heights
+from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
+from spl_batch.airborne.ground.ground_trend import fit_trend, trend_at
 from spl_batch.airborne.ground.steep_ground import (
+    ASIDE_M,
+    EAVE_M,
+    EDGE_M,
     FEWEST,
     FLAT,
     NEAR_M,
     REACH_M,
+    ROUGH_M,
     ROUNDS,
     STEEP,
+    TILT,
     continued,
+    standing,
 )
 from spl_batch.airborne.settings import GroundSettings
 from spl_batch.lattice.tables import PointTable
@@ -191,24 +199,90 @@ def test_ground_goes_on_to_crests_and_decks_and_houses_do_not() -> None:
     assert found[leaf & (z > ground + 2.5)].mean() < 0.01
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_nodes_that_ground_goes_on_to_are_those_of_a_slow_twin(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("slope_deg", "pitch_deg", "eave_m", "along_slope"),
+    [(20, 35, 0.5, False), (20, 35, 0.0, True), (30, 35, 0.0, False), (40, 35, 0.5, False)],
+)
+def test_ground_does_not_go_on_to_roofs_of_a_hillside(
+    slope_deg: float, pitch_deg: float, eave_m: float, along_slope: bool
+) -> None:
+    """A gabled roof whose uphill eave is hardly above the slope, its ridge across or along it."""
+    x, y = places(30_000, 64)
+    across = np.abs(y - 32) if along_slope else np.abs(x - 32)
+    roof = (np.abs(x - 32) < 6) & (np.abs(y - 32) < 6)
+    slope, pitch = np.tan(np.radians([slope_deg, pitch_deg]))
+    height = np.where(roof, slope * 38 + eave_m + pitch * (6 - across), slope * x)
+    found = default_ground(x, y, height + np.random.default_rng(3).normal(0, 0.03, len(x)))
+    assert found[roof].mean() < 0.12
+    assert found[~roof].mean() > 0.99
+
+
+def hillside(seed: int) -> tuple[Float, NDArray[np.int64], NDArray[np.bool_]]:
+    """Nodes of a ridge on a slope with blocks on it, their grid, and what is left of its ground."""
     rng = np.random.default_rng(seed)
     x, y = (v.ravel() + rng.uniform(0, 1, 400) for v in np.meshgrid(np.arange(20), np.arange(20)))
-    height = np.maximum(12 - 1.4 * np.abs(x - 10), 0)
-    xyz = np.column_stack(
-        [x, y, height + rng.choice([0, 0, 0, 1.5], 400) + rng.normal(0, 0.1, 400)]
-    )
+    height = np.maximum(12 - 1.4 * np.abs(x - 10), 0) + 0.1 * y
+    block = (np.abs(y - 10) < 2) & (np.abs(x - 15) < 3)
+    height += rng.choice([0, 0, 0, 1.5], 400) + 3.0 * block + rng.normal(0, 0.1, 400)
+    xyz = np.column_stack([x, y, height])
     grid = lowest_nodes(xyz, rng.random(400) < 0.9, 1.0)
-    ground = (np.abs(x - 10) > 5) & (rng.random(400) < 0.8)
+    return xyz, grid, (np.abs(x - 10) > 5) & (rng.random(400) < 0.8)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nodes_that_ground_goes_on_to_are_those_of_a_slow_twin(seed: int) -> None:
+    xyz, grid, ground = hillside(seed)
     found = continued(xyz, grid, ground, 1.0)
     assert np.array_equal(found, _continued(xyz, grid, ground))
     assert found.sum() > ground.sum() + 20
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_nodes_between_two_steps_are_those_of_a_slow_twin(seed: int) -> None:
+    xyz, grid, ground = hillside(seed)
+    found = standing(xyz, grid, ground, 1.0)
+    assert found.sum() > 10
+    trend = fit_trend(xyz[ground], xyz[:, 0], xyz[:, 1])
+    # A node is asked for its slope between lattice nodes: those of a whole lattice step around.
+    east, north = (
+        trend_at(trend._replace(height=np.gradient(trend.height, TREND_M, axis=a)), *xyz[:, :2].T)
+        for a in (1, 0)
+    )
+    off = np.where(grid >= 0, xyz[grid, 2] - trend_at(trend, *xyz[:, :2].T)[grid], np.nan)
+    for cell in np.argwhere(grid >= 0):
+        node = grid[*cell]
+        rise = np.hypot(east[node], north[node])
+        along = np.array([-east[node], north[node]]) / rise
+        expected = (
+            rise > TILT
+            and off[*cell] > EAVE_M / 2
+            and all(_falls(off, cell, way * along) for way in (1, -1))
+        )
+        assert found[*cell] == expected
+
+
+def _falls(off: Float, cell: NDArray[np.int64], way: Float) -> bool:
+    """Whether a height on the way lies a step below the cell, and below one of two before it."""
+    passed = [(0, off[*cell])]
+    for step in range(1, round(ASIDE_M) + 1):
+        at = np.rint(cell + step * way).astype(int)
+        if (at < 0).any() or (at >= off.shape).any():
+            break
+        if np.isfinite(off[*at]):
+            passed.append((step, off[*at]))
+    return any(
+        here <= off[*cell] - EAVE_M
+        and here <= max(height for _, height in passed[max(k - 2, 0) : k]) - EAVE_M
+        and step - passed[k - 1][0] <= EDGE_M
+        for k, (step, here) in enumerate(passed)
+        if k
+    )
+
+
 def _continued(xyz: Float, grid: NDArray[np.int64], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Round by round, every node against planes by least squares, one for each side of it."""
-    cells = {int(grid[*cell]): cell for cell in np.argwhere(grid >= 0)}
+    free = (grid >= 0) & ~standing(xyz, grid, ground, 1.0)
+    cells = {int(grid[*cell]): cell for cell in np.argwhere(free)}
     state = {i: int(ground[i]) for i in cells}
     fresh = [i for i in cells if state[i]]
     for _ in range(ROUNDS):
@@ -243,7 +317,10 @@ def _goes_on(
         if np.linalg.det(spread) < FLAT * np.trace(spread) ** 2:
             continue
         design = np.column_stack([np.ones(len(off)), off[:, :2]])
-        plane, *gradient = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
+        found = np.linalg.lstsq(design, off[:, 2], rcond=None)[0]
+        if np.mean((off[:, 2] - design @ found) ** 2) > ROUGH_M**2:
+            continue
+        plane, *gradient = found
         slope = np.hypot(*gradient)
         if slope < STEEP and 2 * sum(state[j] == 2 for j in side) < len(side):
             continue
