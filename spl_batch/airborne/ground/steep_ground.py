@@ -20,6 +20,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from spl_batch.airborne.ground.ground_trend import STEP_M as TREND_M
 from spl_batch.airborne.ground.ground_trend import Trend, fit_trend, trend_at
@@ -56,10 +57,10 @@ ASIDE_M: Final = 20.0
 [m]."""
 
 EAVE_M: Final = 1.0
-"""Fall within :data:`EDGE_M` at the end of an object; above the trend it stands half as far [m]."""
+"""Fall at the end of an object; above the trend it stands half as far [m]."""
 
 EDGE_M: Final = 2.0
-"""Length over which the surface falls there [m]."""
+"""Longest way over which the surface falls there, from one node to the next [m]."""
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -119,7 +120,11 @@ def standing(xyz: Float, grid: Index, ground: Mask, cell_m: float) -> Mask:
     above, aside = np.full(grid.shape, np.nan), np.zeros((*grid.shape, 2))
     above[held] = z - trend_at(trend, x, y)
     steep = np.hypot(north, east)
-    tilted = steep > TILT
+    # Across a crest that is cut off the trend is that between its rims, and tells no contour.
+    known = np.zeros(grid.shape, dtype=np.bool_)
+    known[held] = ground[nodes]
+    near = ndimage.distance_transform_edt(~known) * cell_m <= REACH_M
+    tilted = (steep > TILT) & near[held]
     along = np.column_stack([-east, north])[tilted] / steep[tilted, None]
     aside[np.nonzero(held)[0][tilted], np.nonzero(held)[1][tilted]] = along
     _stand(above, aside, cell_m, stands)
@@ -145,8 +150,7 @@ def _falls(above: Float, row: int, column: int, north: float, east: float, cell_
     """Whether the surface falls by a step on the way from a cell."""
     rows, columns = above.shape
     top, at = above[row, column], 0
-    edge, last = round(EDGE_M / cell_m), above[row, column]
-    before = last
+    edge, last = round(EDGE_M / cell_m), top
     for step in range(1, round(ASIDE_M / cell_m) + 1):
         r, c = int(np.rint(row + step * north)), int(np.rint(column + step * east))
         if r < 0 or c < 0 or r >= rows or c >= columns:
@@ -154,9 +158,9 @@ def _falls(above: Float, row: int, column: int, north: float, east: float, cell_
         height = above[r, c]
         if np.isnan(height):
             continue
-        if height <= min(top, max(last, before)) - EAVE_M and step - at <= edge:
+        if height <= min(top, last) - EAVE_M and step - at <= edge:
             return True
-        before, last, at = last, height, step
+        last, at = height, step
     return False
 
 
