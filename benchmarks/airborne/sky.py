@@ -97,6 +97,7 @@ EFFECTS: dict[str, Any] = {
     "afterpulses, tail of 40 %": tail,
     "ranging noise 15 cm": lambda t: {"detector": {"range_sigma_m": 0.15 * t}},
     "strips 0.3 m east, 0.2 m up": apart,
+    "noise 0.3 per m3": lambda t: {"sky": {"background_per_m3": 0.3 * t}},
     "times rounded to 100 us": lambda t: {"delivery": {"time_step_us": 100 * t}},
 }
 """Effects by name: what strength makes of the base."""

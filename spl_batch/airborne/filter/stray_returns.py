@@ -9,13 +9,16 @@ refused ones. Our own rule asks twice:
   surface rests on nothing. A floor of a quarry or canyon fills its own box; ground that is seen
   through gaps of a canopy continues, and fills a wider one.
 
+Where noise is so dense that clusters of it reach any such number, the ground has to fill the place
+too (:mod:`~spl_batch.airborne.filter.drowned_surfaces`).
+
 In clean clouds few returns make a surface. What share of pure noise is kept the cloud itself says,
 as the filter may be any: in the boxes with noise alone least of what was delivered was kept.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +30,15 @@ from spl_batch.airborne.filter.box_counts import (
     in_marked_cells,
     lowest_and_highest,
 )
+from spl_batch.airborne.filter.drowned_surfaces import (
+    below_surfaces,
+    dense_noise,
+    drowned_columns,
+    unfilled,
+)
 from spl_batch.constants import NOISE_BACKGROUND, NOISE_SIGNAL
 from spl_batch.lattice.tables import PointTable
-from spl_batch.lattice.tiles import quanta
+from spl_batch.lattice.tiles import Bounds, quanta
 
 DOMAIN: Final = "space"
 
@@ -83,14 +92,72 @@ class Bare(NamedTuple):
     corner: Count  #: (3,) int64: lower corner of the lattice [quanta].
     place: tuple[Count, Count, Count]  #: Number of a cell along each axis, gaps closed.
     marked: NDArray[np.bool_]  #: (a, b, c): the cells.
+    dense: NDArray[np.float32]  #: (a, b, c): noise where it is dense, 0 elsewhere [1/m3].
+    signal: NDArray[np.bool_]  #: (a, b): columns with signal in dense noise.
+    #: (a, b), (a, b): kept and refused returns below all surfaces of a column [count].
+    below: tuple[Count, Count]
+
+    def columns(self, region: Bounds) -> tuple[Count, Count]:
+        """Numbers along x and y of the columns whose corner lies in a region, and holds points."""
+        edge, found = quanta(CELL_M), []
+        for axis, (low, high) in enumerate(
+            ((region.xmin, region.xmax), (region.ymin, region.ymax))
+        ):
+            index = np.arange(len(self.place[axis]))
+            at = self.corner[axis] + index * edge
+            # Cells without points have the number of the first one.
+            known = (self.place[axis] > 0) | (index == 0)
+            found.append(self.place[axis][known & (low <= at) & (at < high)])
+        return found[0], found[1]
+
+    def facts(self, region: Bounds, standing: NDArray[np.bool_]) -> dict[str, Any]:
+        """What a report says of the columns of a region.
+
+        Parameters
+        ----------
+        standing : (a, b) bool
+            Columns with what may be ground, from :meth:`mark_columns`.
+
+        Returns
+        -------
+        dict
+            ``below``, kept and refused returns below all surfaces [count]; where noise is dense
+            ``dense``, the number of columns, of those that lose all signal to it, and the sum of
+            the densest noise of each [1/m3].
+        """
+        at = np.ix_(*self.columns(region))
+        most = self.dense[at].max(axis=2, initial=0.0).astype(np.float64)
+        found: dict[str, Any] = {"below": [int(count[at].sum()) for count in self.below]}
+        if most.any():
+            drowned = int(np.count_nonzero(drowned_columns(self.signal, standing)[at]))
+            found["dense"] = [int(np.count_nonzero(most)), drowned, float(most.sum())]
+        return found
+
+    def mark_columns(
+        self, table: PointTable, chosen: NDArray[np.bool_], standing: NDArray[np.bool_]
+    ) -> None:
+        """Mark the columns, (a, b) bool, that hold some chosen signals of a table."""
+        if self.dense.any():
+            number = self._cells(table)[chosen]
+            standing.ravel()[number[number >= 0] // self.dense.shape[2]] = True
+
+    def noise(self, table: PointTable) -> NDArray[np.float32]:
+        """Noise around points where it is dense, 0 elsewhere: (n,) [1/m3]."""
+        if not self.dense.any():
+            return np.zeros(len(table), np.float32)
+        number = self._cells(table)
+        return np.where(number >= 0, self.dense.ravel()[number], np.float32(0.0))
 
     def holds(self, table: PointTable) -> NDArray[np.bool_]:
         """Which signals lie in such a cell: (n,) bool."""
         out = np.zeros(len(table), np.bool_)
-        nothing = np.zeros((2, *self.marked.shape), np.int64)
-        number = _count(self.corner, self.place, (nothing[0], nothing[1]), table)
-        in_marked_cells(number, self.marked.ravel(), out)
+        in_marked_cells(self._cells(table), self.marked.ravel(), out)
         return out
+
+    def _cells(self, table: PointTable) -> NDArray[np.int32]:
+        """Number of the cell of each signal, -1 for other points."""
+        nothing = np.zeros((2, *self.marked.shape), np.int64)
+        return _count(self.corner, self.place, (nothing[0], nothing[1]), table)
 
 
 def stray(table: PointTable, *, spare_above: bool = False) -> NDArray[np.bool_]:
@@ -145,8 +212,14 @@ def bare_cells(
     bare = _bare_boxes(held, odds)
     if spare_above:
         bare &= ~np.logical_or.accumulate((kept > 0) & ~bare, axis=2)
+    else:
+        bare |= unfilled(kept, gone)
     bare |= _bare_columns(kept, gone, odds)[:, :, None]
-    return Bare(corner, place, bare)
+    lowest = below_surfaces((kept > 0) & ~bare)
+    below = np.where(lowest, kept, 0).sum(axis=2), np.where(lowest, gone, 0).sum(axis=2)
+    dense = dense_noise(kept, gone)
+    signal: NDArray[np.bool_] = np.any((kept > 0) & (dense > 0), axis=2)
+    return Bare(corner, place, bare, dense, signal, below)
 
 
 def _xyz(table: PointTable) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from spl_batch.airborne.filter.stray_returns import Bare, stray
+from spl_batch.airborne.filter.drowned_surfaces import lonely
+from spl_batch.airborne.filter.stray_returns import Bare, bare_cells, stray
 from spl_batch.airborne.ground.water_level import off_surface
 from spl_batch.airborne.products import surface_rasters
 from spl_batch.constants import NOISE_NOT_ASSESSED, NOISE_SIGNAL
@@ -23,12 +24,15 @@ def holds_ground(table: PointTable, bare: Bare | None = None) -> NDArray[np.bool
     Parameters
     ----------
     bare : Bare, optional
-        Where signals are stray, if these are some of a cell's points only. None of them lie in
-        water then, whose level asks for all of it.
+        Where signals of the cell are stray; found from these points without. If they are some of a
+        cell's points only, none of them lie in water, whose level asks for all of it.
     """
     usable: NDArray[np.bool_] = table["noise_class"] == NOISE_SIGNAL
     usable = usable & ~table.has(PointFlag.OUTSIDE_AOI)
-    usable &= ~(stray(table) if bare is None else bare.holds(table))
+    bare = bare_cells(lambda: (table,)) if bare is None else bare
+    if bare is not None:
+        usable &= ~bare.holds(table)
+        usable &= ~lonely(table, usable, bare.noise(table))
     return usable & ~off_surface(table, usable)
 
 

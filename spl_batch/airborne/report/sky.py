@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.airborne.context import Context
+from spl_batch.airborne.filter.stray_returns import CELL_M
 from spl_batch.airborne.noise.haze import CUBE_M
 from spl_batch.airborne.products import near_ground
 from spl_batch.airborne.report.model import Haze
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.constants import NODATA, QUANTUM_M
 from spl_batch.engine.report.number_format import as_ascii, significant
 from spl_batch.engine.report.run_record import Receipts
@@ -35,6 +37,12 @@ FOG_SHARE: Final = 0.5
 
 LEAST_M2: Final = 500.0
 """Area from which haze is told [m2]."""
+
+
+KEPT_TOLD: Final = 5.0
+KEPT_LEAST: Final = 100
+"""Times ``filter.alpha`` of the noise below all surfaces that is kept, from which on that is told,
+and the returns that it takes [1, count]."""
 
 
 class Band(NamedTuple):
@@ -145,6 +153,43 @@ def fog_warning(done: Receipts) -> Iterator[str]:
         f"plants without gaps; below {top:.1f} m above the ground neither the DSM nor the "
         "signal points can be trusted"
     )
+
+
+def drowned_warning(done: Receipts) -> Iterator[str]:
+    """Sentence on places where dense noise leaves no surface."""
+    parts = [r.facts for r in done.get("ground", {}).values() if r.facts.get("dense")]
+    if not parts:
+        return
+    dense, drowned, sums = np.array([facts["dense"] for facts in parts]).sum(axis=0).tolist()
+    area_m2 = drowned * CELL_M**2
+    if area_m2 < LEAST_M2:
+        return
+    boxes = np.array([facts["core"] for facts in parts if facts["dense"][1]]) * QUANTUM_M
+    west, south = boxes[:, :2].min(axis=0).tolist()
+    east, north = boxes[:, 2:].max(axis=0).tolist()
+    yield as_ascii(
+        f"noise is dense, {significant(sums / dense, 2)} returns per m3 over "
+        f"{significant(dense * CELL_M**2 * 1e-6, 2)} km2, and in {grouped(round(area_m2))} m2 of "
+        f"it, within x {west:.0f} to {east:.0f} and y {south:.0f} to {north:.0f}, no surface "
+        "stands out: no ground is found there, and the terrain is void or spans it from the sides"
+    )
+
+
+def kept_warning(done: Receipts, settings: FilterSettings) -> Iterator[str]:
+    """Sentence on more noise that is kept where nothing stands than the filter promises."""
+    if settings.method != "vsaes" or settings.test != "calibrated":
+        return
+    found = [r.facts.get("below", [0, 0]) for r in done.get("ground", {}).values()]
+    kept, refused = (sum(counts[k] for counts in found) for k in (0, 1))
+    share = kept / max(kept + refused, 1)
+    if kept >= KEPT_LEAST and share > KEPT_TOLD * settings.alpha:
+        yield as_ascii(
+            f"below all surfaces, where only noise lies, {significant(100 * share, 2)} % of "
+            f"{grouped(kept + refused)} returns were kept in place of the "
+            f"{significant(100 * settings.alpha, 2)} % of filter.alpha: the noise comes in "
+            "clusters that its model does not know. About that share of the noise above surfaces "
+            "stays among the signal, too"
+        )
 
 
 def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:

@@ -26,9 +26,11 @@ from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.sky import (
     bloom,
     bloom_warning,
+    drowned_warning,
     fog_warning,
     haze,
     haze_warning,
+    kept_warning,
     misfit_warning,
 )
 from spl_batch.airborne.report.strip_pairs import strip_map, strip_pairs
@@ -88,6 +90,8 @@ def summarise(done: Receipts, context: Context, facts: RunFacts) -> Report:
             *haze_warning(noise.haze),
             *fog_warning(done),
             *misfit_warning(done, context),
+            *drowned_warning(done),
+            *kept_warning(done, context.workflow.filter),
             *unsure_terrain(done),
             *bank_warnings(
                 r.facts["banks"] for r in done["surface"].values() if "banks" in r.facts

@@ -13,6 +13,7 @@ from spl_batch.airborne.context import Context
 from spl_batch.airborne.filter import denoise as denoising
 from spl_batch.airborne.filter.air import COLUMNS_NEEDED as AIR_COLUMNS
 from spl_batch.airborne.filter.air import Look, facts_of, look_at_air, noise_in_air
+from spl_batch.airborne.filter.drowned_surfaces import NEAR_M
 from spl_batch.airborne.filter.expected_noise import noise_model
 from spl_batch.airborne.filter.stray_returns import Bare, bare_cells
 from spl_batch.airborne.ground import ground_methods as grounding
@@ -28,6 +29,7 @@ from spl_batch.lattice.tiles import (
     inside,
     parse_cell,
     quanta,
+    shared,
 )
 
 Units = dict[CellId, list[tuple[str, str]]]
@@ -112,26 +114,45 @@ def ground(args: Mapping[str, Any], context: Context) -> Produced:
     def read(band: Bounds, columns: Sequence[str]) -> tuple[PointTable, Origin]:
         return read_region(context.store, cells, band, columns, noise, ordered=False)
 
-    def points(band: Bounds, bare: Bare | None = None) -> grounding.Band:
-        table, origin = read(band, _GROUND_COLUMNS)
-        owned = inside(table["x"], table["y"], core)
-        return grounding.Band(table, surface_points.holds_ground(table, bare), owned, origin)
-
     region, count = grow(core, args["halo"]), args.get("bands", 1)
+
+    def judged(table: PointTable, origin: Origin, bare: Bare | None) -> grounding.Band:
+        owned = inside(table["x"], table["y"], core)
+        usable = surface_points.holds_ground(table, bare)
+        if bare is not None:
+            bare.mark_columns(table, usable, standing)
+        return grounding.Band(table, usable, owned, origin)
+
+    def points(band: Bounds, bare: Bare | None) -> grounding.Band:
+        # Neighbours in the next band count, as far as the cell reads.
+        found = judged(*read(shared(grow(band, quanta(NEAR_M)), region), _GROUND_COLUMNS), bare)
+        mine = inside(found.table["x"], found.table["y"], band)
+        return found._replace(usable=found.usable & mine, asked=found.asked & mine)
+
     if count == 1:
-        band = points(region)
+        table, origin = read(region, _GROUND_COLUMNS)
+        bare = bare_cells(lambda: (table,))
+        standing = _no_column(bare)
+        band = judged(table, origin, bare)
         mask = grounding.ground_mask(band.table, band.usable, context.workflow.ground, band.asked)
         found = [_owned((band, mask))]
     else:
         bands = _bands(region, cells, quanta(context.workflow.tiling.tile_m), count)
         bare = bare_cells(lambda: (read(band, ("x", "y", "z"))[0] for band in bands))
+        standing = _no_column(bare)
         given = partial(points, bare=bare)
         found = list(map(_owned, grounding.ground_in_bands(lambda: map(given, bands))))
     path = context.store.labels("ground", args["cell"])
     write_labels(path, found)
     labels = [part["ground"] for _, part in found]
-    counted = {"ground": int(sum(map(np.count_nonzero, labels)))}
-    return Produced([path], counted, sum(map(len, labels)))
+    facts = {"ground": int(sum(map(np.count_nonzero, labels))), "core": list(core)}
+    facts |= {} if bare is None else bare.facts(core, standing)
+    return Produced([path], facts, sum(map(len, labels)))
+
+
+def _no_column(bare: Bare | None) -> NDArray[np.bool_]:
+    """For marks of the columns in which a surface stands: none yet."""
+    return np.zeros((0, 0) if bare is None else bare.signal.shape, np.bool_)
 
 
 def _owned(

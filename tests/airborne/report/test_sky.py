@@ -10,11 +10,14 @@ from affine import Affine
 from spl_batch.airborne.report import sky
 from spl_batch.airborne.report.sky import (
     bloom_warning,
+    drowned_warning,
     fog_warning,
     haze,
     haze_warning,
+    kept_warning,
     misfit_warning,
 )
+from spl_batch.airborne.settings import FilterSettings
 from spl_batch.formats.rasters.parts import read_overview
 
 
@@ -122,3 +125,26 @@ def test_bloom_is_counted_in_one_sentence():
         assert text.startswith("in 3 shots")
         assert f"275 returns at that range {fate}" in text
         assert list(bloom_warning({"scatter": {"b": receipt()}}, removed=removed)) == []
+
+
+def test_dense_noise_that_leaves_no_surface_is_told_with_place_and_area():
+    cells = {
+        "a": receipt(core=[0, 0, 200_000, 200_000], dense=[1600, 300, 1600.0], below=[0, 0]),
+        "b": receipt(core=[200_000, 0, 400_000, 200_000], dense=[400, 0, 1000.0], below=[0, 0]),
+        "c": receipt(core=[400_000, 0, 600_000, 200_000]),
+    }
+    (text,) = drowned_warning({"ground": cells})
+    assert "1.3 returns per m3 over 0.050 km2" in text
+    assert "7 500 m2" in text
+    assert "x 0 to 200 and y 0 to 200" in text
+    few = {"a": receipt(core=[0, 0, 200_000, 200_000], dense=[1600, 19, 1600.0])}
+    assert list(drowned_warning({"ground": few})) == []
+
+
+@pytest.mark.parametrize(("kept", "told"), [(400, 0), (600, 1)])
+def test_noise_that_is_kept_where_nothing_stands_is_told(kept, told):
+    cells = {"a": receipt(below=[kept, 60_000]), "b": receipt(below=[0, 40_000]), "c": receipt()}
+    texts = list(kept_warning({"ground": cells}, FilterSettings()))
+    assert len(texts) == told
+    assert all("0.60 % of 100 600" in text for text in texts)
+    assert list(kept_warning({"ground": cells}, FilterSettings(method="aes"))) == []

@@ -1,0 +1,155 @@
+"""Whether a surface stands out of dense noise: it fills a place, clusters of noise do not.
+
+Domain: space. Our own. Where several returns of noise lie in each cubic metre, the noise that is
+kept by chance comes in clusters of dozens, most of all at the edges of a flightline, where the
+expected noise is known least. No number of returns in a box tells them from ground. Ground lies in
+most of the columns of a square, clusters lie in few: so a cell is ground only if in its square
+enough columns hold a cell that is clearly richer in kept returns. What does not stand out is
+drowned; there the terrain is void.
+
+Near a surface the filter keeps noise too, which lies below it as well as above. In dense noise that
+is enough to carry a terrain 1 to 2 m too low. There a return is ground only if more kept ones lie
+within :data:`NEAR_M` than noise explains.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from spl_batch.lattice.tables import PointTable
+from spl_batch.lattice.tiles import quanta
+from spl_batch.numerics.poisson import noise_tail_probability
+
+DOMAIN: Final = "space"
+
+CROWDED: Final = 20
+"""Refused returns of a cell of 5 m, in the mean of a square, from which on noise is dense: 0.16
+per m3 [count]."""
+
+RICH: Final = (4, 0.1)
+"""Kept returns of a cell that is clearly richer than noise: so many, and at least this share of
+those that were refused in it [count, 1/1]."""
+
+SQUARE: Final = 3
+"""Columns on each side of one that are looked at: 35 m, as the wider box of stray returns."""
+
+LAYERS: Final = 2
+"""Layers above and below that belong to a column: ground may rise by 25 m in the square."""
+
+FULL: Final = 0.45
+"""Share of the columns of a square that a surface fills: a shore along its middle stays."""
+
+CLEAR: Final = 2
+"""Layers below the lowest surface that are not looked at for noise alone: 10 m."""
+
+NEAR_M: Final = 0.7
+"""How near the returns of a surface lie to each other [m]: noise that is so near to it moves the
+terrain by less."""
+
+CHANCE: Final = 1e-3
+"""Share of noise of its density that has as many returns so near."""
+
+CELL_M3: Final = 125.0
+"""Volume of a cell [m3]."""
+
+Cells = NDArray[np.int64]
+Marks = NDArray[np.bool_]
+
+
+def unfilled(kept: Cells, gone: Cells) -> Marks:
+    """Cells in dense noise around which no surface fills the place.
+
+    Parameters
+    ----------
+    kept, gone : (a, b, c) int64
+        Returns of each cell of 5 m that the filter kept, and refused [count].
+
+    Returns
+    -------
+    (a, b, c) bool
+        True where signals are no ground.
+    """
+    least, share = RICH
+    rich = (kept >= least) & (kept >= share * gone)
+    known = _of_columns(kept + gone > 0)
+    lost: Marks = _summed(_of_columns(rich), 0) < FULL * _summed(known, 0)
+    return lost & (dense_noise(kept, gone) > 0)
+
+
+def dense_noise(kept: Cells, gone: Cells) -> NDArray[np.float32]:
+    """Noise around cells where it is dense, 0 elsewhere: (a, b, c) [1/m3].
+
+    The largest mean of a square of the layers around: a surface hides noise in its own layer.
+    """
+    mean = _summed(gone, 0) / np.maximum(_summed(kept + gone > 0, 0), 1)
+    most = ndimage.maximum_filter1d(mean, 2 * LAYERS + 1, axis=2, mode="constant")
+    return np.where(most >= CROWDED, most / CELL_M3, 0.0).astype(np.float32)
+
+
+def lonely(
+    table: PointTable, usable: NDArray[np.bool_], noise: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Returns in dense noise that have no more others near by than noise explains.
+
+    Parameters
+    ----------
+    table : PointTable
+        Points with ``x, y, z``.
+    usable : (n,) bool
+        Those that count as neighbours and are judged.
+    noise : (n,) float32
+        Of :func:`dense_noise` at each point [1/m3].
+
+    Returns
+    -------
+    (n,) bool
+    """
+    out = np.zeros(len(table), np.bool_)
+    asked = np.flatnonzero(usable & (noise > 0))
+    if not len(asked):
+        return out
+    # Whole quanta below 2**53 and their squares are exact: the order of points does not count.
+    xyz = np.column_stack([table[axis][usable] - table[axis].min() for axis in "xyz"])
+    tree = cKDTree(xyz.astype(np.float64))
+    own = (noise > 0)[usable]
+    near = np.asarray(
+        tree.query_ball_point(tree.data[own], float(quanta(NEAR_M)), return_length=True), np.int32
+    )
+    expected = noise[asked].astype(np.float64) * (4.0 / 3.0 * np.pi * NEAR_M**3)
+    out[asked] = noise_tail_probability(near - np.int32(1), expected) > CHANCE
+    return out
+
+
+def drowned_columns(signal: Marks, standing: Marks) -> Marks:
+    """Columns with signal that have none of what stands out, nor have those beside: (a, b) bool."""
+    near: Marks = ndimage.maximum_filter(standing, 3, mode="constant")
+    return signal & ~near
+
+
+def below_surfaces(surface: Marks) -> Marks:
+    """Cells well below the lowest surface of their column and those beside it: (a, b, c) bool.
+
+    Nothing real lies there, so what was kept of it is noise.
+    """
+    wide = ndimage.maximum_filter(surface, (3, 3, 2 * CLEAR + 1), mode="constant")
+    out: Marks = ~np.logical_or.accumulate(wide, axis=2) & wide.any(axis=2, keepdims=True)
+    return out
+
+
+def _of_columns(cells: Marks) -> Marks:
+    """Whether a column holds such a cell around a height."""
+    held: Marks = ndimage.maximum_filter1d(cells, 2 * LAYERS + 1, axis=2, mode="constant")
+    return held
+
+
+def _summed(cells: NDArray[Any], layers: int) -> Cells:
+    """Sum over the square around each cell, and so many layers above and below it."""
+    total = cells.astype(np.int64)
+    for axis, reach in enumerate((SQUARE, SQUARE, layers)):
+        if reach:
+            ones = np.ones(2 * reach + 1, np.int64)
+            total = ndimage.convolve1d(total, ones, axis=axis, mode="constant")
+    return total
