@@ -130,7 +130,7 @@ def plan(
         cost,
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
-        tuple(receiver.plan_rows(prepared, cost)),
+        (*look.rows, *receiver.plan_rows(prepared, cost)),
         (*told_together(inputs.bad), *look.faults),
         (
             *prepared.ledger.remarks,

@@ -76,10 +76,13 @@ class FirstLook(NamedTuple):
     ----------
     faults, warnings : tuple of str
         What is wrong with some of them, which a run leaves out; what is odd.
+    rows : tuple of (str, str)
+        Label and value of what else they tell.
     """
 
     faults: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    rows: tuple[tuple[str, str], ...] = ()
 
 
 class Receiver(ABC, Generic[L, C]):

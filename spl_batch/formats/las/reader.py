@@ -221,6 +221,7 @@ class Ends(NamedTuple):
     channel: NDArray[Any]  #: (n,) uint8: beamlet numbers.
     numbers: dict[str, Numbers]  #: Dimensions that hold small whole numbers, by name.
     classes: tuple[int, ...]  #: Classifications that occur.
+    sources: tuple[int, ...]  #: Values of ``point_source_id`` that occur.
 
 
 def read_ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
@@ -263,7 +264,9 @@ def _ends(path: Path, channel_dimension: str | None, count: int) -> Ends:
     timed = "gps_time" in layout.names
     time = records["gps_time"].astype(np.float64) if timed else np.full(len(records), np.nan)
     classes = np.unique(dimension(records, layout, "classification"))
-    return Ends(time, channel, small_numbers(records, layout), tuple(classes.tolist()))
+    sources = np.unique(records["point_source_id"])
+    numbers = small_numbers(records, layout)
+    return Ends(time, channel, numbers, tuple(classes.tolist()), tuple(sources.tolist()))
 
 
 def _attributes(records: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:

@@ -34,6 +34,23 @@ def test_a_survey_that_is_well_is_told_nothing(survey: Path) -> None:
     assert not [text for text in plan.warnings if not text.startswith("output")]
 
 
+@pytest.mark.parametrize(
+    ("ids", "told"),
+    [((1, 2), None), ((7, 7), "at least 1, by"), ((0, 0), "pauses of 60 s"), ((None, 2), "1 of 2")],
+)
+def test_how_files_share_flightlines_is_told(
+    survey: Path, ids: tuple[int | None, ...], told: str | None
+) -> None:
+    for path, number in zip(sorted((survey.parent / "lines").glob("*.laz")), ids, strict=True):
+        las = laspy.read(path)
+        half = np.arange(len(las.points)) * 2 // len(las.points) + 1
+        las.point_source_id[:] = half if number is None else number
+        las.write(path)
+    rows = dict(api.plan(survey).rows)
+    assert ("flightlines" in rows) == (told is not None)
+    assert told is None or told in rows["flightlines"]
+
+
 def refused(survey: Path, *settings: str) -> str:
     """What a plan and a run say alike of what neither starts."""
     said = []

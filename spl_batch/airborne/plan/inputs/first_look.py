@@ -57,6 +57,7 @@ class _Seen:
     untimed: list[str] = field(default_factory=list)
     channels: dict[str, tuple[int, ...]] = field(default_factory=dict)
     few: list[str] = field(default_factory=list)
+    sources: dict[str, tuple[int, ...]] = field(default_factory=dict)
     points: int = 0
     #: Whether all points of all files were looked at.
     whole: bool = True
@@ -66,13 +67,15 @@ class _Seen:
 
 def first_look(
     inputs: Inputs, workflow: Workflow, base: Path
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
     """What is wrong with inputs, and what is odd, as far as their ends tell.
 
     Returns
     -------
     faults, warnings : tuple of str
         What is wrong with some files, and what is odd; one sentence for all that share it.
+    rows : tuple of (str, str)
+        Label and value of what else they tell.
 
     Raises
     ------
@@ -90,7 +93,7 @@ def first_look(
         raise WorkflowError("no input is usable: " + "; ".join(reasons))
     unreadable = tuple(told_together(seen.unreadable))
     if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
-        return unreadable, ()
+        return unreadable, (), ()
     formats = [source for source in held if not source.facts.has_gps_time]
     faults, warnings = _without_time(formats, seen, all_of_them=len(formats) == len(held))
     faults += _no_channels(held, seen, workflow)
@@ -100,7 +103,27 @@ def first_look(
         raise WorkflowError("; ".join((*reasons, *faults, *apart)))
     warnings += _few_channels(seen, workflow)
     warnings += unnamed_channels(seen.numbers, workflow.sensor)
-    return unreadable, (*warnings, *missed)
+    return unreadable, (*warnings, *missed), tuple(_flightlines(seen, workflow))
+
+
+def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
+    """How files share flightlines, where they are not a flightline each."""
+    held = list(seen.sources.values())
+    ids = {source for some in held for source in some}
+    several = sum(len(some) > 1 for some in held)
+    pieces = sum(map(len, held)) - len(ids)
+    if ids == {0} and len(held) > 1:
+        pause = f"{workflow.survey.gap_s:g} s"
+        yield (
+            "flightlines",
+            f"point_source_id is 0 in all files: a run tells them by pauses of {pause}",
+        )
+    elif several or pieces:
+        text = (
+            f"at least {grouped(len(ids))}, by point_source_id; {grouped(several)} of "
+            f"{grouped(len(held))} files hold several: a run puts the parts of each together"
+        )
+        yield "flightlines", text
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
@@ -142,6 +165,7 @@ def _look_into(source: Source, workflow: Workflow, count: int, seen: _Seen) -> N
         return
     if not source.facts.has_gps_time:
         return
+    seen.sources[source.name] = found.sources
     seen.points += len(found.channel)
     seen.whole &= len(found.channel) == source.facts.n_points
     time = found.gps_time[usable_times(found.gps_time)]
