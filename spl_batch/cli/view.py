@@ -173,13 +173,19 @@ class PlainView(View):
             if busy:
                 return "; ".join(
                     f"{name}: {stage.total - stage.left}/{stage.total}, {busy[name]} at work for "
-                    f"{duration(time.time() - stage.began_s)}"
+                    f"{duration(time.time() - stage.began_s)}{self._maybe_compiling(stage)}"
                     for name, stage in self._status.stages.items()
                     if busy[name]
                 )
             if self._simulated.left and not self._status.kinds:
                 return f"simulate: {self._simulated.done} %, at work on the next"
             return self._between().plain.strip()
+
+    def _maybe_compiling(self, stage: StageStatus) -> str:
+        """That the first task of a stage may compile, where no workers have done so before."""
+        if self._status.workers or stage.left < stage.total:
+            return ""
+        return ", compiling first where this machine has not yet"
 
     def _say(self, text: str) -> None:
         self._printed_s, self._patience_s = time.monotonic(), BEAT_S

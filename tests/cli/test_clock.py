@@ -167,6 +167,7 @@ def test_a_silence_that_is_piped_is_broken_ever_more_rarely(
         clock[0] += 1.0
     assert said == [11, 32, 73], "after 10, 20 and 40 s of silence"
     assert lines_of(console)[-1].startswith("surfaces: 0/4, 1 at work for ")
+    assert lines_of(console)[-1].endswith(", compiling first where this machine has not yet")
 
 
 def test_compiling_is_drawn_on_a_terminal(console: Console) -> None:
