@@ -8,7 +8,7 @@ held before it, by the points that the plan counts for it: what the constants of
 :mod:`spl_batch.airborne.plan.task_memory` are taken from.
 
 ``strips WORKFLOW [KEY=VALUE ...]`` runs a workflow up to its surfaces and does its fullest surface
-cell again, at once and in 4, 8 and 16 strips: memory above what the process held before it, by the
+cell again, at once and in 8, 16 and 28 strips: memory above what the process held before it, by the
 points of the cell and its margin, processor time, and whether the bytes are the same. A line
 through these gives the bytes of a point of the cell and of a strip in the same module.
 
@@ -69,7 +69,7 @@ AREAS = (1, 2, 4, 8)
 LENGTH_M, WIDTH_M = 200.0, 100.0
 """Size of the shortest strip [m]."""
 
-STRIPS = (1, 4, 8, 16)
+STRIPS = (1, 8, 16, 28)
 """Into how many strips a surface cell is cut [count]."""
 
 FILE_POINTS = 250_000

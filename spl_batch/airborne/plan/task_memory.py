@@ -63,7 +63,7 @@ GATHERED_BYTES: Final = 33
 STRIP_BYTES: Final = 150
 """And by each point of a strip [byte]."""
 
-STRIP_COST: Final = 0.06
+STRIP_COST: Final = 0.08
 """Time that a surface cell takes longer with each further strip, over that of one at once."""
 
 LEAST_PART_Q: Final = quanta(12.5)
