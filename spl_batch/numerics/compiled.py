@@ -13,18 +13,21 @@ an upgrade, the old code would go on (numba issue 10128).
 
 :func:`njit` mends both. It writes under a lock of the folder, the code first; and code is current
 as long as no file of the project that its own file imports, directly or not, has changed.
+
+A kernel that another one calls with a constant would be compiled for that constant alone, and so
+would all that it calls with it. Here it is compiled once, for any number.
 """
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Iterator
-from functools import cache
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, partial
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
-from numba.core import caching
+from numba.core import caching, types
 from numba.core.dispatcher import Dispatcher
 
 from spl_batch.imports import content_hash, imported
@@ -58,9 +61,18 @@ def njit(**options: Any) -> Callable[[_F], "Dispatcher[_F]"]:
     def decorate(function: _F) -> "Dispatcher[_F]":
         kernel: Any = compiled(function)
         kernel._cache._cache_file = kept(kernel._cache)  # noqa: SLF001 - there is no other way
+        kernel.get_call_template = partial(_of_any_number, kernel.get_call_template)
         return cast("Dispatcher[_F]", kernel)
 
     return decorate
+
+
+def _of_any_number(
+    template: Callable[..., Any], args: Sequence[types.Type], named: Mapping[str, types.Type]
+) -> Any:
+    """What a kernel takes from another: numbers, where numba sees a type in each constant."""
+    plain = {name: types.unliteral(given) for name, given in named.items()}
+    return template(tuple(map(types.unliteral, args)), plain)
 
 
 def kept(known: Any) -> Any:

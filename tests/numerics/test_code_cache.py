@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from numba.core import types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
@@ -20,6 +21,11 @@ from spl_batch.numerics import compiled
 from spl_batch.numerics.compiled import KeptCode, source_stamp
 
 WRITERS = 4
+
+
+@compiled.njit()
+def doubled(number):  # type: ignore[no-untyped-def]
+    return 2 * number
 
 
 @pytest.fixture
@@ -110,3 +116,9 @@ def test_the_stamp_follows_what_is_called() -> None:
 def test_another_numba_keeps_code_in_its_own_way() -> None:
     own = SimpleNamespace()
     assert compiled.kept(SimpleNamespace(_cache_file=own)) is own
+
+
+def test_a_kernel_that_is_called_with_a_constant_is_that_for_any_number() -> None:
+    for given in (types.literal(1), types.literal(7), types.int64):
+        doubled.get_call_template((given,), {})
+    assert doubled.nopython_signatures == [types.int64(types.int64)]
