@@ -193,7 +193,9 @@ def test_signal_that_noise_alone_gives_is_said(tmp_path: Path) -> None:
     write_csv(tmp_path / "hills.csv", small_track(3))
     workflow = write_workflow(tmp_path, "*.csv")
     assert run(workflow).status == 0
-    found = [text for text in report(workflow)["warnings"] if "cannot be told from noise" in text]
+    texts = report(workflow)["warnings"]
+    assert not any("rate.buffer_m" in text for text in texts)
+    found = [text for text in texts if "cannot be told from noise" in text]
     assert len(found) == 1, found
     assert found[0].startswith("noise.csv: track")
     assert "on 10 km of track between 0 and 10 km" in found[0]

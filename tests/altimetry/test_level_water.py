@@ -17,10 +17,12 @@ from spl_batch.altimetry.filter import peer_filters
 from spl_batch.altimetry.filter import signal as signals
 from spl_batch.altimetry.noise import noise_rate as rates
 from spl_batch.altimetry.photon_table import Cells
+from spl_batch.altimetry.report.summarise import _odd_layers
 from spl_batch.altimetry.settings import RateSettings, SignalSettings
 from spl_batch.altimetry.simulate import scene, simulate_track
 from spl_batch.altimetry.water.column_noise import falling_density
 from spl_batch.altimetry.water.level_water import NO_WATER
+from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import AIR, WATER, refracted
 from spl_batch.errors import WorkflowError
 from tests import surveys
@@ -383,3 +385,24 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sklearn", None)
     with pytest.raises(WorkflowError, match=r"spl-batch\[peers\]"):
         peer_filters.keep("yapc", np.zeros(3), np.zeros(3))
+
+
+def test_layers_that_may_be_neither_land_nor_floor_are_told() -> None:
+    rng = np.random.default_rng(3)
+    x = np.arange(0.0, 4000.0, 2.0)
+
+    def told(floor: np.ndarray, beside: tuple[float, ...] = (0.0,)) -> list[str]:
+        layers = Layers(0.0, 4000.0)
+        water = rng.normal(0.0, 0.1, len(x)) + rng.choice(beside, len(x))
+        layers.add(np.concatenate([x, x]), np.concatenate([water, floor]), 1.0)
+        facts = {"layers": layers.facts(), "surface": int(layers.surface.sum())}
+        return list(_odd_layers({**facts, "floor": int(layers.depths.sum())}))
+
+    floor = 10.0 - 7.0 * np.sin(x / 400.0)
+    assert told(floor) == []
+    (echo,) = told(np.where(np.arange(len(x)) % 3 == 0, 2.3, floor))
+    assert "2.5 m below the water surface" in echo
+    (under,) = told(floor, (0.0, 0.0, 0.6))
+    assert "called surface" in under
+    (cloud,) = told(np.where((x > 1000.0) & (x < 1400.0), -12.0, floor))
+    assert "200 signal photons between 1 and 1.4 km lie more than 1 m above" in cloud

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from spl_batch.numerics.compiled import njit
 
-_DENSE: float = 0.3
-_STEPS: int = 10
 _ROUNDS: int = 6
 _TUKEY: float = 4.685
 _MAD: float = 1.4826
@@ -38,14 +36,16 @@ def lowest_layers(
     centre: NDArray[np.int64],
     layer_m: float,
     slope_max: float,
+    steps: int,
+    share: float,
     photons_min: int,
     out: NDArray[np.float64],
 ) -> None:
     """Height and slope of the lowest layer of each cell that is dense.
 
-    For each of 21 slopes the photons are sheared and counted in bins of a third of a layer.
+    For each slope the photons are sheared and counted in bins of a third of a layer.
     The slope whose fullest layer holds most photons wins, the gentlest of equals; of its
-    layers the lowest is taken that holds 0.3 of that, and ``photons_min``.
+    layers the lowest is taken that holds ``share`` of that, and ``photons_min``.
 
     Parameters
     ----------
@@ -59,6 +59,10 @@ def lowest_layers(
         Middle of each cell [quanta].
     layer_m, slope_max : float
         Thickness of a layer [m]; steepest slope [m/m].
+    steps : int
+        Slopes tried to each side of level ground [count].
+    share : float
+        Least share of the fullest layer's photons.
     photons_min : int
         Least photons of a layer [count].
     out : (c, 2) float64
@@ -72,17 +76,17 @@ def lowest_layers(
             continue
         bins = np.empty(n, np.int64)
         fullest = photons_min - 1
-        for step in range(2 * _STEPS + 1):
+        for step in range(2 * steps + 1):
             # 0, 1, -1, 2, -2, ...: the gentlest first.
             turn = (step + 1) // 2 if step % 2 else -(step // 2)
-            slope = slope_max * turn / _STEPS
+            slope = slope_max * turn / steps
             base, counts = _count(along, height_m, first[c], centre[c], slope, bin_m, bins)
             most = 0
             for b in range(1, len(counts) - 1):
                 most = max(most, counts[b - 1] + counts[b] + counts[b + 1])
             if most > fullest:
                 fullest = most
-                b = _lowest(counts, max(_DENSE * most, float(photons_min)))
+                b = _lowest(counts, max(share * most, float(photons_min)))
                 out[c, 0] = (base + b - 0.5) * bin_m
                 out[c, 1] = slope
 

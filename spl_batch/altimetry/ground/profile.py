@@ -12,6 +12,7 @@ vegetation product for the ICESat-2 Mission*, Remote Sens. Environ. 221, 2019). 
 depends on photons within :func:`reach_cells` of it.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,6 +24,8 @@ from spl_batch.altimetry.settings import ProfileSettings
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.lattice.tiles import quanta
 
+_DENSE: Final = 0.3
+_DENSE_THIN: Final = 0.23
 _ALONE: Final = 3
 """How many times the least photons a layer needs that no two neighbours confirm."""
 
@@ -57,6 +60,14 @@ ATL03_LAYER_M: Final = 0.75
 def thickness_m(settings: ProfileSettings) -> float:
     """Thickness of the layer that is ground [m]."""
     return LAYER_M if settings.layer_m is None else settings.layer_m
+
+
+def dense_share(layer_m: float) -> float:
+    """Share of the fullest layer that ground holds at least: 0.3, or 0.23 where layers are thin.
+
+    Ground that bends fills several thin layers, and each holds less of it.
+    """
+    return _DENSE if layer_m >= LAYER_M else _DENSE_THIN
 
 
 def for_layout(settings: ProfileSettings, layout: str) -> ProfileSettings:
@@ -99,9 +110,12 @@ def profile(
     first = np.searchsorted(along, (index - 1) * size)
     stop = np.searchsorted(along, (index + 2) * size)
     found, fit = np.empty((len(index), 2)), np.empty((len(index), 5))
+    layer_m = thickness_m(settings)
+    # A step of slope moves the ends of three cells by a layer at most.
+    steps = max(math.ceil(1.5 * settings.cell_m * settings.slope_max / layer_m), 1)
     lowest_layers(
         along, z, first, stop, centre,
-        thickness_m(settings), settings.slope_max, settings.photons_min, found,
+        layer_m, settings.slope_max, steps, dense_share(layer_m), settings.photons_min, found,
     )  # fmt: skip
     agreed, asked = agree(index, found, settings)
     # A clump of noise reaches into the cells beside it, which then confirm it: photons that are

@@ -14,6 +14,7 @@ from spl_batch.altimetry.report.page import render
 from spl_batch.altimetry.report.pictures import MOST_PHOTONS, BeamPictures, draw
 from spl_batch.altimetry.tasks.context import Context, place
 from spl_batch.altimetry.tasks.photons import Selection, read_rate
+from spl_batch.altimetry.water.odd_layers import Layer
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.report.parts import Statistics
 from spl_batch.engine.report.picture import Picture
@@ -72,6 +73,12 @@ SAID_LEAST: Final = 10
 """Far photons among the signal, over those allowed and as such, that are no chance; fewer of any
 kind are not worth a warning."""
 
+_OVER_SHARE: Final = 0.02
+_UNDER_SHARE: Final = 0.03
+_ECHO_SHARE: Final = 0.1
+"""Photons over and under a surface, over those of the surface, and of an echo over those called
+floor, that are worth a warning."""
+
 
 def _warnings(done: Receipts, limit: float) -> list[str]:
     """What a reader has to know of each beam's labels, in sentences; alike ones once."""
@@ -85,7 +92,9 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
             text = f"no noise is seen along {rate['unseen']:.0%} of the track; its rate there "
             found.append(Said(beam, f"{text}is an upper bound"))
         far = chosen["far_signal"]
-        if far > _FAR_TIMES * limit * max(kept, 1) and far >= SAID_LEAST:
+        # What noise alone could have given is told of once, below.
+        sure = kept - chosen["doubtful"]["photons"]
+        if far > _FAR_TIMES * limit * max(kept, 1) and far >= SAID_LEAST and 2.0 * sure > kept:
             text = (
                 f"{grouped(far)} of the {grouped(kept)} signal photons lie farther than "
                 "rate.buffer_m from the surface, more than signal.false_share allows of noise; a "
@@ -93,6 +102,7 @@ def _warnings(done: Receipts, limit: float) -> list[str]:
             )
             found.append(Said(beam, text))
         found += [Said(beam, text) for text in _like_noise(chosen, kept)]
+        found += [Said(beam, text) for text in _odd_layers(delivered.facts)]
         if kept and not noise:
             text = f"all {grouped(kept)} photons are signal; nothing is told apart"
             found.append(Said(beam, text))
@@ -124,6 +134,35 @@ def _like_noise(chosen: Mapping[str, Any], kept: int) -> Iterator[str]:
             f"the {grouped(photons)} photons called floor cannot be told from noise below the "
             f"surface ({grouped(noise / SHARE_QUANTA)} noise photons are expected among them): "
             "the floor is not to be relied on"
+        )
+
+
+def _odd_layers(delivered: Mapping[str, Any]) -> Iterator[str]:
+    """Layers over and under a water surface that may be neither land nor floor."""
+    surface = delivered["surface"]
+    layers = {name: Layer(*values) for name, values in delivered["layers"].items()}
+    where = {
+        name: f"{grouped(one.photons)} signal photons between {one.from_m / 1000:g} and "
+        f"{one.to_m / 1000:g} km"
+        for name, one in layers.items()
+    }
+    if layers["over"].photons >= max(SAID_LEAST, _OVER_SHARE * surface):
+        yield (
+            f"{where['over']} lie more than 1 m above a water surface: a cloud, land or a second "
+            "surface is among the signal, and heights of ground and canopy are not to be relied "
+            "on there"
+        )
+    if layers["under"].photons >= max(SAID_LEAST, _UNDER_SHARE * surface):
+        yield (
+            f"{where['under']} lie {layers['under'].depth_m:g} to 1 m below a water surface and "
+            "none as far above it: echoes of the detector or a shallow floor are called surface, "
+            "which lies too low by them"
+        )
+    echo = layers["echo"]
+    if echo.photons >= max(SAID_LEAST, _ECHO_SHARE * delivered["floor"]):
+        yield (
+            f"{where['echo']} lie {echo.depth_m:g} m below the water surface nearly all along it: "
+            "an echo of the detector, or a flat floor; floor at that depth is not to be relied on"
         )
 
 

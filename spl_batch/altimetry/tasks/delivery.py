@@ -15,6 +15,7 @@ from spl_batch.altimetry.tasks.context import GROUP_PHOTONS, Context, place, row
 from spl_batch.altimetry.tasks.heights import COLUMNS
 from spl_batch.altimetry.tasks.photons import Selection, read_rate
 from spl_batch.altimetry.water.level_water import NO_WATER, SURFACE_M
+from spl_batch.altimetry.water.odd_layers import Layers
 from spl_batch.altimetry.water.refraction import refracted
 from spl_batch.constants import QUANTA_PER_M
 from spl_batch.engine.tasks.context import Produced
@@ -38,6 +39,9 @@ DELIVERED: Final = {
 REFRACTED: Final = "height_refracted"
 """Column of heights corrected for refraction, where that is asked for [m]."""
 
+_DEPTH: Final = "depth"
+"""Depth below the surface, not delivered [m]; NaN where no water is seen."""
+
 SURFACE, FLOOR, COLUMN = 41, 40, 45
 """Where water is seen: signal at its surface, signal below it, and what else lies below it."""
 
@@ -55,10 +59,13 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
     columns_of = dict(DELIVERED)
     if context.workflow.outputs.refraction:
         columns_of[REFRACTED] = np.float64
+    layers = Layers(*_ends(args["key"], context))
     with writing(photons, columns_of, durable=True) as writer:
         for _, part in _passes(args, context):
             counts += np.bincount(part["signal"], minlength=256)
             water += np.bincount(part["water"], minlength=COLUMN + 1)
+            over = (part["signal"] == 1) & np.isfinite(part[_DEPTH])
+            layers.add(part["along_track"][over], part[_DEPTH][over], SURFACE_M)
             for start in range(0, len(part["signal"]), GROUP_PHOTONS):
                 rows = slice(start, start + GROUP_PHOTONS)
                 writer.write({name: part[name][rows] for name in columns_of})
@@ -70,8 +77,16 @@ def deliver_beam(args: Mapping[str, Any], context: Context) -> Produced:
         "labels": {str(k): int(v) for k, v in enumerate(counts) if v},
         "surface": int(water[SURFACE]),
         "floor": int(water[FLOOR]),
+        "layers": layers.facts(),
     }
     return Produced([photons, profile], facts, int(counts.sum()))
+
+
+def _ends(beam: str, context: Context) -> tuple[float, float]:
+    """Where the cells of a beam begin and end [m]."""
+    index = read_rate(beam, context)[1].index
+    cell_m = context.workflow.rate.cell_m
+    return (index[0] * cell_m, (index[-1] + 1) * cell_m) if len(index) else (0.0, 0.0)
 
 
 def _passes(
@@ -89,6 +104,7 @@ def _passes(
             "confidence": np.full(n, np.nan, np.float32),
             "water": np.zeros(n, np.uint8),
             REFRACTED: np.full(n, np.nan),
+            _DEPTH: np.full(n, np.nan),
         }
         for segment in args["segments"]:
             path = place(context, "scores", segment, ".parquet")
@@ -98,7 +114,7 @@ def _passes(
                 part["height"][at] = rows["height"] / QUANTA_PER_M
                 signal = chosen(rows, "label")
                 part["signal"][at] = signal
-                part["water"][at], up_m = _in_water(rows, signal, scale, context)
+                part["water"][at], up_m, part[_DEPTH][at] = _in_water(rows, signal, scale, context)
                 part[REFRACTED][at] = part["height"][at] + up_m
                 part["confidence"][at] = -np.expm1(rows["score"])
         yield first, part
@@ -106,8 +122,8 @@ def _passes(
 
 def _in_water(
     rows: Mapping[str, NDArray[Any]], signal: NDArray[np.bool_], scale: Scale, context: Context
-) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Part of the water that photons lie in, 0 where there is none; what refraction lifts [m]."""
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    """Part of the water that photons lie in, what refraction lifts and depth [m]; 0, 0, NaN."""
     cell = np.searchsorted(scale.index, rows["along"] // quanta(context.workflow.rate.cell_m))
     level = scale.level[cell].astype(np.int64)
     wet = level != NO_WATER
@@ -116,7 +132,7 @@ def _in_water(
     kind = np.where(below, np.where(signal, FLOOR, COLUMN), 0)
     kind[wet & signal & (np.abs(depth_m) <= SURFACE_M)] = SURFACE
     _, up_m = refracted(np.where(below, depth_m, 0.0), context.workflow.track.off_nadir_deg)
-    return kind.astype(np.uint8), up_m
+    return kind.astype(np.uint8), up_m, np.where(wet, depth_m, np.nan)
 
 
 def deliver_file(args: Mapping[str, Any], context: Context) -> Produced:
