@@ -400,9 +400,11 @@ def test_layers_that_may_be_neither_land_nor_floor_are_told() -> None:
 
     floor = 10.0 - 7.0 * np.sin(x / 400.0)
     assert told(floor) == []
-    (echo,) = told(np.where(np.arange(len(x)) % 3 == 0, 2.3, floor))
+    (echo,) = told(
+        np.where(np.arange(len(x)) % 3 == 0, 2.5 + rng.uniform(-0.4, 0.4, len(x)), floor)
+    )
     assert "2.5 m below the water surface" in echo
     (under,) = told(floor, (0.0, 0.0, 0.6))
     assert "called surface" in under
-    (cloud,) = told(np.where((x > 1000.0) & (x < 1400.0), -12.0, floor))
+    (cloud,) = told(np.where((x >= 1000.0) & (x < 1400.0), -12.0, floor))
     assert "200 signal photons between 1 and 1.4 km lie more than 1 m above" in cloud

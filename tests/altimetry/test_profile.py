@@ -101,7 +101,7 @@ def test_the_layer_is_what_counting_by_hand_gives(seed: int, n: int) -> None:
     bounds = np.array([0]), np.array([n])
     along, height = quanta(np.stack([x, z], axis=1))
     x, z = along / 1000.0, height / 1000.0
-    lowest_layers(along, z, *bounds, np.zeros(1, np.int64), 1.5, 1.0, 3, out)
+    lowest_layers(along, z, *bounds, np.zeros(1, np.int64), 1.5, 1.0, 10, 0.3, 3, out)
     slope, most = slow_layer(x, z, 1.5, 3)
     if most < 3:
         assert np.isnan(out).all()
