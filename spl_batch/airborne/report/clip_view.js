@@ -115,8 +115,15 @@
       ArrowUp: () => ({tilt: state.tilt - 0.1}), ArrowDown: () => ({tilt: state.tilt + 0.1}),
       "+": () => ({near: state.near * 1.2}), "-": () => ({near: state.near / 1.2}), "0": () => home,
     };
+    const step = () => 40 * metre();
+    const moves = {
+      ArrowLeft: () => ({east: state.east - step()}), ArrowRight: () => ({east: state.east + step()}),
+      ArrowUp: () => ({up: state.up + step()}), ArrowDown: () => ({up: state.up - step()}),
+    };
     canvas.addEventListener("keydown", event => {
-      const move = keys[event.key];
+      // With another modifier a key is the browser's: it zooms the page or goes back.
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      const move = (event.shiftKey && moves[event.key]) || keys[event.key];
       if (move) { event.preventDefault(); change(move()); }
     });
     form.addEventListener("input", () => change());

@@ -157,27 +157,30 @@ class ClipView:
 def view_of(clip: Clip) -> ClipView:
     """What the page shows of a square."""
     low, high = clip.xyz_m.min(axis=0), clip.xyz_m.max(axis=0)
-    extent = np.maximum(high - low, 0.001)
-    whole = np.rint((clip.xyz_m - low) / extent * 65_535).astype("<u2")
+    extent = np.maximum(high - low, 1.0)
+    corner = (low + high - extent) / 2  # a square of one point has it in the middle
+    whole = np.rint((clip.xyz_m - corner) / extent * 65_535).astype("<u2")
     counts = np.bincount(clip.kind, minlength=len(KINDS)).tolist()
     kinds = [Kind(k, *KINDS[k], n) for k, n in enumerate(counts) if n]
     shown, east, north = len(clip.kind), *clip.corner_m
     caption = (
         f"{number(shown)}{f' of {number(clip.of)}' if clip.of > shown else ''} points of a square "
-        f"of {EDGE_M:.0f} m from {east:.0f} E, {north:.0f} N, around the profile; heights "
+        f"of {EDGE_M:.0f} m from {number(east)} E, {number(north)} N, around the profile; heights "
         f"{low[2]:.0f} to {high[2]:.0f} m. Noise farther above and below is left out."
     )
     title = "The points, seen from above at an angle"
     alt = f"{title}: {', '.join(f'{number(kind.points)} {kind.name}' for kind in kinds)}."
-    still = Picture(title, caption, alt, _still(whole / 65_535 * extent, clip.kind), *STILL_PX)
+    still = Picture(title, caption, alt, _still(whole / 65_535 * extent, extent, clip.kind),
+                    *STILL_PX)  # fmt: skip
     packed = base64.b64encode(whole.tobytes() + clip.kind.tobytes()).decode("ascii")
     return ClipView(shown, packed, [round(float(e), 3) for e in extent], kinds, still)
 
 
-def _still(xyz_m: NDArray[np.float64], kind: NDArray[np.uint8]) -> bytes:
+def _still(
+    xyz_m: NDArray[np.float64], extent: NDArray[np.float64], kind: NDArray[np.uint8]
+) -> bytes:
     """PNG of the points as the script first draws them: the near ones hide the far ones."""
     width, height = STILL_PX
-    extent = xyz_m.max(axis=0)
     (s, st), (c, ct) = ([f(CAMERA[k]) for k in ("azimuth", "tilt")] for f in (np.sin, np.cos))
     turn = np.array([[c, -s, 0.0], [s * ct, c * ct, st], [-s * st, -c * st, ct]])
     seen = (xyz_m - extent / 2) @ turn.T

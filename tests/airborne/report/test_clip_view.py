@@ -34,7 +34,8 @@ def data(page: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_the_page_holds_the_delivered_points_of_its_square(tiny_output: Path) -> None:
     page = (tiny_output / "report.html").read_text(encoding="utf-8")
     places, kind, extent = data(page)
-    west, south = map(int, re.search(r"from (\d+) E, (-?\d+) N", page).groups())  # type: ignore[union-attr]
+    corner = re.search(r"from ([^<]+?) E, ([^<]+?) N, around", page).groups()  # type: ignore[union-attr]
+    west, south = (int(re.sub(r"\s", "", told)) for told in corner)
     clouds = [laspy.read(path) for path in sorted(tiny_output.glob("laz/**/*.laz"))]
     x, y, z, noise, classes = (
         np.concatenate([np.asarray(getattr(cloud, name)) for cloud in clouds])
@@ -60,6 +61,12 @@ def test_the_page_holds_the_delivered_points_of_its_square(tiny_output: Path) ->
             assert np.percentile(shown + lag, [5, 95]) == pytest.approx(
                 np.percentile(there, [5, 95]), abs=0.05
             )
+
+
+@pytest.mark.parametrize("points", [1, 2])
+def test_points_at_one_place_are_drawn(points: int) -> None:
+    view = view_of(Clip(np.ones((points, 3)), np.zeros(points, np.uint8), (0.0, 0.0), points))
+    assert (np.asarray(Image.open(io.BytesIO(view.still.png))) == 1).sum() == 9
 
 
 def test_the_largest_square_is_small() -> None:
