@@ -48,11 +48,12 @@ BYTES_PER_POINT: Final[Mapping[str, int]] = MappingProxyType(
 )
 """Peak memory of a task by each of the points that it holds at once [byte]."""
 
-BAND_BYTES: Final = 100
-"""Memory of a ground cell that is done in bands, by each point of a band [byte]."""
+BAND_BYTES: Final = 300
+"""Memory of a ground cell that is done in bands, by each point of a band: twice that of a cell at
+once, as tiles are read whole [byte]."""
 
-BANDED_LABEL_BYTES: Final = 76
-"""And by each point that the cell owns, as tiles are read whole [byte]."""
+BANDED_LABEL_BYTES: Final = 60
+"""And by each point that the cell owns, whose labels are put in order [byte]."""
 
 CELL_BYTES: Final = 72 * 2**20
 """Memory of a surface cell that is done in strips: its rasters and squares, whatever it holds."""
