@@ -85,7 +85,7 @@ def test_memory_without_a_unit_is_bytes(folder: Path, given: str, words: str) ->
     ("options", "words"),
     [
         (["--memory", "4"], "that is 4 bytes"),
-        (["--memory", "300MiB"], "a ground cell of the quickstart needs 967 MiB"),
+        (["--memory", "300MiB"], "a ground cell of the quickstart needs 767 MiB"),
         (["--workers", "-1"], "--workers -1: write 0"),
     ],
 )

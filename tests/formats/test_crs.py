@@ -33,7 +33,7 @@ def test_metric_projected_crs_is_fine(text: str) -> None:
         ("EPSG:4979", "geographic (degrees)"),
         ("EPSG:2263", "US survey foot"),
         ("EPSG:32615+6360", "Gravity-related height in US survey foot"),
-        ("EPSG:4978", "lie 4945 km from the centre of the earth and look projected"),
+        ("EPSG:4978", "lie 4 945 km from the centre of the earth and look projected"),
     ],
 )
 def test_refused(text: str, words: str) -> None:
