@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
@@ -152,3 +153,21 @@ def test_extents_come_from_row_groups(tmp_path: Path) -> None:
     assert found[0] == (*first[:, :2].min(axis=0), *first[:, :2].max(axis=0), 5000)
     pq.write_table(pq.read_table(path), path, write_statistics=False)
     assert l1_files.extents(path) is None
+
+
+def test_a_damaged_footer_ends_no_process(tmp_path: Path) -> None:
+    path, column = tmp_path / "d.parquet", np.arange(40)
+    names = l1_files.DETECTION_COLUMNS
+    table = {name: column if name in {"frame", "detector"} else column / 2 for name in names}
+    pq.write_table(pa.table(table), path, row_group_size=20)
+    whole, refused = path.read_bytes(), 0
+    start = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
+    for at in range(start, start + 400):
+        for value in (0, 4):
+            path.write_bytes(whole[:at] + bytes([value]) + whole[at + 1 :])
+            try:
+                l1_files.inspect(path, names)
+                refused += l1_files.extents(path) is None
+            except InputError:
+                refused += 1
+    assert refused > 100

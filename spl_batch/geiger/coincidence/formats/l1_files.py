@@ -92,8 +92,14 @@ def inspect(path: Path, columns: Sequence[str]) -> int:
 
 
 def extents(path: Path) -> tuple[Extent, ...] | None:
-    """Where the rows of each row group of a checked file lie; None if its footer does not tell."""
-    with pq.ParquetFile(path) as file:
+    """Where the rows of each row group of a checked file lie; None if its footer does not tell.
+
+    A row of each group is read first: where the footer is damaged, reading says so, while a look at
+    its statistics ends the whole process.
+    """
+    with pq.ParquetFile(path, pre_buffer=False) as file:
+        if not _readable(file):
+            return None
         footer, names = file.metadata, file.schema_arrow.names
         at = [names.index(axis) for axis in "xy"]
         found = []
@@ -107,6 +113,16 @@ def extents(path: Path) -> tuple[Extent, ...] | None:
                 return None
             found.append((west, south, east, north, int(group.num_rows)))
     return tuple(found)
+
+
+def _readable(file: pq.ParquetFile) -> bool:
+    """Whether places of every row group can be read."""
+    try:
+        for group in range(file.num_row_groups):
+            next(file.iter_batches(1, [group], ["x", "y"], use_threads=False), None)
+    except (OSError, pa.ArrowException):
+        return False
+    return True
 
 
 def _fits(kind: pa.DataType, name: str) -> bool:
