@@ -166,7 +166,8 @@ def view_of(clip: Clip) -> ClipView:
     caption = (
         f"{number(shown)}{f' of {number(clip.of)}' if clip.of > shown else ''} points of a square "
         f"of {EDGE_M:.0f} m from {number(east)} E, {number(north)} N, around the profile; heights "
-        f"{low[2]:.0f} to {high[2]:.0f} m. Noise farther above and below is left out."
+        f"{number(round(low[2]))} to {number(round(high[2]))} m. Noise farther above and below is "
+        "left out."
     )
     title = "The points, seen from above at an angle"
     alt = f"{title}: {', '.join(f'{number(kind.points)} {kind.name}' for kind in kinds)}."

@@ -203,7 +203,7 @@ def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
     ground = _ground(context, (low[0], low[1], high[0], high[1]))
     base, of = (0.0, "in height") if ground is None else (ground, "above the mean ground")
     listed = ", ".join(
-        f"{band.times:.2f} times between {band.low_m - base:.0f} and {band.high_m - base:.0f} m"
+        f"{_times(band.times)} times between {band.low_m - base:.0f} and {band.high_m - base:.0f} m"
         for band in bands
     )
     yield as_ascii(
@@ -211,6 +211,15 @@ def misfit_warning(done: Receipts, context: Context) -> Iterator[str]:
         "noise changes along the gate. Where there is more of it, the filter keeps more than "
         "filter.alpha says; where there is less, weak signals are lost"
     )
+
+
+def _times(ratio: float) -> str:
+    """A ratio; one over next to nothing is only large."""
+    return f"{ratio:.2f}" if ratio < LARGE else f"more than {LARGE:.0f}"
+
+
+LARGE: Final = 100.0
+"""Ratios from here on are told as no number: hardly any noise was expected."""
 
 
 def _bands(parts: list[list[list[Any]]]) -> list[Band]:

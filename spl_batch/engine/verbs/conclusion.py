@@ -106,6 +106,8 @@ def _conclude(
     if written is None:
         progress.tell(ReportStarted())
         written = receiver.report(ledger.done, context, facts)
+        for text in written.warnings:  # those that only the whole tells were not said before
+            progress.warn(text)
     else:
         seconds = as_ascii(duration(time.perf_counter() - took[0]))
         now = [("now", f"nothing was left to do: looked at in {seconds}")]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 
+from spl_batch.airborne.report import summarise
 from tests import surveys
 from tests.airborne.strips.two_strips import Returns, Shift, ground
 
@@ -31,7 +32,11 @@ def write(path: Path, line: Returns, *, timed: bool) -> None:
 
 
 @pytest.mark.pictures
-def test_an_offset_is_in_warnings_report_and_page(tmp_path: Path) -> None:
+def test_an_offset_is_in_warnings_report_and_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = ["what only the report of the whole survey tells"]
+    monkeypatch.setattr(summarise, "misfit_warning", lambda *_: whole)
     result = surveys.run(survey(tmp_path, Shift(0.3, -0.2, 0.2)))
     (pair,) = json.loads((result.output / "report.json").read_text())["strips"]
     assert pair["up_m"] == pytest.approx(0.2, abs=0.01)
@@ -40,6 +45,11 @@ def test_an_offset_is_in_warnings_report_and_page(tmp_path: Path) -> None:
     assert pair["noise_m"] == pytest.approx(0.05, abs=0.01)
     assert (pair["first"][:5], pair["second"][:5]) == ("00001", "00002")
     (said,) = [text for text in result.report.warnings if "ranging noise" in text]
+    log = (result.output / "log.jsonl").read_text(encoding="utf-8")
+    events = [json.loads(line) for line in log.splitlines()]
+    told = [event["text"] for event in events if event.get("level") == "warning"]
+    assert sorted(told) == sorted(result.report.warnings)
+    assert set(whole) < set(told)
     assert said.startswith(f"{pair['second']} lies ")
     page = (result.output / "report.html").read_text()
     assert "Between flightlines" in page
