@@ -158,11 +158,7 @@ def ground_bands(
     if workflow.ground.method != "multiscale" or workflow.water is not None:
         return 1, whole
     labels = LOADED_BASE_BYTES + int(owned * BANDED_LABEL_BYTES)
-    for bands in range(2, max(side_q // quanta(BLOCK_M), 2) + 1):
-        needed = labels + int(points / bands * BAND_BYTES)
-        if needed <= usable_bytes(limit):
-            break
-    return bands, needed
+    return _fewest_parts(side_q // quanta(BLOCK_M), labels, points * BAND_BYTES, limit)
 
 
 def surface_strips(points: float, width_q: int, narrowest_q: int, limit: int) -> tuple[int, int]:
@@ -190,11 +186,33 @@ def surface_strips(points: float, width_q: int, narrowest_q: int, limit: int) ->
     if needed <= usable_bytes(limit):
         return 1, needed
     gathered = LOADED_BASE_BYTES + CELL_BYTES + int(points * GATHERED_BYTES)
-    for strips in range(2, max(width_q // narrowest_q, 2) + 1):
-        needed = gathered + int(points / strips * STRIP_BYTES)
+    return _fewest_parts(width_q // narrowest_q, gathered, points * STRIP_BYTES, limit)
+
+
+def _fewest_parts(most: int, held: int, dealt: float, limit: int) -> tuple[int, int]:
+    """Fewest parts, two or more, in which what they share fits beside what is held whole.
+
+    Parameters
+    ----------
+    most : int
+        No more parts than these, or two [count].
+    held, dealt : int, float
+        What each part takes in any case, and what all of them share [byte].
+    limit : int
+        Memory limit of a worker [byte].
+
+    Returns
+    -------
+    parts : int
+        How many; as many as there may be where none fits [count].
+    memory_bytes : int
+        What one of them needs [byte].
+    """
+    for parts in range(2, max(most, 2) + 1):
+        needed = held + int(dealt / parts)
         if needed <= usable_bytes(limit):
             break
-    return strips, needed
+    return parts, needed
 
 
 def strips_cost(strips: int) -> float:
