@@ -11,12 +11,13 @@ from spl_batch.engine.settings.base import BaseWorkflow
 from spl_batch.engine.tasks.ledger import Phase
 from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
-from spl_batch.engine.verbs.receiver import Limits, Place, Prepared, Receiver
+from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import Said, WorkflowError, grouped, shared
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.geiger.water.tasks.surfaces import WaterContext
+from spl_batch.geiger.water.tasks.targets import WITHOUT, refuse_unusable
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -72,6 +73,11 @@ class Water(Receiver[WaterLedger, WaterContext]):
         """What a run is expected to cost."""
         return estimate(prepared.ledger, prepared.context)
 
+    def first_look(self, prepared: Prepared[WaterLedger, WaterContext]) -> FirstLook:
+        """Refuse frames for calibration that a run could not use."""
+        refuse_unusable(prepared.ledger, prepared.context)
+        return FirstLook()
+
     def plan_rows(
         self,
         prepared: Prepared[WaterLedger, WaterContext],
@@ -102,7 +108,7 @@ class Water(Receiver[WaterLedger, WaterContext]):
             yield from _silent(counted.values())
         if phase.kind == "calibrate" and "all" not in ledger.of("calibrate"):
             reasons = "; ".join(r.reason for r in failed if r.kind == "calibrate")
-            raise WorkflowError(f"without a calibration there are no ranges: {reasons}")
+            raise WorkflowError(f"{WITHOUT}: {reasons}")
 
     def targets(self, task: Task, workflow: WaterWorkflow) -> Sequence[str]:
         """Names of the files, below the output, that a task delivers."""

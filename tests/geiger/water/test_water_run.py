@@ -252,14 +252,42 @@ def test_a_missing_target_stops_before_work(tank: Path, tmp_path: Path) -> None:
     assert "3.5m_2.h5: is no HDF5 file" in str(caught.value), "all faults at once"
 
 
+def test_a_target_with_a_hole_is_refused_by_plan_and_run_alike(tank: Path, tmp_path: Path) -> None:
+    path = own(tank, tmp_path)
+    target = path.parent / "calibration" / "3.5m_0.3.h5"
+    whole = bytearray(target.read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 200] = bytes(200)
+    target.write_bytes(whole)
+    said = []
+    for verb in (api.plan, lambda p: api.run(p, workers=0)):
+        with pytest.raises(WorkflowError) as caught:
+            verb(path)
+        said.append(str(caught.value))
+    assert said[0] == said[1]
+    assert "3.5m_0.3.h5: damaged HDF5" in said[0]
+    assert not (path.parent / "out").exists(), "nothing has been started"
+
+
+@pytest.mark.usefixtures("done")
+def test_targets_that_a_run_has_counted_are_not_read_again(
+    tank: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read(*_args: object, **_more: object) -> None:
+        pytest.fail("read once more")
+
+    monkeypatch.setattr("spl_batch.geiger.water.tasks.targets.read_through", read)
+    api.plan(tank, overrides=["survey.crs=EPSG:32616"])
+    with pytest.raises(pytest.fail.Exception, match="read once more"):
+        api.plan(tank, overrides=["survey.crs=EPSG:32616", "calibration.range_walk=exponential"])
+
+
 def test_targets_too_dim_to_fit_are_told(tank: Path, tmp_path: Path) -> None:
     path = own(tank, tmp_path)
-    with pytest.raises(WorkflowError, match="0 of their distances have pixels with an intensity"):
-        api.run(
-            path,
-            workers=0,
-            overrides=["calibration.range_walk=exponential", "calibration.dim_max=0.00501"],
-        )
+    dim = ["calibration.range_walk=exponential", "calibration.dim_max=0.00501"]
+    for verb in (api.plan, lambda p, **said: api.run(p, workers=0, **said)):
+        with pytest.raises(WorkflowError, match="0 of their distances have pixels with an inten"):
+            verb(path, overrides=dim)
 
 
 def test_a_gate_that_is_given_is_the_water_s_alone(tank: Path, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Tasks of the water surface: count frames, calibrate, make surfaces."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,31 +39,56 @@ from spl_batch.geiger.water.surface.pixel_surface import Surface, make_surface
 WaterContext = RunContext[WaterWorkflow]
 
 
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """What a file of frames adds up to."""
+
+    histogram: NDArray[np.int64]  #: (bins + 1,): hits of each bin.
+    silent: int  #: Frames without a hit [count].
+    lit: int  #: Hits of all pixels, used or not [count].
+    whole: Hits  #: Sums within its gate.
+
+
+def read_through(path: Path, frames: int, workflow: WaterWorkflow, *, target: bool) -> Counted:
+    """Read a file from end to end, which no look at its header can stand for.
+
+    ``path``: file of ``frames`` frames. ``target``: whether it is for calibration.
+
+    Raises
+    ------
+    InputError
+        If a part of it cannot be read, a value is no bin of the camera, or no pixel has a hit.
+    """
+    camera = workflow.camera
+    used = used_pixels(camera)
+    # A target stands at a distance of its own: its gate is where its peak is.
+    settings = workflow.gate.model_copy(update={"centre_bin": None}) if target else workflow.gate
+    counts = np.zeros(camera.bins + 1, dtype=np.int64)
+    silent = hits = 0
+    for _, piece in iter_frames(path, 0, frames, camera.bins):
+        add_histogram(piece, used, counts)
+        lit = np.count_nonzero(piece, axis=(1, 2))
+        silent += int(np.count_nonzero(lit == 0))
+        hits += int(lit.sum())
+    gate = find_gate(counts, settings)
+    if gate is None:
+        raise InputError(str(path), "no pixel has a hit in any frame; leave the file out")
+    (whole,) = _add_up(path, (0, frames), frames, gate, camera.bins)
+    return Counted(counts, silent, hits, whole)
+
+
 def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
     """Read a file once from end to end: its histogram, its gate, what its pixels add up to."""
     workflow, path = context.workflow, Path(args["path"])
     camera = workflow.camera
-    used = used_pixels(camera)
-    # A target stands at a distance of its own: its gate is where its peak is.
-    target = args["role"] == "target"
-    settings = workflow.gate.model_copy(update={"centre_bin": None}) if target else workflow.gate
-    counts = np.zeros(camera.bins + 1, dtype=np.int64)
     with unchanged(path, args["stamp"]):
         digest = checksum(path)
         inspect_frames(path, camera.rows, camera.cols)
-        silent = hits = 0
-        for _, piece in iter_frames(path, 0, args["frames"], camera.bins):
-            add_histogram(piece, used, counts)
-            lit = np.count_nonzero(piece, axis=(1, 2))
-            silent += int(np.count_nonzero(lit == 0))
-            hits += int(lit.sum())
-        gate = find_gate(counts, settings)
-        if gate is None:
-            raise InputError(str(path), "no pixel has a hit in any frame; leave the file out")
-        (whole,) = _add_up(path, (0, args["frames"]), args["frames"], gate, camera.bins)
+        found = read_through(path, args["frames"], workflow, target=args["role"] == "target")
+    whole, gate = found.whole, found.whole.gate
     out = context.store.path("counts", f"{args['source']}.npz")
     sums = {k: getattr(whole, k) for k in ("hits", "total", "square", "outside")}
-    write_arrays(out, {"histogram": counts, **sums})
+    write_arrays(out, {"histogram": found.histogram, **sums})
     facts = {
         "name": args["name"],
         "role": args["role"],
@@ -73,9 +98,9 @@ def count_frames(args: Mapping[str, Any], context: WaterContext) -> Produced:
         "frames": whole.frames,
         "gate": [gate.low, gate.high],
         "hits": int(whole.hits.sum()),
-        "outside": int(whole.outside[used].sum()),
-        "silent": silent,
-        "silent_beyond_chance": too_many_empty(silent, args["frames"], hits),
+        "outside": int(whole.outside[used_pixels(camera)].sum()),
+        "silent": found.silent,
+        "silent_beyond_chance": too_many_empty(found.silent, args["frames"], found.lit),
     }
     return Produced([out], facts, args["frames"], {str(path): args["stamp"]})
 
@@ -114,28 +139,41 @@ def _counted(args: Mapping[str, Any], context: WaterContext) -> Hits:
     return Hits(args["frames"], Gate(low, high), *parts)
 
 
-def calibrate(args: Mapping[str, Any], context: WaterContext) -> Produced:
-    """Find dead pixels, and fit the laws from frames of a target where there are some."""
-    workflow = context.workflow
+def calibrated(
+    counted: Sequence[Hits], distances_m: Sequence[float], workflow: WaterWorkflow
+) -> tuple[Calibration, NDArray[np.bool_]]:
+    """Laws fitted to frames of targets, or as the workflow gives them; and dead pixels.
+
+    Raises
+    ------
+    InputError
+        If the targets do not tell the laws.
+    """
     camera, settings = workflow.camera, workflow.calibration
-    view = view_of(camera, workflow.mount)
     used = used_pixels(camera)
-    counted = [_counted(source, context) for source in args["sources"]]
     whole = counted[0]
     for more in counted[1:]:
         whole = _together(whole, more)
     dead = dead_pixels(whole, used, workflow.pixels)
-    if args["distances_m"]:
-        seen = [
-            observation(hits, dead, view.norm, distance, camera.bin_ns)
-            for hits, distance in zip(counted, args["distances_m"], strict=True)
-        ]
-        faults = faults_of(seen, settings)
-        if faults:
-            raise InputError("calibration", faults)
-        made = fit(seen, settings)
-    else:
-        made = Calibration(settings, np.zeros(used.shape))
+    if not distances_m:
+        return Calibration(settings, np.zeros(used.shape)), dead
+    norm = view_of(camera, workflow.mount).norm
+    seen = [
+        observation(hits, dead, norm, distance, camera.bin_ns)
+        for hits, distance in zip(counted, distances_m, strict=True)
+    ]
+    faults = faults_of(seen, settings)
+    if faults:
+        raise InputError("calibration", faults)
+    return fit(seen, settings), dead
+
+
+def calibrate(args: Mapping[str, Any], context: WaterContext) -> Produced:
+    """Find dead pixels, and fit the laws from frames of a target where there are some."""
+    workflow = context.workflow
+    used = used_pixels(workflow.camera)
+    counted = [_counted(source, context) for source in args["sources"]]
+    made, dead = calibrated(counted, args["distances_m"], workflow)
     out = context.store.path("calibration.npz")
     write_arrays(out, {"pixel_ns": made.pixel_ns, "dead": dead})
     facts = {
