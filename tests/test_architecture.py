@@ -48,7 +48,7 @@ FLOW: Mapping[str, tuple[str, ...]] = {
     ),
     "geiger.water": (
         *("settings", "pixel_geometry", "formats", "simulate", "ranges", "surface", "accuracy"),
-        *("tasks", "plan", "report", "receiver"),
+        *("tasks", "plan", "calibration_targets", "report", "receiver"),
     ),
 }
 """Rooms of each receiver in the order in which data flows: a room imports those before it."""

@@ -15,6 +15,7 @@ from spl_batch.constants import QUANTA_PER_M, QUANTUM_M
 from spl_batch.errors import InputError, WorkflowError, grouped
 from spl_batch.formats.crs import look_like_degrees
 from spl_batch.formats.gps_clock import usable_times
+from spl_batch.lattice.row_order import lexicographic_order
 from spl_batch.lattice.tables import PointFlag, PointTable
 
 HIGHEST_M: Final = 1e6
@@ -28,6 +29,12 @@ COARSE_M: Final = 0.01
 
 MOST_OF_A_SHOT: Final = 10_000
 """Returns of one time above which it is no shot's: 100 beamlets return some hundreds [count]."""
+
+CHANCE: Final = 0.01
+"""Share of points that may lie where another one does, as in dense clouds of whole centimetres."""
+
+_COPIED: Final = ("gps_time", "channel", "return_number", "point_source_id", "x", "y", "z")
+"""Columns in which a copy is as its original."""
 
 Numbers = NDArray[Any]
 
@@ -177,6 +184,25 @@ def coarse(xyz: ArrayLike) -> tuple[str, ...]:
         return ()
     text = f"xyz is {place.dtype}, which holds {farthest:.0f} m to {step_m:.2g} m only"
     return (f"{text}; points are rounded to that; give float64",)
+
+
+def repeated(table: PointTable, *, timed: bool) -> tuple[str, ...]:
+    """What a caller should know of points that are there several times.
+
+    ``timed``: whether times tell copies; without, only many in one place can be no chance.
+    """
+    n = len(table)
+    keys = [table[name] for name in _COPIED]
+    order = lexicographic_order(keys) if n else np.zeros(0, np.intp)
+    same = np.ones(max(n - 1, 0), np.bool_)
+    for key in keys:
+        same &= key[order[1:]] == key[order[:-1]]
+    count = int(np.count_nonzero(same))
+    if count <= (0 if timed else CHANCE * n):
+        return ()
+    as_said = "time, channel, return number and place" if timed else "place"
+    text = f"{grouped(count)} of {grouped(n)} points repeat an earlier one, with the same {as_said}"
+    return (f"{text}; copies vouch for each other, so more noise stays; give each point once",)
 
 
 def densities(given: ArrayLike, count: int) -> NDArray[np.float64]:

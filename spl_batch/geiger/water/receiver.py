@@ -13,11 +13,11 @@ from spl_batch.engine.tasks.runner import code_version
 from spl_batch.engine.tasks.task import Receipt, Task
 from spl_batch.engine.verbs.receiver import FirstLook, Limits, Place, Prepared, Receiver
 from spl_batch.errors import Said, WorkflowError, grouped, shared
+from spl_batch.geiger.water.calibration_targets import WITHOUT, refuse_unusable
 from spl_batch.geiger.water.plan import PHASES, WaterLedger, estimate, gather_inputs
 from spl_batch.geiger.water.report.model import WaterReport
 from spl_batch.geiger.water.settings import WaterWorkflow
 from spl_batch.geiger.water.tasks.surfaces import WaterContext
-from spl_batch.geiger.water.tasks.targets import WITHOUT, refuse_unusable
 
 _WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {

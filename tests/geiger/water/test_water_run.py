@@ -276,7 +276,7 @@ def test_targets_that_a_run_has_counted_are_not_read_again(
     def read(*_args: object, **_more: object) -> None:
         pytest.fail("read once more")
 
-    monkeypatch.setattr("spl_batch.geiger.water.tasks.targets.read_through", read)
+    monkeypatch.setattr("spl_batch.geiger.water.calibration_targets.read_through", read)
     api.plan(tank, overrides=["survey.crs=EPSG:32616"])
     with pytest.raises(pytest.fail.Exception, match="read once more"):
         api.plan(tank, overrides=["survey.crs=EPSG:32616", "calibration.range_walk=exponential"])
