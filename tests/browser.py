@@ -44,6 +44,8 @@ class Page:
         self._session = self._ask("Target.attachToTarget", **asked)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self._ask(f"{domain}.enable")
+        # Else no field of the page knows that it has the focus.
+        self._ask("Emulation.setFocusEmulationEnabled", enabled=True)
 
     def open(self, path: Path, width: int = 1280, height: int = 900) -> None:
         """Open a file and wait until it is laid out."""
@@ -69,6 +71,10 @@ class Page:
         for _ in range(times):
             self._ask("Input.dispatchKeyEvent", type="keyDown", **code, **text)
             self._ask("Input.dispatchKeyEvent", type="keyUp", **code)
+
+    def write(self, text: str) -> None:
+        """Write a text into the field that has the focus."""
+        self._ask("Input.insertText", text=text)
 
     def media(self, kind: str = "screen", scheme: str = "light") -> None:
         """Show the page as it is printed, or to a reader who prefers a dark one."""

@@ -23,6 +23,9 @@ COPIED: Final = ("LICENSE", "Dockerfile", ".ci/run")
 NOTEBOOK: Final = "tutorial.md"
 """Page that is a notebook."""
 
+SEARCH: Final = "iframe-worker.js"
+"""Script that lets pages search which are opened as files."""
+
 _LINK: Final = re.compile(r"\]\(([^)#:\s]+)(#[^)\s]*)?\)")
 
 
@@ -38,6 +41,8 @@ def on_files(files: Files, config: Any) -> Files:
         content = (ROOT / name).read_text(encoding="utf-8")
         files.append(File.generated(config, _copied(name), content=content))
     files.append(File.generated(config, "reference.md", content=_reference()))
+    script = (Path(__file__).parent / SEARCH).read_text(encoding="utf-8")
+    files.append(File.generated(config, f"assets/{SEARCH}", content=script))
     return files
 
 
