@@ -180,9 +180,16 @@ def test_a_scheduler_that_is_not_there(
     ended = surveys.command("run", workflow, "--scheduler", "tcp://127.0.0.1:9")
     assert ended.status == 3
     assert "tcp://127.0.0.1:9" in ended.err
-    ended = surveys.command("run", workflow, "--scheduler", "no address at all")
-    assert ended.status in {2, 3}
-    assert "no address at all" in ended.err
+
+
+@pytest.mark.parametrize("address", ["no address at all", "ssh://there:22", "tcp://there", "there"])
+def test_what_is_no_address_is_refused_where_nothing_is_left_to_do(
+    small_output: Path, address: str
+) -> None:
+    workflow = small_output.parent / "workflow.yaml"
+    ended = surveys.command("run", workflow, "--scheduler", address)
+    assert ended.status == 2
+    assert f"--scheduler {address}: write tcp://HOST:PORT" in ended.err
 
 
 def test_plan_says_what_a_run_would_do(small_lines: Path, tmp_path: Path) -> None:

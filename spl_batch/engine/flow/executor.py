@@ -5,10 +5,11 @@ time, and nothing but names and small facts travels in a message.
 """
 
 import contextlib
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Final
 
 from spl_batch.engine.flow.cluster import (
     SETTINGS,
@@ -21,7 +22,7 @@ from spl_batch.engine.flow.dask_flow import OUT_OF_MEMORY, OnDask
 from spl_batch.engine.flow.job import Executor, Footing, InProcess, Job, Observer, OnReceipt
 from spl_batch.engine.flow.warm_up import Ahead, Work
 from spl_batch.engine.tasks.context import RunContext
-from spl_batch.errors import StoppedError
+from spl_batch.errors import StoppedError, WorkflowError
 
 __all__ = [
     "OUT_OF_MEMORY",
@@ -35,7 +36,18 @@ __all__ = [
     "Work",
     "executor",
     "machine_memory",
+    "refuse_no_address",
 ]
+
+
+_ADDRESS: Final = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^/\s]+:\d+")
+"""What an address of a scheduler looks like."""
+
+
+def refuse_no_address(scheduler: str | None) -> None:
+    """Refuse what no scheduler listens to, before anything is done: a run may need no workers."""
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise WorkflowError(f"--scheduler {scheduler}: write tcp://HOST:PORT or tls://HOST:PORT")
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
-from spl_batch.engine.flow.executor import Ahead, Executor, Footing, executor
+from spl_batch.engine.flow.executor import Ahead, Executor, Footing, executor, refuse_no_address
 from spl_batch.engine.plan.budget import Cost
 from spl_batch.engine.report.run_record import StageCost
 from spl_batch.engine.store.output_lock import lock_file, locked
@@ -94,6 +94,7 @@ def run(
         If the run had to stop as a whole; the same call continues it.
     """
     start = time.perf_counter()
+    refuse_no_address(scheduler)
     prepared = prepare(
         Path(workflow), overrides, memory=memory, workers=workers, remote=scheduler is not None
     )
