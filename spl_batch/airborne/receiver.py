@@ -155,7 +155,7 @@ class Imaging(Receiver[Survey, Context]):
     def first_look(self, prepared: Prepared[Survey, Context]) -> FirstLook:
         """What both ends of the files tell of their times and channels, and of the trajectory's."""
         survey = prepared.ledger
-        return FirstLook(*first_look(survey.inputs, survey.workflow, prepared.context.base))
+        return first_look(survey.inputs, survey.workflow, prepared.context.base)
 
     def before(self, phase: Phase, prepared: Prepared[Survey, Context]) -> None:
         """Settle the size of stretches and blocks; make room for the raster cells of ``surfaces``.

@@ -93,7 +93,7 @@ def print_plan(summary: "PlanSummary") -> None:
     basis = "as measured here" if cost.measured else "typical rates"
     _pairs(
         [
-            ("files", grouped(summary.files)),
+            ("files", _files(summary)),
             ("points", grouped(summary.points)),
             *summary.rows,
             ("tasks", grouped(cost.tasks)),
@@ -107,6 +107,14 @@ def print_plan(summary: "PlanSummary") -> None:
         _lines(f"warning: {text}", "yellow")
     for text in summary.faults:
         _lines(f"unusable: {text}", "red")
+
+
+def _files(summary: "PlanSummary") -> str:
+    """How many files a run can use, of how many."""
+    if not summary.unusable:
+        return grouped(summary.files)
+    whole = grouped(summary.files + summary.unusable)
+    return f"{grouped(summary.files)} of {whole}, {grouped(summary.unusable)} unusable"
 
 
 def _expected(time_s: float) -> str:

@@ -43,8 +43,7 @@ def _failed(failure: Failure) -> str:
     """What has failed, why, and what helps."""
     named = failure.place in failure.reason
     what = failure.reason if named else f"{failure.task or failure.place}: {failure.reason}"
-    first, _, more = (failure.remedy or "").partition(" or ")
-    helps = f"or {more}" if first in what and more else failure.remedy
+    helps = failure.remedy
     return f"{what}; {helps}" if helps and helps not in what else what
 
 

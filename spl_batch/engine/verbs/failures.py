@@ -1,5 +1,6 @@
 """What did not make it: what it needed, what to do, and how to see it fail alone."""
 
+import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -75,8 +76,8 @@ class Failed:
 
 AGAIN: Final = "run again: only what failed is tried"
 
-COPY: Final = "copy it again"
-"""What a reason says that names a damaged file."""
+COPY: Final = re.compile(r"[,;:]? copy it again(, or rewrite it)?")
+"""What a reason says that names a damaged file: it is told as the remedy, once."""
 
 
 def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator[Failure]:
@@ -87,8 +88,8 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
         yield Failure(
             stage="index",
             place=bad.path,
-            reason=reason,
-            remedy=f"{COPY if COPY in reason else 'mend'} or remove it, then {AGAIN}",
+            reason=COPY.sub("", reason),
+            remedy=_damaged(reason) or f"mend or remove it, then {AGAIN}",
             inputs=(bad.path,),
         )
     names = {str(s.key): s.name for s in ledger.inputs.sources}
@@ -98,7 +99,7 @@ def failures(prepared: Prepared[Any, Any], failed: Iterable[Failed]) -> Iterator
         yield Failure(
             stage=one.stage,
             place=names.get(task.name) or str(task.args.get("path", task.name)),
-            reason=one.receipt.reason,
+            reason=COPY.sub("", one.receipt.reason),
             remedy=_remedy(one, receiver.remedies),
             task=f"{task.kind} {task.name}",
             extent_m=extent_m(task.name, edge_m) if edge_m else None,
@@ -150,9 +151,17 @@ def plain_name(task: Task, names: Mapping[str, str]) -> str:
     return " ".join(parts)
 
 
+def _damaged(reason: str) -> str:
+    """What helps with a file of which a reason says that it is damaged; empty for others."""
+    found = COPY.search(reason)
+    if found is None:
+        return ""
+    return f"copy it again{', rewrite it' if found[1] else ''} or remove it, then {AGAIN}"
+
+
 def _remedy(one: Failed, remedies: Mapping[str, str]) -> str:
-    if COPY in one.receipt.reason:
-        return f"{COPY} or remove it, then {AGAIN}"
+    if damaged := _damaged(one.receipt.reason):
+        return damaged
     if not one.receipt.reason.startswith(OUT_OF_MEMORY):
         return AGAIN
     helping = filter(None, ("raise --memory", remedies.get(one.task.kind)))

@@ -54,10 +54,10 @@ class PlanSummary:
 
     Parameters
     ----------
-    files : int
-        Usable input files [count].
+    files, points : int
+        Usable input files, and points that their headers promise [count].
     cost : Cost
-        Points, tasks, disk, memory and time; of an airborne survey, a
+        Tasks, disk, memory and time; of an airborne survey, a
         :class:`~spl_batch.airborne.plan.cost.SurveyCost`.
     limit_bytes : int
         Memory limit of a worker [byte].
@@ -69,9 +69,12 @@ class PlanSummary:
         What is wrong with the inputs and the output; what is odd about them.
     left : Left or None
         What is left to do; None where nothing of this work is finished.
+    unusable : int
+        Input files that cannot be used [count]; ``faults`` has the reasons.
     """
 
     files: int
+    points: int
     cost: Any
     limit_bytes: int
     shared: bool
@@ -79,16 +82,12 @@ class PlanSummary:
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
     left: Left | None = None
+    unusable: int = 0
 
     @property
     def exit_status(self) -> int:
         """What the command ends with: 1 where a run would leave files out."""
         return int(bool(self.faults))
-
-    @property
-    def points(self) -> int:
-        """Points of all usable files [count]."""
-        return int(self.cost.points)
 
 
 def plan(
@@ -126,7 +125,8 @@ def plan(
     output, left = prepared.context.output, _left(prepared, cost)
     whole = left is None and prepared.context.store.url is None
     return PlanSummary(
-        len(inputs.sources),
+        len(inputs.sources) - look.unreadable,
+        cost.points - look.unreadable_points,
         cost,
         prepared.ledger.memory_bytes,
         prepared.ledger.shared,
@@ -141,6 +141,7 @@ def plan(
             *_too_full(output, cost.disk_bytes if whole else 0),
         ),
         left,
+        len(inputs.bad) + look.unreadable,
     )
 
 

@@ -78,11 +78,16 @@ class FirstLook(NamedTuple):
         What is wrong with some of them, which a run leaves out; what is odd.
     rows : tuple of (str, str)
         Label and value of what else they tell.
+    unreadable, unreadable_points : int
+        Inputs whose points cannot be read though their headers can, and what these promise
+        [count]; ``faults`` has the reasons.
     """
 
     faults: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     rows: tuple[tuple[str, str], ...] = ()
+    unreadable: int = 0
+    unreadable_points: int = 0
 
 
 class Receiver(ABC, Generic[L, C]):

@@ -199,12 +199,17 @@ def test_times_that_are_all_the_same_are_told(survey: Path) -> None:
 
 def test_points_that_cannot_be_decoded_are_a_fault(survey: Path) -> None:
     path = survey.parent / "lines" / "line_2.laz"
+    held = api.plan(survey).points
     content = bytearray(path.read_bytes())
     with laspy.open(path) as reader:
+        held -= reader.header.point_count
         start = reader.header.offset_to_point_data + 8
     content[start : start + 400] = bytes(400)
     path.write_bytes(content)
-    (fault,) = api.plan(survey).faults
+    made = api.plan(survey)
+    assert (made.files, made.unusable, made.points) == (1, 1, held)
+    assert "files         1 of 2, 1 unusable" in surveys.command("plan", survey).out
+    (fault,) = made.faults
     assert str(path) in fault
     assert "copy it again" in fault
     # a run says it once more, with what is to be done after that
@@ -213,6 +218,7 @@ def test_points_that_cannot_be_decoded_are_a_fault(survey: Path) -> None:
     (failure,) = result.report.failures
     assert failure.place == "lines/line_2.laz"
     assert failure.remedy == "copy it again or remove it, then run again: only what failed is tried"
+    assert "copy it again" not in failure.reason, "once is enough"
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])

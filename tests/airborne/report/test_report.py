@@ -281,12 +281,12 @@ class TestSummary:
             "cell 2501_16502: worker ran out of memory",
         ]
         said = second.model_copy(
-            update={"reason": f"{second.place}: cut off, copy it again",
+            update={"reason": f"{second.place}: cut off",
                     "remedy": "copy it again or remove it, then run again"}
         )  # fmt: skip
         rows = screen_summary(make_report(failures=(said, first, first, first, second)))
         failed = [value for label, value in rows if label == "failed"]
-        assert failed[0] == f"{said.reason}; or remove it, then run again", "nothing twice"
+        assert failed[0] == f"{said.reason}; {said.remedy}"
         assert len(failed) == 3
         assert ("", "and 2 more, see the report") in rows
 

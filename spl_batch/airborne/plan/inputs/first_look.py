@@ -18,6 +18,7 @@ from spl_batch.airborne.plan.inputs.survey_inputs import Inputs, Source
 from spl_batch.airborne.sensors.sensor import Sensor
 from spl_batch.airborne.settings.workflow import Workflow
 from spl_batch.engine.plan.input_files import name_below
+from spl_batch.engine.verbs.receiver import FirstLook
 from spl_batch.errors import (
     InputError,
     Said,
@@ -65,17 +66,8 @@ class _Seen:
     unreadable: list[InputError] = field(default_factory=list)
 
 
-def first_look(
-    inputs: Inputs, workflow: Workflow, base: Path
-) -> tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
+def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
     """What is wrong with inputs, and what is odd, as far as their ends tell.
-
-    Returns
-    -------
-    faults, warnings : tuple of str
-        What is wrong with some files, and what is odd; one sentence for all that share it.
-    rows : tuple of (str, str)
-        Label and value of what else they tell.
 
     Raises
     ------
@@ -91,9 +83,13 @@ def first_look(
     if len(seen.unreadable) == len(held):
         reasons = told_together([*inputs.bad, *seen.unreadable])
         raise WorkflowError("no input is usable: " + "; ".join(reasons))
-    unreadable = tuple(told_together(seen.unreadable))
+    paths = {error.path for error in seen.unreadable}
+    lost = [source.facts.n_points for source in held if str(source.path) in paths]
+    found = FirstLook(
+        tuple(told_together(seen.unreadable)), unreadable=len(lost), unreadable_points=sum(lost)
+    )
     if workflow.filter.method == "none" and not workflow.afterpulse.enabled:
-        return unreadable, (), ()
+        return found
     formats = [source for source in held if not source.facts.has_gps_time]
     faults, warnings = _without_time(formats, seen, all_of_them=len(formats) == len(held))
     faults += _no_channels(held, seen, workflow)
@@ -103,7 +99,8 @@ def first_look(
         raise WorkflowError("; ".join((*reasons, *faults, *apart)))
     warnings += _few_channels(seen, workflow)
     warnings += unnamed_channels(seen.numbers, workflow.sensor)
-    return unreadable, (*warnings, *missed), tuple(_flightlines(seen, workflow))
+    rows = tuple(_flightlines(seen, workflow))
+    return found._replace(warnings=(*warnings, *missed), rows=rows)
 
 
 def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
@@ -119,11 +116,11 @@ def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
             f"point_source_id is 0 in all files: a run tells them by pauses of {pause}",
         )
     elif several or pieces:
-        text = (
-            f"at least {grouped(len(ids))}, by point_source_id; {grouped(several)} of "
-            f"{grouped(len(held))} files hold several: a run puts the parts of each together"
-        )
-        yield "flightlines", text
+        whose = f"{grouped(several)} of {grouped(len(held))} files hold several"
+        if len(held) == 1:
+            whose = "the file holds several"
+        text = f"at least {grouped(len(ids))}, by point_source_id; {whose}"
+        yield "flightlines", f"{text}: a run puts the parts of each together"
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:
