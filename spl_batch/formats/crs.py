@@ -26,8 +26,8 @@ _TIFF_SHORT, _TIFF_ASCII, _TIFF_DOUBLE = 3, 2, 12
 DEGREES_ACROSS: Final = 5.0
 """Extent from which on coordinates that could be degrees are taken as metres."""
 
-LIKE_DEGREES: Final = "no CRS is known and the coordinates look like degrees; reproject to metres"
-"""What is wrong with a file of which :func:`look_like_degrees` is true."""
+_UTM_LATITUDE: Final = 84.0
+"""Latitude beyond which UTM has no zones [degrees]."""
 
 _EARTH_RADII_M: Final = (6.3e6, 6.45e6)
 
@@ -244,6 +244,21 @@ def look_like_degrees(
     ))  # fmt: skip
     corners = np.array([mins[:2], maxs[:2], *within], np.float64)
     return fits and bool((np.ptp(corners, axis=0) < DEGREES_ACROSS).all())
+
+
+def like_degrees(corners: Sequence[Sequence[float]], key: str) -> str:
+    """What is wrong with files of which :func:`look_like_degrees` is true, and what helps.
+
+    ``corners``: of their boxes. ``key``: of the workflow that names their CRS.
+    """
+    longitude, latitude = np.mean([corner[:2] for corner in corners], axis=0).tolist()
+    zone = int((longitude + 180.0) % 360.0 // 6.0) + 1
+    code = (32_600 if latitude >= 0 else 32_700) + zone
+    example = f", e.g. EPSG:{code}" if abs(latitude) < _UTM_LATITUDE else ""
+    return (
+        "no CRS is known and the coordinates look like degrees: if they are, reproject the files "
+        f"to a CRS in metres{example}; if they are metres, name their CRS, --set {key}=EPSG:..."
+    )
 
 
 def _spans(mins_m: Sequence[float], maxs_m: Sequence[float]) -> str:

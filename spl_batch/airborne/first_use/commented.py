@@ -22,6 +22,9 @@ from spl_batch.airborne.first_use.folder import Folder
 from spl_batch.airborne.sensors.sensor import load_preset
 from spl_batch.errors import grouped, named, plain
 
+SMALL_M2: Final = 10_000.0
+"""Area below which it is told in square metres [m2]."""
+
 _PLAIN: Final = re.compile(r"[A-Za-z][\w./*:-]*")
 
 
@@ -96,11 +99,13 @@ def propose(folder: Folder) -> Proposal:
 def _clouds(looks: Sequence[CloudLook]) -> str:
     """How much there is."""
     points = sum(look.facts.n_points for look in looks)
+    said = f"{len(looks)} file{'s' * (len(looks) != 1)}, {grouped(points)} points"
     area_m2 = sum(look.area_m2 for look in looks)
-    density = f", {points / area_m2:.1f} points per m2 of them" if area_m2 >= 1.0 else ""
-    files = f"{len(looks)} file{'s' * (len(looks) != 1)}"
-    km2 = grouped(area_m2 / 1e6, 3)
-    return f"{files}, {grouped(points)} points, boxes of {km2} km2 in all{density}"
+    if area_m2 < 1.0:  # of degrees, or of next to nothing
+        return said
+    small = area_m2 < SMALL_M2
+    area = f"{grouped(area_m2)} m2" if small else f"{grouped(area_m2 / 1e6, 3)} km2"
+    return f"{said}, boxes of {area} in all, {points / area_m2:.1f} points per m2 of them"
 
 
 def _times(made: Proposal, folder: Folder) -> None:

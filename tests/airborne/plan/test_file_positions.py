@@ -221,11 +221,16 @@ def test_degrees_without_a_crs_are_refused(tmp_path: Path, verb: str) -> None:
     assert ended.status == 2, ended.text
     whole = ended.err.replace("\n  ", " ")  # what is too long for the screen goes on below
     (line,) = (x for x in whole.splitlines() if x.startswith("spl-batch: "))
-    for word in ("lines/1.laz", "lines/2.laz", "look like degrees; reproject", "set survey.crs"):
+    remedies = (
+        "reproject the files to a CRS in metres, e.g. EPSG:32632",
+        "set survey.crs=EPSG:...",
+    )
+    for word in ("lines/1.laz", "lines/2.laz", "look like degrees: if they are", *remedies):
         assert word in line
     assert line.count("look like degrees") == 1, "once for both files"
     begun = api.init(tmp_path, force=True)
     assert "coordinates look like degrees" in dict(begun.unknown)["crs"], "not taken as metres"
+    assert "2" not in dict(begun.found)["flightlines"].partition("points")[2], "nor has it an area"
     assert not (tmp_path / "out").exists()
 
 
@@ -259,7 +264,7 @@ def test_a_reference_in_degrees_is_refused(tmp_path: Path) -> None:
     ended = surveys.command("plan", workflow)
     assert ended.status == 2, ended.text
     assert "look like degrees" in ended.err
-    assert "set reference.crs" in ended.err
+    assert "set reference.crs=EPSG" in " ".join(ended.err.split())
 
 
 def test_small_tiles_of_a_large_scene_in_local_metres_are_no_degrees() -> None:

@@ -51,6 +51,16 @@ def test_how_files_share_flightlines_is_told(
     assert told is None or told in rows["flightlines"]
 
 
+def test_what_is_missing_is_told_with_what_is_taken_instead(survey: Path) -> None:
+    assert not {"trajectory", "beamlets"} & dict(api.plan(survey).rows).keys()
+    bare = ["survey.trajectory=null", "survey.channel_dimension=null"]
+    rows = dict(api.plan(survey, overrides=bare).rows)
+    assert rows["trajectory"].startswith("none: beams come from where lines of sight meet")
+    assert rows["beamlets"].startswith("not numbered, as survey.channel_dimension is not set")
+    linear = [*bare, "filter.method=none", "afterpulse.enabled=false"]
+    assert not {"trajectory", "beamlets"} & dict(api.plan(survey, overrides=linear).rows).keys()
+
+
 def refused(survey: Path, *settings: str) -> str:
     """What a plan and a run say alike of what neither starts."""
     said = []

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spl_batch.errors import InputError, grouped, named
-from spl_batch.formats.crs import LIKE_DEGREES, look_like_degrees
+from spl_batch.formats.crs import like_degrees, look_like_degrees
 from spl_batch.formats.las.reader import LasFacts
 
 FAR_M: Final = 10_000.0
@@ -47,7 +47,9 @@ def without_degrees(
     alike = [facts for facts in silent if look_like_degrees(facts.mins_m, facts.maxs_m)]
     corners = [corner[:2] for facts in alike for corner in (facts.mins_m, facts.maxs_m)]
     found = {f.path for f in alike if look_like_degrees(f.mins_m, f.maxs_m, corners)}
-    text = f"{LIKE_DEGREES}, or set survey.crs (--set survey.crs=EPSG:...)"
+    if not found:
+        return list(files), []
+    text = like_degrees(corners, "survey.crs")
     bad = [InputError(str(facts.path), text) for facts in alike if facts.path in found]
     return [facts for facts in files if facts.path not in found], bad
 

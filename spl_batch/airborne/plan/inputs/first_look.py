@@ -99,7 +99,7 @@ def first_look(inputs: Inputs, workflow: Workflow, base: Path) -> FirstLook:
         raise WorkflowError("; ".join((*reasons, *faults, *apart)))
     warnings += _few_channels(seen, workflow)
     warnings += unnamed_channels(seen.numbers, workflow.sensor)
-    rows = tuple(_flightlines(seen, workflow))
+    rows = (*_flightlines(seen, workflow), *_missing(inputs, workflow))
     return found._replace(warnings=(*warnings, *missed), rows=rows)
 
 
@@ -121,6 +121,18 @@ def _flightlines(seen: _Seen, workflow: Workflow) -> Iterator[tuple[str, str]]:
             whose = "the file holds several"
         text = f"at least {grouped(len(ids))}, by point_source_id; {whose}"
         yield "flightlines", f"{text}: a run puts the parts of each together"
+
+
+def _missing(inputs: Inputs, workflow: Workflow) -> Iterator[tuple[str, str]]:
+    """What the survey has not, and what a run takes instead."""
+    if not inputs.trajectory:
+        text = (
+            "none: beams come from where lines of sight meet, lean by scan_angle, or are vertical"
+        )
+        yield "trajectory", text
+    if workflow.survey.channel_dimension is None and workflow.sensor.beamlets > 1:
+        text = "not numbered, as survey.channel_dimension is not set: a shot counts as one beamlet"
+        yield "beamlets", text
 
 
 def holds_few(channels: int, points: int, sensor: Sensor) -> bool:

@@ -20,9 +20,9 @@ from spl_batch.engine.plan.input_files import check_keys, expand, name_below, re
 from spl_batch.errors import InputError, Said, WorkflowError, named, shared
 from spl_batch.formats.breaklines import read_breaklines
 from spl_batch.formats.crs import (
-    LIKE_DEGREES,
     crs_problems,
     horizontal,
+    like_degrees,
     look_like_degrees,
     parse_crs,
     same_crs,
@@ -287,7 +287,8 @@ def _checked_reference(
         last = usable[-1]
         found = last.crs or given
         if found is None and last.n_points and look_like_degrees(last.mins_m, last.maxs_m):
-            faults.append(Said(str(path), f"{LIKE_DEGREES}, or set reference.crs"))
+            corners = [last.mins_m, last.maxs_m]
+            faults.append(Said(str(path), like_degrees(corners, "reference.crs")))
         if crs is not None and found is not None and not same_crs(found, crs):
             remedy = "reproject it"
             if others:
