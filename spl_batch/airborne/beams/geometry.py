@@ -32,6 +32,9 @@ STEP_BIN_S: Final = 1e-8
 STEP_BINS: Final = 100_000
 """Bins of that histogram: steps up to 1 ms, so PRFs from 1 kHz."""
 
+ELSEWHERE_M: Final = 10_000.0
+"""Distance from its first return at which a shot of an aircraft has none [m]."""
+
 ASIDE_M: Final = 1.0
 """What places may be off for other reasons, at most [m]."""
 
@@ -219,7 +222,7 @@ def look_ahead(beams: BeamTable, time_s: NDArray[np.float64]) -> Ahead | None:
     return Ahead(ahead, float(-np.mean(to_return[:, 2])), speed)
 
 
-def off_one_beam(table: PointTable) -> tuple[int, int]:
+def off_one_beam(table: PointTable) -> tuple[int, int, int]:
     """Returns of one channel and one time, and those that cannot lie on one beam with the first.
 
     Parameters
@@ -229,17 +232,19 @@ def off_one_beam(table: PointTable) -> tuple[int, int]:
 
     Returns
     -------
-    together, apart : int
+    together, apart, elsewhere : int
         Returns that follow another one of their channel and time; those of them that lie farther
-        aside of the first one than :data:`ASIDE_M` and a beam of 45 degrees explain [count].
+        aside of the first one than :data:`ASIDE_M` and a beam of 45 degrees explain; and those that
+        lie farther than :data:`ELSEWHERE_M`, where no shot of the same flight does [count].
     """
     starts = run_starts(table["gps_time"], table["channel"])
     first = np.repeat(starts[:-1], np.diff(starts))
     later = np.flatnonzero(first < np.arange(len(first)))
     steps = (table[axis][later].astype(np.int64) - table[axis][first[later]] for axis in "xyz")
     east, north, up = (QUANTUM_M * step for step in steps)
-    apart = np.hypot(east, north) > ASIDE_M + np.abs(up)
-    return len(later), int(np.count_nonzero(apart))
+    aside = np.hypot(east, north)
+    apart, elsewhere = aside > ASIDE_M + np.abs(up), aside > ELSEWHERE_M
+    return len(later), int(np.count_nonzero(apart)), int(np.count_nonzero(elsewhere))
 
 
 def ordered_times(time_s: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -120,8 +120,8 @@ def test_returns_of_one_time_and_channel_that_no_beam_explains_are_counted() -> 
         x=[0, 2000, 12_000, 0, 0], y=[0, 0, 0, 9000, 0], z=[9000, 0, 0, 0, 0],
         gps_time=[1.0, 1.0, 1.0, 1.0, 2.0], channel=[4, 4, 4, 5, 5],
     )  # fmt: skip
-    assert geometry.off_one_beam(table) == (2, 1)
-    assert geometry.off_one_beam(table.take(slice(0, 0))) == (0, 0)
+    assert geometry.off_one_beam(table) == (2, 1, 0)
+    assert geometry.off_one_beam(table.take(slice(0, 0))) == (0, 0, 0)
 
 
 def test_prf_of_no_rhythm_is_none() -> None:

@@ -116,3 +116,21 @@ def test_of_many_files_that_overlap_few_are_named(small: Path) -> None:
     assert said.startswith("7 pairs of files, worst first: lines/tile_")
     assert " and 4 more: 16 returns are in both" in said
     assert said.endswith("(the numbers of lines/tile_7.laz and lines/tile_6.laz)")
+
+
+def test_a_copy_in_another_place_is_called_so(tmp_path: Path) -> None:
+    survey = surveys.small_survey(tmp_path)
+    (tmp_path / "lines/line_2.laz").unlink()
+    line = surveys.flightline(shots=120, psid=1, seed=1)
+    line["x"] = line["x"] + 40_000.0
+    surveys.write_cloud(tmp_path / "lines/moved.laz", line)
+    texts: list[str] = []
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Note) and event.level == "warning":
+            texts.append(event.text)
+
+    surveys.run(survey, until="shots", listener=listen)
+    (said,) = [text for text in texts if "same time and channel" in text]
+    assert "lie more than 10 km apart, as where a file is a copy in another place" in said
+    assert not any("afterpulses" in text for text in texts)

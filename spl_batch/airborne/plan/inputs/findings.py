@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from spl_batch.airborne.beams.geometry import Ahead
+from spl_batch.airborne.beams.geometry import ELSEWHERE_M, Ahead
 from spl_batch.airborne.context import Context
 from spl_batch.airborne.plan.flightlines import FALLBACK_PRF_HZ
 from spl_batch.airborne.plan.inputs.channel_dimension import unnamed_channels
@@ -219,23 +219,32 @@ def looks_ahead(survey: Survey) -> Iterator[str]:
 
 def merged_shots(survey: Survey) -> Iterator[str]:
     """Say where several shots share one time, or channels are none."""
-    counts: dict[str, list[tuple[int, int]]] = {}
+    counts: dict[str, list[tuple[int, int, int]]] = {}
     for name, receipt in survey.of("gather").items():
         if "off_one_beam" in receipt.facts:
             line = name.split("/", maxsplit=1)[0]
             counts.setdefault(line, []).append(receipt.facts["off_one_beam"])
     shares: dict[str, float] = {}
+    copied: list[str] = []
     for line, stretches in counts.items():
-        together, apart = np.sum(stretches, axis=0).tolist()
-        if apart > MERGED * max(together, 1):
+        together, apart, elsewhere = np.sum(stretches, axis=0).tolist()
+        if 2 * elsewhere > apart:
+            copied.append(line)
+        elif apart > MERGED * max(together, 1):
             shares[line] = apart / together
+    if copied:
+        yield (
+            f"{named(copied)}: returns of the same time and channel lie more than "
+            f"{ELSEWHERE_M / 1000:.0f} km apart, as where a file is a copy in another place; leave "
+            "out the one that is wrong"
+        )
     if shares:
         yield (
             f"{named([*shares])}: of returns with the same time and channel up to "
             f"{100 * max(shares.values()):.0f} % do not lie on one beam: gps_time is rounded to "
             "more than the time between shots, or survey.channel_dimension holds no beamlet "
-            "numbers. In this run ground, roofs and leaves are lost as afterpulses; deliver times "
-            "that tell shots apart, or name the dimension that numbers the beamlets"
+            "numbers. In this run ground, roofs and leaves may be lost as afterpulses; deliver "
+            "times that tell shots apart, or name the dimension that numbers the beamlets"
         )
 
 
