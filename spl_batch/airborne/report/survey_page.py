@@ -108,13 +108,15 @@ def render(report: Report, pictures: Mapping[str, Picture], clip: Clip | None = 
         HTML without any reference to another file; the same input gives the same text.
     """
     photons = photon_counting(report)
+    # Without beamlet numbers nothing in the points says that the instrument is the one named.
+    numbered = _channel_dimension(report) is not None
     return render_page(
         "survey_page.html.j2",
         report,
         Front(
             title=report.survey.name,
-            kicker="Single-photon lidar" if photons else "Linear-mode lidar",
-            facts=tuple(_facts(report.survey, photons=photons)),
+            kicker=_kicker(photons=photons, numbered=numbered),
+            facts=tuple(_facts(report.survey, photons=photons, numbered=numbered)),
             sections=tuple(_sections(report, photons=photons)),
             verdicts=tuple(verdicts(report)),
             cards=tuple(_cards(report)),
@@ -159,13 +161,27 @@ def _layer_keys(report: Report, *, photons: bool) -> Iterator[str]:
         yield key
 
 
+def _channel_dimension(report: Report) -> str | None:
+    """Dimension that the workflow names for beamlet numbers."""
+    survey = report.provenance.parameters.get("survey")
+    found = survey.get("channel_dimension") if isinstance(survey, Mapping) else None
+    return None if found is None else str(found)
+
+
+def _kicker(*, photons: bool, numbered: bool) -> str:
+    """What stands above the title."""
+    if not photons:
+        return "Linear-mode lidar"
+    return "Single-photon lidar" if numbered else "Taken as single-photon lidar"
+
+
 def _asked_level(report: Report) -> str:
     """Quality level that the requirements are those of."""
     asked = report.provenance.parameters.get("requirements")
     return str(asked.get("quality_level", "")) if isinstance(asked, Mapping) else ""
 
 
-def _facts(survey: Survey, *, photons: bool) -> Iterator[str]:
+def _facts(survey: Survey, *, photons: bool, numbered: bool) -> Iterator[str]:
     """What stands below the title."""
     if survey.area_km2 is not None:
         small = survey.area_km2 < _SMALL_KM2
@@ -177,7 +193,7 @@ def _facts(survey: Survey, *, photons: bool) -> Iterator[str]:
         n = len(survey.flightlines)
         yield f"{n} flightline{'s' * (n != 1)}"
     if survey.sensor and photons:
-        yield survey.sensor
+        yield survey.sensor if numbered else f"taken as {survey.sensor}, beamlets not numbered"
     if survey.crs:
         words = survey.crs_name and survey.crs_name != survey.crs
         yield f"{survey.crs} ({survey.crs_name})" if words else survey.crs

@@ -130,6 +130,15 @@ class TestPage:
         survey = make_report().survey.model_copy(update={"area_km2": area_km2})
         assert f"<span>{shown}</span>" in render(make_report(survey=survey), {})
 
+    def test_an_instrument_that_nothing_tells_is_only_taken_as_such(self) -> None:
+        page = render(make_report(), {})
+        assert "taken as Leica SPL100, beamlets not numbered" in page
+        assert "Taken as single-photon lidar" in page
+        known = make_report().provenance
+        parameters = {**known.parameters, "survey": {"channel_dimension": "user_data"}}
+        named = make_report(provenance=known.model_copy(update={"parameters": parameters}))
+        assert "aken as" not in render(named, {})
+
     def test_names_cannot_become_markup(self) -> None:
         evil = "<script>alert(1)</script>\"'&"
         failures = tuple(
