@@ -95,7 +95,7 @@ def _pair(above: str | None, below: str | None) -> Segment:
 
 def draw(status: RunStatus) -> RenderableType:
     """Everything that is known about a run that is working, or was stopped."""
-    return Group(bars(status.stages.values()), *details(status))
+    return Group(bars(status.rows), *details(status))
 
 
 def details(status: RunStatus, *, working: bool = True) -> list[RenderableType]:

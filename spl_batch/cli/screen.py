@@ -184,7 +184,7 @@ def _whole(status: "RunStatus") -> RenderableType:
     """State by stage as a table, and all else that the live view shows."""
     done = "done" if status.delivered is None else "was done"
     table = Table("stage", done, "failed", "left", "points/s", "elapsed", "time left", box=None)
-    for stage in status.stages.values():
+    for stage in status.rows:
         table.add_row(
             stage.stage,
             f"{stage.done}/{stage.total}" if stage.total else "",

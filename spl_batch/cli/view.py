@@ -96,7 +96,7 @@ class View:
     def draw(self) -> RenderableType:
         """The view as it is now."""
         with self._lock:
-            stages = bars([self._simulated, *self._status.stages.values()])
+            stages = bars([self._simulated, *self._status.rows])
             if self._over:
                 return stages
             if not self._status.running:

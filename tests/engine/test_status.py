@@ -396,8 +396,8 @@ def test_a_run_with_nothing_to_do_leaves_the_times_of_those_that_worked(tmp_path
     log.write_text("".join(json.dumps(r) + "\n" for r in records))
     shown = api.status(tmp_path)
     assert (shown.stages["denoise"].elapsed_s, shown.stages["denoise"].total) == (12.0, 6)
-    report = shown.stages["report"]
-    assert (report.done, report.elapsed_s) == (1, 2.0), "not to the end of the idle run"
+    assert (shown.page.done, shown.page.elapsed_s) == (1, 2.0), "not to the end of the idle run"
+    assert shown.stages["report"].total == 0, "no task of the report's, which counts none either"
     assert shown.ended is not None
     assert shown.ended["exit_status"] == 0
     assert shown.stages["index"].total == 0
@@ -495,7 +495,8 @@ def test_a_view_says_what_goes_on_where_no_task_runs(monkeypatch: pytest.MonkeyP
     clock += 3
     assert "writing the report, 3 s" in drawn(shown.draw())
     shown.on_event(RunEnded(0))
-    assert "1/1" in drawn(shown.draw()), "the report is done"
+    (row,) = [line for line in drawn(shown.draw()).splitlines() if "1/1" in line]
+    assert row.split()[0] == "page", "the report is written"
 
 
 def test_a_run_tells_what_it_begins_and_how_it_ends(small: Path) -> None:

@@ -13,6 +13,9 @@ from spl_batch.engine.tasks.runner import stages as stages_of
 from spl_batch.engine.watch.tile_map import TileMap
 from spl_batch.receivers import IMAGING
 
+PAGE: Final = "page"
+"""What the writing of the report is called among the stages."""
+
 TRUSTED_SHARE: Final = 0.2
 """Share of a stage's points from which on the time left follows from its own speed alone."""
 
@@ -119,13 +122,19 @@ class RunStatus:
     #: of its phases so far, in which everything was finished.
     waiting: list[Mapping[str, Any]] = field(default_factory=list)
     reporting: bool = False  #: Whether the latest run is writing the report, or has.
-    counted: bool = False  #: Whether the writing of it is among the tasks of its stage.
+    #: The writing of the report: none of the tasks that it counts, and so a row of its own.
+    page: StageStatus = field(default_factory=lambda: StageStatus(PAGE))
     #: What lies in the output folder though its store is gone, and with it all that was finished:
     #: the next run starts over; None where the store is there.
     delivered: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         self.stages = {name: StageStatus(name) for name in self.order}
+
+    @property
+    def rows(self) -> list[StageStatus]:
+        """What is shown line by line: the stages, and the writing of the report once it began."""
+        return [*self.stages.values(), *([self.page] if self.page.began_s else [])]
 
     @property
     def left_s(self) -> float:
@@ -202,6 +211,7 @@ class RunStatus:
             name: StageStatus(name, expected_s=stage.expected_s)
             for name, stage in self.stages.items()
         }
+        self.page, self.reporting = StageStatus(PAGE), False
         for known in (self.kinds, self.begun, self.tiles, self.running, self.called, self.failures):
             known.clear()
 
@@ -238,19 +248,14 @@ class RunStatus:
         self.workers = record
 
     def _report_started(self, record: Mapping[str, Any]) -> None:
-        stage = self.stages["report"]
-        self.reporting, stage.latest_s = True, _seconds(record)
-        if self.counted and self.waiting:  # written again after an earlier run's work
-            stage.done, stage.began_s = min(stage.done, stage.total - 1), stage.latest_s
-            return
-        self.counted, stage.total = True, stage.total + 1
-        stage.began_s = stage.began_s or stage.latest_s
+        began_s = _seconds(record)
+        self.page = StageStatus(PAGE, total=1, began_s=began_s, latest_s=began_s)
+        self.reporting = True
 
     def _run_ended(self, record: Mapping[str, Any]) -> None:
         self.ended = record
-        report = self.stages["report"]
         if self.reporting and not record["reason"]:
-            report.done, report.latest_s = report.done + 1, _seconds(record)
+            self.page.done, self.page.latest_s = 1, _seconds(record)
         self.dashboard = ""
         self.nothing_runs()
 
