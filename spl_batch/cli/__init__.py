@@ -27,7 +27,10 @@ _AGAIN_S = 0.05
 """After so long an interrupt that was dropped comes again [s]."""
 
 _LOADING = "loading, and reading the headers of the inputs"
-_STOPPING = b"\nstopping; what is finished is kept\n"
+_STOPPING = "\nstopping"
+_CONTINUES = frozenset({"run", "quickstart", "compare", "denoise"})
+"""Commands that go on where they stopped."""
+
 _STAGES = "index, shots, shuffle, denoise, ground, surfaces, deliver, report"
 
 
@@ -254,20 +257,22 @@ def completion(shell: str) -> int:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the status of the contract."""
     told = threading.Event()
+    given = sys.argv[1:] if arguments is None else arguments
+    goes_on = bool(given) and given[0] in _CONTINUES
+    interrupted = "interrupted" + "; the same command continues" * goes_on
     # As the command of its process it began with that: loading Python and packages counts.
     CLOCK.set(CommandClock(process_age_s() if arguments is None else 0.0))
     document.ASKED.set(False)
     try:
-        with _ended_in_order(told):
+        with _ended_in_order(told, _STOPPING + "; what is finished is kept" * goes_on):
             status = cli.main(args=arguments, prog_name="spl-batch", standalone_mode=False)
     except click.ClickException as error:
         error.show()
-        given = sys.argv[1:] if arguments is None else arguments
         if document.ASKED.get() or "--json" in given:  # options may not have been read that far
             document.print_error(error.format_message(), 2)
         sys.exit(2)
     except click.Abort:
-        _end("interrupted; the same command continues", 3)
+        _end(interrupted, 3)
     except SplBatchError as error:
         _end(f"spl-batch: {error}", error.exit_status if error.exit_status != 1 else 2)
     except TimeoutError as error:
@@ -281,7 +286,7 @@ def main(arguments: list[str] | None = None) -> None:
         # The interrupt may come up as something else: in a callback of a compiler it is lost.
         if not told.is_set():
             raise
-        _end("interrupted; the same command continues", 3)
+        _end(interrupted, 3)
     status = status if isinstance(status, int) else 0
     if arguments is None:
         _leave(status)
@@ -317,10 +322,10 @@ def _end(text: str, status: int) -> NoReturn:
 
 
 @contextmanager
-def _ended_in_order(told: threading.Event) -> Iterator[None]:
+def _ended_in_order(told: threading.Event, saying: str) -> Iterator[None]:
     """Take the end of a queue system's time like Ctrl-C: in order, to be continued.
 
-    Sets ``told`` when either comes.
+    Sets ``told`` when either comes, and says so.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -330,7 +335,7 @@ def _ended_in_order(told: threading.Event) -> Iterator[None]:
         if not told.is_set():
             # Nothing else may write here: the interrupt may have come amid a line of the console.
             with suppress(OSError):  # of a terminal that is gone
-                os.write(2, _STOPPING)
+                os.write(2, f"{saying}\n".encode())
         told.set()
         raise KeyboardInterrupt
 
@@ -343,15 +348,21 @@ def _ended_in_order(told: threading.Event) -> Iterator[None]:
         else:
             hook(found)
 
+    def uncaught(kind: type[BaseException], value: BaseException, trace: Any) -> None:
+        # Callbacks of compiled libraries print what they drop, as if the program ended with it.
+        if not (told.is_set() and issubclass(kind, KeyboardInterrupt)):
+            shown(kind, value, trace)
+
     before = {
         sign: signal.signal(sign, interrupt)
         for sign in (signal.SIGTERM, signal.SIGINT)
         if signal.getsignal(sign) != signal.SIG_IGN  # of a command in the background
     }
     hook, sys.unraisablehook = sys.unraisablehook, unraisable
+    shown, sys.excepthook = sys.excepthook, uncaught
     try:
         yield
     finally:
-        sys.unraisablehook = hook
+        sys.unraisablehook, sys.excepthook = hook, shown
         for sign, handler in before.items():
             signal.signal(sign, handler)

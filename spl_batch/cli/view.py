@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import Counter
+from typing import Final
 
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
@@ -36,11 +37,36 @@ QUIET_S = 1.0
 
 
 BEAT_S = 10.0
-"""Silence after which a log is told what is being done; twice as long after each time [s]."""
+"""Silence after which a log is told what is being done [s]."""
+
+BEATS = 6
+"""Times that it is told so often; then it is every :data:`LINE_S` [count]."""
 
 
-def _compiled(done: int, of: int) -> str:
-    return f"compiling: {grouped(done)} of {grouped(of)} kernels ready"
+PACE_S: Final = 5.0
+"""Time from which on the pace of compiling tells how long the rest takes [s]."""
+
+
+class Compiled:
+    """How far kernels are compiled, and at what pace."""
+
+    def __init__(self) -> None:
+        self._began_s, self._first, self._done, self._of = time.monotonic(), 0, 0, 0
+
+    def hear(self, done: int, of: int) -> None:
+        """Take in how many of how many are ready."""
+        if not self._of:
+            self._began_s, self._first = time.monotonic(), done
+        self._done, self._of = done, of
+
+    def __str__(self) -> str:
+        said = f"compiling: {grouped(self._done)} of {grouped(self._of)} kernels ready"
+        spent_s, made = time.monotonic() - self._began_s, self._done - self._first
+        if spent_s < PACE_S:
+            return said
+        said = f"{said} after {duration(spent_s)}"
+        left_s = spent_s * (self._of - self._done) / made if made else 0.0
+        return f"{said}, about {duration(left_s)} left at this pace" if left_s >= 1.0 else said
 
 
 class View:
@@ -58,7 +84,7 @@ class View:
         self._status = RunStatus()
         self._simulated = StageStatus("simulate")
         self._over = False
-        self._compiled: tuple[int, int] | None = None
+        self._compiled: Compiled | None = None
         self._heard_s = time.time()
 
     def simulated(self, share: float) -> None:
@@ -76,7 +102,8 @@ class View:
             self._status.feed(as_record(event))
             self._heard_s = time.time()
             if isinstance(event, Compiling):
-                self._compiled = event.done, event.of
+                self._compiled = self._compiled or Compiled()
+                self._compiled.hear(event.done, event.of)
             elif isinstance(event, TaskStarted):
                 self._compiled = None
         if isinstance(event, Note):
@@ -106,7 +133,7 @@ class View:
     def _between(self) -> Text:
         """What is done where no task runs, and for how long: that it is alive."""
         if self._compiled is not None:
-            return Text(f"  {_compiled(*self._compiled)}", style="dim")
+            return Text(f"  {self._compiled}", style="dim")
         quiet_s = time.time() - self._heard_s
         if quiet_s < QUIET_S:
             return Text("")
@@ -125,7 +152,7 @@ class PlainView(View):
         super().__init__(console)
         self._printed_s = time.monotonic()
         self._told_share = 0.0
-        self._patience_s = BEAT_S
+        self._beats = 0
 
     def simulated(self, share: float) -> None:
         """Print a line when a simulation begins, and one for each tenth that took a while."""
@@ -150,7 +177,7 @@ class PlainView(View):
             tasks = f"{event.tasks} task{'s' * (event.tasks != 1)}"
             self._say(f"{event.stage}: {event.kind.replace('_', ' ')}: {tasks}{skipped}")
         elif isinstance(event, Compiling) and time.monotonic() - self._printed_s > LINE_S:
-            self._say(_compiled(event.done, event.of))
+            self._say(str(self._compiled))
         elif isinstance(event, TaskEnded) and time.monotonic() - self._printed_s > LINE_S:
             stage = self._status.stages[event.stage]
             rate = f", {speed(stage.points_per_s)}" if stage.points_per_s else ""
@@ -159,12 +186,12 @@ class PlainView(View):
 
     def beat(self) -> None:
         """Print what is being done if nothing was printed for a while."""
-        patience_s = self._patience_s
-        if time.monotonic() - self._printed_s <= patience_s:
+        beats = self._beats
+        if time.monotonic() - self._printed_s <= (BEAT_S if beats < BEATS else LINE_S):
             return
         if text := self._at_work():
             self._say(text)
-            self._patience_s = 2 * patience_s
+            self._beats = beats + 1
 
     def _at_work(self) -> str:
         """What is being done now, in words."""
@@ -188,5 +215,5 @@ class PlainView(View):
         return ", compiling first where this machine has not yet"
 
     def _say(self, text: str) -> None:
-        self._printed_s, self._patience_s = time.monotonic(), BEAT_S
+        self._printed_s, self._beats = time.monotonic(), 0
         self._print(text, "")

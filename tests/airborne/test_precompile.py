@@ -114,6 +114,7 @@ def all_of_it(share: int, shares: int, _tell: Tell) -> int:
 
 def some_left(share: int, shares: int, tell: Tell) -> int:
     """The last share has something to do; each has two steps."""
+    time.sleep(0.2 * share)
     tell(2, 2)
     time.sleep(0.2 + 0.2 * (share + 1 == shares))
     return int(share + 1 == shares)
@@ -149,4 +150,5 @@ def test_each_worker_does_its_share_once_and_a_fault_is_told() -> None:
     assert compiled.took_s is not None
     assert compiled.took_s >= 0.2
     assert told.counts[-1] == (4, 4), "steps of both shares, added up"
+    assert {of for _, of in told.counts} == {4}, "the whole does not grow as shares begin"
     assert loaded.took_s is None

@@ -147,6 +147,26 @@ def test_an_interrupt_that_python_drops_comes_again(monkeypatch: pytest.MonkeyPa
     assert ended.err.splitlines()[-1] == "interrupted; the same command continues"
 
 
+def test_what_a_library_prints_of_an_interrupt_is_kept_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As callbacks of PROJ do, through Cython: they print what they cannot raise."""
+
+    def wait(*_: Any, **__: Any) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)
+        except KeyboardInterrupt:
+            sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
+            raise
+
+    monkeypatch.setattr("spl_batch.api.plan", wait)
+    hook = sys.excepthook
+    ended = surveys.command("plan", "w.yaml")
+    assert sys.excepthook is hook
+    assert (ended.status, ended.err.strip()) == (3, "interrupted"), "a plan continues nothing"
+
+
 def test_options_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, Any] = {}
 

@@ -56,8 +56,9 @@ class Ahead:
         def hear(event: tuple[float, tuple[int, int, int]]) -> None:
             share, done, of = event[1]
             self.steps[share] = done, of
-            dones, ofs = zip(*self.steps.values(), strict=True)
-            observer.compiled(sum(dones), sum(ofs))
+            if len(self.steps) == len(workers):  # else the whole would grow as they begin
+                dones, ofs = zip(*self.steps.values(), strict=True)
+                observer.compiled(sum(dones), sum(ofs))
 
         client.subscribe_topic(TOPIC, hear)
         try:
