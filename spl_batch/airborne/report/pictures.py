@@ -6,7 +6,7 @@ was forgotten.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from spl_batch.airborne.products.product_table import NAMES
 from spl_batch.airborne.report.locator_map import Extent, draw_locator
 from spl_batch.airborne.report.model import Report
 from spl_batch.airborne.report.plots import Profile, draw_histogram, draw_profile
@@ -75,6 +76,9 @@ class PictureInputs:
     others: Sequence["PictureInputs"] = ()
     strips: Raster | None = None
 
+
+OF_PRODUCTS: Final = tuple(field.name for field in fields(PictureInputs) if field.name in NAMES)
+"""Pictures of delivered rasters: a picture has the name of its raster."""
 
 NO_REFERENCE: Final = "Without reference points there is nothing to compare with."
 NO_RASTER: Final = "The raster holds no value."

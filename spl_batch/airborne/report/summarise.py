@@ -21,7 +21,7 @@ from spl_batch.airborne.report.model import (
     Report,
     Survey,
 )
-from spl_batch.airborne.report.pictures import PictureInputs, make_pictures
+from spl_batch.airborne.report.pictures import OF_PRODUCTS, PictureInputs, make_pictures
 from spl_batch.airborne.report.profile_strips import cut_profile
 from spl_batch.airborne.report.sky import (
     bloom,
@@ -328,10 +328,7 @@ def _pictures(done: Receipts, context: Context, found: Comparison | None) -> Pic
     pieces = find_pieces(done, context)
     bounds = pieces[0].bounds_m if len(pieces) > 1 else None
     folder = context.output
-    parts = {
-        n: _overview(folder / f"{n}.tif", bounds)
-        for n in ("dtm", "dsm", "chm", "dtm_quality", "density")
-    }
+    parts = {n: _overview(folder / f"{n}.tif", bounds) for n in OF_PRODUCTS}
     rasters = {n: None if p is None else Raster(p.values, p.extent_m) for n, p in parts.items()}
     noise = _overview(context.store.local / "noise.tif", bounds)
     difference = None
